@@ -1,0 +1,34 @@
+# `make demo` sets everything up and runs the main job; `make test` sets up and passes the tests.
+VENV ?= .venv
+PYTHON := $(VENV)/bin/python
+SESSION ?=
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help setup demo test test-all lint colcon clean
+help:
+	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
+	@echo "make test                   set up, run the tests;  make test-all: the slow ones too"
+	@echo "make lint | colcon | clean  ruff and mypy | colcon build in ros_ws | remove what was built"
+
+setup:
+	@VENV=$(VENV) scripts/setup.sh
+
+demo: setup
+	@$(PYTHON) -m sagoma_tools.cli demo $(if $(SESSION),--session "$(SESSION)")
+
+test: setup
+	$(PYTHON) -m pytest
+
+test-all: setup
+	$(PYTHON) -m pytest -m "slow or not slow"
+
+lint: setup
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m mypy $(wildcard src/*/*/__init__.py)
+
+colcon: setup
+	cd ros_ws && COLCON_DEFAULTS_FILE=$$PWD/colcon_defaults.yaml ../$(VENV)/bin/colcon build
+
+clean:
+	rm -rf $(VENV) ros_ws/build ros_ws/install ros_ws/log output

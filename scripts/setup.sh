@@ -1,0 +1,59 @@
+#!/usr/bin/env bash
+# Makes .venv with everything sagoma needs, on Debian 12 or Ubuntu 24.04. Runs again at no cost when nothing changed.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+venv=${VENV:-.venv}
+python=/usr/bin/python3 # the system's: Aravis reaches Python through the distribution's PyGObject
+
+say() { printf '\033[1m%s\033[0m\n' "$*"; }
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then "$@"; elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then sudo "$@"; else return 1; fi
+}
+
+missing_packages() {
+    "$python" -c 'import ensurepip' 2>/dev/null || echo python3-venv
+    "$python" -c 'import gi; gi.require_version("Aravis", "0.8"); from gi.repository import Aravis' 2>/dev/null \
+        || echo python3-gi gir1.2-aravis-0.8
+    ldconfig -p 2>/dev/null | grep -q libEGL.so.1 || echo libegl1
+    ls /usr/lib/*/dri/swrast_dri.so /usr/lib/*/dri/*_dri.so >/dev/null 2>&1 || echo libegl-mesa0 libgl1-mesa-dri
+}
+
+install_system_packages() {
+    local packages
+    packages=$(missing_packages | xargs)
+    [ -z "$packages" ] && return
+    say "installing system packages: $packages"
+    # shellcheck disable=SC2086
+    if ! { as_root apt-get update -qq && as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $packages; }; then
+        echo "could not install them (no root and no sudo, or apt failed). As root: apt-get install $packages"
+        "$python" -c 'import ensurepip' 2>/dev/null || exit 1
+        echo "going on without: cameras need Aravis, the OpenGL backend needs EGL; footage and the CPU backend need neither"
+    fi
+}
+
+have_system_ros() { [ "${ROS_DISTRO:-}" = jazzy ] && "$python" -c 'import rclpy' 2>/dev/null; }
+
+pip_install() { "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$@" 2>&1 | { grep -v '^WARNING: Location' || true; }; }
+
+fingerprint() { cat requirements*.txt scripts/setup.sh src/*/setup.py | sha256sum | cut -d' ' -f1; echo "$PWD"; have_system_ros && echo system-ros || echo wheels; }
+
+[ -x "$python" ] || { echo "$python is missing. As root: apt-get install python3 python3-venv"; exit 1; }
+stamp="$venv/.sagoma-setup"
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$(fingerprint)" ]; then exit 0; fi
+
+install_system_packages
+say "making $venv ($("$python" --version))"
+"$python" -m venv --system-site-packages "$venv"
+if have_system_ros; then
+    echo "using the ROS 2 Jazzy that is sourced"
+    pip_install -r requirements.txt -r requirements-dev.txt
+else
+    pip_install -r requirements-ros.txt -r requirements.txt -r requirements-dev.txt
+fi
+editable=()
+for package in src/*/; do editable+=(-e "$package"); done
+pip_install --use-pep517 --no-build-isolation --no-deps "${editable[@]}"
+say "compiling the numerical kernels (once)"
+"$venv/bin/python" -m sagoma_tools.warm_up
+fingerprint >"$stamp"

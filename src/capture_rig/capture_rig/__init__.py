@@ -1,0 +1,15 @@
+"""Camera models, rig calibration, session folders and frame sets of a multi-camera capture rig."""
+
+from .camera import CameraModel, UndistortedView
+from .errors import InputError
+from .frame_set import FrameSet, FrameSetCollector
+from .rig import Rig, Volume, load_rig, save_rig
+from .session import Session, footage_stamp_ns, load_session
+from .settings import as_dict, build_settings, setting
+from .truth import Truth, load_truth
+
+__all__ = [
+    "CameraModel", "FrameSet", "FrameSetCollector", "InputError", "Rig", "Session", "Truth", "UndistortedView",
+    "Volume", "as_dict", "build_settings", "footage_stamp_ns", "load_rig", "load_session", "load_truth", "save_rig",
+    "setting",
+]  # fmt: skip

@@ -1,0 +1,208 @@
+"""The rig: its calibrated cameras and the volume they watch, read from and written to one YAML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from .camera import DISTORTION_COEFFICIENTS, Array, CameraModel
+from .errors import InputError
+
+UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
+CAMERA_KEYS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion",
+               "R_camera_world", "t_camera_world")  # fmt: skip
+ROTATION_TOLERANCE = 1e-4
+DEFAULT_HALF_WIDTH_M, DEFAULT_HEIGHT_M, FLOOR_MARGIN_M = 2.5, 2.4, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """The axis-aligned box that is searched for a body: corners ``low`` and ``high`` (3,), metres, map frame."""
+
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The calibrated cameras, in name order, and the capture volume."""
+
+    cameras: tuple[CameraModel, ...]
+    volume: Volume
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self.cameras)
+
+    def camera(self, name: str) -> CameraModel:
+        """The camera called ``name``; InputError lists the known names otherwise."""
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise InputError(f"there is no camera '{name}' in the rig", remedy=f"Known cameras: {', '.join(self.names)}.")
+
+
+def load_rig(path: str | Path) -> Rig:
+    """Read a rig YAML; every defect is an InputError with file, key, value and remedy."""
+    path = Path(path)
+    document = _read_yaml(path)
+    cameras = document.get("cameras")
+    if not isinstance(cameras, Mapping) or not cameras:
+        raise InputError("key 'cameras' is missing or empty", where=str(path), remedy="List each camera under it.")
+    models = tuple(_camera(str(name), cameras[name], f"{path}: cameras.{name}") for name in sorted(cameras, key=str))
+    if "volume" in document:
+        return Rig(models, _volume(document["volume"], f"{path}: volume"))
+    return Rig(models, default_volume(models))
+
+
+def save_rig(rig: Rig, path: str | Path) -> None:
+    """Write ``rig`` so that :func:`load_rig` reads the same numbers back."""
+    document = {
+        "units": UNITS,
+        "volume": {"low": rig.volume.low.tolist(), "high": rig.volume.high.tolist()},
+        "cameras": {camera.name: _camera_document(camera) for camera in rig.cameras},
+    }
+    Path(path).write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120))
+
+
+def default_volume(cameras: tuple[CameraModel, ...]) -> Volume:
+    """A box of 5 x 5 x 2.45 m on the floor around the point that the optical axes meet best (least squares)."""
+    A, b = np.zeros((3, 3)), np.zeros(3)
+    for camera in cameras:
+        axis = camera.R_camera_world[2]
+        across = np.eye(3) - np.outer(axis, axis)
+        A, b = A + across, b + across @ camera.centre_world
+    meeting = np.linalg.lstsq(A, b, rcond=None)[0][:2]
+    low = np.array([*(meeting - DEFAULT_HALF_WIDTH_M), -FLOOR_MARGIN_M])
+    high = np.array([*(meeting + DEFAULT_HALF_WIDTH_M), DEFAULT_HEIGHT_M])
+    return Volume(low, high)
+
+
+def _read_yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        document = yaml.load(path.read_text(), Loader=_UniqueKeyLoader)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path),
+                         remedy="Give the path of a rig YAML file.") from None  # fmt: skip
+    except yaml.YAMLError as error:
+        problem = " ".join(str(error).split())
+        raise InputError(f"is not valid YAML ({problem})", where=str(path), remedy="Mend the file.") from None
+    if not isinstance(document, Mapping):
+        raise InputError("is not a mapping", where=str(path), remedy="A rig file has the keys 'cameras' and 'volume'.")
+    return document
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML that refuses the same key twice, where the standard loader silently keeps the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise yaml.constructor.ConstructorError(None, None, f"key '{key}' appears twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def _camera(name: str, entry: Any, where: str) -> CameraModel:
+    if not isinstance(entry, Mapping):
+        raise InputError("is not a mapping", where=where, remedy=f"It needs the keys {', '.join(CAMERA_KEYS)}.")
+    for key in CAMERA_KEYS:
+        if key not in entry:
+            raise InputError(f"key '{key}' is missing", where=where, remedy=f"Needed: {', '.join(CAMERA_KEYS)}.")
+    model = entry["distortion_model"]
+    if model not in DISTORTION_COEFFICIENTS:
+        raise InputError(f"distortion_model = {model!r} is not known", where=where,
+                         remedy=f"Use one of {', '.join(DISTORTION_COEFFICIENTS)}.")  # fmt: skip
+    T = np.eye(4)
+    T[:3, :3] = _rotation(entry, where)
+    T[:3, 3] = _numbers(entry, "t_camera_world", (3,), where)
+    return CameraModel(
+        name=name,
+        width=_positive_int(entry, "image_width", where),
+        height=_positive_int(entry, "image_height", where),
+        K=_camera_matrix(entry, where),
+        distortion_model=model,
+        D=_distortion(entry, DISTORTION_COEFFICIENTS[model], where),
+        T_camera_world=T,
+    )
+
+
+def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: str) -> Array:
+    try:
+        values = np.array(entry[key], dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != shape or not np.isfinite(values).all():
+        size = " x ".join(map(str, shape))
+        raise InputError(f"{key} = {entry[key]!r} is not {size} finite numbers", where=where,
+                         remedy="Calibrate the camera again or mend the file.")  # fmt: skip
+    return values
+
+
+def _positive_int(entry: Mapping[str, Any], key: str, where: str) -> int:
+    value = entry[key]
+    if not isinstance(value, int) or isinstance(value, bool) or value <= 0:
+        raise InputError(f"{key} = {value!r} is not a positive whole number", where=where,
+                         remedy="Give the image size in pixels.")  # fmt: skip
+    return value
+
+
+def _camera_matrix(entry: Mapping[str, Any], where: str) -> Array:
+    K = _numbers(entry, "camera_matrix", (3, 3), where)
+    if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]) or K[1, 0] != 0:
+        raise InputError(
+            f"camera_matrix = {K.tolist()} is not an intrinsic matrix",
+            where=where,
+            remedy="It must read [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0 pixels: calibrate the camera.",
+        )
+    return K
+
+
+def _distortion(entry: Mapping[str, Any], count: int, where: str) -> Array:
+    given = entry["distortion"]
+    length = len(given) if isinstance(given, list) else -1
+    if length == 4 and count == 5:  # k1 k2 p1 p2: k3 = 0 is what the shorter form means
+        return np.append(_numbers(entry, "distortion", (4,), where), 0.0)
+    return _numbers(entry, "distortion", (count,), where)
+
+
+def _rotation(entry: Mapping[str, Any], where: str) -> Array:
+    R = _numbers(entry, "R_camera_world", (3, 3), where)
+    error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
+    if error > ROTATION_TOLERANCE:
+        raise InputError(
+            f"R_camera_world is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}",
+            where=where,
+            remedy="Its rows must be orthonormal and right-handed: calibrate the extrinsics again.",
+        )
+    U, _, Vt = np.linalg.svd(R)  # rounding of the file taken out: the nearest rotation
+    return R if error < 1e-9 else U @ Vt
+
+
+def _volume(entry: Any, where: str) -> Volume:
+    if not isinstance(entry, Mapping) or set(entry) != {"low", "high"}:
+        raise InputError(f"{entry!r} is not a volume", where=where,
+                         remedy="Give low: [x, y, z] and high: [x, y, z] in metres.")  # fmt: skip
+    low, high = _numbers(entry, "low", (3,), where), _numbers(entry, "high", (3,), where)
+    if not (high > low).all():
+        raise InputError(f"high = {high.tolist()} is not above low = {low.tolist()}", where=where,
+                         remedy="Every coordinate of high must exceed that of low.")  # fmt: skip
+    return Volume(low, high)
+
+
+def _camera_document(camera: CameraModel) -> dict[str, Any]:
+    return {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_matrix": camera.K.tolist(),
+        "distortion_model": camera.distortion_model,
+        "distortion": camera.D.tolist(),
+        "R_camera_world": camera.R_camera_world.tolist(),
+        "t_camera_world": camera.t_camera_world.tolist(),
+        "centre_world": camera.centre_world.tolist(),
+    }

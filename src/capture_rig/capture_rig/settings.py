@@ -1,0 +1,153 @@
+"""Typed configuration: one frozen dataclass serves ROS parameters, YAML files and plain Python alike.
+
+A settings class is a frozen dataclass whose fields come from :func:`setting`; a field may itself be a settings
+class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeVar, get_type_hints
+
+from .errors import InputError
+
+T = TypeVar("T")
+
+
+def setting(
+    default: Any, help: str, *, unit: str = "", low: float | None = None, high: float | None = None, choices: tuple = ()
+) -> Any:
+    """A dataclass field with a default, one line of help, its unit and its allowed values.
+
+    A settings class or a list as default becomes a default factory, so that instances never share it.
+    """
+    metadata = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
+    if isinstance(default, type):
+        return dataclasses.field(default_factory=default, metadata=metadata)
+    if isinstance(default, list):
+        return dataclasses.field(default_factory=lambda: list(default), metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclasses.dataclass(frozen=True)
+class Leaf:
+    """One scalar (or list) setting: its dotted key, type, default value and metadata."""
+
+    key: str
+    type: Any
+    default: Any
+    metadata: Mapping[str, Any]
+
+
+def leaves(cls: type, prefix: str = "") -> Iterator[Leaf]:
+    """Every scalar or list setting of ``cls``, nested ones under dotted keys."""
+    hints = get_type_hints(cls)
+    for field in dataclasses.fields(cls):
+        key = prefix + field.name
+        if dataclasses.is_dataclass(hints[field.name]):
+            yield from leaves(hints[field.name], key + ".")
+        else:
+            yield Leaf(key, hints[field.name], _default(field), field.metadata)
+
+
+def build_settings(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+    """Build ``cls`` from nested or dotted ``values``; what is not given keeps its default.
+
+    Raises InputError naming ``where``, the key, the value and the remedy for an unknown key, a value of the wrong
+    type, or one out of range.
+    """
+    flat = _flatten(values)
+    known = {leaf.key: leaf for leaf in leaves(cls)}
+    for key, value in flat.items():
+        if key not in known:
+            raise _unknown(key, list(known), where)
+        flat[key] = _checked(known[key], value, where)
+    return _assemble(cls, flat, "")
+
+
+def as_dict(settings: Any) -> dict[str, Any]:
+    """The settings as a nested plain mapping, ready for YAML; ``build_settings`` reads it back."""
+    return dataclasses.asdict(settings)
+
+
+def _default(field: dataclasses.Field) -> Any:
+    if field.default is not dataclasses.MISSING:
+        return field.default
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    raise TypeError(f"setting {field.name!r} has no default")
+
+
+def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat.update(_flatten(value, f"{prefix}{key}."))
+        else:
+            flat[prefix + str(key)] = value
+    return flat
+
+
+def _assemble(cls: type[T], flat: Mapping[str, Any], prefix: str) -> T:
+    hints = get_type_hints(cls)
+    given = {}
+    for field in dataclasses.fields(cls):  # type: ignore[arg-type]
+        key = prefix + field.name
+        if dataclasses.is_dataclass(hints[field.name]):
+            given[field.name] = _assemble(hints[field.name], flat, key + ".")
+        elif key in flat:
+            given[field.name] = flat[key]
+    return cls(**given)
+
+
+def _unknown(key: str, known: list[str], where: str) -> InputError:
+    near = difflib.get_close_matches(key, known, n=1)
+    hint = f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(sorted(known))}."
+    return InputError(f"unknown key '{key}'", where=where, remedy=hint)
+
+
+def _checked(leaf: Leaf, value: Any, where: str) -> Any:
+    value = _converted(leaf, value, where)
+    low, high, choices = (leaf.metadata.get(k) for k in ("low", "high", "choices"))
+    unit = f" {leaf.metadata['unit']}" if leaf.metadata.get("unit") else ""
+    if choices and value not in choices:
+        raise InputError(
+            f"{leaf.key} = {value!r} is not one of {', '.join(map(repr, choices))}",
+            where=where,
+            remedy=f"Choose one of them; the default is {leaf.default!r}.",
+        )
+    numbers = value if isinstance(value, list) else [value]
+    for number in numbers:
+        out_of_range = (low is not None and not number >= low) or (high is not None and not number <= high)
+        if out_of_range:
+            raise InputError(
+                f"{leaf.key} = {value!r}{unit} is out of range",
+                where=where,
+                remedy=f"Allowed: {low if low is not None else '-inf'} to {high if high is not None else 'inf'}{unit}; "
+                f"the default is {leaf.default!r}.",
+            )
+    return value
+
+
+def _converted(leaf: Leaf, value: Any, where: str) -> Any:
+    kind = leaf.type
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if kind in (bool, int, float, str):
+        fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+    else:
+        item = kind.__args__[0]
+        fits = isinstance(value, list | tuple) and all(
+            isinstance(v, item) or (item is float and isinstance(v, int)) for v in value
+        )
+        value = [item(v) for v in value] if fits else value
+    if not fits:
+        name = getattr(kind, "__name__", str(kind)) if kind in (bool, int, float, str) else str(kind)
+        raise InputError(
+            f"{leaf.key} = {value!r} is not of type {name}",
+            where=where,
+            remedy=f"Give a {name}; the default is {leaf.default!r}.",
+        )
+    return value

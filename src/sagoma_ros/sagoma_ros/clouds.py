@@ -1,0 +1,93 @@
+"""PointCloud2 to and from structured numpy arrays, and the layouts of our clouds (all fields float32)."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2, PointField
+
+from capture_rig.errors import InputError
+
+from .stamps import to_stamp
+
+
+def _layout(*names: str) -> np.dtype:
+    return np.dtype([(name, np.float32) for name in names])
+
+
+CENTERLINE = _layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill")
+VOXELS = _layout("x", "y", "z", "surface")
+COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
+REFERENCE_POINTS = _layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
+UPPER_TRIANGLE = np.triu_indices(3)
+
+_NUMPY_TYPES = {
+    PointField.INT8: "i1", PointField.UINT8: "u1", PointField.INT16: "i2", PointField.UINT16: "u2",
+    PointField.INT32: "i4", PointField.UINT32: "u4", PointField.FLOAT32: "f4", PointField.FLOAT64: "f8",
+}  # fmt: skip
+
+
+def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
+    """Structured array (n,) of float32 fields to an unordered cloud."""
+    names = points.dtype.names or ()
+    cloud = PointCloud2(height=1, width=len(points), is_bigendian=False, is_dense=True)
+    cloud.header.stamp = to_stamp(stamp_ns)
+    cloud.header.frame_id = frame_id
+    cloud.fields = [
+        PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+        for index, name in enumerate(names)
+    ]
+    cloud.point_step = points.dtype.itemsize
+    cloud.row_step = cloud.point_step * len(points)
+    cloud.data = array.array("B", np.ascontiguousarray(points).tobytes())
+    return cloud
+
+
+def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
+    """The fields of ``layout`` of a cloud as a structured array (n,), whatever order and types they came in.
+
+    Raises InputError when a field is missing, the size does not fit, or a number is not finite.
+    """
+    fields = {field.name: field for field in cloud.fields}
+    missing = [name for name in layout.names or () if name not in fields]
+    if missing:
+        raise InputError(f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})", where=where,
+                         remedy=f"Publish the fields {', '.join(layout.names or ())}.")  # fmt: skip
+    count = cloud.width * cloud.height
+    if len(cloud.data) != count * cloud.point_step:
+        raise InputError(f"the cloud says {count} points of {cloud.point_step} bytes but carries {len(cloud.data)} bytes",
+                         where=where, remedy="The message is damaged; check its publisher.")  # fmt: skip
+    order = ">" if cloud.is_bigendian else "<"
+    wire = np.dtype({
+        "names": list(layout.names or ()),
+        "formats": [order + _NUMPY_TYPES[fields[name].datatype] for name in layout.names or ()],
+        "offsets": [fields[name].offset for name in layout.names or ()],
+        "itemsize": cloud.point_step,
+    })  # fmt: skip
+    points = np.frombuffer(cloud.data, wire).astype(layout)
+    if not np.isfinite(points.view(np.float32)).all():
+        raise InputError("the cloud holds numbers that are not finite", where=where,
+                         remedy="Drop such points before publishing.")  # fmt: skip
+    return points
+
+
+def xyz(points: np.ndarray) -> np.ndarray:
+    """Coordinates (n, 3) float64 of a structured array with x, y, z."""
+    return np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float64)
+
+
+def reference_points_array(points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Points (15, 3), covariances (15, 3, 3) m^2 and visibility (15,) as the layout REFERENCE_POINTS."""
+    table = np.column_stack([
+        points_world, np.asarray(covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]], np.asarray(visible, float),
+    ]).astype(np.float32)  # fmt: skip
+    return np.ascontiguousarray(table).view(REFERENCE_POINTS).reshape(-1)
+
+
+def split_reference_points(array: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (15, 3) m, covariances (15, 3, 3) m^2 and visibility (15,) bool of the layout REFERENCE_POINTS."""
+    covariance = np.empty((len(array), 3, 3))
+    for field, row, column in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
+        covariance[:, row, column] = covariance[:, column, row] = array[field]
+    return xyz(array), covariance, array["visible"] > 0.5

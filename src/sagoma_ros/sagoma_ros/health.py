@@ -1,0 +1,111 @@
+"""What a node says of itself on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import Counter, deque
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from .qos import RESULT
+
+PERIOD_S = 1.0
+LATENCY_SAMPLES = 1000
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class NodeHealth:
+    """Counters, rate, latency, memory and state of one node, published at 1 Hz whatever its lifecycle state.
+
+    Safe to call from any thread. ``count`` accumulates since the start; ``tick`` marks one result delivered, with its
+    age; ``status`` sets level and message until the next call.
+    """
+
+    def __init__(self, node: Node, hardware_id: str = "") -> None:
+        self._node, self._hardware_id = node, hardware_id
+        self._lock = threading.Lock()
+        self._counters: Counter[str] = Counter()
+        self._values: dict[str, str] = {}
+        self._latencies_ns: deque[int] = deque(maxlen=LATENCY_SAMPLES)
+        self._level, self._message = OK, "starting"
+        self._ticks = 0
+        self._last = (time.monotonic(), 0, time.process_time())
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RESULT)
+        self._timer = node.create_timer(PERIOD_S, self.publish)
+
+    def count(self, name: str, amount: int = 1) -> None:
+        """Add to a counter."""
+        with self._lock:
+            self._counters[name] += amount
+
+    def counter(self, name: str) -> int:
+        """The counter's value."""
+        with self._lock:
+            return self._counters[name]
+
+    def set(self, key: str, value: object) -> None:
+        """Set a key that is published as text."""
+        with self._lock:
+            self._values[key] = f"{value:.4g}" if isinstance(value, float) else str(value)
+
+    def tick(self, stamp_ns: int | None = None) -> None:
+        """One result was delivered; with its capture stamp, its age is taken as latency."""
+        age_ns = None if stamp_ns is None else self._node.get_clock().now().nanoseconds - stamp_ns
+        with self._lock:
+            self._ticks += 1
+            if age_ns is not None:
+                self._latencies_ns.append(age_ns)
+
+    def status(self, level: bytes, message: str) -> None:
+        """Level (OK, WARN, ERROR) and one line of text."""
+        with self._lock:
+            self._level, self._message = level, message
+
+    def publish(self) -> None:
+        """Publish now; the timer does so once a second."""
+        message = DiagnosticArray(status=[self._snapshot()])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+    def _snapshot(self) -> DiagnosticStatus:
+        now, cpu = time.monotonic(), time.process_time()
+        with self._lock:
+            then, ticks_then, cpu_then = self._last
+            elapsed = max(now - then, 1e-6)
+            values = {
+                "rate_hz": f"{(self._ticks - ticks_then) / elapsed:.1f}",
+                "results": str(self._ticks),
+                **_percentiles_ms(sorted(self._latencies_ns)),
+                "cpu_percent": f"{100 * (cpu - cpu_then) / elapsed:.0f}",
+                "rss_mb": f"{resident_bytes() / 1e6:.1f}",
+                **{name: str(count) for name, count in sorted(self._counters.items())},
+                **self._values,
+            }
+            self._last = (now, self._ticks, cpu)
+            self._latencies_ns.clear()
+            level, text = self._level, self._message
+        return DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name(),
+            message=text,
+            hardware_id=self._hardware_id,
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+
+
+def resident_bytes() -> int:
+    """Resident memory of this process."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * _PAGE_BYTES
+
+
+def _percentiles_ms(ordered_ns: list[int]) -> dict[str, str]:
+    if not ordered_ns:
+        return {}
+    last = len(ordered_ns) - 1
+    return {f"latency_p{p}_ms": f"{ordered_ns[round(p / 100 * last)] / 1e6:.2f}" for p in (50, 95, 99)}

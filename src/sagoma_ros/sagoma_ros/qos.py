@@ -1,0 +1,22 @@
+"""Quality of service of every topic of the graph, in one place.
+
+Publishers are reliable (REP-2003), so that recorders miss nothing; the live hull server listens best effort, because
+a lost silhouette costs one view of one frame set while a repeated one would delay them all.
+"""
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+DEPTH = 20  # below this, five cameras at 100 frames a second lose messages on a busy machine
+
+
+def _profile(
+    reliability: ReliabilityPolicy, depth: int = DEPTH, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE
+) -> QoSProfile:
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability)
+
+
+SILHOUETTE_PUBLISHER = _profile(ReliabilityPolicy.RELIABLE)
+SILHOUETTE_SUBSCRIBER = _profile(ReliabilityPolicy.BEST_EFFORT)
+SILHOUETTE_RELIABLE_SUBSCRIBER = _profile(ReliabilityPolicy.RELIABLE)
+RESULT = _profile(ReliabilityPolicy.RELIABLE)
+LATCHED = _profile(ReliabilityPolicy.RELIABLE, depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -1,0 +1,70 @@
+"""A worker thread fed through a bounded queue: callbacks stay short, and a slow stage drops the oldest work, counted."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Worker(Generic[T]):
+    """Calls ``function(item)`` for every item put, in order, on a thread of its own.
+
+    depth : at most this many items wait; one more drops the oldest and calls ``on_drop``.
+    on_error : gets every exception that ``function`` raises; the worker goes on with the next item.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        function: Callable[[T], None],
+        depth: int,
+        *,
+        on_drop: Callable[[], None],
+        on_error: Callable[[Exception], None],
+    ) -> None:
+        self._function, self._on_drop, self._on_error = function, on_drop, on_error
+        self._depth = depth
+        self._items: deque[T] = deque()
+        self._changed = threading.Condition()
+        self._open = True
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, item: T) -> None:
+        """Queue an item; never blocks."""
+        with self._changed:
+            dropping = len(self._items) >= self._depth
+            if dropping:
+                self._items.popleft()
+            self._items.append(item)
+            self._changed.notify()
+        if dropping:
+            self._on_drop()
+
+    def close(self, *, finish: bool = False, timeout_s: float = 5.0) -> bool:
+        """Stop the thread, after the waiting items when ``finish``; True when it ended within ``timeout_s``."""
+        with self._changed:
+            self._open = False
+            if not finish:
+                self._items.clear()
+            self._changed.notify()
+        if threading.current_thread() is self._thread:
+            return True
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._items or not self._open)
+                if not self._items:
+                    return
+                item = self._items.popleft()
+            try:
+                self._function(item)
+            except Exception as error:
+                self._on_error(error)
