@@ -1,0 +1,1 @@
+"""The articulated stick figure: body, pose, forward and inverse kinematics, Jacobians, error metrics."""

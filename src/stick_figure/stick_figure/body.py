@@ -1,0 +1,146 @@
+"""The size of one person: limb lengths and the ratios that place shoulders and hips (thesis Table 5.3, corrected)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from capture_rig.errors import InputError
+
+from .rotations import Array
+from .skeleton import STICK_NAMES
+
+SHOULDER_HEIGHT_RATIO = 0.8
+HIP_WIDTH_RATIO = 0.7
+"""The thesis's d_s and d_H, for when nothing was measured."""
+
+# Segment lengths over stature: Drillis & Contini (1966), as in Winter, Biomechanics and Motor Control of Human
+# Movement, fig. 4.1: heights of hip .530, shoulder .818, chin .870, knee .285, ankle .039; upper arm .186,
+# forearm .146, hand .108; biacromial breadth .259, pelvic breadth .191.
+_HIP, _SHOULDER, _NECK, _KNEE, _ANKLE = 0.530, 0.818, 0.870, 0.285, 0.039
+_UPPER_ARM, _FOREARM, _HAND = 0.186, 0.146, 0.108
+_BIACROMIAL, _PELVIC = 0.259, 0.191
+_HIP_CENTRES_OVER_PELVIS = 0.72
+"""Distance of the hip joint centres over the pelvic breadth: Bell, Pedersen & Brand (1990), 14 % medial each side."""
+
+_LIMBS = ((1,), (2, 3), (4, 5), (6, 7), (8, 9))
+_STICK_POINTS = ((-1, -1), (2, 1), (3, 7), (4, 8), (5, 9), (6, 10), (7, 11), (8, 12), (9, 13), (10, 14))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Sizes of the stick figure.
+
+    half_lengths (10,)      lambda_i^(2), HALF the length of each stick, metres, order of `skeleton.STICK_NAMES`
+    half_shoulder_width     lambda_0^(1) = w, half the distance of the shoulders, metres
+    shoulder_height_ratio   d_s: height of the shoulders above the torso's centre over half its length
+    hip_width_ratio         d_H: distance of the hips over that of the shoulders
+
+    Raises InputError when a size is not a positive finite number.
+    """
+
+    half_lengths: Array
+    half_shoulder_width: float
+    shoulder_height_ratio: float = SHOULDER_HEIGHT_RATIO
+    hip_width_ratio: float = HIP_WIDTH_RATIO
+
+    def __post_init__(self) -> None:
+        half_lengths = np.array(self.half_lengths, dtype=np.float64)
+        if half_lengths.shape != (10,):
+            raise InputError(f"a body has 10 stick lengths, not an array of shape {half_lengths.shape}")
+        object.__setattr__(self, "half_lengths", half_lengths)
+        for name, value in zip(STICK_NAMES, half_lengths, strict=True):
+            _check_size(f"half length of {name}", value)
+        for name in ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio"):
+            object.__setattr__(self, name, _check_size(name, getattr(self, name)))
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(10,) full stick lengths, metres."""
+        return 2.0 * self.half_lengths
+
+    @cached_property
+    def stick_origins_torso(self) -> Array:
+        """(10, 3) start of each stick that begins on the torso, torso frame, metres; zero for forearms and calves."""
+        h, w = self.half_lengths[0], self.half_shoulder_width
+        shoulder, hip = self.shoulder_height_ratio * h, self.hip_width_ratio * w
+        origins = np.zeros((10, 3))
+        origins[0], origins[1] = (0, 0, -h), (0, 0, h)
+        origins[2], origins[3] = (0, w, shoulder), (0, -w, shoulder)
+        origins[4], origins[5] = (0, hip, -h), (0, -hip, -h)
+        return origins
+
+    @cached_property
+    def torso_points(self) -> Array:
+        """(6, 3) torso centre, neck, shoulders, hips in the torso frame (order of `skeleton.TORSO_POINTS`), metres."""
+        return np.vstack([np.zeros(3), self.stick_origins_torso[1:6]])
+
+    @property
+    def stature(self) -> float:
+        """Standing height over the ankles' floor height, by the same anthropometric ratios, metres."""
+        standing = self.lengths[0] + self.lengths[1] + self.lengths[[4, 5]].mean() + self.lengths[[8, 9]].mean()
+        return float(standing / (1.0 - _ANKLE))
+
+    @classmethod
+    def from_stature(cls, stature_m: float) -> Body:
+        """An average adult of this standing height (Drillis & Contini 1966 in Winter, fig. 4.1), metres.
+
+        The neck point lies at the chin's height, hands are stretched (the forearm stick ends at the finger tip).
+        Raises InputError outside 0.5 to 2.6 m.
+        """
+        stature_m = _check_size("stature_m", stature_m)
+        if not 0.5 <= stature_m <= 2.6:
+            raise InputError(f"a stature of {stature_m:g} m is not a person's", remedy="Give it in metres, 0.5 to 2.6.")
+        thigh, calf = _HIP - _KNEE, _KNEE - _ANKLE
+        forearm = _FOREARM + _HAND
+        torso = _NECK - _HIP
+        lengths = np.array([torso, 1.0 - _NECK, _UPPER_ARM, _UPPER_ARM, thigh, thigh, forearm, forearm, calf, calf])
+        shoulder_ratio = (_SHOULDER - 0.5 * (_NECK + _HIP)) / (0.5 * torso)
+        hip_ratio = _HIP_CENTRES_OVER_PELVIS * _PELVIC / _BIACROMIAL
+        return cls(0.5 * lengths * stature_m, 0.5 * _BIACROMIAL * stature_m, shoulder_ratio, hip_ratio)
+
+    @classmethod
+    def from_points(cls, points_world: Array) -> Body:
+        """The body measured on reference points (F, 15, 3) (or one frame (15, 3)), metres, NaN where unknown.
+
+        Median limb lengths over the frames, left and right pooled; d_s and d_H are measured too.
+        Raises InputError when a limb is never seen.
+        """
+        points = np.asarray(points_world, float)
+        points = points[None] if points.ndim == 2 else points
+        if points.ndim != 3 or points.shape[1:] != (15, 3):
+            raise InputError(f"reference points have shape {points.shape}", remedy="Expected (frames, 15, 3).")
+        middle_hips = points[:, 5:7].mean(1)
+        spine = points[:, 2] - middle_hips
+        torso = _median_length(spine, "torso")
+        lengths = np.full(10, torso)
+        for limb in _LIMBS:
+            segments = np.concatenate([points[:, _STICK_POINTS[j][1]] - points[:, _STICK_POINTS[j][0]] for j in limb])
+            lengths[list(limb)] = _median_length(segments, STICK_NAMES[limb[0]].removeprefix("left_"))
+        shoulder_width = _median_length(points[:, 3] - points[:, 4], "shoulders")
+        hip_width = _median_length(points[:, 5] - points[:, 6], "hips")
+        centre = 0.5 * (points[:, 2] + middle_hips)
+        up = spine / np.linalg.norm(spine, axis=1, keepdims=True)
+        rise = np.einsum("fi,fi->f", points[:, 3:5].mean(1) - centre, up)
+        shoulder_ratio = max(float(np.nanmedian(rise)) / (0.5 * torso), 1e-3)
+        return cls(0.5 * lengths, 0.5 * shoulder_width, shoulder_ratio, hip_width / shoulder_width)
+
+
+def _median_length(segments: Array, name: str) -> float:
+    lengths = np.linalg.norm(segments, axis=1)
+    lengths = lengths[np.isfinite(lengths)]
+    if lengths.size == 0:
+        raise InputError(f"no frame shows both ends of the {name}", remedy="Give frames in which every limb is seen.")
+    return float(np.median(lengths))
+
+
+def _check_size(name: str, value: float) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {value!r}, not a number", remedy="Give a positive number.") from None
+    if not np.isfinite(number) or number <= 0.0:
+        raise InputError(f"{name} is {number:g}", remedy="Give a positive, finite number.")
+    return number

@@ -1,0 +1,94 @@
+"""A body as a YAML file: full stick lengths by name, shoulder width, the two ratios; metres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from capture_rig.errors import InputError
+
+from .body import Body
+from .skeleton import STICK_NAMES
+
+KEYS = ("lengths", "shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
+OPTIONAL_KEYS = ("units", "source")
+MAX_LENGTH_M = 2.0
+_REMEDY = f"A body file is a mapping with the keys {', '.join(KEYS)}."
+
+
+def load_body(path: str | Path) -> Body:
+    """Reads a body file. Raises InputError naming file, key, value and remedy for anything that does not fit."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text ({error.reason})", where=str(path), remedy=_REMEDY) from None
+    return parse_body(text, str(path))
+
+
+def save_body(body: Body, path: str | Path, source: str = "") -> None:
+    """Writes a body so that :func:`load_body` gives the same numbers; `source` says where the sizes come from."""
+    Path(path).write_text(format_body(body, source), encoding="utf-8")
+
+
+def parse_body(text: str, where: str) -> Body:
+    """The body of a body file's text. Raises InputError naming `where`, key, value and remedy."""
+    document = _mapping(text, where)
+    _check_keys(document, KEYS, OPTIONAL_KEYS, where)
+    if document.get("units", "metres") != "metres":
+        raise InputError(f"units is {document['units']!r}", where=where, remedy="Write all sizes in metres.")
+    lengths = document["lengths"]
+    if not isinstance(lengths, Mapping):
+        raise InputError(f"lengths is {lengths!r}", where=where, remedy="Give one length for each stick by name.")
+    _check_keys(lengths, STICK_NAMES, (), f"{where}: lengths")
+    values = [_number(lengths[name], f"{where}: lengths.{name}", MAX_LENGTH_M) for name in STICK_NAMES]
+    width = _number(document["shoulder_width"], f"{where}: shoulder_width", MAX_LENGTH_M)
+    ratios = [_number(document[key], f"{where}: {key}", 5.0) for key in KEYS[2:]]
+    return Body(0.5 * np.array(values), 0.5 * width, *ratios)
+
+
+def format_body(body: Body, source: str = "") -> str:
+    """The text of a body file, from which :func:`parse_body` gives the same numbers."""
+    document: dict[str, Any] = {"units": "metres"}
+    if source:
+        document["source"] = source
+    document["lengths"] = {name: float(v) for name, v in zip(STICK_NAMES, body.lengths, strict=True)}
+    document["shoulder_width"] = 2.0 * body.half_shoulder_width
+    document["shoulder_height_ratio"] = body.shoulder_height_ratio
+    document["hip_width_ratio"] = body.hip_width_ratio
+    return yaml.safe_dump(document, sort_keys=False)
+
+
+def _mapping(text: str, where: str) -> Mapping[str, Any]:
+    try:
+        document = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        problem = " ".join(str(error).split())
+        raise InputError(f"is not valid YAML ({problem})", where=where, remedy=_REMEDY) from None
+    if not isinstance(document, Mapping):
+        raise InputError("is not a mapping", where=where, remedy=_REMEDY)
+    return document
+
+
+def _check_keys(given: Mapping[str, Any], needed: tuple[str, ...], optional: tuple[str, ...], where: str) -> None:
+    for key in needed:
+        if key not in given:
+            raise InputError(f"key '{key}' is missing", where=where, remedy=f"Needed: {', '.join(needed)}.")
+    for key in given:
+        if key not in needed + optional:
+            raise InputError(f"key '{key}' is not known", where=where, remedy=f"Known: {', '.join(needed + optional)}.")
+
+
+def _number(value: Any, where: str, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise InputError(f"value {value!r} is not a number", where=where, remedy="Give a positive number.")
+    if not 0.0 < value <= high:
+        raise InputError(f"value {value:g} is out of range", where=where,
+                         remedy=f"Give a number above 0 and at most {high:g} (metres for lengths).")  # fmt: skip
+    return float(value)

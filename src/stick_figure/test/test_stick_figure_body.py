@@ -1,0 +1,129 @@
+"""Body sizes: anthropometry, measuring, YAML and its errors."""
+
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.errors import InputError
+from stick_figure.body import Body
+from stick_figure.body_file import load_body, save_body
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, STICK_NAMES, T_POSE_ANGLES
+
+
+def test_average_body_has_published_heights_when_standing():
+    body = Body.from_stature(1.80)
+    points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
+    heights = (points[:, 2] - points[13, 2]) / 1.80 + 0.039  # ankle height over stature
+    np.testing.assert_allclose(heights[[1, 2, 3, 5, 9]], [1.0, 0.870, 0.818, 0.530, 0.285], atol=1e-12)
+    assert body.stature == pytest.approx(1.80)
+    span = points[11, 1] - points[12, 1]
+    assert 0.95 < span / 1.80 < 1.2  # arm span is about the stature
+    assert 0.19 < points[5, 1] - points[6, 1] < 0.27  # hip centres
+
+
+@pytest.mark.parametrize("stature", [0.3, 175.0, float("nan"), -1.7, "tall"])
+def test_impossible_stature_is_refused(stature):
+    with pytest.raises(InputError):
+        Body.from_stature(stature)
+
+
+def test_measured_body_equals_the_one_that_made_the_points():
+    rng = np.random.default_rng(1)
+    body = Body.from_stature(1.68)
+    points = np.array([
+        forward(body, Pose.from_angles(rng.normal(size=3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH)))
+        for _ in range(20)
+    ])  # fmt: skip
+    points[3:6, 8] = np.nan
+    points[0] = np.nan
+    measured = Body.from_points(points)
+    np.testing.assert_allclose(measured.half_lengths, body.half_lengths, atol=1e-12)
+    np.testing.assert_allclose(
+        [measured.half_shoulder_width, measured.shoulder_height_ratio, measured.hip_width_ratio],
+        [body.half_shoulder_width, body.shoulder_height_ratio, body.hip_width_ratio], atol=1e-12,
+    )  # fmt: skip
+
+
+def test_measured_body_pools_left_and_right_and_ignores_outliers():
+    body = Body.from_stature(1.75)
+    points = np.repeat(forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))[None], 21, 0)
+    points[4, 11] += [0, 5.0, 0]
+    measured = Body.from_points(points)
+    np.testing.assert_allclose(measured.lengths[[6, 7]], body.lengths[6], atol=1e-12)
+
+
+def test_measuring_names_the_limb_that_is_never_seen():
+    points = np.random.default_rng(2).normal(size=(5, 15, 3))
+    points[:, [13, 14]] = np.nan
+    with pytest.raises(InputError, match="calf"):
+        Body.from_points(points)
+    with pytest.raises(InputError, match="shape"):
+        Body.from_points(points[:, :14])
+
+
+def test_body_file_round_trip_keeps_every_number(tmp_path):
+    body = Body(np.linspace(0.1, 0.3, 10), 0.17, 0.83, 0.61)
+    save_body(body, tmp_path / "body.yaml", source="measured")
+    loaded = load_body(tmp_path / "body.yaml")
+    np.testing.assert_array_equal(loaded.half_lengths, body.half_lengths)
+    assert (loaded.half_shoulder_width, loaded.shoulder_height_ratio, loaded.hip_width_ratio) == (0.17, 0.83, 0.61)
+
+
+def broken_files():
+    def change(key, value):
+        return lambda d: d.__setitem__(key, value)
+
+    yield "missing", lambda d: d.pop("shoulder_width"), ["shoulder_width", "missing"]
+    yield "missing length", lambda d: d["lengths"].pop("head"), ["lengths", "head"]
+    yield "negative", lambda d: d["lengths"].update(torso=-0.5), ["lengths.torso", "-0.5"]
+    yield "word", lambda d: d["lengths"].update(torso="long"), ["lengths.torso", "long"]
+    yield "bool", change("hip_width_ratio", True), ["hip_width_ratio", "True"]
+    yield "millimetres", lambda d: d["lengths"].update(torso=540.0), ["lengths.torso", "540", "metres"]
+    yield "nan", change("shoulder_width", float("nan")), ["shoulder_width", "nan"]
+    yield "unknown", change("beard", 1), ["beard", "not known"]
+    yield "units", change("units", "mm"), ["units", "mm", "metres"]
+    yield "list", change("lengths", [1, 2]), ["lengths", "[1, 2]"]
+
+
+@pytest.mark.parametrize(("spoil", "words"), [pytest.param(*case, id=name) for name, *case in broken_files()])
+def test_bad_body_file_names_file_key_and_value(tmp_path, spoil, words):
+    path = tmp_path / "body.yaml"
+    save_body(Body.from_stature(1.75), path)
+    document = yaml.safe_load(path.read_text())
+    spoil(document)
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(InputError) as error:
+        load_body(path)
+    for word in ["body.yaml", *words]:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["[1, 2", "- a\n- b\n", ""])
+def test_body_file_that_is_no_mapping_is_refused(tmp_path, text):
+    path = tmp_path / "body.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"body\.yaml"):
+        load_body(path)
+
+
+def test_missing_body_file_is_refused_with_its_path(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.yaml"):
+        load_body(tmp_path / "nowhere.yaml")
+
+
+def test_body_refuses_lengths_that_are_not_positive():
+    lengths = np.full(10, 0.2)
+    lengths[4] = 0.0
+    with pytest.raises(InputError, match="left_thigh"):
+        Body(lengths, 0.2)
+    with pytest.raises(InputError, match="half_shoulder_width"):
+        Body(np.full(10, 0.2), float("inf"))
+    with pytest.raises(InputError, match="10 stick lengths"):
+        Body(np.full(9, 0.2), 0.2)
+
+
+def test_stick_names_are_the_keys_of_a_body_file(tmp_path):
+    save_body(Body.from_stature(1.75), tmp_path / "body.yaml")
+    assert tuple(yaml.safe_load((tmp_path / "body.yaml").read_text())["lengths"]) == STICK_NAMES

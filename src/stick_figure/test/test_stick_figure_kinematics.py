@@ -1,0 +1,190 @@
+"""Forward and inverse kinematics and Jacobians against an oracle written from thesis Tables 5.2 and 5.3."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from capture_rig.errors import InputError
+from stick_figure.body import Body
+from stick_figure.kinematics import angle_jacobian, angle_rates, forward, inverse, jacobian, sticks
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_NAMES, mirror_angles
+
+BODY = Body(
+    np.array([0.27, 0.12, 0.15, 0.16, 0.21, 0.2, 0.22, 0.23, 0.2, 0.19]), 0.18, 0.7, 0.55
+)  # left and right differ on purpose
+
+
+def random_pose(rng, margin=0.0):
+    angles = rng.uniform(ANGLE_LOW + margin, ANGLE_HIGH - margin)
+    return Pose.from_angles(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix(), angles), angles
+
+
+def oracle_points(body, t0, R0, angles):
+    """Thesis Table 5.2 as products of plain matrices, hips with their third angle."""
+
+    def R(axis, name):
+        return Rotation.from_euler(axis, angles[ANGLE_NAMES.index(name)]).as_matrix()
+
+    half = body.half_lengths
+    h, w, d_s, d_H = half[0], body.half_shoulder_width, body.shoulder_height_ratio, body.hip_width_ratio
+    p = {"torso": np.zeros(3), "neck": np.array([0, 0, h])}
+    p["head"] = p["neck"] + R("x", "neck_x") @ R("y", "neck_y") @ [0, 0, 2 * half[1]]
+    for side, sign, k in (("left", 1, 0), ("right", -1, 1)):
+        shoulder = p[f"{side}_shoulder"] = np.array([0, sign * w, d_s * h])
+        upper = R("x", f"{side}_shoulder_x") @ R("z", f"{side}_shoulder_z") @ R("y", f"{side}_shoulder_y")
+        elbow = p[f"{side}_elbow"] = shoulder + upper @ [0, 2 * half[2 + k], 0]
+        p[f"{side}_hand"] = elbow + upper @ R("z", f"{side}_elbow") @ [0, 2 * half[6 + k], 0]
+        hip = p[f"{side}_hip"] = np.array([0, sign * d_H * w, -h])
+        thigh = R("x", f"{side}_hip_x") @ R("y", f"{side}_hip_y") @ R("z", f"{side}_hip_z")
+        knee = p[f"{side}_knee"] = hip + thigh @ [0, 0, -2 * half[4 + k]]
+        p[f"{side}_foot"] = knee + thigh @ R("y", f"{side}_knee") @ [0, 0, -2 * half[8 + k]]
+    return np.array([R0 @ p[name] + t0 for name in POINT_NAMES])
+
+
+def test_forward_equals_table_of_rotation_products_for_random_poses():
+    rng = np.random.default_rng(1)
+    for _ in range(500):
+        pose, angles = random_pose(rng)
+        expected = oracle_points(BODY, pose.position_world, pose.R_world_torso, angles)
+        np.testing.assert_allclose(forward(BODY, pose), expected, atol=1e-13)
+
+
+def test_sticks_join_at_joints_and_keep_their_lengths():
+    pose, _ = random_pose(np.random.default_rng(2))
+    segments, points = sticks(BODY, pose), forward(BODY, pose)
+    np.testing.assert_allclose(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1), BODY.lengths, atol=1e-14)
+    np.testing.assert_allclose(segments[6:, 0], segments[2:6, 1], atol=1e-15)
+    np.testing.assert_allclose(segments[0].mean(0), points[0], atol=1e-14)
+
+
+def test_inverse_returns_points_and_angles_of_20000_random_poses():
+    rng = np.random.default_rng(3)
+    worst_point = worst_angle = 0.0
+    for _ in range(20_000):
+        pose, angles = random_pose(rng, margin=1e-3)
+        points = forward(BODY, pose)
+        found = inverse(BODY, points)
+        worst_point = max(worst_point, np.abs(forward(BODY, found) - points).max())
+        worst_angle = max(worst_angle, np.abs(found.angles() - angles).max())
+    assert worst_point < 1e-13, f"{worst_point} m"
+    assert worst_angle < 1e-10, f"{worst_angle} rad"
+
+
+def test_inverse_keeps_limb_directions_when_the_body_has_other_lengths():
+    pose, angles = random_pose(np.random.default_rng(4), margin=1e-2)
+    points = oracle_points(BODY, pose.position_world, pose.R_world_torso, angles)
+    longer = Body(BODY.half_lengths * np.r_[1.0, np.full(9, 1.1)], 0.18, 0.7, 0.55)
+    np.testing.assert_allclose(inverse(longer, points).angles(), angles, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("straight", "twist", "value"),
+    [("left_elbow", "left_shoulder_y", 0.4), ("right_elbow", "right_shoulder_y", -0.5),
+     ("left_knee", "left_hip_z", 0.3), ("right_knee", "right_hip_z", -0.2)],
+)  # fmt: skip
+def test_inverse_of_straight_limb_keeps_previous_twist(straight, twist, value):
+    angles = T_POSE_ANGLES.copy()
+    angles[[ANGLE_NAMES.index(n) for n in ("left_hip_y", "right_hip_y")]] = -2.0  # thigh above the horizontal
+    angles[[ANGLE_NAMES.index(n) for n in ("left_elbow", "right_elbow")]] = -0.5
+    angles[[ANGLE_NAMES.index(n) for n in ("left_knee", "right_knee")]] = 0.5
+    angles[ANGLE_NAMES.index(straight)] = 0.0
+    angles[ANGLE_NAMES.index(twist)] = value
+    pose = Pose.from_angles(np.zeros(3), np.eye(3), angles)
+    found = inverse(BODY, forward(BODY, pose), previous=pose).angles(angles)
+    np.testing.assert_allclose(found, angles, atol=1e-9)
+    assert inverse(BODY, forward(BODY, pose)).angles()[ANGLE_NAMES.index(twist)] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_inverse_refuses_bad_points_and_names_them():
+    points = forward(BODY, random_pose(np.random.default_rng(5))[0])
+    broken = points.copy()
+    broken[8] = np.nan
+    with pytest.raises(InputError, match="right_elbow"):
+        inverse(BODY, broken)
+    broken = points.copy()
+    broken[9] = broken[5]
+    with pytest.raises(InputError, match=r"left_hip and left_knee.*same place"):
+        inverse(BODY, broken)
+    with pytest.raises(InputError, match="14, 3"):
+        inverse(BODY, points[:14])
+
+
+def test_jacobian_matches_central_differences_along_the_tangent():
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        pose, _ = random_pose(rng)
+        J, step = jacobian(BODY, pose), 1e-5
+        for k in range(24):
+            d = np.zeros(24)
+            d[k] = step
+            numeric = (forward(BODY, pose.retract(d)) - forward(BODY, pose.retract(-d))) / (2 * step)
+            np.testing.assert_allclose(J[..., k], numeric, atol=1e-8)
+
+
+def test_angle_jacobian_matches_central_differences_of_the_table():
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        pose, angles = random_pose(rng)
+        J, step = angle_jacobian(BODY, pose, angles), 1e-5
+
+        def moved(d, pose=pose, angles=angles):
+            R0 = Rotation.from_rotvec(d[3:6]).as_matrix() @ pose.R_world_torso
+            return oracle_points(BODY, pose.position_world + d[:3], R0, angles + d[6:])
+
+        for k in range(24):
+            d = np.zeros(24)
+            d[k] = step
+            np.testing.assert_allclose(J[..., k], (moved(d) - moved(-d)) / (2 * step), atol=1e-8)
+
+
+def test_jacobian_rows_of_torso_centre_are_pure_translation():
+    J = jacobian(BODY, random_pose(np.random.default_rng(8))[0])
+    np.testing.assert_array_equal(J[0, :, :3], np.eye(3))
+    assert np.abs(J[0, :, 3:]).max() == 0.0
+
+
+def test_angle_rates_match_differences_of_angles_away_from_gimbal_lock():
+    rng = np.random.default_rng(9)
+    for _ in range(50):
+        angles = rng.uniform(ANGLE_LOW, ANGLE_HIGH)
+        middle = [1, 4, 5, 12, 13]
+        angles[middle] = rng.uniform(-1.2, 1.2, 5)
+        pose = Pose.from_angles(np.zeros(3), np.eye(3), angles)
+        velocity, step = rng.normal(size=24), 1e-6
+        ahead, behind = pose.retract(velocity * step).angles(angles), pose.retract(-velocity * step).angles(angles)
+        difference = (ahead - behind + np.pi) % (2 * np.pi) - np.pi
+        # a full circle's end may be crossed, and limits are passed by a step at most
+        np.testing.assert_allclose(angle_rates(pose, velocity, angles), difference / (2 * step), atol=2e-5)
+
+
+def test_angle_rates_stay_bounded_at_gimbal_lock():
+    angles = T_POSE_ANGLES.copy()
+    angles[[1, 4, 5]] = np.pi / 2
+    angles[[12, 13]] = -np.pi / 2
+    rates = angle_rates(Pose.from_angles(np.zeros(3), np.eye(3), angles), np.ones(24), angles)
+    assert np.isfinite(rates).all()
+    assert np.abs(rates).max() < 40.0
+
+
+def test_t_pose_stretches_arms_sideways_and_legs_down():
+    points = dict(zip(POINT_NAMES, forward(BODY, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)), strict=True))
+    assert points["left_hand"][1] == pytest.approx(0.18 + 2 * (0.15 + 0.22))
+    assert points["right_hand"][1] == pytest.approx(-0.18 - 2 * (0.16 + 0.23))
+    for side in ("left", "right"):
+        np.testing.assert_allclose(points[f"{side}_hand"][[0, 2]], [0.0, 0.7 * 0.27], atol=1e-14)
+        np.testing.assert_allclose(points[f"{side}_foot"][:2], points[f"{side}_hip"][:2], atol=1e-14)
+    np.testing.assert_allclose(points["head"], [0, 0, 0.27 + 0.24], atol=1e-14)
+
+
+def test_mirror_map_reflects_the_points():
+    body = Body.from_stature(1.7)
+    swap = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]
+    rng = np.random.default_rng(10)
+    for _ in range(100):
+        angles = rng.uniform(ANGLE_LOW, ANGLE_HIGH)
+        points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), angles))
+        mirrored = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), mirror_angles(angles)))
+        np.testing.assert_allclose(mirrored[swap] * [1, -1, 1], points, atol=1e-14)
+        assert (mirror_angles(angles) >= ANGLE_LOW - 1e-12).all()
+        assert (mirror_angles(angles) <= ANGLE_HIGH + 1e-12).all()

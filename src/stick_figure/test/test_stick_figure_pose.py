@@ -1,0 +1,218 @@
+"""The pose manifold: retract and minus, Euler angles at limits and singularities, canonical hinges, kernels."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stick_figure import kernels
+from stick_figure.body import Body
+from stick_figure.kinematics import forward, jacobian, sticks
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.rotations import nearest_rotation, rotation_matrix, rotation_vector
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_STICK, TANGENT_NAMES
+
+BODY = Body.from_stature(1.75)
+
+
+def pose_of(angles):
+    return Pose.from_angles(np.zeros(3), np.eye(3), angles)
+
+
+def random_pose(rng):
+    angles = rng.uniform(ANGLE_LOW, ANGLE_HIGH)
+    return Pose.from_angles(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix(), angles)
+
+
+def with_angles(**values):
+    angles = T_POSE_ANGLES.copy()
+    for name, value in values.items():
+        angles[ANGLE_NAMES.index(name)] = value
+    return angles
+
+
+def test_retract_of_minus_leads_from_any_pose_to_any_other():
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        start, end = random_pose(rng), random_pose(rng)
+        reached = start.retract(end.minus(start))
+        for found, expected in zip(reached.arrays, end.arrays, strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_minus_of_retract_returns_small_tangents():
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        pose, tangent = random_pose(rng), rng.normal(size=24) * 0.01
+        if abs(pose.R_joints[0, 2, 2]) < 0.1:
+            continue  # a head at right angles to the neck leaves one of its two increments unseen
+        np.testing.assert_allclose(pose.retract(tangent).minus(pose), tangent, atol=1e-11)
+
+
+def test_minus_is_zero_between_equal_poses():
+    pose = random_pose(np.random.default_rng(3))
+    assert np.abs(pose.minus(pose)).max() < 1e-14
+
+
+def test_ball_joint_increment_turns_the_limb_in_the_torso_frame():
+    pose = Pose.from_angles(np.zeros(3), Rotation.from_euler("z", 0.7).as_matrix(), with_angles(left_elbow=-0.6))
+    tangent = np.zeros(24)
+    tangent[TANGENT_NAMES.index("left_shoulder_z")] = 0.3
+    expected = pose.R_world_torso @ Rotation.from_euler("z", 0.3).as_matrix() @ pose.R_world_torso.T
+    before, after = forward(BODY, pose), forward(BODY, pose.retract(tangent))
+    np.testing.assert_allclose(after[11] - after[3], expected @ (before[11] - before[3]), atol=1e-14)
+    np.testing.assert_allclose(after[[0, 1, 4, 12]], before[[0, 1, 4, 12]], atol=1e-15)
+
+
+def test_rotations_stay_orthogonal_after_100000_small_steps():
+    pose = random_pose(np.random.default_rng(4))
+    arrays, step = [a.copy() for a in pose.arrays], np.random.default_rng(5).normal(size=24) * 1e-2
+    for _ in range(100_000):
+        kernels.retract(*arrays, step, 1.0)
+    for R in (arrays[1], *arrays[2]):
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_rotation_vector_inverts_rotation_matrix_up_to_half_a_turn():
+    rng = np.random.default_rng(6)
+    for angle in [0.0, 1e-12, 1e-7, 0.1, 2.0, np.pi - 1e-7, np.pi - 1e-12, np.pi]:
+        axis = rng.normal(size=3)
+        vector = angle * axis / np.linalg.norm(axis)
+        R = rotation_matrix(vector)
+        np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
+        np.testing.assert_allclose(rotation_matrix(rotation_vector(R)), R, atol=1e-14)
+        assert np.linalg.norm(rotation_vector(R)) == pytest.approx(angle, abs=1e-12)
+
+
+def test_nearest_rotation_is_never_a_reflection():
+    np.testing.assert_allclose(np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -0.2]))), 1.0)
+
+
+def test_angles_invert_from_angles_inside_the_ranges():
+    rng = np.random.default_rng(7)
+    for _ in range(3000):
+        angles = rng.uniform(ANGLE_LOW, ANGLE_HIGH)
+        np.testing.assert_allclose(pose_of(angles).angles(), angles, atol=1e-9)
+
+
+@pytest.mark.parametrize("limits", ["low", "high"])
+@pytest.mark.parametrize("slot", range(18))
+def test_angles_invert_from_angles_at_each_limit(slot, limits):
+    rng = np.random.default_rng(slot)
+    angles = rng.uniform(ANGLE_LOW + 0.1, ANGLE_HIGH - 0.1)
+    angles[slot] = (ANGLE_LOW if limits == "low" else ANGLE_HIGH)[slot]
+    found = pose_of(angles).angles(previous=angles)
+    np.testing.assert_allclose(found, angles, atol=2e-8)
+    assert (found >= ANGLE_LOW).all() and (found <= ANGLE_HIGH).all()
+
+
+def test_angles_stay_in_range_when_every_angle_is_at_a_limit():
+    rng = np.random.default_rng(8)
+    for _ in range(300):
+        angles = np.where(rng.random(18) < 0.5, ANGLE_LOW, ANGLE_HIGH)
+        pose = pose_of(angles)
+        found = pose.angles()
+        assert (found >= ANGLE_LOW).all() and (found <= ANGLE_HIGH).all()
+        np.testing.assert_allclose(forward(BODY, pose_of(found)), forward(BODY, pose), atol=1e-7)
+
+
+def test_thigh_above_the_horizontal_needs_the_second_cover_and_gets_it():
+    angles = with_angles(left_hip_y=-2.5, left_knee=1.0, left_hip_z=0.2, right_hip_y=-1.9, right_hip_x=0.3)
+    np.testing.assert_allclose(pose_of(angles).angles(), angles, atol=1e-12)
+
+
+def test_angles_at_gimbal_lock_keep_the_previous_first_angle():
+    angles = with_angles(left_shoulder_x=0.4, left_shoulder_z=np.pi / 2, left_shoulder_y=0.7, left_elbow=-1.0)
+    pose = pose_of(angles)
+    np.testing.assert_allclose(pose.angles(previous=angles), angles, atol=1e-8)
+    other = pose.angles()
+    np.testing.assert_allclose(forward(BODY, pose_of(other)), forward(BODY, pose), atol=1e-8)
+    assert other[2] == 0.0  # the T-pose's value where nothing is known
+
+
+def test_angles_at_the_cut_of_a_full_circle_follow_the_previous_side():
+    for slot, low in ((2, -np.pi), (3, 0.0)):
+        for end in (low, low + 2 * np.pi):
+            angles = T_POSE_ANGLES.copy()
+            angles[slot] = end
+            near = angles.copy()
+            near[slot] += 0.2 if end == low else -0.2
+            assert pose_of(angles).angles(previous=near)[slot] == pytest.approx(end)
+
+
+def test_angles_of_pose_outside_the_ranges_describe_the_same_points():
+    angles = with_angles(left_shoulder_y=3.0, left_elbow=-0.8, right_hip_z=1.4, right_knee=0.5)
+    pose = pose_of(angles)
+    np.testing.assert_allclose(forward(BODY, pose_of(pose.angles())), forward(BODY, pose), atol=1e-12)
+
+
+def test_canonical_bends_hinges_the_right_way_and_keeps_all_points():
+    rng = np.random.default_rng(9)
+    pose = random_pose(rng)
+    wrong = Pose(pose.position_world, pose.R_world_torso, pose.R_joints, np.array([0.5, 1.2, -0.4, -0.9]))
+    right = wrong.canonical()
+    np.testing.assert_allclose(right.hinges, [-0.5, -1.2, 0.4, 0.9])
+    np.testing.assert_allclose(forward(BODY, right), forward(BODY, wrong), atol=1e-14)
+    assert np.linalg.det(right.R_joints) == pytest.approx(1.0)
+
+
+def test_canonical_leaves_hinges_within_the_margin():
+    wrong = Pose(np.zeros(3), np.eye(3), pose_of(T_POSE_ANGLES).R_joints, np.array([0.1, 0.14, -0.1, -0.14]))
+    np.testing.assert_array_equal(wrong.canonical().hinges, wrong.hinges)
+    np.testing.assert_allclose(wrong.canonical(margin=0.0).hinges, -wrong.hinges)
+
+
+def test_canonicalised_hinge_moves_the_points_with_the_same_velocity():
+    rng = np.random.default_rng(10)
+    pose = random_pose(rng)
+    wrong = Pose(pose.position_world, pose.R_world_torso, pose.R_joints, np.array([0.5, -0.3, -0.4, 0.2]))
+    velocity = rng.normal(size=24)
+    turned_velocity, RJ, hinges = velocity.copy(), wrong.R_joints.copy(), wrong.hinges.copy()
+    mask = kernels.canonicalise_hinges(RJ, hinges, turned_velocity, 0.15)
+    assert mask == 0b0101
+    right = Pose(wrong.position_world, wrong.R_world_torso, RJ, hinges)
+    np.testing.assert_allclose(
+        jacobian(BODY, right) @ turned_velocity, jacobian(BODY, wrong) @ velocity, atol=1e-13
+    )
+
+
+def test_point_jacobian_of_inner_points_matches_differences():
+    """Points between the ends of every stick, as the solvers use them."""
+    rng = np.random.default_rng(11)
+    pose = random_pose(rng)
+    G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
+    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
+    kernels.stick_ends(G, pose.position_world, BODY.lengths, BODY.stick_origins_torso, A, B)
+    J, slots, u = np.empty((3, 11)), np.empty(11, np.int64), 0.3
+    for stick in range(10):
+        n = kernels.point_jacobian(stick, A[stick] + u * (B[stick] - A[stick]), pose.position_world, A, axes, J, slots)
+        dense = np.zeros((3, 24))
+        dense[:, slots[:n]] = J[:, :n]
+        for k in range(24):
+            d = np.zeros(24)
+            d[k] = 1e-5
+            ends = [sticks(BODY, pose.retract(s * d))[stick] for s in (1, -1)]
+            inner = [(1 - u) * a + u * b for a, b in ends]
+            np.testing.assert_allclose(dense[:, k], (inner[0] - inner[1]) / 2e-5, atol=1e-8)
+
+
+def test_stick_of_each_point_carries_it():
+    """A reference point moves with its stick: its distances to the stick's ends never change."""
+    rng = np.random.default_rng(12)
+    first, second = random_pose(rng), random_pose(rng)
+    for point, stick in enumerate(POINT_STICK):
+        distances = [
+            np.linalg.norm(forward(BODY, p)[point] - sticks(BODY, p)[stick], axis=1) for p in (first, second)
+        ]
+        np.testing.assert_allclose(*distances, atol=1e-14)
+
+
+def test_pose_refuses_wrong_shapes_and_copies_its_arrays():
+    position = np.zeros(3)
+    pose = Pose.from_angles(position, np.eye(3), T_POSE_ANGLES)
+    position[0] = 5.0
+    assert pose.position_world[0] == 0.0
+    with pytest.raises(ValueError, match="R_world_torso"):
+        Pose(position, np.eye(4), pose.R_joints, pose.hinges)
+    with pytest.raises(ValueError, match="18"):
+        Pose.from_angles(position, np.eye(3), np.zeros(16))

@@ -1,0 +1,126 @@
+"""The built-in person's motion and the studio's rigs."""
+
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
+from virtual_studio.body import ANKLE_HEIGHT, VolumetricBody
+from virtual_studio.motion import MOTIONS, T_POSE_S, t_pose_only, tour, walk
+from virtual_studio.rig import VOLUME, azimuths, ring
+
+BODY = Body.from_stature(1.75)
+TOUR = tour(BODY, seconds=21.0, fps=60)
+
+
+def test_all_angles_stay_inside_the_joint_ranges():
+    for motion in (TOUR, walk(BODY, 6.0, 60)):
+        assert (motion.angles > ANGLE_LOW - 1e-12).all()
+        assert (motion.angles < ANGLE_HIGH + 1e-12).all()
+
+
+def test_angles_of_the_poses_are_the_stated_ones():
+    previous = None
+    for pose, angles in zip(TOUR.poses, TOUR.angles, strict=True):
+        previous = pose.angles(previous)
+        np.testing.assert_allclose(previous, angles, atol=1e-9)
+
+
+def test_motion_starts_with_one_second_of_exact_t_pose():
+    frames = round(T_POSE_S * 60)
+    np.testing.assert_array_equal(TOUR.angles[:frames], np.tile(T_POSE_ANGLES, (frames, 1)))
+    positions = np.array([pose.position_world for pose in TOUR.poses[:frames]])
+    np.testing.assert_array_equal(positions, np.tile(positions[0], (frames, 1)))
+    assert np.abs(TOUR.angles[frames + 60] - T_POSE_ANGLES).max() > 1.0
+
+
+def test_joints_and_torso_move_smoothly():
+    speed = np.diff(TOUR.angles, axis=0) * 60
+    acceleration = np.diff(speed, axis=0) * 60
+    assert np.abs(speed).max() < 12.0  # rad/s
+    assert np.abs(acceleration).max() < 120.0  # rad/s^2
+    points = np.array([forward(BODY, pose) for pose in TOUR.poses])
+    velocity = np.diff(points, axis=0) * 60
+    assert np.linalg.norm(velocity, axis=-1).max() < 6.0  # m/s, the fastest hand
+    assert np.linalg.norm(np.diff(velocity[:, 0], axis=0) * 60, axis=-1).max() < 25.0  # m/s^2 of the torso
+
+
+def test_every_joint_takes_part_in_the_tour():
+    assert (np.ptp(TOUR.angles, axis=0) > 0.1).all()
+    turned = [np.arctan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0]) for pose in TOUR.poses]
+    assert np.ptp(np.unwrap(turned)) > 1.5
+    heights = [pose.position_world[2] for pose in TOUR.poses]
+    assert np.ptp(heights) > 0.25  # the squat
+
+
+def test_lower_foot_stands_on_the_floor():
+    ankles = np.array([forward(BODY, pose)[13:15, 2].min() for pose in TOUR.poses])
+    standing = ANKLE_HEIGHT * BODY.stature
+    assert np.abs(ankles - standing).max() < 0.008
+
+
+def test_person_stays_inside_the_capture_volume():
+    person = VolumetricBody(BODY)
+    for pose in TOUR.poses[::6]:
+        capsules = person.place(pose)
+        ends = np.vstack([capsules.starts, capsules.ends])
+        assert (ends > VOLUME.low + 0.04).all()
+        assert (ends < VOLUME.high - 0.02).all()
+
+
+def test_truth_at_a_time_does_not_depend_on_the_frame_rate():
+    slow, fast = tour(BODY, 8.0, 30), tour(BODY, 8.0, 120)
+    for a, b in zip(slow.poses, fast.poses[::4], strict=True):
+        np.testing.assert_allclose(forward(BODY, a), forward(BODY, b), atol=1e-6)
+
+
+def test_t_pose_only_never_moves():
+    motion = t_pose_only(BODY, 2.0, 30)
+    assert len(motion.poses) == 60
+    assert np.ptp(motion.angles, axis=0).max() == 0.0
+
+
+@pytest.mark.parametrize(("seconds", "fps"), [(0.0, 60), (-1.0, 60), (float("nan"), 60), (2.0, 0.0), (0.001, 60)])
+def test_impossible_times_are_refused(seconds, fps):
+    for make in MOTIONS.values():
+        with pytest.raises(InputError):
+            make(BODY, seconds, fps)
+
+
+@pytest.mark.parametrize("n", range(2, 13))
+def test_ring_has_no_two_cameras_that_face_each_other(n):
+    angles = azimuths(n)
+    apart = np.abs((angles[:, None] - angles[None] + np.pi) % (2 * np.pi) - np.pi)
+    facing = np.pi - apart
+    assert facing.min() > np.radians(0.2 * 180 / n)
+    assert apart[~np.eye(n, dtype=bool)].min() > np.radians(0.5 * 360 / n)
+
+
+def test_ring_stands_where_it_should_and_looks_at_the_centre():
+    rig = ring(5)
+    assert rig.names == ("cam01", "cam02", "cam03", "cam04", "cam05", "cam06")
+    for camera in rig.cameras:
+        assert (camera.width, camera.height) == (640, 480)
+        np.testing.assert_allclose(camera.R_camera_world @ camera.R_camera_world.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(camera.R_camera_world) == pytest.approx(1.0)
+        centre = camera.project(np.array([0.0, 0.0, 0.95]))
+        assert np.abs(centre - [319.5, 239.5]).max() < 15
+    for camera in rig.cameras[:5]:
+        assert 1.2 <= camera.centre_world[2] <= 2.3
+        assert np.linalg.norm(camera.centre_world - [0, 0, 0.95]) == pytest.approx(3.2, abs=0.2)
+        assert (camera.R_camera_world @ np.array([0, 0, -1.0]))[1] > 0.9  # down in the world is down in the image
+    assert rig.cameras[5].centre_world[2] > 3.0
+
+
+def test_every_camera_sees_the_whole_person_all_the_time():
+    for camera in ring(5).cameras:
+        for pose in TOUR.poses[::15]:
+            pixels = camera.project(forward(BODY, pose))
+            assert (pixels > 2).all() and (pixels < [637, 477]).all()
+
+
+def test_ring_refuses_no_camera():
+    with pytest.raises(InputError, match="0 cameras"):
+        ring(0)

@@ -1,0 +1,212 @@
+"""Silhouettes against a brute-force oracle; shadow, room and sensor."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from virtual_studio.body import VolumetricBody
+from virtual_studio.motion import tour
+from virtual_studio.ray_caster import hit_capsule
+from virtual_studio.render import VirtualCamera
+from virtual_studio.rig import ring
+from virtual_studio.room import look
+from virtual_studio.sensor import Sensor
+from virtual_studio.shadow import CELL_M, DARKNESS, HALF_WIDTH_M, LAMP_POINTS, LAMPS_WORLD, floor_shadow
+
+BODY = Body.from_stature(1.72)
+PERSON = VolumetricBody(BODY)
+MOTION = tour(BODY, seconds=10.5, fps=4)
+CAMERAS = [VirtualCamera(camera) for camera in ring(2, ceiling=True).cameras]
+
+
+def clearance(origin, rays, starts, ends, radii):
+    """Oracle (n, P): least distance of each line to each part's surface, negative where it enters.
+
+    A part is the union of spheres between its two ends; line-to-centre distance less radius is convex along the axis,
+    so a ternary search finds its minimum.
+    """
+    rays, starts, ends = rays[:, None], starts[None], ends[None]
+
+    def depth(u):
+        centres = starts + u[..., None] * (ends - starts) - origin
+        across = centres - (centres * rays).sum(-1, keepdims=True) * rays
+        return np.linalg.norm(across, axis=-1) - (radii[:, 0] + u * (radii[:, 1] - radii[:, 0]))
+
+    low, high = np.zeros((len(rays), radii.shape[0])), np.ones((len(rays), radii.shape[0]))
+    for _ in range(64):
+        a, b = low + (high - low) / 3, high - (high - low) / 3
+        first = depth(a) < depth(b)
+        low, high = np.where(first, low, a), np.where(first, b, high)
+    return np.minimum(depth(0.5 * (low + high)), np.minimum(depth(low * 0), depth(low * 0 + 1)))
+
+
+@pytest.mark.parametrize("frame", [0, 9, 17, 27, 37])
+def test_mask_equals_brute_force_rays_against_parts(frame):
+    camera = CAMERAS[frame % 3].camera
+    capsules = PERSON.place(MOTION.poses[frame])
+    _, mask = CAMERAS[frame % 3].see(capsules, None)
+    edge = cv2.dilate(mask, np.ones((5, 5))) != cv2.erode(mask, np.ones((5, 5)))
+    rng = np.random.default_rng(frame)
+    near = np.argwhere(edge)
+    pixels = np.vstack([near[rng.permutation(len(near))[:900]], rng.integers([480, 640], size=(300, 2))])
+    rays = camera.rays_world(pixels[:, ::-1].astype(float))
+    least = clearance(camera.centre_world, rays, capsules.starts, capsules.ends, capsules.radii).min(1)
+    decided = np.abs(least) > 1e-9
+    assert decided.sum() >= 1190
+    np.testing.assert_array_equal(mask[tuple(pixels[decided].T)] > 0, least[decided] < 0)
+
+
+def test_part_around_the_camera_does_not_break_the_picture():
+    camera, capsules = CAMERAS[0], PERSON.place(MOTION.poses[0])
+    centre = camera.camera.centre_world
+    behind = replace(capsules, starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
+                     ends=capsules.ends - capsules.starts[0] + 1.2 * centre)  # fmt: skip
+    light, mask = camera.see(behind, None)
+    assert mask.max() == 0
+    np.testing.assert_array_equal(light, camera.empty_room())
+
+
+def test_hit_distance_lies_on_the_surface_for_any_taper():
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(800):
+        a, b, ra, rb = rng.normal(size=3), rng.normal(size=3), *rng.uniform(0.05, 0.8, 2)
+        origin = 4.0 * rng.normal(size=3)
+        ray = a + rng.normal(size=3) * 0.5 - origin
+        ray /= np.linalg.norm(ray)
+        t = hit_capsule(*origin, *ray, *a, *b, ra, rb)
+        u = np.linspace(0, 1, 2001)
+        radii = ra + u * (rb - ra)
+
+        def signed_distance(t, a=a, b=b, u=u, radii=radii, origin=origin, ray=ray):
+            return (np.linalg.norm(origin + t * ray - a - u[:, None] * (b - a), axis=1) - radii).min()
+
+        if signed_distance(0.0) <= 0.0:
+            continue  # the camera is never inside the body
+        if np.isfinite(t):
+            hits += 1
+            assert signed_distance(t) == pytest.approx(0.0, abs=5e-5)
+            assert min(signed_distance(s) for s in np.linspace(0, t - 1e-3, 25)) > 0.0
+        else:
+            least = clearance(origin, ray[None], a[None], b[None], np.array([[ra, rb]]))[0, 0]
+            assert least > -1e-9 or (a - origin) @ ray < 2.0  # missed, or it lies behind
+    assert hits > 200
+
+
+def test_truth_points_project_into_the_mask():
+    inside = total = 0
+    for pose in MOTION.poses:
+        capsules, points = PERSON.place(pose), forward(BODY, pose)
+        for camera in CAMERAS:
+            _, mask = camera.see(capsules, None)
+            pixels = np.rint(camera.camera.project(points)).astype(int)
+            seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
+            inside += (mask[tuple(pixels[seen].T[::-1])] > 0).sum()
+            total += seen.sum()
+    assert total > 0.98 * 15 * 3 * len(MOTION.poses)
+    assert inside / total >= 0.99
+
+
+def test_torso_is_wider_than_deep_and_sizes_are_a_persons():
+    capsules = PERSON.place(MOTION.poses[0])
+    low = np.minimum(capsules.starts - capsules.radii[:, :1], capsules.ends - capsules.radii[:, 1:]).min(0)
+    high = np.maximum(capsules.starts + capsules.radii[:, :1], capsules.ends + capsules.radii[:, 1:]).max(0)
+    assert high[2] == pytest.approx(1.72, abs=0.02)
+    assert -0.005 < low[2] < 0.02
+    x, y, z = np.meshgrid(*(np.arange(a, b, 0.016) for a, b in zip(low, high, strict=True)), indexing="ij")
+    grid = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    inside = np.zeros(len(grid), bool)
+    for a, b, (ra, rb) in zip(capsules.starts, capsules.ends, capsules.radii, strict=True):
+        u = np.linspace(0, 1, 9)
+        for centre, r in zip(a + u[:, None] * (b - a), ra + u * (rb - ra), strict=True):
+            inside |= ((grid - centre) ** 2).sum(1) < r * r
+    assert 0.050 < inside.sum() * 0.016**3 < 0.095  # cubic metres, a person of 55 to 100 kg
+    chest = grid[inside & (np.abs(grid[:, 2] - 1.25) < 0.02)]
+    width, depth = np.ptp(chest[:, 1]), np.ptp(chest[:, 0])
+    assert 1.3 < width / depth < 2.2
+
+
+def test_feet_are_level_when_standing_and_point_forward():
+    capsules = PERSON.place(MOTION.poses[0])
+    for foot in (-4, -2):
+        forward_xy = capsules.ends[foot] - capsules.starts[foot]
+        assert forward_xy[0] > 0.12
+        assert abs(forward_xy[2]) < 0.03
+
+
+def test_person_darkens_the_floor_beside_it_and_nowhere_far():
+    shade = floor_shadow(PERSON.place(MOTION.poses[0]))
+    assert shade.max() <= 1.0
+    assert shade.min() < 0.75
+    assert 0.02 < (shade < 0.97).mean() < 0.2
+    far = np.hypot(*(np.mgrid[: len(shade), : len(shade)] * CELL_M - HALF_WIDTH_M)) > 3.8
+    np.testing.assert_allclose(shade[far], 1.0, atol=1e-3)
+
+
+def test_shadow_falls_where_the_lamps_are_hidden():
+    """Independent of the drawing: rays from floor cells to one lamp's points against all parts."""
+    capsules = PERSON.place(MOTION.poses[20])
+    shade = floor_shadow(capsules)
+    rng = np.random.default_rng(2)
+    cells = rng.integers(90, len(shade) - 90, size=(600, 2))
+    places = np.column_stack([(cells[:, 1] + 0.5) * CELL_M - HALF_WIDTH_M, (cells[:, 0] + 0.5) * CELL_M - HALF_WIDTH_M])
+    blocked = np.zeros(len(cells))
+    lamps = (LAMPS_WORLD[:, None] + LAMP_POINTS).reshape(-1, 3)
+    for lamp in lamps:  # from the lamp down; every part lies between it and the floor
+        rays = np.column_stack([places - lamp[:2], np.full(len(places), -lamp[2])])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        blocked += clearance(lamp, rays, capsules.starts, capsules.ends, capsules.radii).min(1) < 0
+    expected = 1.0 - DARKNESS * blocked / len(lamps)
+    assert np.abs(expected - shade[tuple(cells.T)]).mean() < 0.02  # the blur moves only the edges
+    assert np.corrcoef(expected, shade[tuple(cells.T)])[0, 1] > 0.9
+
+
+def test_rays_of_the_view_project_back_onto_their_pixels():
+    camera = ring(1, ceiling=False).cameras[0]
+    view = look(camera)
+    y, x = np.mgrid[0:480:37, 0:640:41]
+    pixels = camera.project(camera.centre_world + 3.0 * view.rays[y, x])
+    np.testing.assert_allclose(pixels, np.stack([x, y], -1), atol=1e-3)
+
+
+def test_room_looks_the_same_place_by_place_from_two_cameras():
+    rig = ring(2, ceiling=True)
+    views = [look(camera) for camera in rig.cameras]
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(-1.3, 1.3, (4000, 2)), np.zeros(4000)])
+    greys = []
+    for camera, view in zip(rig.cameras, views, strict=True):
+        pixels = np.rint(camera.project(points))
+        seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
+        grey = np.full(len(points), np.nan)
+        grey[seen] = view.grey[tuple(pixels[seen].astype(int).T[::-1])]
+        greys.append(grey)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        both = np.isfinite(greys[a]) & np.isfinite(greys[b])
+        assert both.sum() > 1000
+        assert np.corrcoef(greys[a][both], greys[b][both])[0, 1] > 0.6
+
+
+def test_sensor_adds_the_stated_noise_and_flicker_and_repeats_itself():
+    light = np.full((480, 640), 0.5, np.float32)
+    sensor = Sensor(noise=3.0, flicker=0.0, seed=7)
+    picture = sensor.expose(light, 2, 5)
+    assert picture.astype(float).std() == pytest.approx(3.0, rel=0.02)
+    np.testing.assert_array_equal(picture, Sensor(noise=3.0, flicker=0.0, seed=7).expose(light, 2, 5))
+    for other in (sensor.expose(light, 3, 5), sensor.expose(light, 2, 6), replace(sensor, seed=8).expose(light, 2, 5)):
+        correlation = np.corrcoef(picture.ravel(), other.ravel())[0, 1]
+        assert abs(correlation) < 0.02
+    flickering = Sensor(noise=0.0, flicker=0.01, seed=1)
+    means = [flickering.expose(light[:9, :9], 0, frame).mean() / 120.0 for frame in range(300)]
+    assert np.std(means) == pytest.approx(0.01, rel=0.2)
+
+
+def test_bright_light_saturates_instead_of_wrapping():
+    picture = Sensor(noise=30.0).expose(np.full((100, 100), 1.5, np.float32), 0, 0)
+    assert picture.min() > 200
+    dark = Sensor(noise=30.0).expose(np.zeros((100, 100), np.float32), 0, 0)
+    assert np.median(dark) < 30

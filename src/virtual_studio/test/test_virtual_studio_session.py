@@ -1,0 +1,152 @@
+"""Session folders: what is in them, repeatability, and what happens when they cannot be written."""
+
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.errors import InputError
+from capture_rig.session import load_session
+from stick_figure.body import Body
+from stick_figure.body_file import load_body
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+from stick_figure.rotations import rotation_matrix
+from virtual_studio.__main__ import main
+from virtual_studio.motion import tour
+from virtual_studio.rig import ring
+from virtual_studio.session import write_session
+from virtual_studio.truth import TORSO_COLUMNS
+from virtual_studio.video import read_grey
+
+BODY = Body.from_stature(1.80)
+RIG = ring(1, ceiling=True)
+SETTINGS = dict(rig=RIG, body=BODY, motion="tour", fps=10, seconds=2.5)
+
+
+@pytest.fixture(scope="module")
+def session_folder(tmp_path_factory):
+    return write_session(tmp_path_factory.mktemp("studio") / "session", seed=4, **SETTINGS)
+
+
+def test_session_reads_back_as_it_was_written(session_folder):
+    session = load_session(session_folder)
+    assert session.fps == 10
+    assert set(session.videos) == set(session.backgrounds) == set(session.masks) == {"cam01", "cam02"}
+    for written, read in zip(RIG.cameras, session.rig.cameras, strict=True):
+        np.testing.assert_allclose(read.K, written.K)
+        np.testing.assert_allclose(read.D, written.D)
+        np.testing.assert_allclose(read.T_camera_world, written.T_camera_world, atol=1e-12)
+    np.testing.assert_allclose(session.rig.volume.low, RIG.volume.low)
+    for name in session.videos:
+        assert read_grey(session.videos[name]).shape == (25, 480, 640)
+        assert read_grey(session.backgrounds[name]).shape == (15, 480, 640)
+        assert set(np.unique(read_grey(session.masks[name]))) == {0, 255}
+
+
+def test_truth_reads_back_with_points_and_angles(session_folder):
+    truth, played = load_session(session_folder).truth, tour(BODY, 2.5, 10)
+    np.testing.assert_array_equal(truth.frames, np.arange(25))
+    points = np.array([forward(BODY, pose) for pose in played.poses])
+    np.testing.assert_allclose(truth.points_world, points, atol=2e-7)
+    np.testing.assert_allclose(truth.angles, played.angles, atol=1e-7)
+
+
+def test_truth_points_follow_from_the_files_angles_torso_and_body(session_folder):
+    truth, body = load_session(session_folder).truth, load_body(session_folder / "body.yaml")
+    table = np.genfromtxt(session_folder / "truth.csv", delimiter=",", names=True)
+    for frame in range(0, 25, 4):
+        torso = np.array([table[name][frame] for name in TORSO_COLUMNS])
+        pose = Pose.from_angles(torso[:3], rotation_matrix(torso[3:]), truth.angles[frame])
+        np.testing.assert_allclose(forward(body, pose), truth.points_world[frame], atol=1e-6)
+
+
+def test_footage_shows_the_person_where_the_mask_is(session_folder):
+    session = load_session(session_folder)
+    for name in session.videos:
+        footage = read_grey(session.videos[name]).astype(float)
+        empty, masks = read_grey(session.backgrounds[name]).mean(0), read_grey(session.masks[name]) > 0
+        difference = np.abs(footage - empty)
+        for frame in (0, 12, 24):
+            assert 2000 < masks[frame].sum() < 40_000
+            inside, outside = difference[frame][masks[frame]], difference[frame][~masks[frame]]
+            assert np.median(inside) > 30
+            assert np.median(outside) < 6
+
+
+def test_footage_keeps_noise_after_decoding(session_folder):
+    empty = read_grey(load_session(session_folder).backgrounds["cam01"]).astype(float)
+    still = empty - empty.mean((1, 2), keepdims=True)  # without flicker
+    assert 0.8 < still.std(0).mean() < 3.5
+
+
+def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path):
+    again = write_session(tmp_path / "again", seed=4, **SETTINGS)
+    for kind in ("videos", "masks", "backgrounds"):
+        first, second = getattr(load_session(session_folder), kind), getattr(load_session(again), kind)
+        for name in first:
+            assert read_grey(first[name]).tobytes() == read_grey(second[name]).tobytes()
+    assert (session_folder / "truth.csv").read_bytes() == (again / "truth.csv").read_bytes()
+
+
+def test_another_seed_changes_noise_but_not_truth_or_masks(session_folder, tmp_path):
+    other = write_session(tmp_path / "other", seed=5, **SETTINGS)
+    first, second = load_session(session_folder), load_session(other)
+    assert read_grey(first.masks["cam01"]).tobytes() == read_grey(second.masks["cam01"]).tobytes()
+    assert read_grey(first.videos["cam01"]).tobytes() != read_grey(second.videos["cam01"]).tobytes()
+
+
+def test_folder_of_someone_else_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "session.yaml").write_text("fps: 60\n")
+    with pytest.raises(InputError, match="not empty"):
+        write_session(tmp_path, **SETTINGS)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        write_session(tmp_path / "notes.txt", **SETTINGS)
+
+
+def test_interrupted_writing_leaves_the_older_session_and_no_rest(tmp_path):
+    folder = tmp_path / "session"
+    short = SETTINGS | {"rig": ring(1, ceiling=False), "seconds": 0.2, "motion": "t_pose_only"}
+    write_session(folder, **short)
+    before = (folder / "truth.csv").read_bytes()
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_session(folder, **(short | {"seconds": 0.5}), progress=stop)
+    assert (folder / "truth.csv").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["session"]
+    write_session(folder, **(short | {"seconds": 0.3}))
+    assert len(load_session(folder).truth.frames) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["session"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"motion": "dance"}, "dance"), ({"noise": -1.0}, "noise"), ({"flicker": 2.0}, "flicker"),
+     ({"seed": -3}, "seed"), ({"fps": 0.0}, "fps"), ({"noise": float("nan")}, "noise")],
+)  # fmt: skip
+def test_impossible_settings_are_refused_before_anything_is_written(tmp_path, change, words):
+    with pytest.raises(InputError, match=words):
+        write_session(tmp_path / "session", **(SETTINGS | change))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_command_line_writes_a_session_and_says_what(tmp_path, capsys):
+    folder = tmp_path / "session"
+    code = main([str(folder), "--cameras", "1", "--no-ceiling", "--seconds", "0.2", "--fps", "10", "--stature", "1.6"])
+    assert code == 0
+    assert "1 cameras x 2 frames" in capsys.readouterr().out
+    assert load_session(folder).rig.names == ("cam01",)
+    assert load_body(folder / "body.yaml").stature == pytest.approx(1.6)
+    description = yaml.safe_load((folder / "session.yaml").read_text())
+    assert description["recipe"]["motion"] == "tour"
+
+
+def test_command_line_reports_bad_input_in_one_line(tmp_path, capsys):
+    assert main([str(tmp_path / "session"), "--cameras", "1", "--stature", "175"]) == 2
+    error = capsys.readouterr().err
+    assert "virtual_studio:" in error
+    assert len(error.splitlines()) == 1

@@ -1,0 +1,171 @@
+"""Writes a session folder: footage, empty room, exact silhouettes, rig, truth and body of the built-in person.
+
+Files: camNN.mp4, camNN_background.mp4, camNN_mask.mkv (lossless), rig.yaml, truth.csv, body.yaml, session.yaml.
+
+Everything follows from the arguments: the same seed gives the same pictures. The folder appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig, save_rig
+from stick_figure.body import Body
+from stick_figure.body_file import save_body
+
+from .body import Capsules, VolumetricBody
+from .motion import MOTIONS, Motion
+from .render import VirtualCamera
+from .sensor import Sensor
+from .shadow import floor_shadow
+from .truth import write_truth
+from .video import FOOTAGE, LOSSLESS, VideoFile
+
+MADE_BY = "virtual_studio"
+BACKGROUND_S = 1.5
+FIRST_BACKGROUND_FRAME = 1_000_000
+"""Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
+
+Progress = Callable[[int, int], None]
+
+
+def write_session(
+    folder: str | Path,
+    rig: Rig,
+    body: Body,
+    motion: str = "tour",
+    fps: float = 60.0,
+    seconds: float = 6.0,
+    seed: int = 1,
+    noise: float = 3.0,
+    shadow: bool = True,
+    flicker: float = 0.005,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Renders a session into `folder` and returns its path.
+
+    motion: one of `motion.MOTIONS`; noise: standard deviation in grey levels; flicker: relative; progress is called
+    with (frames done, frames in all). An older session of the virtual studio in `folder` is replaced.
+    Raises InputError for an unknown motion, impossible numbers, or a folder that holds anything else.
+    """
+    folder = Path(folder)
+    _check(folder, motion, seed, noise, flicker)
+    played = MOTIONS[motion](body, seconds, fps)
+    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
+    partial.mkdir(parents=True)
+    try:
+        save_rig(rig, partial / "rig.yaml")
+        save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
+        write_truth(partial / "truth.csv", body, played)
+        recipe = {"motion": motion, "seconds": seconds, "seed": seed, "noise_grey_levels": noise, "flicker": flicker,
+                  "shadow": shadow, "stature_m": round(body.stature, 4)}  # fmt: skip
+        _write_description(partial / "session.yaml", fps, recipe)
+        _film(partial, rig, VolumetricBody(body), played, Sensor(noise, flicker, seed), shadow, progress)
+        _put_in_place(partial, folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+@dataclass(frozen=True)
+class _Station:
+    """One camera at work and its open videos."""
+
+    number: int
+    camera: VirtualCamera
+    footage: VideoFile
+    masks: VideoFile
+    sensor: Sensor
+
+    def shoot(self, frame: int, capsules: Capsules, shade: NDArray[np.float32] | None) -> None:
+        light, mask = self.camera.see(capsules, shade)
+        self.footage.write(self.sensor.expose(light, self.number, frame))
+        self.masks.write(mask)
+
+
+def _film(
+    folder: Path, rig: Rig, body: VolumetricBody, motion: Motion, sensor: Sensor, shadow: bool, progress: Progress
+) -> None:
+    frames = len(motion.poses)
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
+        cameras = list(pool.map(VirtualCamera, rig.cameras))
+        for number, camera in enumerate(cameras):
+            _film_empty_room(folder, number, camera, motion.fps, sensor)
+        stations = []
+        for number, camera in enumerate(cameras):
+            footage = stack.enter_context(_open(folder, camera.camera, "", FOOTAGE, motion.fps))
+            masks = stack.enter_context(_open(folder, camera.camera, "_mask", LOSSLESS, motion.fps))
+            stations.append(_Station(number, camera, footage, masks, sensor))
+        for frame, pose in enumerate(motion.poses):
+            capsules = body.place(pose)
+            shade = floor_shadow(capsules) if shadow else None
+            list(pool.map(lambda s, f=frame, c=capsules, d=shade: s.shoot(f, c, d), stations))
+            progress(frame + 1, frames)
+
+
+def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:
+    with _open(folder, camera.camera, "_background", FOOTAGE, fps) as video:
+        for frame in range(max(round(BACKGROUND_S * fps), 1)):
+            video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
+
+
+def _open(folder: Path, camera: CameraModel, tail: str, kind: tuple[str, str], fps: float) -> VideoFile:
+    return VideoFile(folder / f"{camera.name}{tail}", kind, fps, camera.width, camera.height)
+
+
+def _write_description(path: Path, fps: float, recipe: dict) -> None:
+    document = {
+        "fps": fps,
+        "units": "metres, radians, pixels",
+        "source": "rendered by python -m virtual_studio",
+        "made_by": MADE_BY,
+        "recipe": recipe,
+        "body": "body.yaml",
+    }
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+
+
+def _check(folder: Path, motion: str, seed: int, noise: float, flicker: float) -> None:
+    if motion not in MOTIONS:
+        raise InputError(f"there is no motion '{motion}'", remedy=f"Known motions: {', '.join(MOTIONS)}.")
+    if seed < 0:
+        raise InputError(f"seed is {seed}", remedy="Give a whole number from 0.")
+    for name, value, high in (("noise", noise, 100.0), ("flicker", flicker, 0.5)):
+        if not 0.0 <= value <= high:
+            raise InputError(f"{name} is {value!r}", remedy=f"Give a number from 0 to {high:g}.")
+    if folder.exists() and not folder.is_dir():
+        raise InputError("is not a folder", where=str(folder), remedy="Give the path of a new folder.")
+    if folder.is_dir() and any(folder.iterdir()) and not _is_own(folder):
+        raise InputError("is not empty and was not written by the virtual studio", where=str(folder),
+                         remedy="Give a new folder, or empty this one yourself.")  # fmt: skip
+
+
+def _is_own(folder: Path) -> bool:
+    description = folder / "session.yaml"
+    try:
+        document = yaml.safe_load(description.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return False
+    return isinstance(document, dict) and document.get("made_by") == MADE_BY
+
+
+def _put_in_place(partial: Path, folder: Path) -> None:
+    """Swaps the finished session in; an older one goes only when the new one is there."""
+    old = partial.with_suffix(".old")
+    if folder.exists():
+        folder.rename(old)
+    partial.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)

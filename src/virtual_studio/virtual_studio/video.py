@@ -1,0 +1,56 @@
+"""Video files that OpenCV's own FFmpeg writes and reads on every supported platform, without an ffmpeg binary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from capture_rig.errors import InputError
+
+FOOTAGE = ("mp4v", ".mp4")
+"""Codec and suffix of footage: MPEG-4 part 2, which every OpenCV wheel can write (H.264 is not in them)."""
+LOSSLESS = ("FFV1", ".mkv")
+"""Codec and suffix of exact silhouettes, under 1 KB each (OpenCV 4.8 refuses FFV1 in mp4)."""
+
+
+class VideoFile:
+    """A grey video being written (`stem` plus the kind's suffix); use it as a context manager.
+
+    Raises InputError when it cannot be opened.
+    """
+
+    def __init__(self, stem: Path, kind: tuple[str, str], fps: float, width: int, height: int) -> None:
+        codec, suffix = kind
+        path = stem.with_name(stem.name + suffix)
+        fourcc = cv2.VideoWriter.fourcc(*codec)
+        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), (width, height), False)
+        if not self._writer.isOpened():
+            raise InputError(f"a video with codec {codec} cannot be written", where=str(path),
+                             remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).")  # fmt: skip
+
+    def write(self, image: NDArray[np.uint8]) -> None:
+        """Appends one image (h, w) uint8."""
+        self._writer.write(image)
+
+    def __enter__(self) -> VideoFile:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._writer.release()
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """All frames (F, h, w) of a grey video. Raises InputError when there is none."""
+    capture, frames = cv2.VideoCapture(str(path)), []
+    while True:
+        read, image = capture.read()
+        if not read:
+            break
+        frames.append(image[..., 0] if image.ndim == 3 else image)
+    capture.release()
+    if not frames:
+        raise InputError("is not a readable video", where=str(path), remedy="Write the session again.")
+    return np.array(frames)
