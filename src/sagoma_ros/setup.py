@@ -5,7 +5,7 @@ package_name = "sagoma_ros"
 setup(
     name=package_name,
     version="0.1.0",
-    description="ROS glue shared by all sagoma nodes: QoS, message conversion, parameters, diagnostics, lifecycle main.",
+    description="ROS glue shared by all sagoma nodes: QoS, messages, parameters, diagnostics, lifecycle main.",
     license="Apache-2.0",
     maintainer="sagoma maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-689beada.example",

@@ -3,18 +3,26 @@
 A set is identified by capture stamp: all stamps of a set lie within the tolerance of each other. A set closes when
 every expected camera has delivered, or when its deadline has passed since its first arrival. Sets leave in stamp
 order; a frame that comes after its set has left is late: counted, never mixed into another set. A camera's stamps may
-not go back; only when those of all cameras do (footage or a bag started again) does a new timeline begin.
+not go back.
+
+A stamp that leaps by more than a quarter of a second is put to the vote, so that one camera with a wrong clock cannot
+silence the others: such frames wait as a rival timeline, and the rig moves to it when more cameras deliver there than
+in the present one (footage or a bag started again, a pause). Otherwise they are dropped and counted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+from .timeline import BACKWARDS, LATE, OpenSet, Timeline
 
 T = TypeVar("T")
 
-RESTART_NS = 1_000_000_000
+LEAP_NS = 250_000_000
+LEAP_TOLERANCES = 10  # a leap is at least five frame periods, so that slow cameras do not leap with every frame
+VOTE_TOLERANCES = 4  # two frame periods: time for every live camera to be heard in one timeline or the other
 
 
 @dataclass(frozen=True)
@@ -38,7 +46,11 @@ class FrameSet(Generic[T]):
 
 @dataclass
 class Counters:
-    """What became of every frame and set, since the start."""
+    """What became of every frame and set, since the start.
+
+    frames = those in sets + late + duplicate + backwards + ahead + those still waiting. ``missing`` counts the gaps
+    in incomplete sets; ``restarts`` how often the stamps of the rig went back.
+    """
 
     frames: int = 0
     complete: int = 0
@@ -47,22 +59,8 @@ class Counters:
     late: int = 0
     duplicate: int = 0
     backwards: int = 0
+    ahead: int = 0
     restarts: int = 0
-
-
-@dataclass
-class _OpenSet(Generic[T]):
-    opened_ns: int
-    frames: dict[str, T] = field(default_factory=dict)
-    stamps_ns: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def stamp_ns(self) -> int:
-        return min(self.stamps_ns.values())
-
-    def spread_with(self, stamp_ns: int) -> int:
-        stamps = [*self.stamps_ns.values(), stamp_ns]
-        return max(stamps) - min(stamps)
 
 
 class FrameSetCollector(Generic[T]):
@@ -77,89 +75,113 @@ class FrameSetCollector(Generic[T]):
         self.names = tuple(sorted(camera_names))
         self.tolerance_ns, self.deadline_ns, self.max_open = tolerance_ns, deadline_ns, max_open
         self.counters = Counters()
-        self._open: list[_OpenSet[T]] = []  # in stamp order
-        self._last_closed_ns: int | None = None
-        self._last_stamp_ns: dict[str, int] = {}
-        self._gone_back: set[str] = set()
+        self._leap_ns = max(LEAP_NS, LEAP_TOLERANCES * tolerance_ns)
+        self._present = self._new_timeline()
+        self._rival: Timeline[T] | None = None
+        self._rival_since_ns = 0
+        self._present_voters: set[str] = set()  # cameras last heard in the present since the rival began
 
     def add(self, camera: str, stamp_ns: int, frame: T, arrival_ns: int) -> list[FrameSet[T]]:
         """Take one frame; return the sets that this closes, oldest first. KeyError for an unknown camera."""
         if camera not in self.names:
             raise KeyError(camera)
         self.counters.frames += 1
-        closed = self.flush() if self._timeline_restarts(camera, stamp_ns) else []
-        if not self._refused(camera, stamp_ns):
-            self._last_stamp_ns[camera] = stamp_ns
-            joined = self._set_for(camera, stamp_ns, arrival_ns)
-            joined.frames[camera], joined.stamps_ns[camera] = frame, stamp_ns
-            self._open.sort(key=lambda s: s.stamp_ns)
-        return closed + self.poll(arrival_ns)
+        timeline = self._timeline_of(camera, stamp_ns, arrival_ns)
+        refusal = timeline.refusal(camera, stamp_ns) if timeline else self._misfit(camera, stamp_ns)
+        if timeline and not refusal:
+            timeline.take(camera, stamp_ns, frame, arrival_ns)
+        else:
+            self._count(refusal)
+        return self.poll(arrival_ns)
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
         """Close the sets that are complete or past their deadline; a complete set never overtakes an older one."""
-        closing = 0
-        for index, candidate in enumerate(self._open):
-            expired = now_ns - candidate.opened_ns >= self.deadline_ns
-            complete = len(candidate.frames) == len(self.names)
-            if expired or (complete and closing == index):
-                closing = index + 1
-        closing = max(closing, len(self._open) - self.max_open)
-        return [self._close(self._open.pop(0)) for _ in range(closing)]
+        closed = self._vote(now_ns)
+        return closed + self._emit(self._present.close_due(now_ns))
 
     def next_deadline_ns(self) -> int | None:
         """When :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
-        return min(s.opened_ns for s in self._open) + self.deadline_ns if self._open else None
+        deadlines = [self._present.next_deadline_ns(), None if self._rival is None else self._vote_due_ns()]
+        return min((d for d in deadlines if d is not None), default=None)
 
     def flush(self) -> list[FrameSet[T]]:
         """Close every open set, complete or not: the end of a recording."""
-        return [self._close(self._open.pop(0)) for _ in range(len(self._open))]
+        closed = self._emit(self._present.close_all())
+        if self._rival is not None:
+            self._settle(self._rival)
+            closed += self._emit(self._present.close_all())
+        return closed
 
-    def _timeline_restarts(self, camera: str, stamp_ns: int) -> bool:
-        """True when every camera that has delivered now stamps more than RESTART_NS behind its own last stamp."""
-        last = self._last_stamp_ns.get(camera)
-        if last is None or stamp_ns >= last - RESTART_NS:
-            self._gone_back.discard(camera)
-            return False
-        self._gone_back.add(camera)
-        if self._gone_back != set(self._last_stamp_ns):
-            return False
-        self.counters.restarts += 1
-        self._gone_back.clear()
-        self._last_stamp_ns.clear()
-        self._last_closed_ns = None
-        return True
+    def _new_timeline(self) -> Timeline[T]:
+        return Timeline(len(self.names), self.tolerance_ns, self.deadline_ns, self.max_open)
 
-    def _refused(self, camera: str, stamp_ns: int) -> bool:
-        last = self._last_stamp_ns.get(camera)
-        if last is not None and stamp_ns == last:
-            self.counters.duplicate += 1
-        elif last is not None and stamp_ns < last:
-            self.counters.backwards += 1
-        elif self._last_closed_ns is not None and stamp_ns <= self._last_closed_ns + self.tolerance_ns:
-            self.counters.late += 1
-        else:
-            return False
-        return True
+    def _timeline_of(self, camera: str, stamp_ns: int, arrival_ns: int) -> Timeline[T] | None:
+        """The timeline that the stamp is near to; a new rival when there is none yet."""
+        if self._is_near(self._present, stamp_ns):
+            self._present_voters.add(camera)
+            return self._present
+        if self._rival is None:
+            self._rival, self._rival_since_ns = self._new_timeline(), arrival_ns
+            self._present_voters.clear()
+        if not self._is_near(self._rival, stamp_ns):
+            return None
+        self._present_voters.discard(camera)
+        return self._rival
 
-    def _set_for(self, camera: str, stamp_ns: int, arrival_ns: int) -> _OpenSet[T]:
-        near = [s for s in self._open if camera not in s.frames and s.spread_with(stamp_ns) <= self.tolerance_ns]
-        if near:
-            return min(near, key=lambda s: s.spread_with(stamp_ns))
-        fresh: _OpenSet[T] = _OpenSet(arrival_ns)
-        self._open.append(fresh)
-        return fresh
+    def _is_near(self, timeline: Timeline[T], stamp_ns: int) -> bool:
+        if timeline.head_ns is None:
+            return True
+        tail_ns = timeline.open[0].stamp_ns if timeline.open else timeline.head_ns
+        return tail_ns - self._leap_ns <= stamp_ns <= timeline.head_ns + self._leap_ns
 
-    def _close(self, closing: _OpenSet[T]) -> FrameSet[T]:
-        missing = tuple(name for name in self.names if name not in closing.frames)
+    def _vote_due_ns(self) -> int:
+        return self._rival_since_ns + self.deadline_ns + VOTE_TOLERANCES * self.tolerance_ns
+
+    def _vote(self, now_ns: int) -> list[FrameSet[T]]:
+        """Settle between present and rival: at once when all cameras are in one rival set, else when it is due."""
+        rival = self._rival
+        if rival is None:
+            return []
+        unanimous = any(map(rival.is_complete, rival.open))
+        if not (unanimous or now_ns >= self._vote_due_ns() or len(rival.open) > self.max_open):
+            return []
+        return self._settle(rival, unanimous)
+
+    def _settle(self, rival: Timeline[T], unanimous: bool = False) -> list[FrameSet[T]]:
+        self._rival = None
+        rival_voters = rival.last_stamp_ns.keys() - self._present_voters
+        if unanimous or len(rival_voters) > len(self._present_voters):
+            closed = self._emit(self._present.close_all())
+            if rival.open[0].stamp_ns < (self._present.head_ns or 0):
+                self._count("restarts")
+            self._present = rival
+            return closed
+        for lost in rival.open:
+            for camera, stamp_ns in lost.stamps_ns.items():
+                self._count(self._misfit(camera, stamp_ns))
+        return []
+
+    def _misfit(self, camera: str, stamp_ns: int) -> str:
+        """What is wrong with a frame whose stamp is far from the present timeline."""
+        if self._present.head_ns is None or stamp_ns > self._present.head_ns:
+            return "ahead"
+        last = self._present.last_stamp_ns.get(camera)
+        return LATE if last is None or stamp_ns > last else BACKWARDS
+
+    def _count(self, name: str | None) -> None:
+        if name is not None:
+            setattr(self.counters, name, getattr(self.counters, name) + 1)
+
+    def _emit(self, closed: list[OpenSet[T]]) -> list[FrameSet[T]]:
+        return [self._frame_set(each) for each in closed]
+
+    def _frame_set(self, closed: OpenSet[T]) -> FrameSet[T]:
+        missing = tuple(name for name in self.names if name not in closed.frames)
         self.counters.missing += len(missing)
-        if missing:
-            self.counters.incomplete += 1
-        else:
-            self.counters.complete += 1
-        self._last_closed_ns = closing.stamp_ns
+        self._count("incomplete" if missing else "complete")
         return FrameSet(
-            stamp_ns=closing.stamp_ns,
-            frames={name: closing.frames[name] for name in self.names if name in closing.frames},
-            stamps_ns={name: closing.stamps_ns[name] for name in self.names if name in closing.stamps_ns},
+            stamp_ns=closed.stamp_ns,
+            frames={name: closed.frames[name] for name in self.names if name in closed.frames},
+            stamps_ns={name: closed.stamps_ns[name] for name in self.names if name in closed.stamps_ns},
             missing=missing,
         )

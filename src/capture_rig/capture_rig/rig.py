@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from .camera import DISTORTION_COEFFICIENTS, Array, CameraModel
+from .camera import CameraModel
 from .errors import InputError
+from .lens import COEFFICIENTS, Array
+from .yaml_file import read_mapping
 
 UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
 CAMERA_KEYS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion",
@@ -50,7 +52,7 @@ class Rig:
 def load_rig(path: str | Path) -> Rig:
     """Read a rig YAML; every defect is an InputError with file, key, value and remedy."""
     path = Path(path)
-    document = _read_yaml(path)
+    document = read_mapping(path, "Give a rig file: a YAML mapping with 'cameras' and, optionally, 'volume'.")
     cameras = document.get("cameras")
     if not isinstance(cameras, Mapping) or not cameras:
         raise InputError("key 'cameras' is missing or empty", where=str(path), remedy="List each camera under it.")
@@ -83,31 +85,6 @@ def default_volume(cameras: tuple[CameraModel, ...]) -> Volume:
     return Volume(low, high)
 
 
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        document = yaml.load(path.read_text(), Loader=_UniqueKeyLoader)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path),
-                         remedy="Give the path of a rig YAML file.") from None  # fmt: skip
-    except yaml.YAMLError as error:
-        problem = " ".join(str(error).split())
-        raise InputError(f"is not valid YAML ({problem})", where=str(path), remedy="Mend the file.") from None
-    if not isinstance(document, Mapping):
-        raise InputError("is not a mapping", where=str(path), remedy="A rig file has the keys 'cameras' and 'volume'.")
-    return document
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML that refuses the same key twice, where the standard loader silently keeps the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.constructor.ConstructorError(None, None, f"key '{key}' appears twice", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
 def _camera(name: str, entry: Any, where: str) -> CameraModel:
     if not isinstance(entry, Mapping):
         raise InputError("is not a mapping", where=where, remedy=f"It needs the keys {', '.join(CAMERA_KEYS)}.")
@@ -115,9 +92,9 @@ def _camera(name: str, entry: Any, where: str) -> CameraModel:
         if key not in entry:
             raise InputError(f"key '{key}' is missing", where=where, remedy=f"Needed: {', '.join(CAMERA_KEYS)}.")
     model = entry["distortion_model"]
-    if model not in DISTORTION_COEFFICIENTS:
+    if model not in COEFFICIENTS:
         raise InputError(f"distortion_model = {model!r} is not known", where=where,
-                         remedy=f"Use one of {', '.join(DISTORTION_COEFFICIENTS)}.")  # fmt: skip
+                         remedy=f"Use one of {', '.join(COEFFICIENTS)}.")  # fmt: skip
     T = np.eye(4)
     T[:3, :3] = _rotation(entry, where)
     T[:3, 3] = _numbers(entry, "t_camera_world", (3,), where)
@@ -127,7 +104,7 @@ def _camera(name: str, entry: Any, where: str) -> CameraModel:
         height=_positive_int(entry, "image_height", where),
         K=_camera_matrix(entry, where),
         distortion_model=model,
-        D=_distortion(entry, DISTORTION_COEFFICIENTS[model], where),
+        D=_distortion(entry, COEFFICIENTS[model], where),
         T_camera_world=T,
     )
 
@@ -154,11 +131,11 @@ def _positive_int(entry: Mapping[str, Any], key: str, where: str) -> int:
 
 def _camera_matrix(entry: Mapping[str, Any], where: str) -> Array:
     K = _numbers(entry, "camera_matrix", (3, 3), where)
-    if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]) or K[1, 0] != 0:
+    if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]) or K[0, 1] != 0 or K[1, 0] != 0:
         raise InputError(
             f"camera_matrix = {K.tolist()} is not an intrinsic matrix",
             where=where,
-            remedy="It must read [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0 pixels: calibrate the camera.",
+            remedy="It must read [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0 pixels: calibrate the camera.",
         )
     return K
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import yaml
 
 from .errors import InputError
 from .rig import Rig, load_rig
 from .truth import Truth, load_truth
+from .yaml_file import read_mapping
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
 STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif")
@@ -111,8 +111,7 @@ def _video_rate(path: Path) -> float:
 def _stated_rate(path: Path) -> float | None:
     if not path.is_file():
         return None
-    document = yaml.safe_load(path.read_text()) or {}
-    fps = document.get("fps") if isinstance(document, dict) else None
+    fps = read_mapping(path, "It holds 'fps', 'units' and 'source', all optional.").get("fps")
     if fps is None:
         return None
     if not isinstance(fps, int | float) or isinstance(fps, bool) or not 0 < fps < 10_000:

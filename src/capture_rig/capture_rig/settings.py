@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar, get_type_hints
 
 from .errors import InputError
 
 T = TypeVar("T")
+
+_SCALARS = (bool, int, float, str)
 
 
 def setting(
@@ -112,16 +115,16 @@ def _checked(leaf: Leaf, value: Any, where: str) -> Any:
     value = _converted(leaf, value, where)
     low, high, choices = (leaf.metadata.get(k) for k in ("low", "high", "choices"))
     unit = f" {leaf.metadata['unit']}" if leaf.metadata.get("unit") else ""
-    if choices and value not in choices:
+    items = value if isinstance(value, list) else [value]
+    if choices and not all(item in choices for item in items):
         raise InputError(
             f"{leaf.key} = {value!r} is not one of {', '.join(map(repr, choices))}",
             where=where,
             remedy=f"Choose one of them; the default is {leaf.default!r}.",
         )
-    numbers = value if isinstance(value, list) else [value]
-    for number in numbers:
-        out_of_range = (low is not None and not number >= low) or (high is not None and not number <= high)
-        if out_of_range:
+    for item in items:
+        not_a_number = isinstance(item, float) and math.isnan(item)
+        if not_a_number or (low is not None and item < low) or (high is not None and item > high):
             raise InputError(
                 f"{leaf.key} = {value!r}{unit} is out of range",
                 where=where,
@@ -133,21 +136,25 @@ def _checked(leaf: Leaf, value: Any, where: str) -> Any:
 
 def _converted(leaf: Leaf, value: Any, where: str) -> Any:
     kind = leaf.type
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if kind in (bool, int, float, str):
-        fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+    if kind in _SCALARS:
+        fits = _fits(value, kind)
+        value = kind(value) if fits else value
     else:
         item = kind.__args__[0]
-        fits = isinstance(value, list | tuple) and all(
-            isinstance(v, item) or (item is float and isinstance(v, int)) for v in value
-        )
+        fits = isinstance(value, list | tuple) and all(_fits(v, item) for v in value)
         value = [item(v) for v in value] if fits else value
     if not fits:
-        name = getattr(kind, "__name__", str(kind)) if kind in (bool, int, float, str) else str(kind)
+        name = kind.__name__ if kind in _SCALARS else str(kind)
         raise InputError(
             f"{leaf.key} = {value!r} is not of type {name}",
             where=where,
             remedy=f"Give a {name}; the default is {leaf.default!r}.",
         )
     return value
+
+
+def _fits(value: Any, kind: type) -> bool:
+    """An int serves as a float; a bool is no number."""
+    if isinstance(value, bool):
+        return kind is bool
+    return isinstance(value, (int, float) if kind is float else kind)

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .camera import Array
 from .errors import InputError
+from .lens import Array
 
 POINT_COUNT = 15
 ANGLE_COUNT = 18
@@ -85,18 +85,24 @@ def _read_csv(path: Path) -> tuple[list[str], Array]:
             header, *lines = [row for row in csv.reader(file) if row]
         rows = np.array([[float(cell) if cell else np.nan for cell in line] for line in lines])
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read as a table of numbers ({error})", where=str(path),
-                         remedy="The first row names the columns, every other row holds numbers.") from None  # fmt: skip
+        raise InputError(
+            f"cannot be read as a table of numbers ({error})",
+            where=str(path),
+            remedy="The first row names the columns, every other row holds numbers.",
+        ) from None
     if header[0] != "frame" or rows.ndim != 2 or rows.shape[1] != len(header):
         raise InputError("is not a table whose first column is 'frame'", where=str(path),
                          remedy="Every row needs one number per column.")  # fmt: skip
+    if not np.array_equal(rows[:, 0], np.trunc(rows[:, 0])):
+        raise InputError("column 'frame' holds something else than whole numbers", where=str(path),
+                         remedy="Give the 0-based video frame of each row.")  # fmt: skip
     return header, rows
 
 
 def _point(rows: Array, column: dict[str, int], parts: tuple[str, ...], path: Path) -> Array:
-    for name in parts:
-        if f"{name}_x" not in column:
-            raise InputError(f"column '{name}_x' is missing", where=str(path),
+    for name in (f"{part}_{axis}" for part in parts for axis in "xyz"):
+        if name not in column:
+            raise InputError(f"column '{name}' is missing", where=str(path),
                              remedy="Give x, y, z of every reference point.")  # fmt: skip
     xyz = {name: rows[:, [column[f"{name}_{axis}"] for axis in "xyz"]] for name in parts}
     if len(parts) == 1:

@@ -54,22 +54,47 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     if missing:
         raise InputError(f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})", where=where,
                          remedy=f"Publish the fields {', '.join(layout.names or ())}.")  # fmt: skip
-    count = cloud.width * cloud.height
-    if len(cloud.data) != count * cloud.point_step:
-        raise InputError(f"the cloud says {count} points of {cloud.point_step} bytes but carries {len(cloud.data)} bytes",
-                         where=where, remedy="The message is damaged; check its publisher.")  # fmt: skip
-    order = ">" if cloud.is_bigendian else "<"
-    wire = np.dtype({
-        "names": list(layout.names or ()),
-        "formats": [order + _NUMPY_TYPES[fields[name].datatype] for name in layout.names or ()],
-        "offsets": [fields[name].offset for name in layout.names or ()],
-        "itemsize": cloud.point_step,
-    })  # fmt: skip
-    points = np.frombuffer(cloud.data, wire).astype(layout)
+    wire = _wire_layout(cloud, [fields[name] for name in layout.names or ()], where)
+    with np.errstate(over="ignore"):  # a double too big for float32 is refused below
+        points = np.frombuffer(_rows(cloud, where), wire).astype(layout)
     if not np.isfinite(points.view(np.float32)).all():
         raise InputError("the cloud holds numbers that are not finite", where=where,
                          remedy="Drop such points before publishing.")  # fmt: skip
     return points
+
+
+def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str) -> np.dtype:
+    """The dtype of the given fields as they lie in the message."""
+    order = ">" if cloud.is_bigendian else "<"
+    formats = [order + _NUMPY_TYPES.get(field.datatype, "") for field in fields]
+    for field, format in zip(fields, formats, strict=True):
+        if format == order or field.offset + np.dtype(format).itemsize > cloud.point_step:
+            raise InputError(
+                f"field '{field.name}' (datatype {field.datatype}, offset {field.offset}) does not fit points of "
+                f"{cloud.point_step} bytes",
+                where=where,
+                remedy="The message is damaged; check its publisher.",
+            )
+    return np.dtype({
+        "names": [field.name for field in fields],
+        "formats": formats,
+        "offsets": [field.offset for field in fields],
+        "itemsize": cloud.point_step,
+    })  # fmt: skip
+
+
+def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
+    """The points' bytes, without the padding that an organised cloud may have at the end of each row."""
+    used = cloud.width * cloud.point_step
+    row = cloud.row_step if cloud.height > 1 else used
+    if row < used or len(cloud.data) != cloud.height * row:
+        raise InputError(
+            f"the cloud says {cloud.height} x {cloud.width} points of {cloud.point_step} bytes "
+            f"but carries {len(cloud.data)} bytes",
+            where=where,
+            remedy="The message is damaged; check its publisher.",
+        )
+    return np.ascontiguousarray(np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, row)[:, :used])
 
 
 def xyz(points: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from .qos import RESULT
@@ -36,7 +37,8 @@ class NodeHealth:
         self._ticks = 0
         self._last = (time.monotonic(), 0, time.process_time())
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RESULT)
-        self._timer = node.create_timer(PERIOD_S, self.publish)
+        # on the steady clock: a node that follows simulated time reports even while that stands still
+        self._timer = node.create_timer(PERIOD_S, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def count(self, name: str, amount: int = 1) -> None:
         """Add to a counter."""

@@ -15,6 +15,8 @@ from .stamps import to_stamp
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_DEPTH_AND_COLOUR = slice(24, 26)  # of the header chunk, which always comes first
+MONO_PNG = ([1, 0], [2, 0], [4, 0], [8, 0])
 _PNG_OPTIONS = [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
@@ -31,7 +33,7 @@ def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Compress
 def decode_silhouette(message: CompressedImage, width: int, height: int, where: str) -> np.ndarray:
     """The mask (height, width) uint8, 0 or 255, of a silhouette message.
 
-    Raises InputError when it is no PNG, cannot be decoded, or has another size than the camera's canvas.
+    Raises InputError when it is no grey PNG, cannot be decoded, or has another size than the camera's canvas.
     """
     data = np.frombuffer(message.data, np.uint8)
     if data[:8].tobytes() != PNG_SIGNATURE:
@@ -40,13 +42,17 @@ def decode_silhouette(message: CompressedImage, width: int, height: int, where: 
     mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
     if mask is None:
         raise InputError("the PNG cannot be decoded", where=where, remedy="The message is damaged; check the network.")
+    depth_and_colour = data[PNG_DEPTH_AND_COLOUR].tolist()
+    if depth_and_colour not in MONO_PNG:
+        raise InputError(f"the PNG is not mono8: its bit depth and colour type are {depth_and_colour}", where=where,
+                         remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")  # fmt: skip
     if mask.shape != (height, width):
         raise InputError(
-            f"the silhouette is {mask.shape[1]} x {mask.shape[0]} pixels, the rig's undistorted canvas {width} x {height}",
+            f"the silhouette is {mask.shape[1]} x {mask.shape[0]} pixels, the undistorted canvas {width} x {height}",
             where=where,
             remedy="Give camera client and hull server the same rig file.",
         )
-    return np.where(mask > 127, np.uint8(255), np.uint8(0))
+    return np.where(mask > 0, np.uint8(255), np.uint8(0))
 
 
 def image_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Image:

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
-from stick_figure.pose import Pose
 
 from capture_rig.errors import InputError
+from stick_figure.pose import Pose
 from stick_figure.skeleton import JOINTS, TANGENT_NAMES, TORSO_POSITION, TORSO_ROTATION
 
 from .stamps import to_ns, to_stamp
@@ -55,9 +55,8 @@ def read_prediction(message: JointState, where: str) -> Prediction:
     stamp_ns = to_ns(message.header.stamp)
     if not message.name:
         return Prediction(stamp_ns, None, np.zeros(len(TANGENT_NAMES)))
-    if list(message.name) != list(TANGENT_NAMES) or len(message.position) != len(message.velocity) != len(
-        TANGENT_NAMES
-    ):
+    sizes = {len(message.name), len(message.position), len(message.velocity)}
+    if tuple(message.name) != TANGENT_NAMES or len(sizes) != 1:
         raise InputError("names or lengths are not those of a prediction", where=where,
                          remedy=f"Give position and velocity of {', '.join(TANGENT_NAMES)}.")  # fmt: skip
     position, velocity = np.array(message.position), np.array(message.velocity)

@@ -12,30 +12,31 @@ from rclpy.signals import SignalHandlerOptions
 
 from capture_rig.errors import InputError
 
-from .node import SagomaNode
+from .node import RCLError, SagomaNode
 
 SIGNAL_LATENCY_S = 0.2  # Python sees a signal only when the wait for the next event returns
 
 
 def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -> int:
-    """Main of every node: spin until SIGINT or SIGTERM, then release everything. Returns the exit status."""
+    """Main of every node: spin until SIGINT or SIGTERM, then release everything.
+
+    Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when the node could not be made at all.
+    """
     # our own handlers: rclpy's shut the context down first, and a node could no longer say or release anything
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     status = 0
     node: SagomaNode | None = None
     try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = factory()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        status = 0 if node.autostart() else 1
-        if status == 0:
-            while rclpy.ok():
-                executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
+        if node.autostart():
+            _spin(node)
+        else:
+            status = 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except InputError as error:
+    except (InputError, RCLError) as error:  # RCLError: a parameter file or --ros-args that cannot be read
         print(error, file=sys.stderr)
         status = 2
     finally:
@@ -46,6 +47,18 @@ def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -
             node.destroy_node()
         rclpy.try_shutdown()
     return status
+
+
+def _spin(node: SagomaNode) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while rclpy.ok():
+        try:
+            executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
+        except ExternalShutdownException:
+            raise
+        except Exception as error:  # in a callback: one bad message may not end the process
+            node.report(error)
 
 
 def _interrupt(number: int, frame: object) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -14,9 +13,7 @@ from capture_rig.settings import Leaf, build_settings, leaves
 
 T = TypeVar("T")
 
-# parameters that rclpy declares by itself, or that every node of ours has
-FOREIGN = ("use_sim_time", "start_type_description_service", "autostart")
-FOREIGN_PREFIXES = ("qos_overrides.",)
+FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made, possibly later than we look
 
 
 def declare_parameters(node: Node, settings_class: type) -> None:
@@ -31,24 +28,33 @@ def read_parameters(node: Node, settings_class: type[T]) -> T:
 
     Raises InputError naming node, key, value and remedy: unknown parameter, wrong type, out of range.
     """
-    where = f"parameters of {node.get_fully_qualified_name()}"
-    values: dict[str, Any] = {leaf.key: node.get_parameter(leaf.key).value for leaf in leaves(settings_class)}
-    values.update({key: override.value for key, override in _undeclared(node, values)})
-    return build_settings(settings_class, values, where)
+    return build_settings(settings_class, _declared(node, settings_class) | _undeclared(node), _where(node))
 
 
-def _undeclared(node: Node, known: Iterable[str]) -> list[tuple[str, Parameter]]:
+def read_declared(node: Node, settings_class: type[T]) -> T:
+    """As :func:`read_parameters`, but parameters that ``settings_class`` does not know are none of its business."""
+    return build_settings(settings_class, _declared(node, settings_class), _where(node))
+
+
+def _declared(node: Node, settings_class: type) -> dict[str, Any]:
+    return {leaf.key: node.get_parameter(leaf.key).value for leaf in leaves(settings_class)}
+
+
+def _undeclared(node: Node) -> dict[str, Any]:
     # overrides of parameters that nobody declared are silently ignored by rclpy: a misspelt key would go unnoticed
     given = node._parameter_overrides.items()
-    known = set(known)
-    return [(k, v) for k, v in given if k not in known and k not in FOREIGN and not k.startswith(FOREIGN_PREFIXES)]
+    return {k: v.value for k, v in given if not node.has_parameter(k) and not k.startswith(FOREIGN_PREFIXES)}
+
+
+def _where(node: Node) -> str:
+    return f"parameters of {node.get_fully_qualified_name()}"
 
 
 def _check(node: Node, settings_class: type, changes: list[Parameter]) -> SetParametersResult:
     known = {leaf.key for leaf in leaves(settings_class)}
     values = {change.name: change.value for change in changes if change.name in known}
     try:
-        build_settings(settings_class, values, f"parameters of {node.get_fully_qualified_name()}")
+        build_settings(settings_class, values, _where(node))
     except InputError as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)

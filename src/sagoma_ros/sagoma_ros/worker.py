@@ -1,4 +1,4 @@
-"""A worker thread fed through a bounded queue: callbacks stay short, and a slow stage drops the oldest work, counted."""
+"""A worker thread fed through a bounded queue: callbacks stay short, a slow stage drops the oldest work, counted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ T = TypeVar("T")
 class Worker(Generic[T]):
     """Calls ``function(item)`` for every item put, in order, on a thread of its own.
 
-    depth : at most this many items wait; one more drops the oldest and calls ``on_drop``.
+    depth : at most this many items wait; one more drops the oldest and calls ``on_drop``, once for each item that
+    will never be worked on (those that :meth:`close` leaves, too).
     on_error : gets every exception that ``function`` raises; the worker goes on with the next item.
     """
 
@@ -35,12 +36,13 @@ class Worker(Generic[T]):
         self._thread.start()
 
     def put(self, item: T) -> None:
-        """Queue an item; never blocks."""
+        """Queue an item; never blocks. After :meth:`close` it is dropped."""
         with self._changed:
-            dropping = len(self._items) >= self._depth
-            if dropping:
+            if self._open:
+                self._items.append(item)
+            dropping = not self._open or len(self._items) > self._depth
+            if self._open and dropping:
                 self._items.popleft()
-            self._items.append(item)
             self._changed.notify()
         if dropping:
             self._on_drop()
@@ -49,9 +51,12 @@ class Worker(Generic[T]):
         """Stop the thread, after the waiting items when ``finish``; True when it ended within ``timeout_s``."""
         with self._changed:
             self._open = False
+            left = 0 if finish else len(self._items)
             if not finish:
                 self._items.clear()
             self._changed.notify()
+        for _ in range(left):
+            self._on_drop()
         if threading.current_thread() is self._thread:
             return True
         self._thread.join(timeout_s)

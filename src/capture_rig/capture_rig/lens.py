@@ -1,0 +1,72 @@
+"""Lens distortion in normalised image coordinates: the models plumb_bob and rational_polynomial, and their inverse.
+
+With r2 = x^2 + y^2 and coefficients in OpenCV's order k1 k2 p1 p2 k3 [k4 k5 k6] (Brown 1966; the rational form is
+OpenCV's):  x' = x g + 2 p1 x y + p2 (r2 + 2 x^2),  y' = y g + p1 (r2 + 2 y^2) + 2 p2 x y,
+g = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
+NEWTON_STEPS = 20
+CONVERGED = 1e-9  # of the focal length: far below a thousandth of a pixel
+
+
+def distort(points: Array, D: Array) -> Array:
+    """Ideal points (n, 2) to where the lens puts them (n, 2)."""
+    return _distort(points, D)[0]
+
+
+def undistort(points: Array, D: Array) -> Array:
+    """The inverse of :func:`distort`, by Newton's method; NaN where the lens model puts no point."""
+    if not np.any(D):
+        return np.array(points, float)
+    ideal = np.array(points, float)
+    with np.errstate(all="ignore"):  # points without a solution run off; they are marked below
+        for _ in range(NEWTON_STEPS):
+            distorted, (a, b, c) = _distort(ideal, D)
+            ex, ey = (points - distorted).T
+            determinant = a * c - b * b
+            step = np.stack([c * ex - b * ey, a * ey - b * ex], axis=1) / determinant[:, None]
+            ideal += step
+            if not np.abs(step[np.isfinite(step)]).max(initial=0) > CONVERGED / 10:
+                break
+        residual = np.abs(distort(ideal, D) - points).max(axis=1)
+        solved = (residual < CONVERGED) & ((ideal**2).sum(axis=1) < fold_radius(D) ** 2)
+    ideal[~solved] = np.nan
+    return ideal
+
+
+def fold_radius(D: Array) -> float:
+    """The ideal radius from which the radial polynomial runs backwards (or has a pole): no light gets there."""
+    k1, k2, _, _, k3, k4, k5, k6 = np.concatenate([D, np.zeros(8 - len(D))])
+    top, bottom = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    q = np.poly1d([1.0, 0.0])  # r^2; the radius r top / bottom grows while `slope` is positive
+    slope = (top + 2 * q * top.deriv()) * bottom - 2 * q * top * bottom.deriv()
+    roots = np.concatenate([slope.roots, bottom.roots])
+    ahead = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
+    return float(np.sqrt(ahead.min(initial=np.inf)))
+
+
+def _distort(points: Array, D: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Distorted points and the three different terms of their symmetric Jacobian: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([D, np.zeros(8 - len(D))])
+    x, y = points.T
+    r2 = x * x + y * y
+    top, d_top = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + r2 * 3 * k3)
+    bottom, d_bottom = 1 + r2 * (k4 + r2 * (k5 + r2 * k6)), k4 + r2 * (2 * k5 + r2 * 3 * k6)
+    g = top / bottom
+    d_g = (d_top - g * d_bottom) / bottom
+    distorted = np.stack([x * g + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                          y * g + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1)  # fmt: skip
+    jacobian = (
+        g + 2 * x * x * d_g + 2 * p1 * y + 6 * p2 * x,
+        2 * x * y * d_g + 2 * p1 * x + 2 * p2 * y,
+        g + 2 * y * y * d_g + 6 * p1 * y + 2 * p2 * x,
+    )
+    return distorted, jacobian

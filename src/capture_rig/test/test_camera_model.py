@@ -1,0 +1,209 @@
+"""The camera against OpenCV and a plain pinhole formula, and its undistorted canvas against the camera."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from capture_rig import lens
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+
+WIDTH, HEIGHT = 320, 240
+K = np.array([[235.0, 0, 156.4], [0, 233.0, 123.1], [0, 0, 1]])
+LENSES = {
+    "none": ("plumb_bob", [0, 0, 0, 0, 0]),
+    "mild_barrel": ("plumb_bob", [-0.19, 0.084, 3.3e-4, -5.9e-4, 0]),
+    "strong_barrel": ("plumb_bob", [-0.45, 0.2, 2e-3, -1e-3, -0.03]),
+    "rational": ("rational_polynomial", [8.0, 3.5, 1e-4, 1e-4, 0.15, 8.4, 6.1, 1.2]),
+}
+PINCUSHION = ("plumb_bob", [0.3, 0.1, 1e-3, 0, 0])
+FOLDING = ("plumb_bob", [-0.5, 0, 0, 0, 0])  # r (1 - r^2 / 2) turns back at r = sqrt(2/3)
+
+
+def make_camera(model: str, D: list[float]) -> CameraModel:
+    T = np.eye(4)
+    T[:3, :3], _ = cv2.Rodrigues(np.array([1.2, -0.8, 0.5]))
+    T[:3, 3] = 0.3, -0.2, 3.5
+    return CameraModel("cam01", WIDTH, HEIGHT, K, model, np.array(D, float), T)
+
+
+@pytest.fixture(params=LENSES)
+def camera(request: pytest.FixtureRequest) -> CameraModel:
+    return make_camera(*LENSES[request.param])
+
+
+def all_pixels() -> np.ndarray:
+    columns, rows = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
+    return np.stack([columns.ravel(), rows.ravel()], axis=1)
+
+
+def world_points_in_view(camera: CameraModel, count: int = 200) -> np.ndarray:
+    """Points 1 to 6 m in front of the camera and about 30 degrees around its axis."""
+    rng = np.random.default_rng(1)
+    depth = rng.uniform(1, 6, count)
+    points_camera = np.stack([*(rng.uniform(-0.55, 0.55, (2, count)) * depth), depth], axis=1)
+    return (points_camera - camera.t_camera_world) @ camera.R_camera_world
+
+
+def test_projection_agrees_with_opencv(camera: CameraModel) -> None:
+    points = world_points_in_view(camera)
+    rotation_vector, _ = cv2.Rodrigues(camera.R_camera_world)
+    oracle, _ = cv2.projectPoints(points.reshape(-1, 1, 3), rotation_vector, camera.t_camera_world, K, camera.D)
+    assert np.abs(camera.project(points) - oracle.reshape(-1, 2)).max() < 1e-6
+
+
+def test_pinhole_projection_is_P_times_the_point() -> None:
+    camera = make_camera(*LENSES["none"])
+    points = world_points_in_view(camera)
+    homogeneous = np.column_stack([points, np.ones(len(points))]) @ camera.P.T
+    assert np.abs(camera.project(points) - homogeneous[:, :2] / homogeneous[:, 2:]).max() < 1e-9
+
+
+def test_projection_keeps_leading_axes_and_accepts_lists() -> None:
+    camera = make_camera(*LENSES["none"])
+    points = world_points_in_view(camera, 6)
+    assert camera.project(points.reshape(2, 3, 3)).shape == (2, 3, 2)
+    assert camera.project(points[0].tolist()) == pytest.approx(camera.project(points)[0])
+
+
+def test_projection_behind_the_camera_is_nan(camera: CameraModel) -> None:
+    forward = camera.R_camera_world[2]
+    pixels = camera.project([camera.centre_world - forward, camera.centre_world, camera.centre_world + forward])
+    assert np.isnan(pixels[:2]).all()
+    assert np.isfinite(pixels[2]).all()
+
+
+def test_projection_where_the_lens_model_folds_back_is_nan() -> None:
+    camera = make_camera(*FOLDING)
+    angles = np.arctan([0.80, 0.83, 1.40])  # the last would be put at radius 0.03, in the middle of the image
+    rays = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1) @ camera.R_camera_world
+    finite = np.isfinite(camera.project(camera.centre_world + rays)).all(axis=1)
+    assert finite.tolist() == [True, False, False]
+
+
+def test_centre_world_lies_on_every_ray(camera: CameraModel) -> None:
+    points = world_points_in_view(camera, 20)
+    rays = camera.rays_world(camera.project(points))
+    to_points = points - camera.centre_world
+    assert np.abs(np.cross(rays, to_points)).max() < 1e-8  # metres between the ray and the point
+    assert (np.sum(rays * to_points, axis=1) > 0).all()
+
+
+def test_rays_of_every_pixel_project_back_onto_it(camera: CameraModel) -> None:
+    pixels = all_pixels()
+    rays = camera.rays_world(pixels)
+    assert np.abs(np.linalg.norm(rays, axis=1) - 1).max() < 1e-12
+    oracle, _ = cv2.projectPoints(
+        (rays @ camera.R_camera_world.T).reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, camera.D
+    )
+    assert np.abs(oracle.reshape(-1, 2) - pixels).max() < 1e-6
+
+
+def test_rays_with_a_pincushion_lens_project_back() -> None:
+    camera, pixels = make_camera(*PINCUSHION), all_pixels()
+    assert np.abs(camera.project(camera.centre_world + camera.rays_world(pixels)) - pixels).max() < 1e-6
+
+
+def test_rays_of_pixels_the_lens_model_does_not_reach_are_nan() -> None:
+    camera = make_camera(*FOLDING)
+    rays = camera.rays_world([[0, 0], [WIDTH / 2, HEIGHT / 2]])  # corner at radius 0.85 > 0.544, the largest image
+    assert np.isnan(rays[0]).all()
+    assert np.isfinite(rays[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("D", "radius"),
+    [
+        (FOLDING[1], np.sqrt(2 / 3)),
+        (LENSES["mild_barrel"][1], np.inf),
+        ([0] * 5, np.inf),
+        ([0.1, 0, 0, 0, 0, -0.5, 0, 0], np.sqrt(2)),  # a pole: 1 - r^2 / 2 = 0
+    ],
+)
+def test_fold_radius_is_where_the_radial_polynomial_turns(D: list[float], radius: float) -> None:
+    assert lens.fold_radius(np.array(D, float)) == pytest.approx(radius)
+
+
+def test_undistorted_canvas_loses_no_original_pixel(camera: CameraModel) -> None:
+    view = camera.undistorted_view()
+    columns, rows = np.rint(view.camera.project(camera.centre_world + camera.rays_world(all_pixels()))).astype(int).T
+    assert columns.min() >= 0 and columns.max() < view.camera.width
+    assert rows.min() >= 0 and rows.max() < view.camera.height
+    assert view.seen[rows, columns].all()
+
+
+def test_undistorted_canvas_without_distortion_is_the_image_padded_to_32() -> None:
+    camera = make_camera(*LENSES["none"])
+    narrow = CameraModel("cam01", 300, HEIGHT, K, camera.distortion_model, camera.D, camera.T_camera_world)
+    view = narrow.undistorted_view()
+    assert (view.camera.width, view.camera.height) == (320, HEIGHT)
+    assert np.array_equal(view.camera.K, K)
+    assert view.seen[:, :300].all() and not view.seen[:, 300:].any()
+
+
+def test_undistorted_canvas_has_no_distortion_and_keeps_the_pose(camera: CameraModel) -> None:
+    canvas = camera.undistorted_view().camera
+    assert canvas.width % 32 == 0
+    assert not canvas.D.any()
+    assert np.array_equal(canvas.K[:2, :2], K[:2, :2])
+    assert np.array_equal(canvas.T_camera_world, camera.T_camera_world)
+
+
+def test_seen_canvas_pixels_are_those_that_opencv_maps_into_the_image(camera: CameraModel) -> None:
+    view = camera.undistorted_view()
+    size = (view.camera.width, view.camera.height)
+    x, y = cv2.initUndistortRectifyMap(K, camera.D, np.eye(3), view.camera.K, size, cv2.CV_32FC1)
+    inside = (x >= -0.5) & (x <= WIDTH - 0.5) & (y >= -0.5) & (y <= HEIGHT - 0.5)
+    at_the_edge = np.minimum.reduce([np.abs(x + 0.5), np.abs(x - WIDTH + 0.5),
+                                     np.abs(y + 0.5), np.abs(y - HEIGHT + 0.5)]) < 1e-3  # fmt: skip
+    assert np.array_equal(view.seen[~at_the_edge], inside[~at_the_edge])
+
+
+def test_mask_painted_at_a_projected_point_lands_at_its_canvas_projection(camera: CameraModel) -> None:
+    view = camera.undistorted_view()
+    points = world_points_in_view(camera)
+    pixels = np.rint(camera.project(points)).astype(int)
+    framed = ((pixels >= 2) & (pixels < [WIDTH - 2, HEIGHT - 2])).all(axis=1)
+    assert framed.sum() > 50
+    for point, (column, row) in zip(points[framed], pixels[framed], strict=True):
+        mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+        mask[row - 1 : row + 2, column - 1 : column + 2] = 255
+        rows, columns = np.nonzero(view.undistort_mask(mask))
+        centre = np.array([columns.mean(), rows.mean()])
+        assert np.abs(centre - view.camera.project(point)).max() < 1.0
+
+
+def test_undistort_mask_is_binary_and_empty_where_unseen(camera: CameraModel) -> None:
+    view = camera.undistorted_view()
+    canvas = view.undistort_mask(np.full((HEIGHT, WIDTH), 255, np.uint8))
+    assert canvas.dtype == np.uint8
+    assert np.array_equal(canvas, np.where(view.seen, 255, 0))
+
+
+def test_undistort_image_keeps_colours(camera: CameraModel) -> None:
+    view = camera.undistorted_view()
+    image = np.full((HEIGHT, WIDTH, 3), (10, 20, 30), np.uint8)
+    canvas = view.undistort_image(image)
+    assert (canvas[view.seen] == (10, 20, 30)).all()
+    assert not canvas[~view.seen].any()
+
+
+def test_undistort_mask_of_another_size_names_camera_and_both_sizes() -> None:
+    view = make_camera(*LENSES["none"]).undistorted_view()
+    with pytest.raises(InputError, match=r"640 x 480 .*'cam01'.* 320 x 240.*rig file"):
+        view.undistort_mask(np.zeros((480, 640), np.uint8))
+
+
+def test_undistorted_view_is_computed_once(camera: CameraModel) -> None:
+    assert camera.undistorted_view() is camera.undistorted_view()
+
+
+def test_canvas_with_a_lens_model_that_folds_stays_bounded_and_blind_outside() -> None:
+    camera = make_camera(*FOLDING)
+    view = camera.undistorted_view()
+    assert view.camera.width <= 2 * WIDTH + 32 and view.camera.height <= 2 * HEIGHT
+    rows, columns = np.nonzero(view.seen)
+    radius = np.hypot((columns - view.camera.K[0, 2]) / K[0, 0], (rows - view.camera.K[1, 2]) / K[1, 1])
+    assert radius.max() < np.sqrt(2 / 3)

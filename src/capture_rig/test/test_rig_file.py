@@ -1,0 +1,278 @@
+"""The rig file: exact round trip, and an error that names file, key, value and remedy for everything wrong."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig, save_rig
+from capture_rig.session import load_session
+
+CAMERA = {
+    "image_width": 640,
+    "image_height": 480,
+    "camera_matrix": [[469.2772007972855, 0.0, 316.4], [0.0, 468.38, 243.9], [0.0, 0.0, 1.0]],
+    "distortion_model": "plumb_bob",
+    "distortion": [-0.18, 0.08, 0.0003, -0.0005, 0.0],
+    "R_camera_world": [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]],
+    "t_camera_world": [0.1, 1.0, 3.0],
+}
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    """Two good cameras; ``changes`` replace keys of cam02."""
+    return {"cameras": {"cam02": {**copy.deepcopy(CAMERA), **changes}, "cam01": copy.deepcopy(CAMERA)}}
+
+
+def write(tmp_path: Path, content: dict[str, Any] | str) -> Path:
+    path = tmp_path / "rig.yaml"
+    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+    return path
+
+
+def refusal(tmp_path: Path, content: dict[str, Any] | str) -> str:
+    with pytest.raises(InputError) as caught:
+        load_rig(write(tmp_path, content))
+    text = str(caught.value)
+    assert str(tmp_path / "rig.yaml") in text
+    assert caught.value.remedy
+    return text
+
+
+def test_rig_has_its_cameras_in_name_order(tmp_path: Path) -> None:
+    rig = load_rig(write(tmp_path, document(image_width=800)))
+    assert rig.names == ("cam01", "cam02")
+    assert [camera.width for camera in rig.cameras] == [640, 800]
+    assert rig.camera("cam02").width == 800
+
+
+def test_camera_reads_every_number_of_its_entry(tmp_path: Path) -> None:
+    camera = load_rig(write(tmp_path, document())).camera("cam01")
+    assert camera.K.tolist() == CAMERA["camera_matrix"]
+    assert camera.D.tolist() == CAMERA["distortion"]
+    assert camera.R_camera_world.tolist() == CAMERA["R_camera_world"]
+    assert camera.t_camera_world.tolist() == CAMERA["t_camera_world"]
+    assert camera.T_camera_world[3].tolist() == [0, 0, 0, 1]
+
+
+def test_saved_rig_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
+    rotation, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
+    rotation *= np.sign(np.linalg.det(rotation))
+    rational = document(
+        R_camera_world=rotation.tolist(),
+        t_camera_world=(np.random.default_rng(3).normal(size=3) / 3).tolist(),
+        distortion_model="rational_polynomial",
+        distortion=[1e-5, 0.1, 1 / 3, 0, 0, 7.0, 2e-17, -4.0],
+    )
+    rational["volume"] = {"low": [-1 / 3, -2, 0], "high": [1, 2, 2.2]}
+    first = load_rig(write(tmp_path, rational))
+    save_rig(first, tmp_path / "again.yaml")
+    second = load_rig(tmp_path / "again.yaml")
+    assert first.names == second.names
+    assert np.array_equal(first.volume.low, second.volume.low)
+    assert np.array_equal(first.volume.high, second.volume.high)
+    for a, b in zip(first.cameras, second.cameras, strict=True):
+        assert (a.name, a.width, a.height, a.distortion_model) == (b.name, b.width, b.height, b.distortion_model)
+        for name in ("K", "D", "T_camera_world"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_saving_a_loaded_rig_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    save_rig(load_rig(write(tmp_path, document())), tmp_path / "one.yaml")
+    save_rig(load_rig(tmp_path / "one.yaml"), tmp_path / "two.yaml")
+    assert (tmp_path / "one.yaml").read_bytes() == (tmp_path / "two.yaml").read_bytes()
+
+
+def test_rotation_rounded_in_the_file_becomes_the_nearest_rotation(tmp_path: Path) -> None:
+    angle = 0.7
+    exact = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    R = load_rig(write(tmp_path, document(R_camera_world=exact.round(5).tolist()))).camera("cam02").R_camera_world
+    assert np.abs(R @ R.T - np.eye(3)).max() < 1e-14
+    assert np.abs(R - exact).max() < 1e-5
+
+
+def test_four_distortion_coefficients_mean_k3_is_zero(tmp_path: Path) -> None:
+    rig = load_rig(write(tmp_path, document(distortion=[-0.1, 0.2, 0.3, 0.4])))
+    assert rig.camera("cam02").D.tolist() == [-0.1, 0.2, 0.3, 0.4, 0]
+
+
+def test_default_volume_stands_on_the_floor_where_the_optical_axes_meet(tmp_path: Path) -> None:
+    ring = {}
+    for index, azimuth in enumerate(np.radians([10, 100, 220])):
+        centre = np.array([1.0 + 3 * np.cos(azimuth), 2.0 + 3 * np.sin(azimuth), 1.1])
+        forward = np.array([1.0, 2.0, 1.1]) - centre
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0, 0, 1])
+        R = np.stack([right, np.cross(forward, right), forward])
+        ring[f"cam{index}"] = {**CAMERA, "R_camera_world": R.tolist(), "t_camera_world": (-R @ centre).tolist()}
+    volume = load_rig(write(tmp_path, {"cameras": ring})).volume
+    assert (volume.low + volume.high)[:2] / 2 == pytest.approx([1, 2])
+    assert volume.low[2] <= 0 and volume.high[2] >= 2.2
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [("sessions", "walk_ring5top"), ("sessions", "charleston_ring5top"), ("sessions", "zombie_he3"), ("real_4cam",)],
+)
+def test_default_volume_contains_the_truth_of(parts: tuple[str, ...], shared_data: Callable[..., Path]) -> None:
+    session = load_session(shared_data(*parts))
+    assert session.truth is not None
+    points = session.truth.points_world.reshape(-1, 3)
+    assert (np.nanmin(points, axis=0) > session.rig.volume.low).all()
+    assert (np.nanmax(points, axis=0) < session.rig.volume.high).all()
+
+
+def test_unknown_camera_name_lists_the_known_ones(tmp_path: Path) -> None:
+    rig = load_rig(write(tmp_path, document()))
+    with pytest.raises(InputError, match=r"no camera 'cam09'.*cam01, cam02"):
+        rig.camera("cam09")
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file") as caught:
+        load_rig(tmp_path / "nowhere.yaml")
+    assert str(caught.value).startswith(str(tmp_path / "nowhere.yaml"))
+    assert "rig file" in caught.value.remedy
+
+
+def test_folder_instead_of_a_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        load_rig(tmp_path)
+
+
+def test_text_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path) -> None:
+    assert "line 2" in refusal(tmp_path, "cameras:\n  cam01: [1, 2\n")
+
+
+def test_binary_file_is_refused_as_no_yaml(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_bytes(b"\x89PNG\xff\xfe\x00\x01")
+    with pytest.raises(InputError, match=r"rig\.yaml: is not valid YAML"):
+        load_rig(tmp_path / "rig.yaml")
+
+
+def test_list_instead_of_a_mapping_is_refused(tmp_path: Path) -> None:
+    assert "is not a mapping" in refusal(tmp_path, "- cam01\n- cam02\n")
+
+
+@pytest.mark.parametrize("content", ["", "units: metres\n", "cameras: {}\n", "cameras: 3\n"])
+def test_rig_without_cameras_is_refused(tmp_path: Path, content: str) -> None:
+    assert "'cameras' is missing or empty" in refusal(tmp_path, content)
+
+
+def test_same_camera_twice_is_refused(tmp_path: Path) -> None:
+    assert "'cam01' appears twice" in refusal(tmp_path, "cameras:\n  cam01: {}\n  cam01: {}\n")
+
+
+def test_same_key_twice_in_a_camera_is_refused(tmp_path: Path) -> None:
+    assert "'image_width' appears twice" in refusal(
+        tmp_path, "cameras:\n  a:\n    image_width: 1\n    image_width: 2\n"
+    )
+
+
+def test_camera_that_is_no_mapping_is_refused(tmp_path: Path) -> None:
+    assert "cameras.cam01: is not a mapping" in refusal(tmp_path, "cameras: {cam01: 3}\n")
+
+
+@pytest.mark.parametrize("key", CAMERA)
+def test_missing_key_is_named_with_its_camera(tmp_path: Path, key: str) -> None:
+    content = document()
+    del content["cameras"]["cam02"][key]
+    text = refusal(tmp_path, content)
+    assert f"cameras.cam02: key '{key}' is missing" in text
+
+
+@pytest.mark.parametrize(
+    "K",
+    [
+        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        [[0.0, 0, 320], [0, 470, 240], [0, 0, 1]],
+        [[470, 0, 320], [0, -470, 240], [0, 0, 1]],
+        [[470, 0, 320], [0, 470, 240], [0, 0, 0]],
+        [[470, 2.5, 320], [0, 470, 240], [0, 0, 1]],  # OpenCV, and our lens model, have no skew
+    ],
+)
+def test_camera_matrix_that_is_no_intrinsic_matrix_is_refused(tmp_path: Path, K: list) -> None:
+    text = refusal(tmp_path, document(camera_matrix=K))
+    assert "cameras.cam02: camera_matrix = [[" in text
+    assert "fx, fy > 0 pixels" in text
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("camera_matrix", [[float("nan"), 0, 320], [0, 470, 240], [0, 0, 1]]),
+        ("camera_matrix", [[470, 0], [0, 470]]),
+        ("distortion", [0.1, float("inf"), 0, 0, 0]),
+        ("R_camera_world", [[1, 0, 0], [0, 1, 0]]),
+        ("t_camera_world", [0, float("nan"), 0]),
+        ("t_camera_world", [0, 1]),
+        ("t_camera_world", ["left", 0, 1]),
+        ("t_camera_world", None),
+    ],
+)
+def test_numbers_that_are_missing_or_not_finite_are_refused(tmp_path: Path, key: str, value: object) -> None:
+    text = refusal(tmp_path, document(**{key: value}))
+    assert f"cameras.cam02: {key} = " in text
+    assert "finite numbers" in text and "alibrate" in text
+
+
+@pytest.mark.parametrize(
+    "R", [[[1.1, 0, 0], [0, 1, 0], [0, 0, 1]], [[1, 0.01, 0], [0, 1, 0], [0, 0, 1]], np.zeros((3, 3)).tolist()]
+)
+def test_rotation_that_is_not_rigid_is_refused(tmp_path: Path, R: list) -> None:
+    text = refusal(tmp_path, document(R_camera_world=R))
+    assert "cameras.cam02: R_camera_world is not a rotation" in text
+    assert "extrinsics" in text
+
+
+def test_left_handed_rotation_is_refused_by_its_determinant(tmp_path: Path) -> None:
+    text = refusal(tmp_path, document(R_camera_world=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]))
+    assert "R_camera_world is not a rotation" in text
+    assert "by 2" in text and "right-handed" in text
+
+
+@pytest.mark.parametrize(
+    ("model", "D"),
+    [("plumb_bob", [0.1] * 8), ("plumb_bob", [0.1] * 3), ("rational_polynomial", [0.1] * 5), ("plumb_bob", 0.1)],
+)
+def test_wrong_number_of_distortion_coefficients_is_refused(tmp_path: Path, model: str, D: object) -> None:
+    text = refusal(tmp_path, document(distortion_model=model, distortion=D))
+    assert "cameras.cam02: distortion = " in text
+    assert f"is not {8 if model == 'rational_polynomial' else 5} finite numbers" in text
+
+
+def test_unknown_distortion_model_lists_the_known_ones(tmp_path: Path) -> None:
+    text = refusal(tmp_path, document(distortion_model="fisheye"))
+    assert "cameras.cam02: distortion_model = 'fisheye' is not known" in text
+    assert "plumb_bob, rational_polynomial" in text
+
+
+@pytest.mark.parametrize("size", [0, -640, 640.5, "640", True, None])
+def test_image_size_that_is_no_positive_whole_number_is_refused(tmp_path: Path, size: object) -> None:
+    text = refusal(tmp_path, document(image_height=size))
+    assert f"cameras.cam02: image_height = {size!r} is not a positive whole number" in text
+
+
+@pytest.mark.parametrize(
+    ("volume", "problem"),
+    [
+        ({"low": [0, 0, 0], "high": [1, 1, 0]}, "is not above low"),
+        ({"low": [0, 0, 0]}, "is not a volume"),
+        ({"low": [0, 0, 0], "high": [1, 1, 1], "unit": "m"}, "is not a volume"),
+        ([0, 0, 0, 1, 1, 1], "is not a volume"),
+        ({"low": [0, 0], "high": [1, 1, 1]}, "low = [0, 0] is not 3 finite numbers"),
+        ({"low": [0, 0, float("nan")], "high": [1, 1, 1]}, "is not 3 finite numbers"),
+        (None, "is not a volume"),
+    ],
+)
+def test_volume_that_is_no_box_is_refused(tmp_path: Path, volume: object, problem: str) -> None:
+    text = refusal(tmp_path, {**document(), "volume": volume})
+    assert "rig.yaml: volume: " in text
+    assert problem in text

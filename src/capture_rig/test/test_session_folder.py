@@ -1,0 +1,142 @@
+"""Session folders: what a good one gives, and what each defect says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig, Volume, save_rig
+from capture_rig.session import footage_stamp_ns, load_session
+
+WIDTH, HEIGHT = 64, 48
+
+
+def write_video(path: Path, fps: float = 60.0, frames: int = 3) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, (WIDTH, HEIGHT))
+    assert writer.isOpened()
+    for value in range(frames):
+        writer.write(np.full((HEIGHT, WIDTH, 3), 40 * value, np.uint8))
+    writer.release()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A session of two cameras at 60 fps, the second with a background still."""
+    K = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
+    cameras = tuple(CameraModel(n, WIDTH, HEIGHT, K, "plumb_bob", np.zeros(5), np.eye(4)) for n in ("cam01", "cam02"))
+    save_rig(Rig(cameras, Volume(np.zeros(3), np.ones(3))), tmp_path / "rig.yaml")
+    for camera in cameras:
+        write_video(tmp_path / f"{camera.name}.mp4")
+    cv2.imwrite(str(tmp_path / "cam02_background.png"), np.zeros((HEIGHT, WIDTH), np.uint8))
+    return tmp_path
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load_session(folder)
+    assert str(folder) in str(caught.value)
+    assert caught.value.remedy
+    return str(caught.value)
+
+
+def test_session_gives_rig_videos_and_frame_rate(folder: Path) -> None:
+    session = load_session(str(folder))
+    assert session.rig.names == ("cam01", "cam02")
+    assert session.fps == 60
+    assert session.videos == {"cam01": folder / "cam01.mp4", "cam02": folder / "cam02.mp4"}
+    assert session.backgrounds == {"cam02": folder / "cam02_background.png"}
+    assert session.masks == {}
+    assert session.truth is None
+
+
+def test_background_video_goes_before_a_still(folder: Path) -> None:
+    write_video(folder / "cam02_background.mp4")
+    assert load_session(folder).backgrounds["cam02"].suffix == ".mp4"
+
+
+def test_other_videos_than_cameras_are_no_hindrance(folder: Path) -> None:
+    for name in ("cam01_mask.mp4", "overlay.mp4"):
+        write_video(folder / name)
+    session = load_session(folder)
+    assert session.masks == {"cam01": folder / "cam01_mask.mp4"}
+    assert set(session.videos) == {"cam01", "cam02"}
+
+
+def test_shared_sessions_are_complete(shared_data: Callable[..., Path]) -> None:
+    session = load_session(shared_data("sessions", "zombie_he3"))
+    assert len(session.rig.cameras) == len(session.videos) == len(session.backgrounds) == len(session.masks) == 3
+    assert session.fps == 60
+    assert session.truth is not None and session.truth.points_world.shape == (620, 15, 3)
+
+
+def test_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    assert "is not a folder" in refusal(tmp_path / "nowhere")
+
+
+def test_folder_without_a_rig_is_refused(folder: Path) -> None:
+    (folder / "rig.yaml").unlink()
+    assert "rig.yaml: cannot be read" in refusal(folder)
+
+
+def test_rig_with_more_cameras_than_videos_names_the_missing_one(folder: Path) -> None:
+    (folder / "cam02.mp4").unlink()
+    text = refusal(folder)
+    assert "the rig has 2 cameras, but there is no video for cam02" in text
+    assert "Add cam02.mp4" in text
+
+
+def test_more_videos_than_rig_cameras_names_the_stranger(folder: Path) -> None:
+    write_video(folder / "cam03.mp4")
+    text = refusal(folder)
+    assert "a video for cam03, which rig.yaml does not list" in text
+    assert "Calibrate cam03" in text
+
+
+def test_video_that_cannot_be_opened_is_named(folder: Path) -> None:
+    (folder / "cam02.mp4").write_bytes(b"this is no video")
+    assert "cam02.mp4: cannot be opened as a video" in refusal(folder)
+
+
+def test_videos_of_different_rates_are_refused_with_the_rates(folder: Path) -> None:
+    write_video(folder / "cam02.mp4", fps=25)
+    text = refusal(folder)
+    assert "different frame rates" in text and "'cam01': 60.0" in text and "'cam02': 25.0" in text
+    assert "'fps' in session.yaml" in text
+
+
+def test_stated_rate_settles_different_rates(folder: Path) -> None:
+    write_video(folder / "cam02.mp4", fps=25)
+    (folder / "session.yaml").write_text("fps: 50\nunits: metres\n")
+    assert load_session(folder).fps == 50
+
+
+@pytest.mark.parametrize("content", ["", "source: test\n"])
+def test_session_file_without_a_rate_leaves_that_of_the_videos(folder: Path, content: str) -> None:
+    (folder / "session.yaml").write_text(content)
+    assert load_session(folder).fps == 60
+
+
+@pytest.mark.parametrize("fps", [0, -60, "sixty", True, float("nan"), float("inf"), [60]])
+def test_stated_rate_that_is_none_is_refused(folder: Path, fps: object) -> None:
+    (folder / "session.yaml").write_text(yaml.safe_dump({"fps": fps}))
+    assert f"session.yaml: fps = {fps!r} is not a frame rate" in refusal(folder)
+
+
+@pytest.mark.parametrize(("content", "problem"), [("fps: [60\n", "is not valid YAML"), ("- fps\n", "is not a mapping")])
+def test_damaged_session_file_is_refused(folder: Path, content: str, problem: str) -> None:
+    (folder / "session.yaml").write_text(content)
+    assert f"session.yaml: {problem}" in refusal(folder)
+
+
+def test_footage_stamps_are_whole_nanoseconds_that_do_not_drift() -> None:
+    epoch = 1_700_000_000_123_456_789
+    assert footage_stamp_ns(epoch, 0, 60.0) == epoch
+    assert footage_stamp_ns(epoch, 1, 60.0) == epoch + 16_666_667
+    assert footage_stamp_ns(epoch, 60 * 3600, 60.0) == epoch + 3600 * 1_000_000_000

@@ -1,0 +1,165 @@
+"""Typed settings: what is accepted, converted and refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import yaml
+
+from capture_rig.errors import InputError
+from capture_rig.settings import as_dict, build_settings, leaves, setting
+
+
+@dataclass(frozen=True)
+class Blob:
+    min_area_m2: float = setting(0.002, "smallest blob", unit="m^2", low=0, high=1)
+    max_elongation: float = setting(2.0, "longest blob", low=1)
+
+
+@dataclass(frozen=True)
+class Example:
+    backend: str = setting("auto", "what carves", choices=("auto", "cpu", "gl"))
+    cameras: int = setting(4, "how many", low=1, high=64)
+    loop: bool = setting(False, "start again at the end")
+    gain: float = setting(1.0, "without limits")
+    axes: list[str] = setting(["x", "y"], "slicing directions", choices=("x", "y", "z"))
+    low: list[float] = setting([0.0, 0.0], "corner", unit="m", low=-10, high=10)
+    ids: list[int] = setting([], "numbers")
+    blob: Blob = setting(Blob, "blob filter")
+
+
+def refusal(values: dict[str, Any]) -> str:
+    with pytest.raises(InputError) as caught:
+        build_settings(Example, values, "hull.yaml")
+    assert str(caught.value).startswith("hull.yaml: ")
+    assert caught.value.remedy
+    return str(caught.value)
+
+
+def test_nothing_given_is_the_defaults() -> None:
+    settings = build_settings(Example, {}, "hull.yaml")
+    assert settings == Example()
+    assert (settings.backend, settings.cameras, settings.blob.max_elongation) == ("auto", 4, 2.0)
+
+
+def test_given_values_replace_the_defaults_and_nothing_else() -> None:
+    settings = build_settings(Example, {"cameras": 6, "axes": ["z"], "loop": True}, "hull.yaml")
+    assert settings == dataclasses.replace(Example(), cameras=6, axes=["z"], loop=True)
+
+
+@pytest.mark.parametrize("values", [{"blob.min_area_m2": 0.01}, {"blob": {"min_area_m2": 0.01}}])
+def test_nested_settings_are_written_dotted_or_as_a_mapping(values: dict[str, Any]) -> None:
+    settings = build_settings(Example, values, "hull.yaml")
+    assert settings.blob == Blob(min_area_m2=0.01, max_elongation=2.0)
+
+
+def test_settings_are_frozen_and_share_no_list() -> None:
+    one, two = build_settings(Example, {}, ""), build_settings(Example, {}, "")
+    one.axes.append("z")
+    assert two.axes == ["x", "y"] and Example().axes == ["x", "y"]
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        one.cameras = 5  # type: ignore[misc]
+
+
+def test_whole_number_serves_as_a_float() -> None:
+    gain = build_settings(Example, {"gain": 3}, "").gain
+    assert gain == 3.0 and type(gain) is float
+
+
+def test_list_items_are_converted_too() -> None:
+    low = build_settings(Example, {"low": (1, 2.5)}, "").low
+    assert low == [1.0, 2.5] and all(type(item) is float for item in low)
+
+
+def test_unknown_key_suggests_the_nearest() -> None:
+    assert refusal({"backnd": "cpu"}) == "hull.yaml: unknown key 'backnd'. Did you mean 'backend'?"
+
+
+def test_unknown_nested_key_suggests_the_dotted_one() -> None:
+    assert "unknown key 'blob.min_area'. Did you mean 'blob.min_area_m2'?" in refusal({"blob": {"min_area": 0.1}})
+
+
+def test_unknown_key_unlike_any_lists_all() -> None:
+    text = refusal({"quux": 1})
+    assert all(leaf.key in text for leaf in leaves(Example))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "kind"),
+    [
+        ("cameras", True, "int"),
+        ("cameras", 4.0, "int"),
+        ("cameras", "4", "int"),
+        ("gain", True, "float"),
+        ("gain", "1.0", "float"),
+        ("loop", 1, "bool"),
+        ("loop", "yes", "bool"),
+        ("backend", 3, "str"),
+        ("backend", None, "str"),
+        ("axes", "x", "list[str]"),
+        ("low", [1.0, True], "list[float]"),
+        ("low", [1.0, "2"], "list[float]"),
+        ("low", 1.0, "list[float]"),
+        ("ids", [1, 2.0], "list[int]"),
+        ("ids", [True], "list[int]"),
+    ],
+)
+def test_wrong_type_names_key_value_and_type(key: str, value: object, kind: str) -> None:
+    text = refusal({key: value})
+    assert f"{key} = {value!r} is not of type {kind}. Give a {kind}; the default is " in text
+
+
+def test_nested_settings_given_as_one_value_are_refused() -> None:
+    assert "unknown key 'blob'" in refusal({"blob": 3})
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "allowed"),
+    [
+        ("cameras", 0, "1 to 64"),
+        ("cameras", 65, "1 to 64"),
+        ("blob.min_area_m2", -0.1, "0 to 1 m^2"),
+        ("blob.max_elongation", 0.5, "1 to inf"),
+        ("blob.max_elongation", float("nan"), "1 to inf"),
+        ("gain", float("nan"), "-inf to inf"),
+        ("low", [0.0, 11.0], "-10 to 10 m"),
+        ("low", [0.0, float("nan")], "-10 to 10 m"),
+    ],
+)
+def test_value_out_of_range_names_key_value_and_range(key: str, value: object, allowed: str) -> None:
+    text = refusal({key: value})
+    assert f"{key} = {value!r}" in text
+    assert f"is out of range. Allowed: {allowed}; the default is " in text
+
+
+@pytest.mark.parametrize(("key", "value"), [("cameras", 1), ("cameras", 64), ("low", [-10, 10])])
+def test_limits_of_a_range_belong_to_it(key: str, value: object) -> None:
+    assert getattr(build_settings(Example, {key: value}, ""), key) == value
+
+
+def test_value_that_is_no_choice_lists_the_choices() -> None:
+    text = refusal({"backend": "cuda"})
+    assert "backend = 'cuda' is not one of 'auto', 'cpu', 'gl'" in text
+    assert "the default is 'auto'" in text
+
+
+def test_list_item_that_is_no_choice_is_refused() -> None:
+    assert "axes = ['x', 'w'] is not one of 'x', 'y', 'z'" in refusal({"axes": ["x", "w"]})
+
+
+def test_as_dict_goes_through_yaml_and_back() -> None:
+    settings = build_settings(Example, {"cameras": 6, "ids": [3, 1], "blob.min_area_m2": 1e-5}, "")
+    document = yaml.safe_load(yaml.safe_dump(as_dict(settings)))
+    assert document["blob"] == {"min_area_m2": 1e-5, "max_elongation": 2.0}
+    assert build_settings(Example, document, "hull.yaml") == settings
+
+
+def test_leaves_carry_key_default_help_and_unit() -> None:
+    found = {leaf.key: leaf for leaf in leaves(Example)}
+    assert list(found)[-2:] == ["blob.min_area_m2", "blob.max_elongation"]
+    assert found["blob.min_area_m2"].default == 0.002
+    assert found["blob.min_area_m2"].metadata["unit"] == "m^2"
+    assert found["axes"].default == ["x", "y"]

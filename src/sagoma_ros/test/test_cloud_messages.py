@@ -1,0 +1,167 @@
+"""PointCloud2: our layouts there and back, what other publishers send, and what is refused."""
+
+from __future__ import annotations
+
+import array
+import struct
+
+import numpy as np
+import pytest
+from sensor_msgs.msg import PointCloud2, PointField
+
+from capture_rig.errors import InputError
+from sagoma_ros.clouds import (
+    CENTERLINE,
+    REFERENCE_POINTS,
+    VOXELS,
+    from_cloud,
+    reference_points_array,
+    split_reference_points,
+    to_cloud,
+    xyz,
+)
+from sagoma_ros.stamps import to_ns
+
+STAMP = 1_700_000_000_123_456_789
+TOPIC = "hull/voxels"
+
+
+def random_points(layout: np.dtype, count: int) -> np.ndarray:
+    table = np.random.default_rng(1).normal(size=(count, len(layout.names))).astype(np.float32)
+    return table.view(layout).reshape(-1)
+
+
+def foreign_cloud(
+    rows: list[tuple], pattern: str, fields: list[tuple[str, int, int]], **changes: object
+) -> PointCloud2:
+    """A cloud as another program may pack it: ``pattern`` of struct, fields (name, offset, datatype)."""
+    step = struct.calcsize(pattern)
+    cloud = PointCloud2(height=1, width=len(rows), point_step=step, row_step=step * len(rows))
+    cloud.is_bigendian = pattern.startswith(">")
+    cloud.fields = [PointField(name=n, offset=o, datatype=d, count=1) for n, o, d in fields]
+    cloud.data = array.array("B", b"".join(struct.pack(pattern, *row) for row in rows))
+    for name, value in changes.items():
+        setattr(cloud, name, value)
+    return cloud
+
+
+def good_cloud() -> PointCloud2:
+    return to_cloud(random_points(VOXELS, 3), STAMP, "map")
+
+
+def refusal(cloud: PointCloud2) -> str:
+    with pytest.raises(InputError) as caught:
+        from_cloud(cloud, VOXELS, TOPIC)
+    assert str(caught.value).startswith(f"{TOPIC}: ")
+    assert caught.value.remedy
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("layout", [CENTERLINE, VOXELS, REFERENCE_POINTS])
+@pytest.mark.parametrize("count", [0, 1, 1000])
+def test_cloud_comes_back_as_it_was(layout: np.dtype, count: int) -> None:
+    points = random_points(layout, count)
+    cloud = to_cloud(points, STAMP, "map")
+    assert (to_ns(cloud.header.stamp), cloud.header.frame_id) == (STAMP, "map")
+    assert np.array_equal(from_cloud(cloud, layout, TOPIC), points)
+
+
+def test_cloud_is_laid_out_as_its_fields_say() -> None:
+    points = random_points(CENTERLINE, 5)
+    cloud = to_cloud(points, STAMP, "map")
+    area = next(field for field in cloud.fields if field.name == "area")
+    (value,) = struct.unpack_from("<f", bytes(cloud.data), 3 * cloud.point_step + area.offset)
+    assert value == points["area"][3]
+    assert (cloud.width, cloud.height, cloud.row_step) == (5, 1, len(cloud.data))
+
+
+def test_foreign_order_types_padding_and_extra_fields_are_read() -> None:
+    fields = [("surface", 0, PointField.UINT8), ("z", 4, PointField.FLOAT32), ("rgb", 8, PointField.UINT32),
+              ("y", 12, PointField.INT16), ("x", 16, PointField.FLOAT64)]  # fmt: skip
+    cloud = foreign_cloud([(1, 0.5, 7, -3, 0.25), (0, 1.5, 7, 4, 1e3)], "<BxxxfIhxxd", fields)
+    points = from_cloud(cloud, VOXELS, TOPIC)
+    assert points.dtype == VOXELS
+    assert points.tolist() == [(0.25, -3.0, 0.5, 1.0), (1000.0, 4.0, 1.5, 0.0)]
+
+
+def test_big_endian_cloud_is_read() -> None:
+    fields = [(name, 4 * index, PointField.FLOAT32) for index, name in enumerate(("x", "y", "z", "surface"))]
+    points = from_cloud(foreign_cloud([(1.0, -2.0, 3.5, 1.0)], ">4f", fields), VOXELS, TOPIC)
+    assert points.tolist() == [(1.0, -2.0, 3.5, 1.0)]
+
+
+def test_organised_cloud_with_padded_rows_is_read() -> None:
+    points = random_points(VOXELS, 6)
+    rows = [points[:3].tobytes() + b"\xff" * 8, points[3:].tobytes() + b"\xff" * 8]
+    cloud = to_cloud(points, STAMP, "map")
+    cloud.height, cloud.width, cloud.row_step, cloud.data = 2, 3, len(rows[0]), array.array("B", b"".join(rows))
+    assert np.array_equal(from_cloud(cloud, VOXELS, TOPIC), points)
+
+
+def test_not_finite_number_in_a_field_that_is_not_ours_does_not_matter() -> None:
+    fields = [(name, 4 * index, PointField.FLOAT32) for index, name in enumerate(("x", "y", "z", "surface", "normal"))]
+    cloud = foreign_cloud([(1, 2, 3, 1, float("nan"))], "<5f", fields)
+    assert from_cloud(cloud, VOXELS, TOPIC).tolist() == [(1, 2, 3, 1)]
+
+
+def test_missing_field_names_it_and_those_present() -> None:
+    cloud = good_cloud()
+    cloud.fields = [field for field in cloud.fields if field.name != "surface"]
+    assert "no field 'surface' (it has: x, y, z)" in refusal(cloud)
+
+
+def test_cloud_without_fields_is_refused() -> None:
+    assert "no field 'x'" in refusal(PointCloud2())
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_not_finite_point_is_refused(bad: float) -> None:
+    points = random_points(VOXELS, 4)
+    points["y"][2] = bad
+    assert "not finite" in refusal(to_cloud(points, STAMP, "map"))
+
+
+def test_double_too_big_for_a_float_is_refused_as_not_finite() -> None:
+    fields = [(name, 8 * index, PointField.FLOAT64) for index, name in enumerate(("x", "y", "z", "surface"))]
+    assert "not finite" in refusal(foreign_cloud([(1e300, 0, 0, 0)], "<4d", fields))
+
+
+def test_data_of_another_size_than_stated_is_refused_with_both_sizes() -> None:
+    cloud = good_cloud()
+    cloud.data = cloud.data[:-1]
+    text = refusal(cloud)
+    assert "1 x 3 points of 16 bytes" in text and "47 bytes" in text
+
+
+def test_rows_shorter_than_their_points_are_refused() -> None:
+    cloud = good_cloud()
+    cloud.height, cloud.width, cloud.row_step = 3, 2, 16
+    assert "3 x 2 points" in refusal(cloud)
+
+
+@pytest.mark.parametrize(("key", "value"), [("offset", 14), ("datatype", 0), ("datatype", 9)])
+def test_field_that_cannot_lie_in_a_point_is_refused_by_name(key: str, value: int) -> None:
+    cloud = good_cloud()
+    setattr(cloud.fields[2], key, value)
+    assert "field 'z'" in refusal(cloud)
+
+
+def test_xyz_are_the_coordinates_in_double_precision() -> None:
+    points = random_points(CENTERLINE, 3)
+    coordinates = xyz(points)
+    assert coordinates.dtype == np.float64 and coordinates.shape == (3, 3)
+    assert coordinates[1].tolist() == [points["x"][1], points["y"][1], points["z"][1]]
+
+
+def test_reference_points_keep_covariance_and_visibility() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(15, 3))
+    roots = rng.normal(size=(15, 3, 3)) * 0.02
+    covariance = roots @ roots.transpose(0, 2, 1)
+    visible = rng.random(15) > 0.3
+    cloud = to_cloud(reference_points_array(points, covariance, visible), STAMP, "map")
+    again = split_reference_points(from_cloud(cloud, REFERENCE_POINTS, "icp/reference_points"))
+    assert again[0] == pytest.approx(points, abs=1e-6)  # float32 on the wire: a micrometre
+    assert again[1] == pytest.approx(covariance, rel=1e-6)
+    assert np.array_equal(again[1], again[1].transpose(0, 2, 1))
+    assert np.array_equal(again[2], visible)

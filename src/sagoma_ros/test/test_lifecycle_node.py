@@ -1,0 +1,220 @@
+"""The lifecycle of our nodes: failing transitions say why, leave the node usable, and release what they took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from std_msgs.msg import String
+
+from capture_rig.errors import InputError
+from capture_rig.settings import setting
+from sagoma_ros.health import ERROR, OK
+from sagoma_ros.node import SagomaNode
+
+if TYPE_CHECKING:
+    from conftest import Ros
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+@dataclass(frozen=True)
+class Settings:
+    rig_file: str = setting("", "the rig")
+    cameras: int = setting(4, "how many", low=1)
+
+
+class Example(SagomaNode):
+    """Fails to configure without a rig file; writes down which hooks were called."""
+
+    Settings = Settings
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("example", **options)
+        self.hooks: list[str] = []
+        self.failing: dict[str, Exception] = {}
+        self.results = self.create_lifecycle_publisher(String, "result", 10)
+
+    def configure(self) -> None:
+        self._called("configure")
+        if not self.settings.rig_file:
+            raise InputError("rig_file = '' is not a file", where="parameters of /example", remedy="Name a rig file.")
+
+    def activate(self) -> None:
+        self._called("activate")
+
+    def deactivate(self) -> None:
+        self._called("deactivate")
+
+    def cleanup(self) -> None:
+        self._called("cleanup")
+
+    def _called(self, hook: str) -> None:
+        self.hooks.append(hook)
+        if hook in self.failing:
+            raise self.failing[hook]
+
+    @property
+    def state(self) -> str:
+        return self._state_machine.current_state[1]
+
+    @property
+    def shown(self) -> tuple[bytes, str]:
+        status = self.health._snapshot()
+        return status.level, status.message
+
+
+def make_node(ros: Ros, **overrides: Any) -> Example:
+    parameters = [Parameter(key, value=value) for key, value in overrides.items()]
+    node = Example(context=ros.context, parameter_overrides=parameters)
+    ros.add(node)
+    return node
+
+
+def test_node_starts_unconfigured_and_says_so(ros: Ros) -> None:
+    node = make_node(ros)
+    assert node.state == "unconfigured"
+    assert node.shown == (OK, "unconfigured")
+
+
+def test_hooks_are_called_in_the_order_of_the_lifecycle(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    shown = []
+    for step in (node.trigger_configure, node.trigger_activate, node.trigger_deactivate, node.trigger_cleanup):
+        assert step() == SUCCESS
+        shown.append(node.shown)
+    assert node.hooks == ["configure", "activate", "deactivate", "cleanup"]
+    assert shown == [(OK, "configured, inactive"), (OK, "active"), (OK, "suspended"), (OK, "unconfigured")]
+    assert node.settings == Settings("rig.yaml", 4)
+
+
+def test_failing_configure_gives_failure_with_clear_text_and_cleans_up(ros: Ros) -> None:
+    node = make_node(ros)
+    assert node.trigger_configure() == FAILURE
+    assert node.state == "unconfigured"
+    assert node.hooks == ["configure", "cleanup"]
+    assert node.shown == (ERROR, "parameters of /example: rig_file = '' is not a file. Name a rig file.")
+
+
+def test_node_configures_after_the_parameter_was_mended(ros: Ros) -> None:
+    node = make_node(ros)
+    node.trigger_configure()
+    (result,) = node.set_parameters([Parameter("rig_file", value="rig.yaml")])
+    assert result.successful
+    assert node.trigger_configure() == SUCCESS
+    assert node.state == "inactive"
+    assert node.shown == (OK, "configured, inactive")
+    assert node.settings.rig_file == "rig.yaml"
+
+
+def test_unknown_parameter_fails_configure_by_name_before_the_hook(ros: Ros) -> None:
+    node = make_node(ros, rig_fiel="rig.yaml")
+    assert node.trigger_configure() == FAILURE
+    assert "configure" not in node.hooks
+    assert "unknown key 'rig_fiel'. Did you mean 'rig_file'?" in node.shown[1]
+
+
+def test_unexpected_error_in_a_hook_fails_the_transition_and_not_the_process(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    node.failing["configure"] = ZeroDivisionError("a defect")
+    assert node.trigger_configure() == FAILURE
+    assert node.state == "unconfigured"
+    assert node.shown == (ERROR, "ZeroDivisionError('a defect')")
+    assert node.health.counter("unexpected_errors") == 1
+    node.failing.clear()
+    assert node.trigger_configure() == SUCCESS
+
+
+def test_failing_activate_leaves_the_node_inactive_and_its_publishers_silent(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    node.failing["activate"] = InputError("the camera is busy")
+    node.trigger_configure()
+    assert node.trigger_activate() == FAILURE
+    assert node.state == "inactive"
+    assert node.hooks == ["configure", "activate", "deactivate"]
+    assert not node.results.is_activated
+    node.failing.clear()
+    assert node.trigger_activate() == SUCCESS
+    assert node.results.is_activated
+
+
+def test_failing_deactivate_leaves_the_node_active(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    node.trigger_configure()
+    node.trigger_activate()
+    node.failing["deactivate"] = OSError("stuck")
+    assert node.trigger_deactivate() == FAILURE
+    assert node.state == "active" and node.results.is_activated
+
+
+def test_failing_cleanup_after_a_failed_configure_does_not_kill(ros: Ros) -> None:
+    node = make_node(ros)
+    node.failing["cleanup"] = OSError("stuck")
+    assert node.trigger_configure() == FAILURE
+    assert node.state == "unconfigured"
+
+
+def test_shutdown_releases_everything_from_any_state(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    node.trigger_configure()
+    node.trigger_activate()
+    assert node.trigger_shutdown() == SUCCESS
+    assert node.state == "finalized"
+    assert node.hooks[-2:] == ["deactivate", "cleanup"]
+
+
+def test_close_releases_everything_without_a_transition(ros: Ros) -> None:
+    node = make_node(ros)
+    node.close()
+    assert node.hooks == ["deactivate", "cleanup"]
+
+
+def test_autostart_is_off_unless_asked_for(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    assert node.autostart()
+    assert (node.state, node.hooks) == ("unconfigured", [])
+
+
+def test_autostart_configures_and_activates(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml", autostart=True)
+    assert node.autostart()
+    assert node.state == "active"
+
+
+def test_autostart_that_cannot_configure_does_not_activate(ros: Ros) -> None:
+    node = make_node(ros, autostart=True)
+    assert not node.autostart()
+    assert "activate" not in node.hooks
+
+
+def test_autostart_of_a_wrong_type_is_refused_by_name(ros: Ros) -> None:
+    node = make_node(ros, autostart="yes")
+    with pytest.raises(InputError, match="autostart = 'yes' is not of type bool"):
+        node.autostart()
+
+
+def change_state(ros: Ros, node: Example, transition: int) -> bool:
+    client = node.create_client(ChangeState, "example/change_state")
+    ros.spin_until(client.service_is_ready, "the lifecycle service")
+    future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+    ros.spin_until(future.done, "the answer of the lifecycle service")
+    return future.result().success
+
+
+def test_impossible_transition_is_answered_with_no_and_kills_nothing(ros: Ros) -> None:
+    node = make_node(ros, rig_file="rig.yaml")
+    assert not change_state(ros, node, Transition.TRANSITION_ACTIVATE)
+    assert node.state == "unconfigured"
+    assert change_state(ros, node, Transition.TRANSITION_CONFIGURE)
+    assert node.state == "inactive"
+
+
+def test_failed_transition_is_answered_with_no(ros: Ros) -> None:
+    node = make_node(ros)
+    assert not change_state(ros, node, Transition.TRANSITION_CONFIGURE)
+    assert node.state == "unconfigured"

@@ -1,0 +1,140 @@
+"""Settings as parameters of a real node: overrides, files, later changes, and everything refused with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from capture_rig.errors import InputError
+from capture_rig.settings import setting
+from sagoma_ros.parameters import declare_parameters, read_declared, read_parameters
+
+if TYPE_CHECKING:
+    from conftest import Ros
+
+
+@dataclass(frozen=True)
+class Blob:
+    min_area_m2: float = setting(0.002, "smallest blob", unit="m^2", low=0, high=1)
+
+
+@dataclass(frozen=True)
+class Settings:
+    rig_file: str = setting("", "the rig")
+    backend: str = setting("auto", "what carves", choices=("auto", "cpu", "gl"))
+    cameras: int = setting(4, "how many", low=1, high=64)
+    loop: bool = setting(False, "start again at the end")
+    voxel_m: float = setting(0.02, "voxel size", unit="m", low=0.002, high=0.2)
+    axes: list[str] = setting(["x", "y"], "slicing directions")
+    low: list[float] = setting([0.0, 0.0], "corner", unit="m")
+    ids: list[int] = setting([], "numbers")
+    blob: Blob = setting(Blob, "blob filter")
+
+
+def make_node(ros: Ros, overrides: dict[str, Any] | None = None, arguments: list[str] | None = None) -> Node:
+    node = Node(
+        "hull_server",
+        namespace="studio",
+        context=ros.context,
+        parameter_overrides=[Parameter(key, value=value) for key, value in (overrides or {}).items()],
+        cli_args=arguments,
+    )
+    declare_parameters(node, Settings)
+    return ros.add(node)
+
+
+def refusal(node: Node) -> str:
+    with pytest.raises(InputError) as caught:
+        read_parameters(node, Settings)
+    assert str(caught.value).startswith("parameters of /studio/hull_server: ")
+    assert caught.value.remedy
+    return str(caught.value)
+
+
+def test_node_without_overrides_has_the_defaults(ros: Ros) -> None:
+    assert read_parameters(make_node(ros), Settings) == Settings()
+
+
+def test_overrides_are_read_typed(ros: Ros) -> None:
+    given = {"rig_file": "rig.yaml", "cameras": 6, "loop": True, "voxel_m": 0.01, "axes": ["z"], "low": [-1.5, 2.0],
+             "ids": [3, 1], "blob.min_area_m2": 0.5}  # fmt: skip
+    settings = read_parameters(make_node(ros, given), Settings)
+    assert settings == Settings("rig.yaml", "auto", 6, True, 0.01, ["z"], [-1.5, 2.0], [3, 1], Blob(0.5))
+
+
+def test_whole_number_serves_for_a_float_parameter(ros: Ros) -> None:
+    assert read_parameters(make_node(ros, {"blob.min_area_m2": 1}), Settings).blob.min_area_m2 == 1.0
+
+
+def test_parameter_file_is_read(ros: Ros, tmp_path: Path) -> None:
+    (tmp_path / "params.yaml").write_text(
+        "/studio/hull_server:\n  ros__parameters:\n    cameras: 5\n    low: [0.5, 1.0]\n    ids: [4, 2]\n"
+        "    use_sim_time: false\n    blob: {min_area_m2: 0.25}\n"
+    )
+    arguments = ["--ros-args", "--params-file", str(tmp_path / "params.yaml")]
+    settings = read_parameters(make_node(ros, arguments=arguments), Settings)
+    assert (settings.cameras, settings.low, settings.ids, settings.blob) == (5, [0.5, 1.0], [4, 2], Blob(0.25))
+
+
+def test_unknown_override_is_refused_with_a_suggestion(ros: Ros) -> None:
+    assert "unknown key 'voxel_mm'. Did you mean 'voxel_m'?" in refusal(make_node(ros, {"voxel_mm": 10}))
+
+
+def test_override_of_another_settings_class_is_none_of_our_business_when_reading_the_declared(ros: Ros) -> None:
+    assert read_declared(make_node(ros, {"someone_elses": 1}), Settings) == Settings()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("cameras", 0, "cameras = 0 is out of range. Allowed: 1 to 64"),
+        ("voxel_m", 1.0, "voxel_m = 1.0 m is out of range. Allowed: 0.002 to 0.2 m"),
+        ("blob.min_area_m2", -0.5, "blob.min_area_m2 = -0.5 m^2 is out of range"),
+        ("cameras", "many", "cameras = 'many' is not of type int"),
+        ("cameras", True, "cameras = True is not of type int"),
+        ("loop", "yes", "loop = 'yes' is not of type bool"),
+        ("voxel_m", "0.01", "voxel_m = '0.01' is not of type float"),
+        ("axes", "x", "axes = 'x' is not of type list[str]"),
+        ("backend", "cuda", "backend = 'cuda' is not one of 'auto', 'cpu', 'gl'"),
+    ],
+)
+def test_bad_override_is_refused_with_key_value_and_remedy(ros: Ros, key: str, value: object, problem: str) -> None:
+    node = make_node(ros, {key: value})  # making the node succeeds, so that it can say what is wrong
+    assert problem in refusal(node)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("cameras", 65, "cameras = 65 is out of range"),
+        ("backend", "cuda", "is not one of 'auto', 'cpu', 'gl'"),
+        ("loop", "yes", "is not of type bool"),
+    ],
+)
+def test_later_change_that_is_bad_is_rejected_with_its_reason(ros: Ros, key: str, value: object, problem: str) -> None:
+    node = make_node(ros)
+    (result,) = node.set_parameters([Parameter(key, value=value)])
+    assert not result.successful
+    assert problem in result.reason
+    assert read_parameters(node, Settings) == Settings()
+
+
+def test_later_change_that_is_good_is_read_next_time(ros: Ros) -> None:
+    node = make_node(ros, {"cameras": 0})
+    refusal(node)
+    results = node.set_parameters([Parameter("cameras", value=8), Parameter("low", value=[1.0, 2.0])])
+    assert all(result.successful for result in results)
+    assert read_parameters(node, Settings).cameras == 8
+    assert read_parameters(node, Settings).low == [1.0, 2.0]
+
+
+def test_parameters_are_described_with_unit_and_range(ros: Ros) -> None:
+    node = make_node(ros)
+    voxel, backend = node.describe_parameters(["voxel_m", "backend"])
+    assert (voxel.description, voxel.additional_constraints) == ("voxel size [m]", "0.002 to 0.2")
+    assert backend.additional_constraints == "one of auto, cpu, gl"

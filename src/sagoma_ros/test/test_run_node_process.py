@@ -1,0 +1,146 @@
+"""The common main as a process of its own: signals, exit status, and errors in callbacks."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+PATIENCE_S = 60.0  # for the process to end; a hang, not slowness, is what this catches
+
+NODE = textwrap.dedent("""
+    import sys
+    from dataclasses import dataclass
+
+    from capture_rig.errors import InputError
+    from capture_rig.settings import setting
+    from sagoma_ros.main import run_node
+    from sagoma_ros.node import SagomaNode
+
+
+    @dataclass(frozen=True)
+    class Settings:
+        rig_file: str = setting("rig.yaml", "the rig")
+        failing_callback: bool = setting(False, "raise in a callback")
+
+
+    def say(text):
+        print(text, flush=True)
+
+
+    class Example(SagomaNode):
+        Settings = Settings
+
+        def __init__(self):
+            if "impossible" in sys.argv:
+                raise InputError("there is no such device", where="camera", remedy="Plug it in.")
+            super().__init__("example")
+            self.create_timer(0.01, self.first_turn)
+            self.turns = 0
+
+        def configure(self):
+            if not self.settings.rig_file:
+                raise InputError("rig_file = '' is not a file", where="parameters", remedy="Name a rig file.")
+
+        def first_turn(self):
+            self.turns += 1
+            if self.turns == 2:
+                say(self._state_machine.current_state[1])
+            if self.turns == 1 and self.get_parameter("failing_callback").value:
+                raise ZeroDivisionError("a defect in a callback")
+
+        def cleanup(self):
+            say("released")
+
+
+    sys.exit(run_node(Example))
+""")
+
+Start = Callable[..., subprocess.Popen]
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts the example node as a process with the given arguments; ends what a failed test leaves."""
+    script = tmp_path / "example_node.py"
+    script.write_text(NODE)
+    processes: list[subprocess.Popen] = []
+
+    def start(*arguments: str) -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, str(script), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def parameters(**values: object) -> list[str]:
+    return ["--ros-args", *(word for key, value in values.items() for word in ("-p", f"{key}:={value}"))]
+
+
+def next_line(process: subprocess.Popen) -> str:
+    """The next line of output; "" when the process ended instead."""
+    return process.stdout.readline().strip()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_an_active_node_with_status_0_and_everything_released(start: Start, number: signal.Signals) -> None:
+    process = start(*parameters(autostart=True))
+    assert next_line(process) == "active"
+    process.send_signal(number)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    assert output.split() == ["released"]
+    assert "Traceback" not in errors
+
+
+def test_node_without_autostart_waits_unconfigured(start: Start) -> None:
+    process = start()
+    assert next_line(process) == "unconfigured"
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
+def test_autostart_that_fails_ends_with_status_1_and_clear_text(start: Start) -> None:
+    process = start(*parameters(autostart=True, rig_file='""'))
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert "parameters: rig_file = '' is not a file. Name a rig file." in errors
+    assert "released" in output
+    assert "Traceback" not in errors
+
+
+def test_node_that_cannot_be_made_ends_with_status_2_and_clear_text(start: Start) -> None:
+    process = start("impossible")
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert "camera: there is no such device. Plug it in." in errors
+    assert "Traceback" not in errors
+
+
+def test_parameter_file_that_is_missing_ends_with_status_2_and_its_name(start: Start, tmp_path: Path) -> None:
+    process = start("--ros-args", "--params-file", str(tmp_path / "nowhere.yaml"))
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 2
+    assert "nowhere.yaml" in errors
+    assert "Traceback" not in errors
+
+
+def test_error_in_a_callback_is_logged_and_the_node_goes_on(start: Start) -> None:
+    process = start(*parameters(autostart=True, failing_callback=True))
+    assert next_line(process) == "active"  # said in the turn after the failing one
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert "ZeroDivisionError: a defect in a callback" in errors
