@@ -17,6 +17,7 @@ from .errors import InputError
 from .lens import Array
 
 CANVAS_WIDTH_MULTIPLE = 32
+BAND_ROWS = 32
 MIN_DEPTH_M = 1e-9
 ROUNDING_PX = 1e-6
 MAX_CANVAS_GROWTH = 2.0  # a canvas wider than this times the image means that the lens model diverges at the edges
@@ -136,13 +137,21 @@ def _make_undistorted_view(camera: CameraModel) -> UndistortedView:
     K = camera.K.copy()
     K[:2, 2] -= low
     canvas = replace(camera, width=width, height=height, K=K, distortion_model="plumb_bob", D=np.zeros(5))
-    x, y = np.meshgrid((np.arange(width) - K[0, 2]) / K[0, 0], (np.arange(height) - K[1, 2]) / K[1, 1])
-    pixels = camera._pixels(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(height, width, 2)
-    # rounded once, here, so that `seen` and the remap agree on every pixel
-    nearest = np.rint(np.nan_to_num(pixels, nan=-1.0)).clip(-1, [camera.width, camera.height]).astype(np.int16)
+    nearest = np.empty((height, width, 2), np.int16)
+    for top in range(0, height, BAND_ROWS):  # in bands: the lens model's temporaries are forty times the result
+        rows = np.arange(top, min(top + BAND_ROWS, height))
+        nearest[rows] = _nearest_pixels(camera, (np.arange(width) - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1])
     seen = np.all((nearest >= 0) & (nearest < [camera.width, camera.height]), axis=2)
     nearest[~seen] = -1
     return UndistortedView(canvas, seen, (camera.height, camera.width), nearest)
+
+
+def _nearest_pixels(camera: CameraModel, x: Array, y: Array) -> npt.NDArray[np.int16]:
+    """Column and row (len(y), len(x), 2) of the image at ideal coordinates x, y; rounded once, here, so that ``seen``
+    and the remap agree on every pixel. Outside the image, or where the lens model has no pixel: some pixel outside."""
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    pixels = camera._pixels(grid).reshape(len(y), len(x), 2)
+    return np.rint(np.nan_to_num(pixels, nan=-1.0)).clip(-1, [camera.width, camera.height]).astype(np.int16)
 
 
 def _canvas_bounds(camera: CameraModel) -> tuple[Array, Array]:

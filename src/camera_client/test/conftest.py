@@ -1,0 +1,74 @@
+"""A small camera, an empty scene it looks at, and ways to write both as footage."""
+
+import types
+
+import cv2
+import numpy as np
+import pytest
+
+from capture_rig.camera import CameraModel
+from capture_rig.rig import Rig, Volume, save_rig
+
+WIDTH, HEIGHT = 160, 120
+FPS = 50.0
+
+
+def camera(name="cam01", distortion=(0.0, 0.0, 0.0, 0.0, 0.0)):
+    """Looks level along world +y from 1.2 m above the floor: pixel rows below the middle meet the floor."""
+    K = np.array([[150.0, 0, WIDTH / 2], [0, 150.0, HEIGHT / 2], [0, 0, 1]])
+    T = np.eye(4)
+    T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    T[:3, 3] = T[:3, :3] @ -np.array([0.0, -4.0, 1.2])
+    return CameraModel(name, WIDTH, HEIGHT, K, "plumb_bob", np.array(distortion), T)
+
+
+def write_video(path, images, fps=FPS):
+    """Lossless video (FFV1), so that tests can compare pixels exactly."""
+    shape = images[0].shape
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"FFV1"), fps, (shape[1], shape[0]))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return str(path)
+
+
+def empty_scene(frames, seed=0, colour=False, noise=1.5):
+    """Images of a textured wall and floor with sensor noise."""
+    rng = np.random.default_rng(seed)
+    shape = (HEIGHT, WIDTH, 3) if colour else (HEIGHT, WIDTH)
+    base = cv2.GaussianBlur(np.random.default_rng(99).uniform(90, 170, shape), (0, 0), 1.0)
+    return [np.clip(np.rint(base + noise * rng.normal(size=shape)), 0, 255).astype(np.uint8) for _ in range(frames)]
+
+
+def person_mask():
+    """A head, a trunk and two legs with a gap between them."""
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    cv2.circle(mask, (80, 20), 8, 255, -1)
+    mask[28:70, 68:93] = 255
+    mask[70:110, 68:77] = 255
+    mask[70:110, 84:93] = 255
+    return mask
+
+
+def with_person(image, mask=None):
+    """The image with the person in it, bright on the left half and dark on the right."""
+    mask = person_mask() if mask is None else mask
+    person = image.copy()
+    person[mask > 0] = 30
+    person[(mask > 0) & (np.arange(WIDTH) < 80)] = 240
+    return person
+
+
+def write_rig(path, *cameras):
+    save_rig(Rig(tuple(cameras) or (camera(),), Volume(np.array([-2.0, -2, 0]), np.array([2.0, 2, 2.2]))), path)
+    return str(path)
+
+
+@pytest.fixture
+def scene():
+    """The helpers above as one object."""
+    return types.SimpleNamespace(
+        camera=camera, write_video=write_video, empty=empty_scene, person_mask=person_mask, with_person=with_person,
+        write_rig=write_rig, width=WIDTH, height=HEIGHT, fps=FPS,
+    )  # fmt: skip

@@ -1,0 +1,200 @@
+"""The background model: its limits against the definition, learning, files."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from camera_client.background_files import read_background
+from camera_client.background_model import (
+    BackgroundLearner,
+    BackgroundModel,
+    Provenance,
+    background_from_still,
+    check_shape,
+    load_background,
+)
+from camera_client.settings import BackgroundSettings
+from capture_rig.errors import InputError
+
+GREY_LEVELS = np.arange(256)
+
+
+def model_of(mean, sigma):
+    mean, sigma = np.asarray(mean, np.float32), np.asarray(sigma, np.float32)
+    return BackgroundModel(mean, sigma, Provenance("test", 10, 1.0))
+
+
+def foreground_of_every_grey_level(model, settings):
+    """(pixels, 256) bool: what the limits say of each pixel at each grey level."""
+    limits = model.limits(settings)
+    images = [np.full(model.shape, grey, np.uint8) for grey in GREY_LEVELS]
+    return np.stack([limits.subtract(image).reshape(-1) > 0 for image in images], axis=1)
+
+
+@pytest.fixture
+def pixels():
+    """Means and sigmas of 2000 pixels, some of them near black or white, some very noisy."""
+    rng = np.random.default_rng(0)
+    mean = np.concatenate([rng.uniform(0, 255, 1900), rng.uniform(0, 3, 50), rng.uniform(252, 255, 50)])
+    sigma = np.concatenate([rng.uniform(0.2, 12, 1900), rng.uniform(0.2, 80, 100)])
+    return model_of(mean.reshape(40, 50), sigma.reshape(40, 50))
+
+
+@pytest.mark.parametrize("risk", [1e-6, 1e-4, 0.05])
+def test_limits_agree_with_the_tail_probability_at_every_grey_level(pixels, risk):
+    settings = BackgroundSettings(rule="tail", risk=risk, sigma_floor=1.0)
+    sigma = np.maximum(pixels.sigma.astype(float), 1.0).reshape(-1, 1)
+    tail = 2 * norm.sf(np.abs(GREY_LEVELS - pixels.mean.astype(float).reshape(-1, 1)) / sigma)
+    assert np.array_equal(foreground_of_every_grey_level(pixels, settings), tail < risk)
+
+
+@pytest.mark.parametrize("risk", [1e-6, 1e-4, 0.02])
+def test_limits_agree_with_the_density_at_every_grey_level(pixels, risk):
+    settings = BackgroundSettings(rule="pdf", risk=risk, sigma_floor=1.0)
+    sigma = np.maximum(pixels.sigma.astype(float), 1.0).reshape(-1, 1)
+    density = norm.pdf(GREY_LEVELS, pixels.mean.astype(float).reshape(-1, 1), sigma)
+    expected = density < risk
+    assert np.array_equal(foreground_of_every_grey_level(pixels, settings), expected)
+    if risk == 0.02:  # sigma above 1 / (risk sqrt(2 pi)) = 19.9 grey levels: nothing is ever probable enough
+        assert expected.all(axis=1).any()
+
+
+def test_background_frame_is_background_but_for_the_risk(scene):
+    learner = BackgroundLearner()
+    for image in scene.empty(200, seed=1, noise=3.0):
+        learner.add(image)
+    limits = learner.model("test").limits(BackgroundSettings(risk=0.01))
+    shares = [(limits.subtract(image) > 0).mean() for image in scene.empty(20, seed=2, noise=3.0)]
+    assert 0.002 < np.mean(shares) < 0.02  # the sentence of thesis 6.3 as printed would make it 0.99
+
+
+def test_colour_pixel_is_foreground_when_one_channel_leaves_its_limits():
+    model = model_of(np.full((1, 4, 3), 100.0), np.full((1, 4, 3), 2.0))
+    image = np.full((1, 4, 3), 100, np.uint8)
+    image[0, 1, 0], image[0, 2, 1], image[0, 3, 2] = 150, 50, 120
+    assert model.limits(BackgroundSettings()).subtract(image).tolist() == [[0, 255, 255, 255]]
+
+
+@pytest.mark.parametrize("mean", [10, 120, 250])
+def test_learned_mean_and_sigma_equal_those_of_the_frames(mean):
+    rng = np.random.default_rng(mean)
+    frames = np.clip(np.rint(rng.normal(mean, 1.0, (2000, 6, 7))), 0, 255).astype(np.uint8)
+    learner = BackgroundLearner()
+    for frame in frames:
+        learner.add(frame)
+    model = learner.model("test")
+    assert np.allclose(model.mean, frames.mean(axis=0), rtol=1e-6)
+    assert np.allclose(model.sigma, frames.std(axis=0, ddof=1), rtol=1e-5)
+    assert model.provenance.frames == 2000
+    assert math.isclose(model.provenance.mean_noise, frames.std(axis=0, ddof=1).mean(), rel_tol=1e-5)
+
+
+def test_moving_share_counts_pixels_that_varied(scene):
+    still, moving = BackgroundLearner(), BackgroundLearner()
+    for k, image in enumerate(scene.empty(30, seed=3)):
+        still.add(image)
+        image[10:30, 4 * k : 4 * k + 12] = 250  # sweeps a band of 20 of the 120 rows
+        moving.add(image)
+    assert still.model("test").moving_share < 0.001
+    assert 0.1 < moving.model("test").moving_share < 20 / 120
+
+
+def test_learner_refuses_a_frame_of_another_size():
+    learner = BackgroundLearner()
+    learner.add(np.zeros((4, 5), np.uint8))
+    with pytest.raises(InputError, match="5 x 4 mono"):
+        learner.add(np.zeros((4, 6), np.uint8))
+
+
+def test_one_frame_is_too_few_to_learn_from():
+    learner = BackgroundLearner()
+    learner.add(np.zeros((4, 5), np.uint8))
+    with pytest.raises(InputError, match="1 frames are too few"):
+        learner.model("a video")
+
+
+def test_saved_model_comes_back_with_its_provenance(tmp_path, scene):
+    learner = BackgroundLearner()
+    for image in scene.empty(5, colour=True):
+        learner.add(image)
+    model = learner.model("camera 10.0.0.1", software="test 1", created="2026-01-01", camera_serial="S1")
+    model.save(tmp_path / "deep" / "bg.npz")
+    loaded = load_background(tmp_path / "deep" / "bg.npz")
+    assert np.array_equal(loaded.mean, model.mean) and np.array_equal(loaded.sigma, model.sigma)
+    assert loaded.provenance == model.provenance
+    assert (loaded.provenance.frames, loaded.provenance.camera_serial) == (5, "S1")
+    assert loaded.provenance.mean_noise == pytest.approx(1.5, rel=0.1)
+    with np.load(tmp_path / "deep" / "bg.npz") as file:
+        assert json.loads(str(file["about"]))["image"] == "160 x 120 colour"
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
+def test_file_that_is_no_model_is_refused(tmp_path, content):
+    path = tmp_path / "bg.npz"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"bg\.npz: is not a background model.*again"):
+        load_background(path)
+
+
+def test_model_of_another_version_is_refused(tmp_path):
+    path = tmp_path / "bg.npz"
+    np.savez(path, mean=np.zeros((2, 2), np.float32), sigma=np.ones((2, 2), np.float32), about=np.array("{}"))
+    with pytest.raises(InputError, match="another version"):
+        load_background(path)
+
+
+def test_missing_model_is_refused_naming_the_file(tmp_path):
+    with pytest.raises(InputError, match=r"none\.npz: cannot be read \(No such file"):
+        load_background(tmp_path / "none.npz")
+
+
+def test_damaged_arrays_are_refused(tmp_path):
+    model = model_of(np.full((2, 2), np.nan), np.ones((2, 2)))
+    model.save(tmp_path / "bg.npz")
+    with pytest.raises(InputError, match="damaged"):
+        load_background(tmp_path / "bg.npz")
+
+
+def test_background_of_another_size_or_channels_is_refused():
+    model = model_of(np.zeros((120, 160)), np.ones((120, 160)))
+    check_shape(model, (120, 160), "cam")
+    for shape, text in [((100, 160), "160 x 100 mono"), ((120, 160, 3), "160 x 120 colour")]:
+        with pytest.raises(InputError, match=f"cam: the background is 160 x 120 mono, .* {text}"):
+            check_shape(model, shape, "cam")
+
+
+def test_background_learned_from_a_video_equals_the_learner(tmp_path, scene):
+    images = scene.empty(12)
+    path = scene.write_video(tmp_path / "bg.avi", images)
+    model = read_background(path, (scene.height, scene.width), BackgroundSettings())
+    assert np.allclose(model.mean, np.mean(images, axis=0), atol=1e-4)
+    assert np.allclose(model.sigma, np.std(images, axis=0, ddof=1), atol=1e-4)
+    assert (model.provenance.source, model.provenance.frames) == (path, 12)
+
+
+def test_background_from_one_still_assumes_the_noise_of_the_settings(tmp_path, scene):
+    path = scene.write_video(tmp_path / "one.avi", scene.empty(1))
+    model = read_background(path, (scene.height, scene.width), BackgroundSettings(still_sigma=5.0))
+    assert np.array_equal(model.mean, scene.empty(1)[0])
+    assert (model.sigma == 5.0).all()
+    assert (model.provenance.frames, model.provenance.mean_noise) == (1, 5.0)
+
+
+def test_still_sigma_widens_the_limits():
+    model = background_from_still(np.full((2, 2), 100, np.uint8), 4.0, "still")
+    limits = model.limits(BackgroundSettings(risk=1e-4))
+    assert (limits.lo == 85).all() and (limits.hi == 115).all()  # 3.89 sigma
+
+
+def test_background_video_of_another_size_is_refused(tmp_path, scene):
+    path = scene.write_video(tmp_path / "bg.avi", scene.empty(3))
+    with pytest.raises(InputError, match=r"bg\.avi: the background is 160 x 120 mono.*640 x 480"):
+        read_background(path, (480, 640), BackgroundSettings())
+
+
+def test_missing_background_is_refused_naming_the_file(tmp_path):
+    with pytest.raises(InputError, match=r"none\.mp4: does not exist"):
+        read_background(tmp_path / "none.mp4", (120, 160), BackgroundSettings())

@@ -1,0 +1,288 @@
+"""Footage as a camera: what comes, with which stamps, until when, and what is refused."""
+
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_client.footage_reader import open_footage
+from camera_client.footage_source import READ_AHEAD, FootageSource
+from camera_client.frame_source import EndOfFootage, GapCounter
+from camera_client.pace import Pace
+from camera_client.settings import FootageSettings
+from capture_rig.errors import InputError
+from capture_rig.session import footage_stamp_ns
+
+EPOCH_NS = 1_800_000_000_000_000_000
+PATIENCE_S = 20.0  # only ever used up by a failing test
+
+
+class Ready(Pace):
+    """Every frame is due at once; remembers how it was called."""
+
+    def __init__(self):
+        self.begun, self.acknowledged = [], []
+
+    def begin(self, epoch_ns, frame):
+        self.begun.append((epoch_ns, frame))
+
+    def wait(self, frame, timeout_s):
+        return True
+
+    def acknowledge(self, stamp_ns):
+        self.acknowledged.append(stamp_ns)
+
+
+def source_of(path, pace=None, now_ns=lambda: EPOCH_NS, channels="auto", **settings):
+    settings.setdefault("epoch_ns", EPOCH_NS)
+    pace = pace or Ready()
+    return FootageSource(FootageSettings(path=str(path), **settings), channels, pace=lambda fps: pace, now_ns=now_ns)
+
+
+def read_all(source):
+    frames = []
+    with pytest.raises(EndOfFootage):
+        while True:
+            frame = source.read(PATIENCE_S)
+            if frame is not None:
+                frames.append(frame)
+    return frames
+
+
+def read(source, count):
+    frames = []
+    while len(frames) < count:
+        frame = source.read(PATIENCE_S)
+        if frame is not None:
+            frames.append(frame)
+    return frames
+
+
+@pytest.fixture
+def images(scene):
+    return scene.empty(8, colour=True)
+
+
+@pytest.fixture
+def video(tmp_path, scene, images):
+    return scene.write_video(tmp_path / "cam01.avi", images)
+
+
+def test_every_frame_comes_once_in_order_with_its_stamp(video, images, scene):
+    with source_of(video) as source:
+        source.start()
+        frames = read_all(source)
+    assert len(frames) == len(images)
+    for k, (frame, image) in enumerate(zip(frames, images, strict=True)):
+        assert np.array_equal(frame.image, image)
+        assert frame.stamp_ns == footage_stamp_ns(EPOCH_NS, k, scene.fps)
+        assert frame.frame_id == k
+    assert "footage" in frames[0].clock
+
+
+def test_stamps_do_not_depend_on_the_playing_rate(video):
+    stamps = []
+    for rate in (0.0, 0.5, 100.0):
+        with source_of(video, rate=rate) as source:
+            source.start()
+            stamps.append([frame.stamp_ns for frame in read_all(source)])
+    assert stamps[0] == stamps[1] == stamps[2]
+
+
+def test_frame_rate_of_the_settings_overrides_that_of_the_file(video):
+    with source_of(video, fps=10.0) as source:
+        source.start()
+        assert read(source, 2)[1].stamp_ns == EPOCH_NS + 100_000_000
+
+
+def test_loop_goes_on_with_rising_stamps(video, images, scene):
+    with source_of(video, loop=True) as source:
+        source.start()
+        frames = read(source, 2 * len(images) + 1)
+    assert [frame.stamp_ns for frame in frames] == [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(17)]
+    assert np.array_equal(frames[8].image, images[0]) and np.array_equal(frames[16].image, images[0])
+
+
+def test_pause_goes_on_with_the_next_frame(video, scene):
+    pace = Ready()
+    with source_of(video, pace=pace) as source:
+        source.start()
+        read(source, 3)
+        source.stop()
+        with pytest.raises(InputError, match="not started"):
+            source.read(0.0)
+        source.start()
+        frames = read_all(source)
+    assert [frame.frame_id for frame in frames] == [3, 4, 5, 6, 7]
+    assert frames[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 3, scene.fps)
+    assert pace.begun == [(EPOCH_NS, 0), (EPOCH_NS, 3)]
+
+
+def test_start_after_the_end_plays_again_with_rising_stamps(video, images, scene):
+    with source_of(video) as source:
+        source.start()
+        read_all(source)
+        source.stop()
+        source.start()
+        again = read_all(source)
+    assert [frame.frame_id for frame in again] == list(range(8, 16))
+    assert again[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 8, scene.fps)
+    assert np.array_equal(again[0].image, images[0])
+
+
+def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
+    now = [EPOCH_NS]
+    with source_of(video, epoch_ns=0, now_ns=lambda: now[0]) as source:
+        source.start()
+        first = read_all(source)
+        now[0] += 60 * 10**9
+        source.stop()
+        source.start()
+        again = read_all(source)
+    assert first[0].stamp_ns == EPOCH_NS + 5 * 10**9
+    assert again[0].stamp_ns == EPOCH_NS + 65 * 10**9
+    assert again[0].frame_id == 0
+
+
+def test_acknowledgements_reach_the_pace(video):
+    pace = Ready()
+    with source_of(video, pace=pace) as source:
+        source.acknowledge(5)
+    assert pace.acknowledged == [5]
+
+
+def test_rate_zero_waits_for_the_acknowledgement(video, scene):
+    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0, window=2, pace_timeout_s=600.0)
+    with FootageSource(settings, now_ns=lambda: EPOCH_NS) as source:
+        source.start()
+        frames = read(source, 2)
+        assert source.read(0.05) is None
+        source.acknowledge(frames[0].stamp_ns)
+        assert read(source, 1)[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 2, scene.fps)
+        assert source.read(0.05) is None
+        assert source.counters["pace_timeouts"] == 0
+
+
+def test_rate_zero_goes_on_without_acknowledgement_and_counts_it(video):
+    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0, window=2, pace_timeout_s=0.01)
+    with FootageSource(settings, now_ns=lambda: EPOCH_NS) as source:
+        source.start()
+        assert len(read_all(source)) == 8
+        assert source.counters["pace_timeouts"] == 6
+
+
+def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene):
+    path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
+    with source_of(path) as source:
+        decoded, original = [], source._reader.read
+
+        def counted():
+            decoded.append(1)
+            return original()
+
+        source._reader.read = counted
+        source.start()
+        for delivered in range(1, 21):
+            read(source, 1)
+            assert len(decoded) <= delivered + READ_AHEAD + 1  # the stored ones, and the one in the decoder's hands
+
+
+def test_mono_video_is_delivered_in_one_channel(tmp_path, scene):
+    images = scene.empty(3)
+    with source_of(scene.write_video(tmp_path / "mono.avi", images)) as source:
+        assert source.shape == (scene.height, scene.width)
+        source.start()
+        assert np.array_equal(read(source, 1)[0].image, images[0])
+
+
+@pytest.mark.parametrize("channels, shape", [("mono", (120, 160)), ("colour", (120, 160, 3))])
+def test_channels_of_the_settings_win(video, channels, shape):
+    with source_of(video, channels=channels) as source:
+        source.start()
+        assert source.shape == read(source, 1)[0].image.shape == shape
+
+
+def test_stills_play_in_the_order_of_their_names(tmp_path, images):
+    for k in (2, 0, 1):
+        cv2.imwrite(str(tmp_path / f"f{k}.png"), images[k])
+    (tmp_path / "notes.txt").write_text("no image")
+    for path in (tmp_path, tmp_path / "f*.png"):
+        with source_of(path, fps=10.0) as source:
+            source.start()
+            frames = read_all(source)
+        assert [np.array_equal(f.image, i) for f, i in zip(frames, images[:3], strict=True)] == [True] * 3
+        assert frames[2].stamp_ns == EPOCH_NS + 200_000_000
+
+
+def test_still_that_cannot_be_decoded_is_dropped_and_counted(tmp_path, images):
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"f{k}.png"), images[k])
+    (tmp_path / "f1.png").write_bytes(b"\x89PNG broken")
+    with source_of(tmp_path, fps=10.0) as source:
+        source.start()
+        frames = read_all(source)
+        assert source.counters["undecodable"] == 1
+    assert [frame.frame_id for frame in frames] == [0, 2]  # the gap shows, the stamps stay true
+    assert frames[1].stamp_ns == EPOCH_NS + 200_000_000
+
+
+def test_stills_without_a_frame_rate_are_refused(tmp_path, images):
+    cv2.imwrite(str(tmp_path / "f.png"), images[0])
+    with pytest.raises(InputError, match=r"no frame rate.*footage\.fps"):
+        source_of(tmp_path).connect()
+
+
+def test_missing_video_is_refused_naming_it(tmp_path):
+    with pytest.raises(InputError, match=r"none\.mp4: does not exist"):
+        source_of(tmp_path / "none.mp4").connect()
+
+
+def test_unreadable_video_is_refused_naming_it(tmp_path):
+    (tmp_path / "broken.mp4").write_bytes(b"this is no video" * 100)
+    with pytest.raises(InputError, match=r"broken\.mp4: cannot be opened as a video"):
+        source_of(tmp_path / "broken.mp4").connect()
+
+
+def test_folder_without_images_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no still image"):
+        source_of(tmp_path, fps=10.0).connect()
+
+
+def test_start_before_connect_is_refused(video):
+    with pytest.raises(InputError, match="not connected"):
+        source_of(video).start()
+
+
+def test_close_while_the_decoder_waits_ends_its_thread(video):
+    source = source_of(video)
+    source.connect()
+    source.start()
+    read(source, 1)
+    source.close()
+    assert not [t for t in threading.enumerate() if t.name == "footage decoder"]
+
+
+def test_truncated_video_plays_what_is_there(tmp_path, video, images):
+    data = Path(video).read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+    with source_of(tmp_path / "cut.avi") as source:
+        source.start()
+        frames = read_all(source)
+    assert 1 <= len(frames) < len(images)
+    assert np.array_equal(frames[0].image, images[0])
+
+
+def test_single_still_is_read_as_footage_of_one_frame(tmp_path, images):
+    cv2.imwrite(str(tmp_path / "one.png"), images[0])
+    reader = open_footage(tmp_path / "one.png")
+    assert reader.probe() == (120, 160, 3)
+    assert np.array_equal(reader.read(), images[0]) and reader.read() is None
+
+
+def test_gap_counter_counts_skipped_ids_across_the_16_bit_wrap():
+    gaps = GapCounter()
+    assert [gaps.add(i) for i in (65533, 65534, 65535, 1, 2, 5, 6)] == [0, 0, 0, 0, 0, 2, 0]
+    assert [gaps.add(i) for i in (65534, 2)] == [65527, 2]
+    assert gaps.missing == 2 + 65527 + 2

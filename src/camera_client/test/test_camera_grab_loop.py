@@ -1,0 +1,153 @@
+"""The grab loop and live learning, with a source made of lists."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from camera_client.frame_source import EndOfFootage, Frame, FrameSource
+from camera_client.grab_loop import GrabLoop, GrabState
+from camera_client.live_learning import LiveLearning
+from capture_rig.errors import InputError
+
+PATIENCE_S = 20.0  # only ever used up by a failing test
+
+
+class ListSource(FrameSource):
+    """Delivers frames with the given ids; an exception in the list is raised instead."""
+
+    def __init__(self, items):
+        super().__init__()
+        self._items, self.calls = list(items), []
+
+    def connect(self):
+        self.calls.append("connect")
+
+    def start(self):
+        self.calls.append("start")
+
+    def read(self, timeout_s):
+        if not self._items:
+            raise EndOfFootage
+        item = self._items.pop(0)
+        if isinstance(item, Exception):
+            raise item
+        return None if item is None else Frame(np.zeros((2, 2), np.uint8), item * 1000, item, "test")
+
+    def stop(self):
+        self.calls.append("stop")
+
+    def close(self):
+        self.calls.append("close")
+
+    shape = (2, 2)
+    description = "a list"
+
+
+def run(source, on_frame=lambda frame: None, **options):
+    errors = []
+    loop = GrabLoop(source, on_frame, errors.append, **options)
+    loop.start()
+    loop._thread.join(PATIENCE_S)
+    assert not loop._thread.is_alive()
+    return loop, errors
+
+
+def test_every_frame_is_handed_on_until_the_end():
+    stamps = []
+    loop, errors = run(ListSource([1, None, 2, 3]), lambda frame: stamps.append(frame.stamp_ns))
+    assert stamps == [1000, 2000, 3000] and errors == []
+    assert (loop.state, loop.frames, loop.missing_frames) == (GrabState.ENDED, 3, 0)
+
+
+def test_skipped_frame_ids_are_counted_as_missing():
+    loop, _ = run(ListSource([1, 2, 5, 6, 9]))
+    assert (loop.frames, loop.missing_frames) == (5, 4)
+
+
+def test_bad_frame_costs_only_itself():
+    seen = []
+
+    def on_frame(frame):
+        if frame.frame_id == 2:
+            raise InputError("bad")
+        seen.append(frame.frame_id)
+
+    loop, errors = run(ListSource([1, 2, 3]), on_frame)
+    assert seen == [1, 3] and [str(error) for error in errors] == ["bad."]
+    assert loop.state is GrabState.ENDED
+
+
+def test_error_of_the_source_ends_the_loop_and_is_kept():
+    loop, errors = run(ListSource([1, InputError("unplugged", where="camera"), 2]))
+    assert (loop.state, loop.frames) == (GrabState.FAILED, 1)
+    assert str(loop.failure) == "camera: unplugged." and errors == []
+
+
+def test_source_is_started_only_when_ready():
+    source, ready = ListSource([1]), threading.Event()
+    asked = threading.Event()
+
+    def is_ready():
+        asked.set()
+        return ready.is_set()
+
+    loop = GrabLoop(source, lambda frame: None, lambda error: None, is_ready, ready_timeout_s=PATIENCE_S)
+    loop.start()
+    assert asked.wait(PATIENCE_S)
+    assert loop.state is GrabState.WAITING and source.calls == []
+    ready.set()
+    loop._thread.join(PATIENCE_S)
+    assert source.calls == ["start"] and loop.frames == 1
+
+
+def test_stop_while_waiting_never_starts_the_source():
+    source = ListSource([1])
+    loop = GrabLoop(source, lambda frame: None, lambda error: None, lambda: False, ready_timeout_s=3600.0)
+    loop.start()
+    loop.stop()
+    assert not loop._thread.is_alive()
+    assert source.calls == ["stop"] and loop.frames == 0
+
+
+def images(count, moving=False):
+    rng = np.random.default_rng(0)
+    for k in range(count):
+        image = np.clip(np.rint(rng.normal(100, 2, (40, 50))), 0, 255).astype(np.uint8)
+        if moving:
+            image[:, 4 * k : 4 * k + 8] = 250
+        yield image
+
+
+def test_learning_takes_the_wanted_frames_and_no_more():
+    learning = LiveLearning(10, "camera x", camera_serial="S1")
+    for k, image in enumerate(images(12)):
+        assert learning.done == (k >= 10)
+        learning.add(image)
+    assert learning.model.provenance.frames == 10
+    assert learning.model.provenance.mean_noise == pytest.approx(2.0, rel=0.1)
+    assert (learning.model.provenance.source, learning.model.provenance.camera_serial) == ("camera x", "S1")
+    assert "camera_client" in learning.model.provenance.software
+
+
+def test_learning_while_something_moves_is_refused_with_the_share():
+    learning = LiveLearning(10, "camera x")
+    for image in images(10, moving=True):
+        learning.add(image)
+    assert learning.model is None
+    assert "something moved" in learning.refusal and "% of the pixels" in learning.refusal
+
+
+def test_cancelled_learning_says_how_far_it_came():
+    learning = LiveLearning(10, "camera x")
+    for image in images(4):
+        learning.add(image)
+    learning.cancel("the camera was suspended")
+    assert learning.done and learning.refusal == "the camera was suspended after 4 of 10 frames"
+
+
+def test_learning_from_changing_sizes_is_refused():
+    learning = LiveLearning(10, "camera x")
+    learning.add(np.zeros((4, 5), np.uint8))
+    learning.add(np.zeros((5, 5), np.uint8))
+    assert learning.done and "5 x 5 mono" in learning.refusal

@@ -1,0 +1,348 @@
+"""The camera node among messages: lifecycle, stamps, learning, faults."""
+
+import os
+import time
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from std_srvs.srv import Trigger
+
+from camera_client.background_model import load_background
+from camera_client.camera_node import CameraNode
+from capture_rig.session import footage_stamp_ns
+from sagoma_ros.images import decode_silhouette
+from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_ros.stamps import to_ns, to_stamp
+
+DEADLINE_S = 20.0  # only ever reached by a failing test
+EPOCH_NS = 1_000_000_000_000_000_000
+FRAMES = 30
+NAMESPACE = f"/test_{os.getpid()}"  # a second run of these tests on this machine is not heard
+PACE_TOPIC = f"{NAMESPACE}/prediction"
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class Bench:
+    """A CameraNode in a namespace of its own, and a node beside it that plays hull server and EKF."""
+
+    def __init__(self, context, parameters):
+        overrides = [Parameter(key, value=value) for key, value in parameters.items()]
+        self.node = CameraNode(namespace=NAMESPACE, context=context, parameter_overrides=overrides)
+        self.peer = rclpy.create_node("peer", context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.peer)
+        self.heard = {}
+        self.acknowledging = True
+        self.predictions = self.peer.create_publisher(JointState, PACE_TOPIC, RESULT)
+        self.peer.create_subscription(
+            CompressedImage, f"{NAMESPACE}/silhouette/compressed", self._acknowledge, SILHOUETTE_RELIABLE_SUBSCRIBER
+        )
+        self.listen(CompressedImage, "silhouette/compressed", SILHOUETTE_RELIABLE_SUBSCRIBER)
+        self.listen(CameraInfo, "camera_info", SILHOUETTE_RELIABLE_SUBSCRIBER)
+        self.diagnostics = []
+        self.peer.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULT)
+        self.learn = self.peer.create_client(Trigger, f"{NAMESPACE}/camera_client/learn_background")
+
+    def listen(self, kind, topic, qos):
+        self.heard[topic] = []
+        self.peer.create_subscription(kind, f"{NAMESPACE}/{topic}", self.heard[topic].append, qos)
+
+    def _on_diagnostics(self, message):
+        if message.status[0].name == self.node.get_fully_qualified_name():
+            self.diagnostics.append(message)
+
+    def _acknowledge(self, message):
+        if self.acknowledging:
+            self.acknowledge(to_ns(message.header.stamp))
+
+    def acknowledge(self, stamp_ns):
+        message = JointState()
+        message.header.stamp = to_stamp(stamp_ns)
+        self.predictions.publish(message)
+
+    @property
+    def masks(self):
+        return self.heard["silhouette/compressed"]
+
+    def stamps_ns(self, topic="silhouette/compressed"):
+        return [to_ns(message.header.stamp) for message in self.heard[topic]]
+
+    def start(self):
+        assert self.node.trigger_configure() == SUCCESS
+        assert self.node.trigger_activate() == SUCCESS
+        return self
+
+    def until(self, done):
+        deadline = time.monotonic() + DEADLINE_S
+        while not done():
+            assert time.monotonic() < deadline, "the awaited event did not come"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def until_said(self, text):
+        self.until(lambda: self.diagnostics and text in self.diagnostics[-1].status[0].message)
+
+    def values(self):
+        """Key and value of the newest diagnostics."""
+        count = len(self.diagnostics)
+        self.until(lambda: len(self.diagnostics) > count + 1)
+        return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
+
+    def ask_to_learn(self, meanwhile=lambda: None):
+        assert self.learn.wait_for_service(DEADLINE_S)
+        answer = self.learn.call_async(Trigger.Request())
+        self.until(lambda: self.node._learning is not None or answer.done())
+        meanwhile()
+        self.until(answer.done)
+        return answer.result()
+
+    def close(self):
+        self.node.close()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.peer.destroy_node()
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def bench(context):
+    made = []
+
+    def make(**parameters):
+        made.append(Bench(context, parameters))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def session(tmp_path, scene):
+    """Rig, video of a person, background video, and the parameters that play them as fast as they are acknowledged."""
+    images = [scene.with_person(image) for image in scene.empty(FRAMES, seed=5)]
+    parameters = {
+        "camera_name": "cam01",
+        "rig_file": scene.write_rig(tmp_path / "rig.yaml", scene.camera(), scene.camera("cam02")),
+        "background": scene.write_video(tmp_path / "bg.avi", scene.empty(40)),
+        "footage.path": scene.write_video(tmp_path / "cam01.avi", images),
+        "footage.epoch_ns": EPOCH_NS,
+        "footage.rate": 0.0,
+        "footage.window": 10,
+        "footage.pace_topic": PACE_TOPIC,
+        "footage.pace_timeout_s": 600.0,
+        "footage.wait_for_consumer_s": DEADLINE_S,
+    }
+    return SimpleNamespace(folder=tmp_path, images=images, parameters=parameters, truth=scene.person_mask())
+
+
+def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene):
+    camera = bench(**session.parameters).start()
+    camera.until(lambda: len(camera.masks) == FRAMES and len(camera.heard["camera_info"]) == FRAMES)
+    expected = [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(FRAMES)]
+    assert camera.stamps_ns() == camera.stamps_ns("camera_info") == expected
+    canvas = scene.camera().undistorted_view().camera
+    for message in camera.masks[:: FRAMES - 1]:
+        mask = decode_silhouette(message, canvas.width, canvas.height, "test")
+        found, truth = mask[: scene.height, : scene.width] > 0, session.truth > 0
+        assert (found & truth).sum() / (found | truth).sum() > 0.95
+        assert message.header.frame_id == "cam01_optical"
+    info = camera.heard["camera_info"][0]
+    assert (info.width, info.height) == (canvas.width, canvas.height)
+    assert not any(info.d) and np.allclose(np.array(info.k).reshape(3, 3), canvas.K)
+
+
+def test_camera_without_a_name_takes_the_namespace(bench, session, scene):
+    name = NAMESPACE.strip("/")
+    rig = scene.write_rig(session.folder / "named.yaml", scene.camera(name))
+    camera = bench(**{**session.parameters, "camera_name": "", "rig_file": rig}).start()
+    camera.until(lambda: camera.masks)
+    assert camera.masks[0].header.frame_id == f"{name}_optical"
+
+
+def test_end_of_footage_is_said_and_the_next_activation_plays_again(bench, session, scene):
+    camera = bench(**session.parameters).start()
+    camera.until(lambda: len(camera.masks) == FRAMES)
+    camera.until_said(f"end of footage after {FRAMES} frames")
+    assert camera.node.trigger_deactivate() == SUCCESS
+    camera.masks.clear()
+    assert camera.node.trigger_activate() == SUCCESS
+    camera.until(lambda: len(camera.masks) == FRAMES)
+    assert camera.stamps_ns()[0] == footage_stamp_ns(EPOCH_NS, FRAMES, scene.fps)
+
+
+def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, session, scene):
+    parameters = {**session.parameters, "footage.window": 2}
+    camera = bench(**parameters)
+    camera.acknowledging = False
+    camera.start()
+    camera.until(lambda: len(camera.masks) == 2 and camera.predictions.get_subscription_count() == 1)
+    for k in range(5):
+        camera.acknowledge(footage_stamp_ns(EPOCH_NS, k, scene.fps))
+        camera.until(lambda wanted=k + 3: len(camera.masks) == wanted)
+    assert camera.node.trigger_deactivate() == SUCCESS
+    assert camera.node.trigger_activate() == SUCCESS
+    camera.until(lambda: len(camera.masks) == 9)  # a new window of two
+    assert camera.stamps_ns() == [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(9)]
+    assert camera.values()["pace_timeouts"] == "0"
+
+
+def test_suspended_node_publishes_nothing_and_cleanup_lets_it_configure_again(bench, session):
+    camera = bench(**session.parameters)
+    assert camera.node.trigger_configure() == SUCCESS
+    assert camera.node.trigger_cleanup() == SUCCESS
+    camera.start()
+    camera.until(lambda: len(camera.masks) == FRAMES)
+    assert camera.node.trigger_deactivate() == SUCCESS
+    assert camera.node.trigger_cleanup() == SUCCESS
+    assert camera.node._source is None and camera.peer.count_publishers(f"{NAMESPACE}/camera_info") == 0
+
+
+def test_background_is_learned_live_saved_and_used(bench, session, scene):
+    parameters = {**session.parameters, "background_frames": 20, "footage.rate": 1.0, "footage.loop": True}
+    parameters["footage.path"] = scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))
+    parameters["background_file"] = str(session.folder / "learned.npz")
+    parameters["background"] = ""
+    camera = bench(**parameters)
+    camera.listen(Image, "background/mean", LATCHED)
+    camera.start()
+    camera.until_said("call ~/learn_background")
+    assert camera.masks == []
+    answer = camera.ask_to_learn()
+    assert answer.success, answer.message
+    assert "20 frames" in answer.message and "noise 1.5" in answer.message and "0.00 %" in answer.message
+    camera.until(lambda: camera.masks and camera.heard["background/mean"])
+    saved = load_background(parameters["background_file"])
+    assert saved.provenance.frames == 20 and "empty.avi" in saved.provenance.source
+    mean = camera.heard["background/mean"][-1]
+    assert np.array_equal(
+        np.frombuffer(mean.data, np.uint8).reshape(scene.height, scene.width), np.rint(saved.mean).astype(np.uint8)
+    )
+    camera.until_said("the mask is empty")
+    assert int(camera.values()["empty_masks"]) > 0
+
+
+def test_learning_while_somebody_moves_keeps_the_old_background(bench, session, scene):
+    images = scene.empty(40, seed=3)
+    for k, image in enumerate(images):
+        image[30:90, 3 * k : 3 * k + 20] = 250
+    parameters = {**session.parameters, "background_frames": 20, "footage.rate": 1.0, "footage.loop": True}
+    parameters["footage.path"] = scene.write_video(session.folder / "moving.avi", images)
+    camera = bench(**parameters).start()
+    camera.until(lambda: camera.masks)
+    before = camera.node._pipeline
+    answer = camera.ask_to_learn()
+    assert not answer.success and "something moved" in answer.message
+    assert camera.node._pipeline is before
+
+
+def test_learning_without_frames_is_refused(bench, session):
+    camera = bench(**session.parameters)
+    assert camera.node.trigger_configure() == SUCCESS
+    answer = camera.ask_to_learn()
+    assert not answer.success and "activate the camera first" in answer.message
+
+
+def test_learning_is_answered_when_the_footage_ends_first(bench, session):
+    camera = bench(**{**session.parameters, "background_frames": 1000, "footage.window": 1})
+    camera.acknowledging = False
+    camera.start()
+    camera.until(lambda: camera.masks)
+    camera.acknowledging = True
+    answer = camera.ask_to_learn(meanwhile=lambda: camera.acknowledge(camera.stamps_ns()[-1]))
+    assert not answer.success and "end of footage" in answer.message
+
+
+def test_learning_is_answered_when_the_camera_is_suspended_and_cleaned_up(bench, session):
+    camera = bench(**{**session.parameters, "background_frames": 1000, "footage.rate": 1.0, "footage.loop": True})
+    camera.start()
+    camera.until(lambda: camera.masks)
+
+    def stop():
+        assert camera.node.trigger_deactivate() == SUCCESS
+        assert camera.node.trigger_cleanup() == SUCCESS
+
+    answer = camera.ask_to_learn(meanwhile=stop)
+    assert not answer.success and "the camera was suspended after" in answer.message
+
+
+def test_frame_of_another_size_is_dropped_and_counted(bench, session, scene):
+    folder = session.folder / "stills"
+    folder.mkdir()
+    for k, image in enumerate(session.images[:6]):
+        cv2.imwrite(str(folder / f"f{k}.png"), image[:100] if k == 2 else image)
+    (folder / "f4.png").write_bytes(b"broken")
+    camera = bench(**{**session.parameters, "footage.path": str(folder), "footage.fps": 50.0}).start()
+    camera.until(lambda: len(camera.masks) == 4)
+    assert camera.stamps_ns() == [footage_stamp_ns(EPOCH_NS, k, 50.0) for k in (0, 1, 3, 5)]
+    values = camera.values()
+    assert (values["bad_frames"], values["undecodable"], values["missing_frames"]) == ("1", "1", "1")
+
+
+def test_raw_images_and_previews_are_published_on_request(bench, session, scene):
+    camera = bench(**{**session.parameters, "publish_raw": True, "publish_preview": True, "preview_rate": 1000.0})
+    camera.listen(Image, "image_raw", SILHOUETTE_RELIABLE_SUBSCRIBER)
+    camera.listen(CompressedImage, "preview/compressed", RESULT)
+    camera.start()
+    camera.until(lambda: len(camera.heard["image_raw"]) == FRAMES and camera.heard["preview/compressed"])
+    raw = camera.heard["image_raw"][0]
+    assert np.array_equal(np.frombuffer(raw.data, np.uint8).reshape(scene.height, scene.width), session.images[0])
+    preview = cv2.imdecode(np.frombuffer(camera.heard["preview/compressed"][0].data, np.uint8), cv2.IMREAD_COLOR)
+    assert preview.shape == (scene.height // 2, scene.width // 2, 3)
+    green = (preview[..., 1] > 150) & (preview[..., 0] < 100)
+    assert 30 < green.sum() < 400
+
+
+@pytest.mark.parametrize(
+    "changed, text",
+    [
+        ({"rig_file": "/nowhere/rig.yaml"}, "/nowhere/rig.yaml: cannot be read"),
+        ({"rig_file": ""}, "parameter rig_file: is empty"),
+        ({"camera_name": "cam9"}, "rig.yaml: there is no camera 'cam9' in the rig. Known cameras: cam01, cam02."),
+        ({"background": "/nowhere/bg.npz"}, "/nowhere/bg.npz: cannot be read"),
+        ({"background": "/nowhere/bg.mp4"}, "/nowhere/bg.mp4: does not exist"),
+        ({"footage.path": ""}, "parameter footage.path: is empty"),
+        ({"footage.path": "/nowhere/cam01.mp4"}, "/nowhere/cam01.mp4: does not exist"),
+        ({"footage.rate": -1.0}, "footage.rate = -1.0 is out of range"),
+        ({"footage.raet": 1.0}, "unknown key 'footage.raet'. Did you mean 'footage.rate'?"),
+        ({"source": "usb"}, "source = 'usb' is not one of 'footage', 'aravis'"),
+        ({"source": "aravis", "aravis.address": "127.0.0.78"}, "no GigE Vision camera answers at 127.0.0.78"),
+    ],
+)
+def test_configure_fails_with_a_clear_error(bench, session, changed, text):
+    if changed.get("source") == "aravis":
+        pytest.importorskip("gi", reason="PyGObject is not installed: apt install python3-gi gir1.2-aravis-0.8")
+    camera = bench(**{**session.parameters, **changed})
+    assert camera.node.trigger_configure() == FAILURE
+    camera.until_said(text)
+    assert camera.node._source is None
+
+
+def test_footage_of_another_size_than_the_calibration_fails_configure(bench, session, scene):
+    small = scene.write_video(session.folder / "small.avi", [image[:100] for image in session.images[:2]])
+    camera = bench(**{**session.parameters, "footage.path": small})
+    assert camera.node.trigger_configure() == FAILURE
+    camera.until_said("gives images of 160 x 100 pixels, camera cam01 was calibrated at 160 x 120")
+
+
+def test_failed_configure_can_be_mended_by_setting_the_parameter(bench, session):
+    camera = bench(**{**session.parameters, "background": "/nowhere/bg.npz"})
+    assert camera.node.trigger_configure() == FAILURE
+    camera.node.set_parameters([Parameter("background", value=session.parameters["background"])])
+    camera.start()
+    camera.until(lambda: len(camera.masks) == FRAMES)

@@ -1,0 +1,157 @@
+"""When frames leave: by a clock of the test's own, never by waiting."""
+
+import pytest
+
+from camera_client.pace import EPOCH_STEP_NS, AcknowledgedPace, WallClockPace, choose_epoch_ns
+from capture_rig.errors import InputError
+from capture_rig.session import footage_stamp_ns
+
+EPOCH_NS = 1_800_000_000_000_000_000
+MS = 1_000_000
+
+
+class Clock:
+    """Time that passes only when someone sleeps, or the test says so."""
+
+    def __init__(self, now_ns=EPOCH_NS):
+        self.ns = now_ns
+
+    def now_ns(self):
+        return self.ns
+
+    def now_s(self):
+        return (self.ns - EPOCH_NS) / 1e9
+
+    def sleep(self, seconds):
+        self.ns += round(seconds * 1e9)
+
+
+def departures_ms(pace, clock, frames, first=0):
+    """When each frame leaves, in ms after the epoch."""
+    times = []
+    for frame in range(first, first + frames):
+        while not pace.wait(frame, 0.05):
+            pass
+        times.append((clock.ns - EPOCH_NS) / MS)
+    return times
+
+
+@pytest.mark.parametrize("rate", [0.25, 1.0, 2.0])
+def test_frames_leave_at_the_footage_rate_times_the_factor(rate):
+    clock = Clock(EPOCH_NS - 300 * MS)
+    pace = WallClockPace(50.0, rate, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 0)
+    assert departures_ms(pace, clock, 10) == pytest.approx([20.0 * k / rate for k in range(10)], abs=1e-3)
+
+
+def test_slow_consumer_gets_late_frames_at_once_until_it_has_caught_up():
+    clock = Clock()
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 0)
+    departures_ms(pace, clock, 1)
+    clock.ns += 70 * MS
+    assert departures_ms(pace, clock, 5, first=1) == pytest.approx([70, 70, 70, 80, 100], abs=1e-3)
+
+
+def test_start_within_a_second_of_the_epoch_hurries_to_be_in_step():
+    clock = Clock(EPOCH_NS + 900 * MS)
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 0)
+    assert departures_ms(pace, clock, 47)[44:] == pytest.approx([900, 900, 920], abs=1e-3)
+
+
+def test_start_long_after_the_epoch_goes_on_from_now():
+    clock = Clock(EPOCH_NS + 60_000 * MS)
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 7)
+    assert departures_ms(pace, clock, 3, first=7) == pytest.approx([60000, 60020, 60040], abs=1e-3)
+
+
+def test_frame_that_is_not_due_in_time_stays():
+    clock = Clock(EPOCH_NS - 1000 * MS)
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 0)
+    assert not pace.wait(0, 0.2)
+    assert clock.ns == EPOCH_NS - 800 * MS
+
+
+def acknowledged(window=3, patience_s=2.0):
+    clock = Clock()
+    pace = AcknowledgedPace(50.0, window, patience_s, clock.now_s)
+    pace.begin(EPOCH_NS, 0)
+    return pace, clock
+
+
+def test_as_many_frames_as_the_window_leave_unacknowledged():
+    pace, _ = acknowledged(window=3)
+    assert [pace.wait(k, 0.0) for k in range(4)] == [True, True, True, False]
+    assert pace.timeouts == 0
+
+
+def test_each_acknowledgement_lets_one_more_frame_leave():
+    pace, _ = acknowledged(window=3)
+    for k in range(3):
+        pace.wait(k, 0.0)
+    for k in range(3, 40):
+        assert not pace.wait(k, 0.0)
+        pace.acknowledge(footage_stamp_ns(EPOCH_NS, k - 3, 50.0))
+        assert pace.wait(k, 0.0)
+        assert not pace.wait(k + 1, 0.0)
+    assert pace.timeouts == 0
+
+
+def test_acknowledgement_of_an_older_frame_changes_nothing():
+    pace, _ = acknowledged(window=1)
+    pace.wait(0, 0.0)
+    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 0, 50.0))
+    pace.wait(1, 0.0)
+    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 0, 50.0) - 1)
+    assert not pace.wait(2, 0.0)
+    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 1, 50.0))
+    assert pace.wait(2, 0.0)
+
+
+def test_silent_consumer_is_outrun_after_the_timeout_and_counted():
+    pace, clock = acknowledged(window=1, patience_s=2.0)
+    pace.wait(0, 0.0)
+    clock.sleep(1.99)
+    assert not pace.wait(1, 0.0)
+    clock.sleep(0.02)
+    assert pace.wait(1, 0.0) and pace.timeouts == 1
+    assert not pace.wait(2, 0.0)  # patience starts again with each frame
+    clock.sleep(2.0)
+    assert pace.wait(2, 0.0) and pace.timeouts == 2
+
+
+def test_patience_starts_again_with_an_acknowledgement():
+    pace, clock = acknowledged(window=2, patience_s=2.0)
+    for k in range(2):
+        pace.wait(k, 0.0)
+    clock.sleep(1.5)
+    pace.acknowledge(footage_stamp_ns(EPOCH_NS, 0, 50.0))
+    assert pace.wait(2, 0.0)
+    clock.sleep(1.5)
+    assert not pace.wait(3, 0.0) and pace.timeouts == 0
+
+
+def test_acknowledgements_of_an_earlier_playing_do_not_count():
+    pace, _ = acknowledged(window=2)
+    pace.acknowledge(EPOCH_NS + 10**15)
+    pace.begin(EPOCH_NS, 0)
+    assert [pace.wait(k, 0.0) for k in range(3)] == [True, True, False]
+
+
+def test_epoch_zero_is_the_next_whole_five_seconds():
+    assert choose_epoch_ns(0, EPOCH_NS + 1) == EPOCH_NS + EPOCH_STEP_NS
+    assert choose_epoch_ns(0, EPOCH_NS + EPOCH_STEP_NS - 1) == EPOCH_NS + EPOCH_STEP_NS
+    assert choose_epoch_ns(0, EPOCH_NS) == EPOCH_NS + EPOCH_STEP_NS
+
+
+def test_given_epoch_is_taken_as_it_is_even_from_the_past():
+    assert choose_epoch_ns(1_000_000_000, EPOCH_NS) == 1_000_000_000
+    assert choose_epoch_ns(EPOCH_NS + EPOCH_STEP_NS, EPOCH_NS) == EPOCH_NS + EPOCH_STEP_NS
+
+
+def test_epoch_far_ahead_is_refused():
+    with pytest.raises(InputError, match=r"epoch_ns = .* ahead of the system clock"):
+        choose_epoch_ns(EPOCH_NS * 1000, EPOCH_NS)

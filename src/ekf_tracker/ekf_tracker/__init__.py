@@ -1,0 +1,1 @@
+"""EKF tracker: 15 reference points in, joint states with covariance out."""

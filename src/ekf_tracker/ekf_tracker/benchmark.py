@@ -1,0 +1,79 @@
+"""Accuracy and cost of the filter on a synthetic person with noisy points: ``python -m ekf_tracker.benchmark``."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+
+from .filter import ArticulatedEkf
+from .rehearsal import rehearse
+from .settings import EkfSettings
+from .state import EkfState
+
+FPS = 60.0
+FRAMES = 1200
+NOISE_M = 0.02
+SETTLED = 60
+"""Sets after which the start no longer shows."""
+CHI2_95 = 7.815
+"""95 % of a chi-square with 3 degrees of freedom."""
+STATURE_M = 1.75
+
+
+def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
+    """Reference points (15, 3) of a person who walks about, turns and moves every joint in sines of 0.3 to 0.8 Hz."""
+    rng = np.random.default_rng(0)
+    frequency, phase = rng.uniform(0.3, 0.8, 18), rng.uniform(0.0, 2.0 * np.pi, 18)
+    bent = T_POSE_ANGLES.copy()
+    bent[8:10], bent[14:16] = -0.9, 0.8
+    for t in np.arange(frames) / FPS:
+        position = np.array([0.6 * np.sin(0.8 * t), 0.4 * np.cos(0.5 * t), 1.1 + 0.03 * np.sin(6.0 * t)])
+        c, s = np.cos(0.8 * np.sin(0.9 * t)), np.sin(0.8 * np.sin(0.9 * t))
+        R_world_torso = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        angles = bent + 0.4 * np.sin(2.0 * np.pi * frequency * t + phase)
+        yield forward(body, Pose.from_angles(position, R_world_torso, angles))
+
+
+def measure(model: str) -> dict[str, float]:
+    """Figures of one motion model; lengths in mm, cost in ms of wall time for one set."""
+    body = Body.from_stature(STATURE_M)
+    ekf = ArticulatedEkf(body, EkfSettings(motion_model=model))
+    rng, covariance = np.random.default_rng(1), np.tile(np.eye(3) * NOISE_M**2, (15, 1, 1))
+    cost, raw, filtered, inside = [], [], [], []
+    for k, true in enumerate(motion(body, FRAMES)):
+        points = true + NOISE_M * rng.standard_normal((15, 3))
+        began = time.perf_counter()
+        state = ekf.step(round(k * 1e9 / FPS), points, covariance, np.ones(15, bool))
+        cost.append(1e3 * (time.perf_counter() - began))
+        if k >= SETTLED and isinstance(state, EkfState):
+            error = state.points_world - true
+            raw.append(np.linalg.norm(points - true, axis=1).mean())
+            filtered.append(np.linalg.norm(error, axis=1).mean())
+            distances = np.einsum("ij,ijk,ik->i", error, np.linalg.inv(state.point_covariance), error)
+            inside.append((distances < CHI2_95).mean())
+    return {
+        "ekf_ms": float(np.median(cost)), "raw_mm": 1e3 * float(np.mean(raw)),
+        "mean_mm": 1e3 * float(np.mean(filtered)), "inside_95": float(np.mean(inside)),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Print a table of both motion models and, last, one line of JSON."""
+    rehearse()
+    results = {model: measure(model) for model in ("constant_velocity", "identity")}
+    print(f"{FRAMES} sets at {FPS:g} Hz, points with {1e3 * NOISE_M:g} mm of noise on each axis")
+    print(f"{'model':20}{'ms a set':>10}{'measured mm':>14}{'filtered mm':>14}{'inside 95 %':>14}")
+    for model, r in results.items():
+        print(f"{model:20}{r['ekf_ms']:10.2f}{r['raw_mm']:14.1f}{r['mean_mm']:14.1f}{100 * r['inside_95']:13.1f}%")
+    print(json.dumps(results))
+
+
+if __name__ == "__main__":
+    main()

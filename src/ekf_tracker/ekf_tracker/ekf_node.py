@@ -1,0 +1,249 @@
+"""The EKF as a lifecycle node: 15 measured points in, the body's state out, one answer to every set of points."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from capture_rig.errors import InputError
+from capture_rig.settings import setting
+from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, split_reference_points
+from sagoma_ros.health import ERROR, OK, WARN
+from sagoma_ros.joints import covariance_message, joint_state_message, prediction_message
+from sagoma_ros.main import run_node
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.stamps import to_ns
+from stick_figure.body import Body
+from stick_figure.body_file import load_body, parse_body
+from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
+
+from .filter import ArticulatedEkf
+from .humans import Humans, NoHumans, humans_of
+from .messages import reference_points_message, skeleton_markers, state_message, torso_message
+from .rehearsal import rehearse
+from .settings import EkfSettings
+from .slots import POSE
+from .state import EkfState, NoState, Tracking
+
+POINTS_TOPIC, BODY_TOPIC = "icp/reference_points", "icp/body"
+NS_PER_S = 1_000_000_000
+HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}
+NOTHING_SEEN = (np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))
+
+
+@dataclass(frozen=True)
+class EkfNodeSettings:
+    """Parameters of the node; those of the filter under ``filter.``."""
+
+    body_file: str = setting("", "YAML file of the body; empty: wait for the body on icp/body")
+    body_wait_s: float = setting(
+        1.0, "how long a visible set waits for the body on icp/body before it is answered without", unit="s", low=0.0
+    )
+    frame_id: str = setting("map", "frame of the points that come in and of all that goes out")
+    skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
+    skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
+    restart_after_sets: int = setting(
+        10, "sets in a row with stamps of the past, after which the filter starts anew (the clock was set back)", low=1
+    )
+    publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
+    body_id: str = setting("b0001", "REP-155 id of the person")
+    filter: EkfSettings = field(default_factory=EkfSettings)
+
+
+class EkfNode(SagomaNode):
+    """icp/reference_points (and icp/body) to mocap/*; ekf/prediction is published last, once for every set."""
+
+    Settings = EkfNodeSettings
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("ekf_tracker", **options)
+        self._entities: list[tuple[str, object]] = []
+        self._humans: Humans = NoHumans()
+        self._filter: ArticulatedEkf | None = None
+        self._active = False
+
+    def configure(self) -> None:
+        """Load the body if a file names it, compile the filter, open topics."""
+        self._waiting: deque[PointCloud2] = deque()
+        self._body_text = ""
+        self._backwards, self._next_skeleton_ns = 0, 0
+        body = load_body(self.settings.body_file) if self.settings.body_file else None
+        self._filter = ArticulatedEkf(body, self.settings.filter) if body else None
+        rehearse()
+        self._humans = humans_of(self, self.settings.publish_humans, self.settings.body_id, self.settings.frame_id)
+        self._open_publishers()
+        if body is None:
+            self._keep("subscription", self.create_subscription(String, BODY_TOPIC, self._on_body, LATCHED))
+        self._keep("subscription", self.create_subscription(PointCloud2, POINTS_TOPIC, self._on_points, RESULT))
+        self._keep("service", self.create_service(Trigger, "~/reset", self._on_reset))
+        wall_time = Clock(clock_type=ClockType.STEADY_TIME)  # people wait in it, whatever time the sets are of
+        wait_s = max(self.settings.body_wait_s, 1e-3)
+        self._patience = self.create_timer(wait_s, self._answer_waiting, clock=wall_time, autostart=False)
+        self._keep("timer", self._patience)
+
+    def activate(self) -> None:
+        """Answer sets from now on."""
+        self._active = True
+
+    def deactivate(self) -> None:
+        """Ignore sets from now on; the state is kept."""
+        self._active = False
+
+    def cleanup(self) -> None:
+        """Close topics, forget body and state."""
+        for kind, entity in self._entities:
+            getattr(self, f"destroy_{kind}")(entity)
+        self._entities.clear()
+        self._humans.close()
+        self._humans, self._filter = NoHumans(), None
+
+    def _open_publishers(self) -> None:
+        def publisher(kind: type, topic: str) -> Publisher:
+            opened = self.create_publisher(kind, topic, RESULT)
+            self._keep("publisher", opened)
+            return opened
+
+        self._joint_states = publisher(JointState, "mocap/joint_states")
+        self._torso = publisher(PoseWithCovarianceStamped, "mocap/torso")
+        self._joint_covariance = publisher(Float64MultiArray, "mocap/joint_covariance")
+        self._reference_points = publisher(PointCloud2, "mocap/reference_points")
+        self._skeleton = publisher(MarkerArray, "mocap/skeleton")
+        self._state = publisher(DiagnosticStatus, "mocap/state")
+        self._prediction = publisher(JointState, "ekf/prediction")
+
+    def _keep(self, kind: str, entity: object) -> None:
+        self._entities.append((kind, entity))
+
+    def _on_body(self, message: String) -> None:
+        if message.data == self._body_text:
+            return
+        try:
+            body = parse_body(message.data, BODY_TOPIC)
+        except InputError as error:
+            self._drop("bad_body", error)
+            return
+        self._body_text = message.data
+        self._filter = ArticulatedEkf(body, self.settings.filter)
+        self.get_logger().info(f"body of {BODY_TOPIC}: stature {body.stature:.2f} m")
+        self._answer_waiting()
+
+    def _on_points(self, cloud: PointCloud2) -> None:
+        if not self._active:
+            return
+        measured = self._read(cloud)
+        if self._filter is None and measured[2].any():  # the body was measured with this very set, and is on its way
+            self._waiting.append(cloud)
+            if len(self._waiting) > RESULT.depth:
+                self._answer(self._waiting.popleft())
+            self._patience.reset()
+            return
+        self._answer(cloud, measured)
+
+    def _answer_waiting(self) -> None:
+        self._patience.cancel()
+        while self._waiting:
+            self._answer(self._waiting.popleft())
+
+    def _read(self, cloud: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points, covariances, visibility of a cloud; of one that cannot be used, that nothing was seen."""
+        try:
+            if cloud.header.frame_id != self.settings.frame_id:
+                remedy = f"Publish in '{self.settings.frame_id}', or set the parameter frame_id."
+                raise InputError(f"frame_id is '{cloud.header.frame_id}'", where=POINTS_TOPIC, remedy=remedy)
+            array = from_cloud(cloud, REFERENCE_POINTS, POINTS_TOPIC)
+            if len(array) != len(NOTHING_SEEN[2]):
+                raise InputError(f"{len(array)} points", where=POINTS_TOPIC, remedy="Publish the 15 reference points.")
+            return split_reference_points(array)
+        except InputError as error:
+            self._drop("bad_points", error)
+            return NOTHING_SEEN
+
+    def _answer(self, cloud: PointCloud2, measured: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> None:
+        """The one answer that every set gets."""
+        stamp_ns = to_ns(cloud.header.stamp)
+        result = self._filtered(stamp_ns, *(measured or self._read(cloud)))
+        if self._filter is not None and isinstance(result, EkfState) and result.tracking != Tracking.LOST:
+            self._publish_body(result, self._filter.body)
+        else:
+            self._humans.absent(stamp_ns)
+        self._state.publish(state_message(result, self.get_fully_qualified_name()))
+        pose, drift = (result.pose, result.drift) if isinstance(result, EkfState) else (None, np.zeros(24))
+        self._prediction.publish(prediction_message(pose, drift, stamp_ns, self.settings.frame_id))
+        self.health.status(HEALTH[result.tracking], f"{result.tracking}: {result.reason}")
+        self.health.tick(stamp_ns)
+
+    def _filtered(
+        self, stamp_ns: int, points: np.ndarray, covariance: np.ndarray, visible: np.ndarray
+    ) -> EkfState | NoState:
+        if self._filter is None:
+            self.health.count("without_body")
+            return NoState(stamp_ns, f"waiting for the body on {BODY_TOPIC}")
+        if self._filter.is_past(stamp_ns):
+            return self._out_of_order(stamp_ns)
+        self._backwards = 0
+        try:
+            return self._filter.step(stamp_ns, points, covariance, visible)
+        except InputError as error:
+            self._drop("bad_points", error)
+            return self._filter.step(stamp_ns, *NOTHING_SEEN)
+
+    def _out_of_order(self, stamp_ns: int) -> NoState:
+        self._backwards += 1
+        remedy = "Send each frame set once, in stamp order."
+        self._drop("stamp_back", InputError(f"stamp {stamp_ns} ns is of the past", where=POINTS_TOPIC, remedy=remedy))
+        if self._backwards >= self.settings.restart_after_sets:
+            self.get_logger().warning(f"{self._backwards} sets in a row are of the past: starting anew")
+            self._start_anew()
+        return NoState(stamp_ns, "stamp is not later than the last set's")
+
+    def _publish_body(self, state: EkfState, body: Body) -> None:
+        frame = self.settings.frame_id
+        self._joint_states.publish(joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame))
+        self._torso.publish(torso_message(state, frame))
+        self._joint_covariance.publish(covariance_message(TANGENT_NAMES, state.covariance[POSE, POSE]))
+        self._reference_points.publish(reference_points_message(state, frame))
+        if state.stamp_ns >= self._next_skeleton_ns:
+            rate = self.settings.skeleton_rate_hz
+            self._next_skeleton_ns = state.stamp_ns + (round(NS_PER_S / rate) if rate else 0)
+            with_ellipsoids = self.settings.skeleton_covariance
+            self._skeleton.publish(skeleton_markers(state, body, frame, with_ellipsoids))
+        self._humans.present(state, body)
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._start_anew()
+        response.success, response.message = True, "the next set with a visible torso starts anew"
+        return response
+
+    def _start_anew(self) -> None:
+        self._backwards, self._next_skeleton_ns = 0, 0
+        if self._filter is not None:
+            self._filter.reset()
+
+    def _drop(self, counter: str, error: InputError) -> None:
+        self.health.count(counter)
+        self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Entry point of the executable ``ekf_tracker``."""
+    sys.exit(run_node(EkfNode, args))
+
+
+if __name__ == "__main__":
+    main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Settings of the filter, with their defaults and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from capture_rig.settings import setting
+
+from .motion_model import DampedVelocity, Identity, MotionModel
+
+
+@dataclass(frozen=True)
+class DampedVelocitySettings:
+    """Model `constant_velocity`: a velocity that fades, driven by white acceleration."""
+
+    torso_m_s2: float = setting(8.0, "acceleration of the torso's position", unit="m/s^2", low=0.01)
+    torso_rad_s2: float = setting(30.0, "acceleration of the torso's rotation", unit="rad/s^2", low=0.01)
+    ball_joints_rad_s2: float = setting(60.0, "acceleration of neck, shoulders and hips", unit="rad/s^2", low=0.01)
+    hinges_rad_s2: float = setting(80.0, "acceleration of elbows and knees", unit="rad/s^2", low=0.01)
+    kept: float = setting(0.9, "share of the velocity that is left after one reference period", low=0.01, high=0.999)
+    reference_period_s: float = setting(
+        0.025, "period for which `kept` holds, and for which one acceleration lasts", unit="s", low=0.001, high=1.0
+    )
+
+
+@dataclass(frozen=True)
+class IdentitySettings:
+    """Model `identity` (thesis 5.2): all motion is noise."""
+
+    torso_m_s: float = setting(1.0, "speed of the torso's position", unit="m/s", low=0.001)
+    torso_rad_s: float = setting(1.5, "speed of the torso's rotation", unit="rad/s", low=0.001)
+    ball_joints_rad_s: float = setting(3.0, "speed of neck, shoulders and hips", unit="rad/s", low=0.001)
+    hinges_rad_s: float = setting(3.0, "speed of elbows and knees", unit="rad/s", low=0.001)
+
+
+@dataclass(frozen=True)
+class EkfSettings:
+    """Everything about the filter that a user may change."""
+
+    motion_model: str = setting(
+        "constant_velocity", "how the body moves between two sets", choices=("constant_velocity", "identity")
+    )
+    constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
+    identity: IdentitySettings = field(default_factory=IdentitySettings)
+    iterations: int = setting(2, "relinearisations of one update at most", low=1, high=20)
+    gate_chi2: float = setting(
+        30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0
+    )
+    readmit_after_sets: int = setting(
+        5, "sets in a row after which a point that is still left out is believed, and its limb found anew", low=1
+    )
+    point_sd_floor_m: float = setting(0.001, "least standard deviation of a measured point", unit="m", low=1e-5)
+    joint_sd_cap_rad: float = setting(
+        1.0, "predicted standard deviation of a joint at most: an unobserved twist stays bounded", unit="rad", low=0.05
+    )
+    hinge_margin_rad: float = setting(
+        0.15, "an elbow or knee bent further than this past straight is turned round", unit="rad", low=0.0, high=1.0
+    )
+    coast_s: float = setting(
+        0.1, "without measurements for longer than this, the body's velocity counts as unknown", unit="s", low=0.0
+    )
+    lost_after_s: float = setting(
+        1.0, "without measurements for longer than this, the body is lost; the next good set starts anew", unit="s",
+        low=0.01,
+    )  # fmt: skip
+
+
+def motion_model(settings: EkfSettings) -> MotionModel:
+    """The motion model that the settings choose."""
+    s, i = settings.constant_velocity, settings.identity
+    if settings.motion_model == "identity":
+        return Identity((i.torso_m_s, i.torso_rad_s, i.ball_joints_rad_s, i.hinges_rad_s))
+    accelerations = (s.torso_m_s2, s.torso_rad_s2, s.ball_joints_rad_s2, s.hinges_rad_s2)
+    return DampedVelocity(accelerations, s.kept, s.reference_period_s)

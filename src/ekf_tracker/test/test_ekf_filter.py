@@ -1,0 +1,358 @@
+"""The filter on simulated people: accuracy, honesty of its covariance, outliers, gaps, hinges, determinism."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from ekf_person import ALL, BENT_ANGLES, EPOCH_NS, NONE, Person, ellipsoid_distances, errors_mm, isotropic, run, stamp
+from scipy.stats import chi2
+
+from capture_rig.errors import InputError
+from ekf_tracker.covariance import JOINT_SLOTS
+from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.motion_model import DampedVelocity
+from ekf_tracker.settings import DampedVelocitySettings, EkfSettings
+from ekf_tracker.slots import POSE, VELOCITY
+from ekf_tracker.state import EkfState, NoState, Tracking
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.skeleton import POINT_NAMES, TORSO_POINTS
+
+SETTLED = 30
+HAND, ELBOW = POINT_NAMES.index("left_hand"), POINT_NAMES.index("left_elbow")
+LEFT_ARM = [HAND, ELBOW]
+BENT_POSE = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), BENT_ANGLES)
+
+
+def test_filtered_points_are_half_as_wrong_as_the_measured_ones(body, person):
+    states, truth = run(ArticulatedEkf(body), person, 600)
+    raw_mm = 20.0 * np.sqrt(8 / np.pi)  # mean length of a 3D Gaussian of 20 mm an axis
+    assert errors_mm(states, truth)[SETTLED:].mean() < 0.5 * raw_mm
+
+
+@pytest.mark.parametrize(("speed", "margin"), [(1.0, 0.95), (2.0, 0.9)])
+def test_constant_velocity_beats_the_identity_model_on_smooth_motion(body, speed, margin):
+    person = Person(body, speed=speed)
+    damped, truth = run(ArticulatedEkf(body), person, 300)
+    identity, _ = run(ArticulatedEkf(body, EkfSettings(motion_model="identity")), person, 300)
+    damped_mm, identity_mm = (errors_mm(s, truth)[SETTLED:].mean() for s in (damped, identity))
+    assert damped_mm < margin * identity_mm < 30.0
+
+
+@pytest.mark.parametrize("model", ["constant_velocity", "identity"])
+def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(body, model):
+    inside = []
+    for seed in range(3):
+        states, truth = run(ArticulatedEkf(body, EkfSettings(motion_model=model)), Person(body, seed), 300)
+        covariances = np.array([s.point_covariance for s in states[SETTLED:]])
+        errors = np.array([s.points_world for s in states[SETTLED:]]) - truth[SETTLED:]
+        inside.append(ellipsoid_distances(errors, covariances) < chi2.ppf(0.95, 3))
+    assert 0.85 < np.mean(inside) < 0.99
+
+
+def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body):
+    """NEES over all 48 slots and NIS of the points, on motion drawn from the motion model itself."""
+    gentle = DampedVelocitySettings(torso_rad_s2=15.0, ball_joints_rad_s2=15.0, hinges_rad_s2=8.0)
+    settings = EkfSettings(constant_velocity=gentle, gate_chi2=1e6)
+    F, Q = DampedVelocity((8.0, 15.0, 15.0, 8.0)).transition(1 / 60)
+    Q_half = np.linalg.cholesky(Q)
+    nees, nis = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        pose, velocity, ekf = BENT_POSE, np.zeros(24), ArticulatedEkf(body, settings)
+        for k in range(90):
+            noise = Q_half @ rng.standard_normal(48)
+            pose = pose.retract(F[POSE, VELOCITY] @ velocity + noise[POSE])
+            velocity = F[VELOCITY, VELOCITY] @ velocity + noise[VELOCITY]
+            points = forward(body, pose) + 0.02 * rng.standard_normal((15, 3))
+            state = ekf.step(stamp(k), points, isotropic(0.02), ALL)
+            if k >= SETTLED:
+                e = np.concatenate([pose.minus(state.pose), velocity - state.velocity])
+                nees.append(e @ np.linalg.solve(state.covariance, e))
+                nis.append(state.normalised_innovation)
+    # the mean of 360 chi-squares of 48 degrees spreads by 0.011, but successive errors are alike: allow ten times that
+    assert np.mean(nees) / 48 == pytest.approx(1.0, abs=0.1)
+    # 360 sets of 45 degrees: the innovations are white, so four standard deviations of the mean
+    assert np.mean(nis) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (360 * 45)))
+
+
+def test_rates_are_the_derivatives_of_the_true_angles(body, person):
+    states, _ = run(ArticulatedEkf(body), person, 120, noise=1e-5)
+    times, step = np.arange(120) / 60.0, 1e-4
+    ahead, behind = (np.array([person.pose(t + s).angles() for t in times]) for s in (step, -step))
+    true = (ahead - behind) / (2 * step)
+    error = np.array([s.rates for s in states])[SETTLED:] - true[SETTLED:]
+    assert (np.sqrt((error**2).mean(0)) < 0.12 * np.sqrt((true**2).mean(0))).all()
+
+
+def test_drift_leads_to_the_next_prediction(body, person):
+    """What the consumer of a prediction computes equals what the filter will predict."""
+    ekf = ArticulatedEkf(body)
+    states, _ = run(ekf, person, 40)
+    expected = forward(body, states[-1].pose.retract(states[-1].drift / 60.0))
+    blind = ekf.step(stamp(40), np.zeros((15, 3)), isotropic(0.02), NONE)
+    assert np.linalg.norm(blind.points_world - expected, axis=1).max() < 1e-6
+    assert np.linalg.norm(expected - states[-1].points_world, axis=1).max() > 1e-3
+
+
+def test_identity_model_does_not_drift_but_reports_how_fast_the_body_moved(body, person):
+    states, truth = run(ArticulatedEkf(body, EkfSettings(motion_model="identity")), person, 120, noise=0.002)
+    np.testing.assert_array_equal(states[-1].drift, 0.0)
+    measured = np.array([s.velocity[:3] for s in states[SETTLED:]])
+    true = np.gradient(truth[:, 0], 1 / 60.0, axis=0)[SETTLED:]
+    assert np.abs(measured - true).mean() < 0.15 * np.abs(true).max()
+
+
+def test_two_runs_give_the_same_bytes(body, person):
+    def digest():
+        rng = np.random.default_rng(5)
+        visible = np.random.default_rng(6).random((120, 15)) < 0.8
+        states, _ = run(ArticulatedEkf(body), person, 120, rng=rng, visible=lambda k: visible[k])
+        return [
+            b"".join(np.asarray(value).tobytes() for value in dataclasses.astuple(s) if isinstance(value, np.ndarray))
+            + b"".join(array.tobytes() for array in s.pose.arrays)
+            for s in states
+            if isinstance(s, EkfState)
+        ]
+
+    assert digest() == digest()
+
+
+# --- points that are missing or wrong -----------------------------------------------------------------------------
+
+
+def test_outlier_changes_nothing(body, person):
+    """A hand that jumps 0.6 m for two sets is left out: the result equals that of a hand that was not seen."""
+    jump = (60, 61)
+
+    def spoil(k, points):
+        if k in jump:
+            points[HAND] += [0.0, 0.6, 0.0]
+
+    def hidden(k):
+        visible = ALL.copy()
+        visible[HAND] = k not in jump
+        return visible
+
+    gated, _ = run(ArticulatedEkf(body), person, 70, spoil=spoil)
+    unseen, _ = run(ArticulatedEkf(body), person, 70, visible=hidden)
+    assert [bool(s.gated[HAND]) for s in gated[58:64]] == [False, False, True, True, False, False]
+    assert gated[60].tracking == Tracking.TRACKING and "left out: left_hand" in gated[60].reason
+    for a, b in zip(gated, unseen, strict=True):
+        np.testing.assert_array_equal(a.points_world, b.points_world)
+
+
+def test_arm_that_really_jumped_is_found_again(body, person):
+    """The left arm is suddenly elsewhere, for good: the gate yields, and the covariance says so meanwhile."""
+    far = Person(body, seed=11)
+
+    def spoil(k, points):
+        if k >= 60:  # the other person's arm, carried over to this torso
+            here, there = person.pose(k / 60), far.pose(k / 60)
+            swapped = dataclasses.replace(
+                here,
+                R_joints=np.array([*here.R_joints[:1], there.R_joints[1] @ turn, *here.R_joints[2:]]),
+                hinges=np.array([there.hinges[0], *here.hinges[1:]]),
+            )
+            truth[k] = forward(body, swapped)
+            points[LEFT_ARM] = truth[k][LEFT_ARM]
+
+    turn = np.diag([1.0, -1.0, -1.0])  # points to the other side
+    truth = {}
+    states, _ = run(ArticulatedEkf(body), person, 90, spoil=spoil)
+    error_mm = [1e3 * np.linalg.norm(states[k].points_world[HAND] - truth[k][HAND]) for k in range(60, 90)]
+    assert error_mm[0] > 300.0
+    assert max(error_mm[12:]) < 60.0
+    assert states[-1].tracking == Tracking.TRACKING
+
+
+def test_body_that_really_jumped_is_found_again(body, person):
+    def spoil(k, points):
+        if k >= 60:
+            points += [0.0, 3.0, 0.0]
+
+    states, truth = run(ArticulatedEkf(body), person, 90, spoil=spoil)
+    assert states[60].tracking == Tracking.DOUBTFUL
+    late = errors_mm(states, truth + np.where(np.arange(90)[:, None, None] >= 60, [0.0, 3.0, 0.0], 0.0))
+    assert late[60].mean() > 1000.0
+    assert late[75:].mean() < 25.0
+
+
+def test_gap_is_the_same_whether_sets_are_missing_or_empty(body, person):
+    empty, _ = run(ArticulatedEkf(body), person, 60, visible=lambda k: ALL if k < 40 else NONE)
+    ekf = ArticulatedEkf(body)
+    run(ekf, person, 40)
+    jumped = ekf.step(stamp(59), np.zeros((15, 3)), isotropic(0.02), NONE)
+    np.testing.assert_allclose(jumped.points_world, empty[-1].points_world, atol=1e-6)
+    torso = slice(0, 6)  # joints differ by the order in which their cap was applied
+    np.testing.assert_allclose(jumped.covariance[torso, torso], empty[-1].covariance[torso, torso], rtol=1e-6)
+
+
+def test_body_out_of_sight_stops_being_extrapolated(body, person):
+    settings = EkfSettings(coast_s=0.1)
+    states, _ = run(ArticulatedEkf(body, settings), person, 80, visible=lambda k: ALL if k < 40 else NONE)
+    points = np.array([s.points_world for s in states])
+    moved_mm = 1e3 * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
+    assert moved_mm[39:45].min() > 1.0
+    assert moved_mm[46:].max() < 1e-6
+    spread = [np.trace(s.point_covariance[HAND]) for s in states]
+    assert all(np.diff(spread[39:60]) > 0.0)
+
+
+def test_true_points_stay_inside_the_ellipsoids_through_a_gap(body):
+    """Ten sets without points: errors grow to decimetres, and the covariance with them."""
+    inside = []
+    for seed in range(5):
+        person = Person(body, seed)
+        states, truth = run(ArticulatedEkf(body), person, 70, visible=lambda k: ALL if k < 60 else NONE)
+        last = states[-1]
+        inside.append(ellipsoid_distances(last.points_world - truth[-1], last.point_covariance) < chi2.ppf(0.95, 3))
+    assert np.mean(inside) > 0.85
+
+
+def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(body, person):
+    def visible(k):
+        return NONE if 30 <= k < 110 else ALL
+
+    states, truth = run(ArticulatedEkf(body, EkfSettings(lost_after_s=1.0)), person, 130, visible=visible)
+    assert states[29].tracking == Tracking.TRACKING
+    assert states[30].tracking == Tracking.DOUBTFUL and "no visible point" in states[30].reason
+    assert states[88].tracking == Tracking.DOUBTFUL
+    assert states[90].tracking == Tracking.LOST and "no usable point for 1.02 s" in states[90].reason
+    assert states[110].tracking == Tracking.TRACKING
+    assert errors_mm(states, truth)[110].mean() < 35.0
+
+
+def test_arm_that_is_never_seen_keeps_the_t_pose_and_says_how_little_is_known(body, person):
+    visible = ALL.copy()
+    visible[LEFT_ARM] = False
+    states, truth = run(ArticulatedEkf(body), person, 60, visible=lambda k: visible)
+    seen = errors_mm(states, truth)[SETTLED:][:, visible]
+    assert seen.mean() < 20.0
+    assert np.sqrt(np.trace(states[-1].point_covariance[HAND])) > 0.3
+
+
+def test_filter_starts_from_part_of_the_torso_and_not_from_less(body, person):
+    visible = NONE.copy()
+    visible[TORSO_POINTS[:3]] = True
+    ekf = ArticulatedEkf(body)
+    waiting = ekf.step(stamp(0), person.points(0.0), isotropic(0.02), visible)
+    assert isinstance(waiting, NoState) and waiting.reason == "waiting for the torso: 3 of 15 points visible"
+    assert waiting.tracking == Tracking.ACQUIRING
+    visible[TORSO_POINTS[3]] = True
+    started = ekf.step(stamp(1), person.points(1 / 60), isotropic(0.001), visible)
+    error = np.linalg.norm(started.points_world - person.points(1 / 60), axis=1)
+    assert error[TORSO_POINTS].max() < 5e-3
+
+
+# --- hinges, singular poses, long runs ------------------------------------------------------------------------------
+
+
+def straightening(body, frames, t_pass):
+    """Left elbow bends from -0.6 through straight at ``t_pass`` and back, the upper arm turning by pi about itself."""
+    poses = []
+    for k in range(frames):
+        pose = Person(body).pose(0.3)
+        hinge = 1.2 * (k / 60.0 - t_pass)
+        poses.append(Pose(pose.position_world, pose.R_world_torso, pose.R_joints, [hinge, *pose.hinges[1:]]))
+    return poses
+
+
+def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_round(body):
+    poses = straightening(body, 90, 0.75)
+    assert poses[0].hinges[0] < -0.8 and poses[-1].hinges[0] > 0.8
+    rng, ekf, errors = np.random.default_rng(2), ArticulatedEkf(body), []
+    for k, pose in enumerate(poses):
+        points = forward(body, pose)
+        state = ekf.step(stamp(k), points + 0.01 * rng.standard_normal((15, 3)), isotropic(0.01), ALL)
+        errors.append(1e3 * np.linalg.norm(state.points_world - points, axis=1).max())
+        assert state.pose.hinges[0] <= 0.15
+        assert not state.gated.any()
+    assert max(errors[SETTLED:]) < 40.0
+    assert state.pose.hinges[0] == pytest.approx(-poses[-1].hinges[0], abs=0.1)
+
+
+def test_covariance_stays_positive_definite_over_2000_sets_with_twists_nobody_sees(body):
+    """Random motion, arms and legs straight half of the time, points coming and going."""
+    rng = np.random.default_rng(9)
+    ekf = ArticulatedEkf(body)
+    person = Person(body, 4, speed=1.5)
+    for k in range(2000):
+        pose = person.pose(k / 60)
+        straight = np.sin(0.8 * k / 60 + np.arange(4)) > 0.0
+        pose = dataclasses.replace(pose, hinges=np.where(straight, 0.0, pose.hinges))
+        points = forward(body, pose) + 0.02 * rng.standard_normal((15, 3))
+        state = ekf.step(stamp(k), points, isotropic(0.02), rng.random(15) < 0.7)
+        if isinstance(state, NoState):
+            continue
+        P = state.covariance
+        np.testing.assert_array_equal(P, P.T)
+        assert np.linalg.eigvalsh(P)[0] > 0.0
+        if k % 10 == 0:
+            assert all(np.linalg.eigvalsh(P[np.ix_(s, s)])[-1] < 1.0 + 1e-9 for s in JOINT_SLOTS)
+    assert ekf.repairs == 0
+    assert state.tracking == Tracking.TRACKING
+
+
+def test_arms_pointing_forward_in_gimbal_lock_are_tracked_like_any_other(body):
+    """b = -pi/2 of both shoulders: Euler angles are singular there, the filter is not."""
+    rng, ekf, errors = np.random.default_rng(3), ArticulatedEkf(body), []
+    for k in range(120):
+        angles = T_POSE_ANGLES.copy()
+        angles[4] = angles[5] = -np.pi / 2 + 0.3 * np.sin(0.1 * k)
+        angles[8:10] = -0.5
+        pose = Pose.from_angles(np.array([0.0, 0.0, 1.2]), np.eye(3), angles)
+        points = forward(body, pose)
+        state = ekf.step(stamp(k), points + 0.01 * rng.standard_normal((15, 3)), isotropic(0.01), ALL)
+        errors.append(1e3 * np.linalg.norm(state.points_world - points, axis=1).mean())
+        assert np.isfinite(state.rates).all() and np.abs(state.rates).max() < 60.0
+    assert np.mean(errors[SETTLED:]) < 10.0
+
+
+# --- stamps and other input -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late_ns", [0, 1, 1_000_000_000])
+def test_stamp_that_does_not_advance_is_refused_and_leaves_the_state_alone(body, person, late_ns):
+    ekf = ArticulatedEkf(body)
+    run(ekf, person, 20)
+    with pytest.raises(InputError, match="not later than the last one"):
+        ekf.step(stamp(19) - late_ns, person.points(0.3), isotropic(0.02), ALL)
+    (after,), _ = run(ekf, person, 1, start=20)
+    undisturbed, _ = run(ArticulatedEkf(body), person, 20)
+    assert after.stamp_ns == stamp(20)
+    assert np.linalg.norm(after.points_world - undisturbed[-1].points_world, axis=1).max() < 0.1
+
+
+def test_bad_points_are_refused_before_the_filter_moves(body, person):
+    ekf = ArticulatedEkf(body)
+    run(ekf, person, 10)
+    points = person.points(10 / 60)
+    points[2] = np.nan
+    with pytest.raises(InputError, match="point 'neck' is not finite"):
+        ekf.step(stamp(10), points, isotropic(0.02), ALL)
+    good = ekf.step(stamp(10), person.points(10 / 60), isotropic(0.02), ALL)
+    assert good.tracking == Tracking.TRACKING
+
+
+def test_reset_forgets_body_and_time(body, person):
+    ekf = ArticulatedEkf(body)
+    run(ekf, person, 10)
+    ekf.reset()
+    state = ekf.step(EPOCH_NS - 10**12, person.points(2.0), isotropic(0.001), ALL)
+    assert 1e3 * np.linalg.norm(state.points_world - person.points(2.0), axis=1).max() < 5.0
+
+
+def test_update_without_prediction_is_a_programming_error(body, person):
+    with pytest.raises(ValueError, match="before the first predict"):
+        ArticulatedEkf(body).update(person.points(0.0), isotropic(0.02), ALL)
+
+
+def test_predict_and_update_one_by_one_equal_one_step(body, person):
+    whole, halves = ArticulatedEkf(body), ArticulatedEkf(body)
+    for k in range(5):
+        a = whole.step(stamp(k), person.points(k / 60), isotropic(0.02), ALL)
+        halves.predict(stamp(k))
+        b = halves.update(person.points(k / 60), isotropic(0.02), ALL)
+    np.testing.assert_array_equal(a.points_world, b.points_world)
+    np.testing.assert_array_equal(a.covariance, b.covariance)

@@ -1,0 +1,53 @@
+"""What only fresh processes show: equal bytes from run to run, and nothing left to compile after the rehearsal."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+PATIENCE_S = 120.0
+
+RUN = """
+import hashlib
+import numpy as np
+from ekf_person import ALL, Person, isotropic, stamp
+from ekf_tracker import compiled
+from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.rehearsal import rehearse
+from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, reference_points_array, split_reference_points, to_cloud
+from stick_figure import kernels
+from stick_figure.body import Body
+
+def compilations():
+    functions = [f for module in (compiled, kernels) for f in vars(module).values() if hasattr(f, "signatures")]
+    return sum(len(f.signatures) for f in functions)
+
+rehearse()
+before = compilations()
+person, digest = Person(Body.from_stature(1.75)), hashlib.sha256()
+ekf, rng = ArticulatedEkf(person.body), np.random.default_rng(0)
+for k in range(60):
+    points = person.points(k / 60) + 0.02 * rng.standard_normal((15, 3))
+    cloud = to_cloud(reference_points_array(points, isotropic(0.02), rng.random(15) < 0.8), stamp(k), "map")
+    state = ekf.step(stamp(k), *split_reference_points(from_cloud(cloud, REFERENCE_POINTS, "test")))
+    for array in (*state.pose.arrays, state.velocity, state.covariance, state.angles, state.rates):
+        digest.update(array.tobytes())
+print(digest.hexdigest(), compilations() - before)
+"""
+
+
+def fresh_run():
+    done = subprocess.run(
+        [sys.executable, "-c", RUN],
+        cwd=Path(__file__).parent,  # ekf_person is here
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_two_processes_give_the_same_bytes_and_the_rehearsal_leaves_nothing_to_compile():
+    digest, compiled_after_rehearsal = fresh_run()
+    assert compiled_after_rehearsal == "0"
+    assert fresh_run()[0] == digest

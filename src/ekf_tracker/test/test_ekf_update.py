@@ -1,0 +1,232 @@
+"""One prediction and one correction against an independent dense EKF written from the textbook."""
+
+import numpy as np
+import pytest
+from ekf_person import ALL, Person, isotropic
+from scipy.optimize import least_squares
+
+from capture_rig.errors import InputError
+from ekf_tracker.compiled import joseph, mahalanobis, point_covariances, points_and_jacobian, solve_spd
+from ekf_tracker.covariance import positive_definite, with_capped_joints, with_negated_slots
+from ekf_tracker.measurement import Measurement
+from ekf_tracker.motion_model import DampedVelocity
+from ekf_tracker.slots import POSE, VELOCITY
+from ekf_tracker.update import Estimate, corrected, innovation_distances, predicted
+from stick_figure import kernels
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+
+
+def random_spd(rng, n, sd):
+    A = rng.standard_normal((n, n)) / np.sqrt(n) + 0.3 * np.eye(n)
+    return sd**2 * A @ A.T
+
+
+@pytest.fixture
+def problem(body):
+    """A prior with a full covariance, and points about 20 mm off it with full covariances."""
+    rng = np.random.default_rng(3)
+    pose = Person(body).pose(1.7)
+    P = np.zeros((48, 48))
+    P[:] = random_spd(rng, 48, 0.03)
+    prior = Estimate(pose, rng.normal(0.0, 1.0, 24), P)
+    R = np.array([random_spd(rng, 3, 0.02) for _ in range(15)])
+    points = forward(body, pose.retract(0.02 * rng.standard_normal(24))) + 0.01 * rng.standard_normal((15, 3))
+    return prior, Measurement.checked(points, R, ALL, 1e-6)
+
+
+def numeric_jacobian(body, pose, step=1e-6):
+    columns = [
+        (forward(body, pose.retract(step * e)) - forward(body, pose.retract(-step * e))).ravel() / (2 * step)
+        for e in np.eye(24)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def dense_ekf(body, prior, z, visible):
+    """Thesis Table 5.7 literally, on the flattened points, with a numeric Jacobian and (I - K H) P."""
+    rows = np.repeat(visible, 3)
+    H = np.hstack([numeric_jacobian(body, prior.pose), np.zeros((45, 24))])[rows]
+    R = np.zeros((45, 45))
+    for i in range(15):
+        R[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = z.covariance[i]
+    R = R[np.ix_(rows, rows)]
+    y = (z.points_world - forward(body, prior.pose)).ravel()[rows]
+    P = prior.covariance
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    return K @ y, (np.eye(48) - K @ H) @ P
+
+
+@pytest.mark.parametrize("hidden", [[], [1, 12], [0, 3, 7, 11]])
+def test_one_iteration_equals_the_dense_textbook_update(body, problem, hidden):
+    prior, z = problem
+    visible = ALL.copy()
+    visible[hidden] = False
+    posterior = corrected(body, prior, z, visible, iterations=1)
+    x, P = dense_ekf(body, prior, z, visible)
+    np.testing.assert_allclose(posterior.pose.minus(prior.pose), x[POSE], atol=1e-7)
+    np.testing.assert_allclose(posterior.velocity, prior.velocity + x[VELOCITY], atol=1e-7)
+    np.testing.assert_allclose(posterior.covariance, P, atol=1e-9)
+
+
+def test_iterations_end_at_the_most_probable_pose(body, problem):
+    """The minimum of points' and prior's squared residuals, found by a general solver."""
+    prior, z = problem
+    P_half = np.linalg.cholesky(np.linalg.inv(prior.covariance[POSE, POSE]))
+    R_half = np.array([np.linalg.cholesky(np.linalg.inv(R)) for R in z.covariance])
+
+    def residuals(d):
+        y = z.points_world - forward(body, prior.pose.retract(d))
+        return np.concatenate([np.einsum("iab,ia->ib", R_half, y).ravel(), P_half.T @ d])
+
+    best = least_squares(residuals, np.zeros(24), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+    posterior = corrected(body, prior, z, ALL, iterations=20)
+    found = forward(body, posterior.pose)
+    assert np.linalg.norm(found - forward(body, prior.pose.retract(best)), axis=1).max() < 5e-4
+    once = forward(body, corrected(body, prior, z, ALL, iterations=1).pose)
+    assert np.abs(found - once).max() > 1e-4  # there was something to iterate
+
+
+def test_prediction_equals_dense_matrices_and_moves_the_pose_along_the_velocity(body, problem):
+    prior, _ = problem
+    F, Q = DampedVelocity().transition(0.02)
+    ahead = predicted(prior, F, Q)
+    np.testing.assert_allclose(ahead.covariance, F @ prior.covariance @ F.T + Q, atol=1e-12)
+    np.testing.assert_allclose(ahead.pose.minus(prior.pose), F[0, 24] * prior.velocity, atol=1e-9)
+    np.testing.assert_allclose(ahead.velocity, 0.9**0.8 * prior.velocity, rtol=1e-12)
+
+
+def test_point_follows_the_direction_in_which_it_was_measured_well(body, problem):
+    """A hand measured to 2 mm along x and to 1 m otherwise is corrected along x only."""
+    prior, _ = problem
+    prior = Estimate(prior.pose, prior.velocity, np.diag(np.full(48, 0.1**2)))
+    hand = 11
+    points = forward(body, prior.pose)
+    points[hand] += 0.04
+    R = isotropic(1.0)
+    R[hand, 0, 0] = 0.002**2
+    only_hand = np.arange(15) == hand
+    z = Measurement.checked(points, R, only_hand, 1e-6)
+    moved = forward(body, corrected(body, prior, z, only_hand, iterations=5).pose)[hand] - points[hand] + 0.04
+    assert abs(moved[0] - 0.04) < 1e-3
+    assert np.abs(moved[1:]).max() < 0.02
+
+
+def test_joseph_form_stays_positive_where_the_short_form_does_not():
+    rng = np.random.default_rng(0)
+    P, R = random_spd(rng, 48, 1.0), np.tile(1e-12 * np.eye(3), (15, 1, 1))
+    H = rng.standard_normal((45, 24))
+    H[1] = H[0]  # two identical, almost noiseless measurements: the gain is badly conditioned
+    K = P[:, POSE] @ H.T @ np.linalg.inv(H @ P[POSE, POSE] @ H.T + 1e-12 * np.eye(45))
+    short = P - K @ H @ P[POSE, :]
+    assert np.linalg.eigvalsh(0.5 * (short + short.T))[0] < -1e-9
+    assert np.linalg.eigvalsh(joseph(P, K, H, R))[0] > -1e-9
+
+
+def test_innovation_distance_is_the_mahalanobis_length_of_each_point(body, problem):
+    prior, z = problem
+    H = numeric_jacobian(body, prior.pose).reshape(15, 3, 24)
+    y = z.points_world - forward(body, prior.pose)
+    for i, distance in enumerate(innovation_distances(body, prior, z)):
+        S = H[i] @ prior.covariance[POSE, POSE] @ H[i].T + z.covariance[i]
+        assert distance == pytest.approx(y[i] @ np.linalg.inv(S) @ y[i], rel=1e-6)
+
+
+def test_compiled_algebra_equals_numpy(body):
+    rng = np.random.default_rng(5)
+    S, B = random_spd(rng, 45, 1.0), rng.standard_normal((45, 24))
+    np.testing.assert_allclose(solve_spd(S, B), np.linalg.solve(S, B), rtol=1e-8, atol=1e-10)
+    pose, P = Person(body).pose(0.4), random_spd(rng, 24, 0.1)
+    h, H = points_and_jacobian(body, pose)
+    np.testing.assert_allclose(h, forward(body, pose), atol=1e-12)
+    np.testing.assert_allclose(H.reshape(45, 24), numeric_jacobian(body, pose), atol=1e-8)
+    C = point_covariances(H, P)
+    np.testing.assert_allclose(C, np.einsum("iak,kl,ibl->iab", H, P, H), atol=1e-12)
+    y, S = rng.standard_normal((15, 3)), C + np.eye(3)
+    np.testing.assert_allclose(mahalanobis(y, S), [a @ np.linalg.inv(s) @ a for a, s in zip(y, S, strict=True)])
+
+
+def test_solving_with_an_indefinite_matrix_is_refused():
+    with pytest.raises(ValueError, match="not positive definite"):
+        solve_spd(np.diag([1.0, -1.0]), np.eye(2))
+
+
+def test_capped_joint_keeps_what_is_known_about_its_other_axes():
+    rng = np.random.default_rng(1)
+    axis = np.array([0.6, 0.0, 0.8])
+    slots = [8, 12, 10]  # left shoulder about x, y, z
+    P = 0.01 * random_spd(rng, 48, 1.0)
+    P[np.ix_(slots, slots)] += 9.0 * np.outer(axis, axis)
+    capped = with_capped_joints(P, 1.0)
+    variances, axes = np.linalg.eigh(capped[np.ix_(slots, slots)])
+    assert variances[-1] == pytest.approx(1.0)
+    assert abs(axes[:, -1] @ axis) > 0.999
+    across = np.cross(axis, [0.0, 1.0, 0.0])
+    assert across @ capped[np.ix_(slots, slots)] @ across == pytest.approx(
+        across @ P[np.ix_(slots, slots)] @ across, rel=0.01
+    )
+    others = np.setdiff1d(np.arange(48), slots)
+    np.testing.assert_array_equal(capped[np.ix_(others, others)], P[np.ix_(others, others)])
+    assert np.linalg.eigvalsh(capped)[0] > 0.0
+
+
+def test_covariance_below_the_cap_is_left_alone():
+    P = random_spd(np.random.default_rng(2), 48, 0.1)
+    assert with_capped_joints(P, 1.0) is P
+
+
+@pytest.mark.parametrize("hinge", range(4))
+def test_turned_hinge_leaves_points_and_their_covariance_as_they_were(body, hinge):
+    """Elbow or knee bent 0.4 rad past straight: the other description of the same limb, velocity and covariance too."""
+    rng = np.random.default_rng(hinge)
+    pose, P, velocity = Person(body).pose(0.9), random_spd(rng, 48, 0.1), rng.standard_normal(24)
+    past = pose.hinges.copy()
+    past[hinge] = 0.4 if hinge < 2 else -0.4
+    before = Pose(pose.position_world, pose.R_world_torso, pose.R_joints, past)
+    after, turned_velocity = before.retract(np.zeros(24)), velocity.copy()
+    mask = kernels.canonicalise_hinges(after.R_joints, after.hinges, turned_velocity, 0.15)
+    assert mask == 1 << hinge
+    turned = with_negated_slots(P, kernels.HINGE_SLOT[hinge : hinge + 1])
+
+    (h0, H0), (h1, H1) = points_and_jacobian(body, before), points_and_jacobian(body, after)
+    np.testing.assert_allclose(h1, h0, atol=1e-12)
+    np.testing.assert_allclose(H1 @ turned_velocity, H0 @ velocity, atol=1e-12)
+    joint = np.block([[H0.reshape(45, 24), np.zeros((45, 24))], [np.zeros((45, 24)), H0.reshape(45, 24)]])
+    joint_turned = np.block([[H1.reshape(45, 24), np.zeros((45, 24))], [np.zeros((45, 24)), H1.reshape(45, 24)]])
+    np.testing.assert_allclose(joint_turned @ turned @ joint_turned.T, joint @ P @ joint.T, atol=1e-12)
+
+
+def test_covariance_with_a_negative_eigenvalue_is_mended_and_reported():
+    P = np.diag([1.0, 1e-3, -1e-9])
+    mended, repaired = positive_definite(P)
+    assert repaired and np.linalg.eigvalsh(mended)[0] > 0.0
+    np.testing.assert_allclose(mended, P, atol=1e-8)
+    assert positive_definite(np.eye(3)) == (pytest.approx(np.eye(3)), False)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda p, C, v: p.__setitem__((7, 1), np.nan), "point 'left_elbow' is not finite"),
+        (lambda p, C, v: C.__setitem__((2, 0, 0), np.inf), "point 'neck' has a covariance that is not finite"),
+        (lambda p, C, v: C.__setitem__((14, 0, 1), 0.5), "point 'right_foot' has an asymmetric covariance"),
+        (lambda p, C, v: C.__setitem__((0, 2, 2), -0.1), "point 'torso' has a covariance that is not positive"),
+    ],
+)
+def test_bad_measurement_is_refused_by_the_name_of_its_point(spoil, words):
+    points, covariance, visible = np.zeros((15, 3)), isotropic(0.02), ALL.copy()
+    spoil(points, covariance, visible)
+    with pytest.raises(InputError, match=words):
+        Measurement.checked(points, covariance, visible, 0.001)
+
+
+def test_numbers_of_invisible_points_do_not_matter():
+    points, covariance, visible = np.zeros((15, 3)), isotropic(0.02), ALL.copy()
+    points[4], covariance[4], visible[4] = np.nan, np.nan, False
+    z = Measurement.checked(points, covariance, visible, 0.001)
+    assert np.isfinite(z.points_world).all() and np.isfinite(z.covariance).all()
+
+
+def test_measurement_of_another_shape_is_refused():
+    with pytest.raises(InputError, match=r"points has shape \(14, 3\).*Expected \(15, 3\)"):
+        Measurement.checked(np.zeros((14, 3)), isotropic(0.02), ALL, 0.001)

@@ -1,0 +1,73 @@
+"""Choosing who carves: OpenGL compute, the thesis's sweep, or the CPU, all behind one interface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from capture_rig import InputError
+
+from .bricks import BrickVolume
+from .carve_cpu import CpuCarver
+from .egl import NoGraphics
+from .grid import VoxelGrid
+from .views import Masks, RigViews
+
+BACKENDS = ("auto", "gl", "sweep", "cpu")
+
+
+class CarveBackend(Protocol):
+    """Carves the silhouettes of one frame set after another; all backends obey the rule of hull_server.views.
+
+    name : gl, sweep or cpu. device : what it runs on, for people.
+    """
+
+    name: str
+    device: str
+
+    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
+        """The hull of one canvas mask a camera (nonzero = foreground); cameras that are absent have no say."""
+        ...
+
+    def close(self) -> None:
+        """Release what the backend holds; it cannot be used afterwards."""
+        ...
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The backend taken, and why it was this one (a sentence for the log)."""
+
+    backend: CarveBackend
+    reason: str
+
+
+def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> Choice:
+    """Make backend ``kind``. "auto" takes OpenGL compute where hardware offers it, and the CPU otherwise.
+
+    Software OpenGL is several times slower than the CPU backend, so "auto" leaves it alone. Raises InputError for an
+    unknown kind, or when "gl" or "sweep" is asked for and no OpenGL 4.3 context can be had.
+    """
+    if kind not in BACKENDS:
+        raise InputError(f"backend = {kind!r} is not known", remedy=f"Choose one of {', '.join(BACKENDS)}.")
+    if kind == "cpu":
+        return Choice(CpuCarver(views, grid), "the CPU backend was asked for")
+    try:
+        backend = _make_gl(kind, views, grid)
+    except (NoGraphics, InputError) as error:
+        if kind == "auto":
+            return Choice(CpuCarver(views, grid), f"the CPU backend, because of OpenGL: {error}")
+        raise InputError(f"backend = '{kind}' cannot be used: {error}",
+                         remedy="Choose backend 'cpu', which needs no OpenGL, or 'auto'.") from None  # fmt: skip
+    return Choice(backend, f"OpenGL on {backend.device}")
+
+
+def _make_gl(kind: str, views: RigViews, grid: VoxelGrid) -> CarveBackend:
+    try:
+        from .carve_gl import GlCarver
+        from .sweep_gl import SweepCarver
+    except ImportError as error:
+        raise NoGraphics(f"PyOpenGL cannot be imported ({error}); pip install PyOpenGL") from None
+    if kind == "sweep":
+        return SweepCarver(views, grid)
+    return GlCarver(views, grid, hardware=True if kind == "auto" else None)

@@ -1,0 +1,83 @@
+"""What the hull node publishes: the result of one frame set as messages."""
+
+from __future__ import annotations
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import CameraInfo, PointCloud2
+
+from capture_rig.camera import CameraModel
+from sagoma_ros.clouds import CENTERLINE, VOXELS, to_cloud
+from sagoma_ros.stamps import to_stamp
+
+from .pipeline import HullResult
+
+INTRINSICS_TOLERANCE_PX = 1e-3
+
+
+def centerline_cloud(result: HullResult, frame_id: str) -> PointCloud2:
+    """The centerline points with sigma, axis, area, elongation and fill."""
+    line = result.centerline
+    columns = (*line.points_world.T, line.sigma, line.axis, line.area_m2, line.elongation, line.fill)
+    return _cloud(columns, CENTERLINE, result.stamp_ns, frame_id)
+
+
+def voxel_cloud(result: HullResult, frame_id: str) -> PointCloud2:
+    """The decimated voxels; surface is 1 on the hull's surface, 0 inside."""
+    samples = result.voxels
+    return _cloud((*samples.points_world.T, samples.surface), VOXELS, result.stamp_ns, frame_id)
+
+
+def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
+    """Which cameras made this set, and what each stage cost; ``times_ms`` are further times, by key."""
+    texts = {
+        "cameras": ",".join(result.cameras),
+        "missing": ",".join(result.missing),
+        "blank": ",".join(result.blank),
+        "min_seeing": str(result.min_seeing),
+        "backend": result.backend,
+        "voxels": str(result.volume.count),
+        "litres": f"{result.volume.litres:.2f}",
+        "points": str(len(result.centerline)),
+    }
+    stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
+    texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
+    level, message = summarise(result)
+    status = DiagnosticStatus(level=level, name="hull/frame_set", message=message, hardware_id="hull_server")
+    status.values = [KeyValue(key=key, value=value) for key, value in texts.items()]
+    array = DiagnosticArray(status=[status])
+    array.header.stamp = to_stamp(result.stamp_ns)
+    return array
+
+
+def summarise(result: HullResult) -> tuple[bytes, str]:
+    """Level and one line of text: is anything wrong with this frame set?"""
+    troubles = []
+    if result.missing:
+        troubles.append(f"nothing in time from {', '.join(result.missing)}")
+    if result.blank:
+        troubles.append(f"empty silhouette from {', '.join(result.blank)}")
+    if len(result.cameras) < result.min_seeing:
+        troubles.append(f"a hull needs {result.min_seeing} cameras")
+    if result.empty:
+        troubles.append("the hull is empty")
+    return (DiagnosticStatus.WARN, "; ".join(troubles)) if troubles else (DiagnosticStatus.OK, "complete")
+
+
+def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
+    """How a camera_info differs from the undistorted canvas that the rig gives its camera; empty when it does not."""
+    if (info.width, info.height) != (canvas.width, canvas.height):
+        size = f"{canvas.width} x {canvas.height}"
+        return f"size {info.width} x {info.height}, but the rig's undistorted canvas is {size}"
+    if any(info.d):
+        return f"distortion {list(info.d)}, but silhouettes must be undistorted"
+    K = np.asarray(info.k).reshape(3, 3)
+    if not np.allclose(K, canvas.K, rtol=0, atol=INTRINSICS_TOLERANCE_PX):
+        given, wanted = (f"fx {M[0, 0]:.3f} fy {M[1, 1]:.3f} cx {M[0, 2]:.3f} cy {M[1, 2]:.3f}" for M in (K, canvas.K))
+        return f"K with {given}, but the rig says {wanted}"
+    return ""
+
+
+def _cloud(columns: tuple, layout: np.dtype, stamp_ns: int, frame_id: str) -> PointCloud2:
+    table = np.column_stack(columns).astype(np.float32)
+    return to_cloud(np.ascontiguousarray(table).view(layout).reshape(-1), stamp_ns, frame_id)

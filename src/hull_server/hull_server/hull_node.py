@@ -1,0 +1,204 @@
+"""The hull server's node: collects silhouettes into frame sets, carves them, publishes the results."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from time import monotonic_ns
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
+
+from capture_rig import CameraModel, FrameSet, FrameSetCollector, InputError, load_rig
+from sagoma_ros.health import ERROR, WARN
+from sagoma_ros.images import decode_silhouette
+from sagoma_ros.main import run_node
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
+from sagoma_ros.stamps import to_ns
+from sagoma_ros.worker import Worker
+
+from .hull_messages import calibration_mismatch, centerline_cloud, frame_set_message, summarise, voxel_cloud
+from .pipeline import HullPipeline, Mask
+from .settings import NodeSettings
+
+POLL_PERIOD_S = (0.002, 0.05)  # shortest and longest; a fifth of the deadline between them
+SILENT_AFTER_NS = 1_000_000_000
+LOG_EVERY_S = 5.0
+COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
+    name: f"sets_{name}" for name in ("complete", "incomplete")
+}  # the others are frames_NAME
+
+
+@dataclass(frozen=True)
+class Job:
+    """A closed frame set on its way to the carver, and when it was closed, by the ROS clock."""
+
+    frame_set: FrameSet[Mask]
+    closed_ns: int
+
+
+class HullNode(SagomaNode):
+    """Silhouettes of all rig cameras in; hull/centerline, hull/voxels and hull/frame_set out, one of each per set."""
+
+    Settings = NodeSettings
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("hull_server", **options)
+        self._pipeline: HullPipeline | None = None
+        self._collector: FrameSetCollector[Mask] | None = None  # None unless active
+        self._worker: Worker[Job] | None = None
+        self._canvases: dict[str, CameraModel] = {}
+        self._refused: dict[str, str] = {}  # camera: why
+        self._heard_ns: dict[str, int] = {}
+        self._handles: list = []
+
+    def configure(self) -> None:
+        """Load the rig, compute the calibration's tables, subscribe."""
+        settings: NodeSettings = self.settings
+        if not settings.rig_file:
+            raise InputError("rig_file is not set", where=f"parameters of {self.get_name()}",
+                             remedy="Give the path of the rig YAML file.")  # fmt: skip
+        rig = load_rig(settings.rig_file)
+        self._canvases = {camera.name: camera.undistorted_view().camera for camera in rig.cameras}
+        self._pipeline = HullPipeline(rig, settings)
+        self._pipeline.warm_up()
+        self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
+        self.health.set("backend", f"{self._pipeline.backend.name} ({self._pipeline.backend.device})")
+        self._advertise()
+        self._subscribe()
+
+    def activate(self) -> None:
+        """Start collecting."""
+        settings: NodeSettings = self.settings
+        self._worker = Worker("carver", self._carve, settings.queue_depth,
+                              on_drop=partial(self.health.count, "sets_dropped"), on_error=self.report)  # fmt: skip
+        self._heard_ns = dict.fromkeys(self._canvases, monotonic_ns())
+        self._collector = FrameSetCollector(
+            self._canvases,
+            tolerance_ns=round(settings.tolerance_s * 1e9),
+            deadline_ns=round(settings.deadline_s * 1e9),
+            max_open=settings.max_open_sets,
+        )
+
+    def deactivate(self) -> None:
+        """Stop collecting; the sets already closed are finished, those still open are dropped."""
+        self._collector = None
+        if self._worker is not None:
+            self._worker.close(finish=True)
+            self._worker = None
+
+    def cleanup(self) -> None:
+        """Release subscriptions, publishers and the backend."""
+        for destroy, handle in self._handles:
+            destroy(handle)
+        self._handles = []
+        if self._pipeline is not None:
+            self._pipeline.close()
+            self._pipeline = None
+        self._refused = {}
+
+    def _advertise(self) -> None:
+        self._centerline = self.create_publisher(PointCloud2, "hull/centerline", RESULT)
+        self._voxels = self.create_publisher(PointCloud2, "hull/voxels", RESULT)
+        self._frame_set = self.create_publisher(DiagnosticArray, "hull/frame_set", RESULT)
+        self._handles += [(self.destroy_publisher, p) for p in (self._centerline, self._voxels, self._frame_set)]
+
+    def _subscribe(self) -> None:
+        qos = SILHOUETTE_RELIABLE_SUBSCRIBER if self.settings.reliable else SILHOUETTE_SUBSCRIBER
+        for camera in self._canvases:
+            for kind, topic, callback in (
+                (CompressedImage, f"{camera}/silhouette/compressed", self._on_silhouette),
+                (CameraInfo, f"{camera}/camera_info", self._on_camera_info),
+            ):
+                subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos)
+                self._handles.append((self.destroy_subscription, subscription))
+        shortest, longest = POLL_PERIOD_S
+        period_s = min(max(self.settings.deadline_s / 5, shortest), longest)
+        timer = self.create_timer(period_s, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._handles.append((self.destroy_timer, timer))
+
+    def _on_silhouette(self, camera: str, topic: str, message: CompressedImage) -> None:
+        if self._collector is None:
+            self.health.count("frames_while_suspended")
+            return
+        now_ns = monotonic_ns()
+        self._heard_ns[camera] = now_ns
+        if camera in self._refused:
+            self.health.count("frames_refused")
+            return
+        canvas = self._canvases[camera]
+        try:
+            mask = decode_silhouette(message, canvas.width, canvas.height, topic)
+        except InputError as error:
+            self.health.count("bad_images")
+            self.health.set("last_bad_image", error)
+            self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
+            return
+        self._dispatch(self._collector.add(camera, to_ns(message.header.stamp), mask, now_ns))
+
+    def _on_camera_info(self, camera: str, topic: str, info: CameraInfo) -> None:
+        """Refuse a camera whose images are not made with the rig's calibration; take it back when they are."""
+        mismatch = calibration_mismatch(info, self._canvases[camera])
+        if not mismatch:
+            if self._refused.pop(camera, None):
+                self.get_logger().info(f"{topic}: agrees with the rig file again")
+            return
+        if self._refused.get(camera) != mismatch:
+            self._refused[camera] = mismatch
+            error = InputError(f"the images of {camera} are refused: camera_info has {mismatch}", where=topic,
+                               remedy="Give camera client and hull server the same rig file.")  # fmt: skip
+            self.get_logger().error(str(error))
+            self.health.set(f"refused_{camera}", error)
+
+    def _on_poll(self) -> None:
+        if self._collector is None:
+            return
+        now_ns = monotonic_ns()
+        self._dispatch(self._collector.poll(now_ns))
+        for name, count in asdict(self._collector.counters).items():
+            self.health.set(COUNTER_KEYS.get(name, f"frames_{name}"), count)
+        silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
+        self.health.set("silent", ",".join(silent))
+        if self._refused:
+            self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self._refused.items())}")
+        elif silent:
+            self.health.status(WARN, f"no silhouettes from {', '.join(silent)}")
+
+    def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
+        for frame_set in closed:
+            if self._worker is not None:
+                self._worker.put(Job(frame_set, self.get_clock().now().nanoseconds))
+
+    def _carve(self, job: Job) -> None:
+        """One frame set, on the worker's thread: convert, call, publish."""
+        assert self._pipeline is not None
+        frame_set, frame_id = job.frame_set, self.settings.frame_id
+        started_ns = self.get_clock().now().nanoseconds
+        result = self._pipeline.run(frame_set)
+        self._centerline.publish(centerline_cloud(result, frame_id))
+        self._voxels.publish(voxel_cloud(result, frame_id))
+        published_ns = self.get_clock().now().nanoseconds
+        times_ms = {
+            "spread_ms": frame_set.spread_ns / 1e6,
+            "received_ms": (job.closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
+            "queued_ms": (started_ns - job.closed_ns) / 1e6,
+            "hull_ms": (published_ns - started_ns) / 1e6,
+            "published_ms": (published_ns - frame_set.stamp_ns) / 1e6,  # capture to published
+        }
+        self._frame_set.publish(frame_set_message(result, times_ms))
+        if result.empty:
+            self.health.count("sets_empty")
+        if not self._refused:
+            self.health.status(*summarise(result))
+        self.health.tick(frame_set.stamp_ns)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of the executable."""
+    return run_node(HullNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

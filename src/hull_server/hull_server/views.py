@@ -1,0 +1,93 @@
+"""What each camera of the rig sees, and when a voxel is occupied: the rule that every carving backend obeys.
+
+A camera *sees* a voxel when the voxel's centre lies in front of it and projects to a pixel, floor(x + 0.5), that is
+inside the canvas and inside the original image (``seen``). A voxel is occupied when every camera that sees it has
+foreground there, and at least ``min_seeing`` cameras see it. A camera that does not see a place does not veto it:
+unseen is not outside (thesis 3.1 assumes that every camera sees the whole volume, which real rigs do not).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig import InputError, Rig
+
+Masks = Mapping[str, npt.NDArray[np.uint8]]
+
+MAX_CAMERAS = 63  # cameras of a set are bits of a signed 64-bit word
+MAX_CANVAS_PX = 32767
+
+
+@dataclass(frozen=True, eq=False)
+class RigViews:
+    """The undistorted views of all cameras, in name order, on canvases padded to one common size.
+
+    P : (N, 3, 4) projections of map points, metres, to canvas pixels.
+    sizes : (N, 2) width and height of each camera's own canvas, pixels.
+    seen : (N, H, W) uint8, 255 where the camera sees, 0 where it is blind or beyond its own canvas. W is a multiple
+        of 32.
+    """
+
+    names: tuple[str, ...]
+    P: npt.NDArray[np.float64]
+    sizes: npt.NDArray[np.int64]
+    seen: npt.NDArray[np.uint8]
+
+    @classmethod
+    def from_rig(cls, rig: Rig) -> RigViews:
+        """Views of all cameras; InputError when the rig has too few or too many cameras, or an oversized canvas."""
+        if not 2 <= len(rig.cameras) <= MAX_CAMERAS:
+            raise InputError(
+                f"the rig has {len(rig.cameras)} camera(s); a visual hull needs 2 to {MAX_CAMERAS}",
+                remedy="Add the missing cameras to the rig file.",
+            )
+        views = [camera.undistorted_view() for camera in rig.cameras]
+        sizes = np.array([(view.camera.width, view.camera.height) for view in views], np.int64)
+        width, height = -(-int(sizes[:, 0].max()) // 32) * 32, int(sizes[:, 1].max())
+        if max(width, height) > MAX_CANVAS_PX:
+            raise InputError(
+                f"an undistorted image of {width} x {height} pixels is too large",
+                remedy=f"At most {MAX_CANVAS_PX} pixels a side: scale the images down.",
+            )
+        seen = np.zeros((len(views), height, width), np.uint8)
+        for index, view in enumerate(views):
+            seen[index, : view.camera.height, : view.camera.width] = np.where(view.seen, 255, 0)
+        return cls(rig.names, np.stack([view.camera.P for view in views]), sizes, seen)
+
+    def present(self, masks: Masks) -> npt.NDArray[np.int64]:
+        """Indices (n,) of the cameras that ``masks`` holds, ascending.
+
+        Raises InputError for a camera that is not in the rig, or a mask that is not (h, w) uint8 of its canvas.
+        """
+        for name, mask in masks.items():
+            if name not in self.names:
+                raise InputError(f"there is no camera '{name}' in the rig", remedy=f"Known: {', '.join(self.names)}.")
+            width, height = self.sizes[self.names.index(name)]
+            if mask.shape != (height, width) or mask.dtype != np.uint8:
+                raise InputError(
+                    f"the mask is {mask.shape} {mask.dtype}, not ({height}, {width}) uint8",
+                    where=name,
+                    remedy="Send masks on the camera's undistorted canvas.",
+                )
+        return np.array([i for i, name in enumerate(self.names) if name in masks], np.int64)
+
+    def foreground(self, masks: Masks, present: npt.NDArray[np.int64], out: npt.NDArray[np.uint8]) -> None:
+        """Write the seen foreground of each present camera to ``out[camera]`` (H, W): nonzero is foreground."""
+        for index in present:
+            width, height = self.sizes[index]
+            np.bitwise_and(masks[self.names[index]], self.seen[index, :height, :width], out=out[index, :height, :width])
+
+
+def min_seeing(cameras: int, requested: int = 0) -> int:
+    """How many cameras must see a voxel before it can be occupied, when ``cameras`` delivered a silhouette.
+
+    By the rig (``requested`` = 0): three fifths of the cameras, rounded up, but at least three and at most all:
+    3 of 3, 3 of 4, 3 of 5, 4 of 6, 5 of 7, 5 of 8. A requested number is lowered to the number of cameras. Never
+    below two: the cone of a single silhouette is no hull, so with one camera nothing is occupied.
+    """
+    wanted = requested if requested > 0 else max(3, -(-3 * cameras // 5))
+    return max(2, min(wanted, cameras))

@@ -1,0 +1,222 @@
+"""Every backend against a float64 brute force of the rule: occupied where all who see agree, and enough see."""
+
+import threading
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from capture_rig import InputError, Rig, Volume
+from hull_server.backends import make_backend
+from hull_server.carve_cpu import CpuCarver
+from hull_server.egl import GlContext, NoGraphics
+from hull_server.grid import VoxelGrid
+from hull_server.slicer import slice_blobs
+from hull_server.views import RigViews, min_seeing
+
+MAX_DISAGREEMENT = 1e-4  # of the occupied voxels, for backends in single precision
+
+
+def why_no_gl() -> str:
+    try:
+        GlContext().close()
+    except NoGraphics as error:
+        return str(error)
+    return ""
+
+
+NO_GL = why_no_gl()
+needs_gl = pytest.mark.skipif(bool(NO_GL), reason=f"no OpenGL here: {NO_GL}")
+BACKENDS = ["cpu", pytest.param("gl", marks=needs_gl), pytest.param("sweep", marks=needs_gl)]
+
+
+def carve(kind, rig, masks, voxel, needed):
+    backend = make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, voxel)).backend
+    volume = backend.carve(masks, needed)
+    backend.close()
+    return volume
+
+
+def assert_agrees(kind, found, expected):
+    wrong = int((found != expected).sum())
+    assert wrong <= (0 if kind == "cpu" else MAX_DISAGREEMENT * expected.sum()), f"{wrong} of {expected.sum()}"
+
+
+@cache
+def scene(cameras, seed=0, yaw=0.0, x=0.0, y=0.0):
+    """A ring rig and the silhouettes of a person; rendering them is what costs time."""
+    rig = ring_rig(cameras, size=(256, 200), focal_px=188.0, seed=seed)
+    return rig, silhouettes(rig, capsule_person(yaw, x, y))
+
+
+@cache
+def person_seen_whole():
+    rig = ring_rig(6, size=(400, 300), focal_px=292.0)
+    masks = silhouettes(rig, capsule_person(0.4))
+    return rig, masks, carve_brute_force(rig, masks, 0.025, 4)
+
+
+@pytest.mark.parametrize("kind", BACKENDS)
+def test_carve_agrees_with_brute_force_on_a_person_seen_whole(kind):
+    rig, masks, expected = person_seen_whole()
+    assert 60 < expected.sum() * 0.025**3 * 1e3 < 120  # litres: it is a person
+    assert_agrees(kind, carve(kind, rig, masks, 0.025, 4).to_dense(), expected)
+
+
+@settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_carve_agrees_with_brute_force_on_random_scenes(data):
+    """Random rigs, bodies, noise, cut views, blind borders, grids that end inside a brick, lost cameras."""
+    seed = data.draw(st.integers(0, 999))
+    rng = np.random.default_rng(seed)
+    cameras = data.draw(st.integers(2, 7))
+    focal_px = data.draw(st.sampled_from([110.0, 170.0, 320.0]))  # the longest sees only part of the body
+    low, high = rng.uniform(-1.0, -0.6, 3), rng.uniform(0.5, 0.9, 3)
+    volume = Volume(low + np.array([0, 0, 0.9]), high + np.array([0, 0, 1.1]))
+    rig = ring_rig(cameras, size=(192, 150), focal_px=focal_px, seed=seed, volume=volume)
+    masks = silhouettes(rig, capsule_person(*rng.uniform(-0.5, 0.5, 3)))
+    if data.draw(st.booleans()):
+        for name, mask in masks.items():
+            masks[name] = np.where(rng.random(mask.shape) < 0.01, 255 - mask, mask)
+    for name in rig.names[: data.draw(st.integers(0, cameras - 1))]:
+        del masks[name]
+    needed = data.draw(st.integers(2, cameras))
+    expected = carve_brute_force(rig, masks, 0.04, needed)
+    for kind in ("cpu",) if NO_GL else ("cpu", "gl", "sweep"):
+        assert_agrees(kind, carve(kind, rig, masks, 0.04, needed).to_dense(), expected)
+
+
+@pytest.mark.parametrize("kind", BACKENDS)
+def test_carve_agrees_with_brute_force_when_a_camera_stands_inside_the_volume(kind):
+    """Voxels behind it are unseen, blocks across its image plane have no pixel box."""
+    rig = ring_rig(4, size=(256, 200), focal_px=180.0, seed=3)
+    inside = look_at("cam05", np.array([0.4, -0.3, 1.2]), np.array([-0.5, 0.2, 0.9]), 120.0, (256, 200))
+    rig = Rig((*rig.cameras, inside), rig.volume)
+    masks = silhouettes(rig, capsule_person(0.2, -0.4, 0.2))
+    expected = carve_brute_force(rig, masks, 0.04, 3)
+    assert expected.sum() > 500
+    assert_agrees(kind, carve(kind, rig, masks, 0.04, 3).to_dense(), expected)
+
+
+@pytest.mark.parametrize("kind", BACKENDS)
+def test_carve_fills_exactly_what_enough_cameras_see_when_everything_is_foreground(kind):
+    rig = ring_rig(4, size=(256, 200), focal_px=330.0, seed=5)
+    masks = {camera.name: np.where(camera.undistorted_view().seen, 255, 0).astype(np.uint8) for camera in rig.cameras}
+    for needed in (2, 3, 4):
+        expected = carve_brute_force(rig, masks, 0.05, needed)
+        assert 0 < expected.sum() < expected.size
+        assert_agrees(kind, carve(kind, rig, masks, 0.05, needed).to_dense(), expected)
+
+
+@pytest.mark.parametrize("kind", BACKENDS)
+def test_carve_does_not_veto_where_a_camera_is_blind(kind):
+    """A camera that sees the legs only must not cut off the arms (unseen is not outside)."""
+    rig, masks = scene(5, seed=1)
+    tele = look_at("cam06", np.array([3.2, 0.4, 0.6]), np.array([0.0, 0.0, 0.3]), 480.0, (256, 200))
+    without = carve(kind, rig, masks, 0.03, 3).to_dense()
+    masks = masks | silhouettes(Rig((tele,), rig.volume), capsule_person())
+    with_tele = carve(kind, Rig((*rig.cameras, tele), rig.volume), masks, 0.03, 3).to_dense()
+    above, below = round((1.2 + 0.05) / 0.03), round((0.9 + 0.05) / 0.03)
+    assert with_tele[:, :, above:].sum() == without[:, :, above:].sum() > 0
+    assert with_tele[:, :, :below].sum() < without[:, :, :below].sum()  # where it sees, it carves
+
+
+@pytest.mark.parametrize("kind", BACKENDS)
+def test_carve_of_empty_silhouettes_and_of_one_camera_is_empty(kind):
+    rig, masks = scene(3)
+    blank = {name: np.zeros_like(mask) for name, mask in masks.items()}
+    alone = {"cam02": masks["cam02"]}
+    for given_masks, needed in ((blank, 2), (alone, min_seeing(1)), ({}, min_seeing(0))):
+        volume = carve(kind, rig, given_masks, 0.05, needed)
+        assert volume.count == 0 and len(volume.index) == 0 and not volume.to_dense().any()
+
+
+@pytest.mark.parametrize("kind", BACKENDS)
+def test_carve_forgets_the_frame_before(kind):
+    rig, first = scene(4, yaw=0.0, x=0.3, y=0.3)
+    second = scene(4, yaw=1.0, x=-0.3, y=-0.2)[1]
+    backend = make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.04)).backend
+    fresh = backend.carve(second, 3)
+    backend.carve(first, 3)
+    backend.carve({name: first[name] for name in ("cam01", "cam03")}, 2)
+    again = backend.carve(second, 3)
+    assert np.array_equal(fresh.index, again.index) and np.array_equal(fresh.leaves, again.leaves)
+    backend.close()
+
+
+@needs_gl
+def test_all_backends_give_the_same_blobs_where_their_voxels_are_equal():
+    rig, masks = scene(5, seed=2, yaw=0.7)
+    cpu, *others = (carve(kind, rig, masks, 0.025, 3) for kind in ("cpu", "gl", "sweep"))
+    assert len(slice_blobs(cpu)) > 100
+    for other in others:
+        assert np.array_equal(cpu.index, other.index) and np.array_equal(cpu.leaves, other.leaves)
+        for column in ("axis", "area", "centroid", "covariance"):
+            np.testing.assert_array_equal(getattr(slice_blobs(cpu), column), getattr(slice_blobs(other), column))
+
+
+@needs_gl
+def test_sweep_gives_the_same_volume_whichever_axis_it_sweeps_along():
+    rig, masks = scene(4, seed=7)
+    backend = make_backend("sweep", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.05)).backend
+    across_x, across_y, across_z = (backend.sweep(masks, 3, axis) for axis in range(3))
+    assert across_z.sum() > 0
+    np.testing.assert_array_equal(across_x.transpose(1, 2, 0), across_z)  # (x, z, y) to (z, y, x)
+    np.testing.assert_array_equal(across_y.transpose(1, 0, 2), across_z)  # (y, z, x)
+    backend.close()
+
+
+@needs_gl
+def test_gl_context_serves_one_thread_after_another():
+    rig, masks = scene(3)
+    backend = make_backend("gl", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.06)).backend
+    here, there = backend.carve(masks, 3), []
+    threads = [threading.Thread(target=lambda: there.append(backend.carve(masks, 3).count)) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert there == [here.count] * 3 and here.count > 0
+    backend.close()
+
+
+def test_backend_auto_falls_back_to_the_cpu_with_a_reason_when_there_is_no_hardware(monkeypatch):
+    def no_gl(self, hardware=None):
+        raise NoGraphics("no device")
+
+    monkeypatch.setattr(GlContext, "__init__", no_gl)
+    rig = ring_rig(2)
+    choice = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+    assert isinstance(choice.backend, CpuCarver) and "no device" in choice.reason
+
+
+@pytest.mark.parametrize("kind", ["gl", "sweep"])
+def test_backend_asked_for_by_name_refuses_with_the_remedy_when_there_is_no_gl(kind, monkeypatch):
+    def no_gl(self, hardware=None):
+        raise NoGraphics("libEGL.so.1 is not installed")
+
+    monkeypatch.setattr(GlContext, "__init__", no_gl)
+    rig = ring_rig(2)
+    with pytest.raises(InputError, match=rf"backend = '{kind}' .*libEGL.so.1 is not installed.* Choose backend 'cpu'"):
+        make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+
+
+def test_backend_of_an_unknown_name_is_refused():
+    rig = ring_rig(2)
+    with pytest.raises(InputError, match=r"backend = 'cuda' is not known"):
+        make_backend("cuda", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+
+
+def test_carve_counts_more_than_fifteen_cameras():
+    """Votes are counted in binary planes of 1, 2, 4 and 8; more must not overflow."""
+    rig = ring_rig(18, size=(96, 72), focal_px=75.0, seed=4, distortion=False)
+    rig = Rig(tuple(replace(camera, name=f"cam{i + 1:02d}") for i, camera in enumerate(rig.cameras)), rig.volume)
+    masks = silhouettes(rig, capsule_person())
+    for needed in (15, 16, 17):
+        expected = carve_brute_force(rig, masks, 0.05, needed)
+        assert expected.sum() > 100
+        assert_agrees("cpu", carve("cpu", rig, masks, 0.05, needed).to_dense(), expected)

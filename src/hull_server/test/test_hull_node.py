@@ -1,0 +1,367 @@
+"""The hull node among messages: one answer for every frame set, whatever arrives."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from hull_scenes import capsule_person, ring_rig, silhouettes
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
+
+from capture_rig import FrameSet, load_rig, save_rig
+from hull_server import hull_node
+from hull_server.hull_node import HullNode
+from hull_server.pipeline import HullPipeline
+from hull_server.settings import HullSettings
+from sagoma_ros.clouds import CENTERLINE, VOXELS, from_cloud, xyz
+from sagoma_ros.images import camera_info_message, silhouette_message
+from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
+from sagoma_ros.stamps import to_ns
+
+DOMAIN = 32
+PATIENCE_S = 20.0  # only ever reached by a failing test
+PERIOD_NS = 16_666_667
+EPOCH_NS = 7_000_000_000
+NEVER_S = 600.0  # the deadline of frame sets, unless a test lets it pass
+
+
+def stamp(k):
+    return EPOCH_NS + k * PERIOD_NS
+
+
+class Bench:
+    """A HullNode, and a node beside it that plays the cameras and listens."""
+
+    def __init__(self, context, clock, **parameters):
+        self.clock = clock
+        values = {"backend": "cpu", "voxel_size_m": 0.04, "reliable": True,
+                  "deadline_s": NEVER_S} | parameters  # fmt: skip
+        overrides = [Parameter(key, value=value) for key, value in values.items()]
+        self.node = HullNode(context=context, parameter_overrides=overrides)
+        self.peer = rclpy.create_node("peer", context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.peer)
+        self.heard = {"hull/centerline": [], "hull/voxels": [], "hull/frame_set": [], "/diagnostics": []}
+        kinds = (PointCloud2, PointCloud2, DiagnosticArray, DiagnosticArray)
+        for kind, (topic, messages) in zip(kinds, self.heard.items(), strict=True):
+            self.peer.create_subscription(kind, topic, messages.append, RESULT)
+
+    def start(self, rig):
+        assert self.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert self.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        self.images, self.infos = {}, {}
+        for name in rig.names:
+            topic = f"{name}/silhouette/compressed"
+            self.images[name] = self.peer.create_publisher(CompressedImage, topic, SILHOUETTE_PUBLISHER)
+            self.infos[name] = self.peer.create_publisher(CameraInfo, f"{name}/camera_info", SILHOUETTE_PUBLISHER)
+        publishers = [*self.images.values(), *self.infos.values()]
+        self.until(lambda: all(p.get_subscription_count() for p in publishers))
+        self.until(lambda: all(self.peer.count_publishers(topic) for topic in self.heard))
+        return self
+
+    def until(self, done):
+        deadline = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < deadline, "the awaited event did not come"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def send(self, masks, k, **extra_ns):
+        for name, mask in masks.items():
+            self.images[name].publish(silhouette_message(mask, stamp(k) + extra_ns.get(name, 0), name))
+
+    def let_the_deadline_pass(self, frames):
+        """Once the node has taken so many frames in all, its clock leaps beyond every deadline."""
+        self.diagnostics_with(frames=str(frames))
+        self.clock.ahead_ns += round(2 * NEVER_S * 1e9)
+
+    def answers(self, count):
+        """The values of hull/frame_set of the first ``count`` sets, once all three topics have told of them."""
+        topics = ("hull/centerline", "hull/voxels", "hull/frame_set")
+        self.until(lambda: all(len(self.heard[topic]) >= count for topic in topics))
+        for topic in topics:
+            assert len(self.heard[topic]) == count
+        assert [to_ns(m.header.stamp) for m in self.heard[topics[0]]] == [
+            to_ns(m.header.stamp) for m in self.heard[topics[2]]
+        ]
+        return [values_of(m) for m in self.heard["hull/frame_set"]]
+
+    def diagnostics_with(self, **wanted):
+        """The node's diagnostics, as soon as they show these values."""
+
+        def shown():
+            ours = [m for m in self.heard["/diagnostics"] if m.status[0].name == "/hull_server"]
+            if ours and wanted.items() <= values_of(ours[-1]).items():
+                return True
+            self.node.health.publish()
+            return False
+
+        self.until(shown)
+        return self.heard["/diagnostics"][-1].status[0]
+
+    def close(self):
+        self.node.close()
+        for node in (self.node, self.peer):
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.executor.shutdown()
+
+
+def values_of(message):
+    return {pair.key: pair.value for pair in message.status[0].values}
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = rclpy.context.Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Rig file, the rig as read back, silhouettes of a person."""
+    rig_file = tmp_path_factory.mktemp("rig") / "rig.yaml"
+    save_rig(ring_rig(4), rig_file)
+    rig = load_rig(rig_file)
+    return rig_file, rig, silhouettes(rig, capsule_person(0.3))
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """The node's monotonic clock, which a test may put forward."""
+    clock = SimpleNamespace(ahead_ns=0)
+    monkeypatch.setattr(hull_node, "monotonic_ns", lambda: time.monotonic_ns() + clock.ahead_ns)
+    return clock
+
+
+@pytest.fixture
+def make_bench(context, scene, clock):
+    benches = []
+
+    def make(**parameters):
+        benches.append(Bench(context, clock, **({"rig_file": str(scene[0])} | parameters)))
+        return benches[-1]
+
+    yield make
+    for bench in benches:
+        bench.close()
+
+
+@pytest.fixture
+def bench(make_bench, scene):
+    return make_bench().start(scene[1])
+
+
+def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene):
+    _, rig, masks = scene
+    bench.send(masks, 0, cam02=300_000, cam04=900_000)
+    (values,) = bench.answers(1)
+    expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(
+        FrameSet(stamp(0), masks, dict.fromkeys(masks, stamp(0)), ())
+    )
+    cloud = bench.heard["hull/centerline"][0]
+    line = from_cloud(cloud, CENTERLINE, "test")
+    assert to_ns(cloud.header.stamp) == stamp(0) and cloud.header.frame_id == "map"
+    np.testing.assert_allclose(xyz(line), expected.centerline.points_world, atol=1e-6)
+    np.testing.assert_allclose(line["sigma"], expected.centerline.sigma, atol=1e-7)
+    np.testing.assert_array_equal(line["axis"], expected.centerline.axis)
+    np.testing.assert_allclose(line["area"], expected.centerline.area_m2, rtol=1e-6)
+    np.testing.assert_allclose(line["elongation"], expected.centerline.elongation, rtol=1e-6)
+    np.testing.assert_allclose(line["fill"], expected.centerline.fill, rtol=1e-6)
+    voxels = from_cloud(bench.heard["hull/voxels"][0], VOXELS, "test")
+    np.testing.assert_allclose(xyz(voxels), expected.voxels.points_world, atol=1e-6)
+    np.testing.assert_array_equal(voxels["surface"] > 0.5, expected.voxels.surface)
+    assert to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(0)
+    assert values["cameras"] == "cam01,cam02,cam03,cam04" and values["missing"] == values["blank"] == ""
+    assert float(values["spread_ms"]) == pytest.approx(0.9) and values["backend"] == "cpu"
+    assert int(values["voxels"]) == expected.volume.count and 40 < float(values["litres"]) < 200
+    assert {"carve_ms", "slice_ms", "filter_ms", "sample_ms", "hull_ms", "queued_ms"} <= values.keys()
+
+
+def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
+    _, rig, masks = scene
+    sent = []
+    for _ in range(2):
+        bench = make_bench().start(rig)
+        bench.send(masks, 0)
+        bench.answers(1)
+        sent.append([bytes(bench.heard[topic][0].data) for topic in ("hull/centerline", "hull/voxels")])
+        bench.close()
+        bench.close = lambda: None
+    assert sent[0] == sent[1]
+
+
+def test_node_answers_an_incomplete_set_at_its_deadline_and_names_the_missing_camera(make_bench, scene):
+    _, rig, masks = scene
+    bench = make_bench().start(rig)
+    bench.send({name: masks[name] for name in ("cam01", "cam02", "cam04")}, 0)
+    bench.let_the_deadline_pass(frames=3)
+    (values,) = bench.answers(1)
+    assert values["missing"] == "cam03" and values["cameras"] == "cam01,cam02,cam04" and values["min_seeing"] == "3"
+    assert int(values["voxels"]) > 0
+    assert "nothing in time from cam03" in bench.heard["hull/frame_set"][0].status[0].message
+    bench.diagnostics_with(sets_incomplete="1", frames_missing="1")
+
+
+def test_node_never_mixes_a_late_frame_into_another_set(make_bench, scene):
+    _, rig, masks = scene
+    bench = make_bench().start(rig)
+    bench.send({name: masks[name] for name in ("cam01", "cam02", "cam04")}, 0)
+    bench.let_the_deadline_pass(frames=3)
+    bench.answers(1)
+    bench.send({"cam03": masks["cam03"]}, 0)
+    bench.diagnostics_with(frames_late="1")
+    bench.send(masks, 1)
+    assert [values["missing"] for values in bench.answers(2)] == ["cam03", ""]
+
+
+def test_node_counts_duplicate_stamps_and_stamps_that_go_back(bench, scene):
+    masks = scene[2]
+    bench.send({"cam01": masks["cam01"]}, 1)
+    bench.send({"cam01": masks["cam01"]}, 1)
+    bench.diagnostics_with(frames_duplicate="1")
+    bench.send({"cam01": masks["cam01"]}, 0)
+    bench.diagnostics_with(frames_backwards="1", frames="3")
+    bench.send({name: masks[name] for name in ("cam02", "cam03", "cam04")}, 1)
+    (values,) = bench.answers(1)
+    assert values["missing"] == "" and to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(1)
+
+
+def png(image):
+    message = CompressedImage(format="mono8; png compressed mono8")
+    message.data = cv2.imencode(".png", image)[1].tobytes()
+    return message
+
+
+def garbage(data, format="mono8; png compressed mono8"):
+    message = CompressedImage(format=format)
+    message.data = data
+    return message
+
+
+@pytest.mark.parametrize(
+    ("make_message", "text"),
+    [
+        (lambda mask: png(mask[:-2]), "pixels, the undistorted canvas"),
+        (lambda mask: png(np.dstack([mask] * 3)), "not mono8"),
+        (lambda mask: garbage(b"\x00\x01\x02not an image"), "is not a PNG"),
+        (lambda mask: garbage(b""), "is not a PNG"),
+        (lambda mask: garbage(b"\xff\xd8\xff\xe0 truncated", "jpeg"), "'jpeg' is not a PNG"),
+        (lambda mask: garbage(png(mask).data.tobytes()[:60]), "cannot be decoded"),
+    ],
+    ids=["wrong size", "colour", "garbage", "empty", "jpeg", "truncated"],
+)
+def test_node_drops_and_counts_a_bad_image_and_goes_on(bench, scene, make_message, text):
+    masks = scene[2]
+    bad = make_message(masks["cam01"])
+    bad.header = silhouette_message(masks["cam01"], stamp(0), "cam01").header
+    bench.images["cam01"].publish(bad)
+    status = bench.diagnostics_with(bad_images="1")
+    said = {pair.key: pair.value for pair in status.values}["last_bad_image"]
+    assert said.startswith("cam01/silhouette/compressed") and text in said
+    bench.send(masks, 1)
+    assert [values["missing"] for values in bench.answers(1)] == [""]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda info: setattr(info, "width", info.width + 32), "the rig's undistorted canvas is"),
+        (lambda info: info.k.__setitem__(0, info.k[0] * 1.01), "K with fx"),
+        (lambda info: setattr(info, "d", [0.1, 0.0, 0.0, 0.0, 0.0]), "must be undistorted"),
+    ],
+    ids=["size", "focal length", "distortion"],
+)
+def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again(make_bench, scene, spoil, text):
+    _, rig, masks = scene
+    bench = make_bench().start(rig)
+    canvas = rig.camera("cam02").undistorted_view().camera
+    info = camera_info_message(canvas, stamp(0), "cam02")
+    spoil(info)
+    bench.infos["cam02"].publish(info)
+    bench.until(lambda: "cam02" in bench.node._refused)
+    bench.send(masks, 0)
+    bench.let_the_deadline_pass(frames=3)
+    assert [values["missing"] for values in bench.answers(1)] == ["cam02"]
+    status = bench.diagnostics_with(frames_refused="1")
+    said = {pair.key: pair.value for pair in status.values}["refused_cam02"]
+    assert said.startswith("cam02/camera_info") and text in said and "same rig file" in said
+    assert status.level == b"\x02"
+    bench.infos["cam02"].publish(camera_info_message(canvas, stamp(1), "cam02"))
+    bench.until(lambda: not bench.node._refused)
+    bench.send(masks, 1)
+    assert bench.answers(2)[1]["missing"] == ""
+
+
+def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, scene):
+    masks = {name: np.zeros_like(mask) for name, mask in scene[2].items()}
+    bench.send(masks, 0)
+    (values,) = bench.answers(1)
+    assert values["blank"] == "cam01,cam02,cam03,cam04" and values["voxels"] == values["points"] == "0"
+    assert bench.heard["hull/centerline"][0].width == bench.heard["hull/voxels"][0].width == 0
+    assert "the hull is empty" in bench.heard["hull/frame_set"][0].status[0].message
+    bench.diagnostics_with(sets_empty="1")
+
+
+def test_node_drops_the_oldest_set_when_the_carver_cannot_keep_up(make_bench, scene):
+    _, rig, masks = scene
+    bench = make_bench(queue_depth=1).start(rig)
+    carving, released, run = threading.Event(), threading.Event(), bench.node._pipeline.run
+
+    def slow_run(frame_set):
+        carving.set()
+        assert released.wait(PATIENCE_S)
+        return run(frame_set)
+
+    bench.node._pipeline.run = slow_run
+    bench.send(masks, 0)
+    bench.until(carving.is_set)
+    for k in (1, 2, 3):
+        bench.send(masks, k)
+    bench.diagnostics_with(sets_complete="4", sets_dropped="2")
+    released.set()
+    bench.answers(2)
+    stamps = [to_ns(message.header.stamp) for message in bench.heard["hull/frame_set"]]
+    assert stamps == [stamp(0), stamp(3)]
+
+
+def test_node_ignores_silhouettes_while_suspended_and_resumes(bench, scene):
+    masks = scene[2]
+    assert bench.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    bench.send(masks, 0)
+    bench.diagnostics_with(frames_while_suspended="4")
+    assert bench.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    bench.send(masks, 1)
+    bench.until(lambda: bench.heard["hull/frame_set"])
+    assert to_ns(bench.heard["hull/frame_set"][-1].header.stamp) == stamp(1)
+    assert bench.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert bench.node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    assert bench.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+
+
+@pytest.mark.parametrize(
+    ("parameters", "text"),
+    [
+        ({"rig_file": ""}, "rig_file is not set"),
+        ({"rig_file": "/nowhere/rig.yaml"}, "/nowhere/rig.yaml: cannot be read"),
+        ({"voxel_size_m": 0.5}, "voxel_size_m = 0.5 m is out of range"),
+        ({"voxel_sise_m": 0.02}, "unknown key 'voxel_sise_m'. Did you mean 'voxel_size_m'?"),
+        ({"backend": "cuda"}, "backend = 'cuda' is not one of"),
+    ],
+    ids=["no rig file", "no such file", "out of range", "misspelt", "unknown backend"],
+)
+def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, text):
+    bench = make_bench(**parameters)
+    assert bench.node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    bench.until(lambda: bench.peer.count_publishers("/diagnostics"))
+    status = bench.diagnostics_with()
+    assert text in status.message and status.level == b"\x02"

@@ -1,0 +1,126 @@
+"""From frame sets of silhouettes to the published quantities, without ROS."""
+
+import numpy as np
+import pytest
+from hull_scenes import capsule_person, ring_rig, silhouettes
+
+from capture_rig import FrameSet, InputError
+from capture_rig.settings import build_settings
+from hull_server.pipeline import HullPipeline
+from hull_server.settings import HullSettings, NodeSettings
+
+CPU = HullSettings(backend="cpu")
+
+
+def frame_set(masks, missing=(), stamp_ns=1_000_000_000):
+    return FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), tuple(missing))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rig = ring_rig(5)
+    body = capsule_person(0.3, 0.1, -0.2)
+    return rig, body, silhouettes(rig, body)
+
+
+def distance_to_axes(points, body):
+    """(n,) distance of each point from the nearest capsule's axis."""
+    distances = []
+    for start, end, _ in body:
+        along = np.clip((points - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+        distances.append(np.linalg.norm(points - start - along[:, None] * (end - start), axis=1))
+    return np.min(distances, axis=0)
+
+
+def test_pipeline_finds_the_hull_and_the_centerline_of_a_person(scene):
+    rig, body, masks = scene
+    result = HullPipeline(rig, CPU).run(frame_set(masks))
+    assert 60 < result.volume.litres < 130
+    assert len(result.centerline) > 60
+    distances = distance_to_axes(result.centerline.points_world, body)
+    assert np.median(distances) < 0.02 and np.mean(distances < 0.06) > 0.85
+    assert len(result.voxels) == 3000
+    assert result.cameras == rig.names and result.missing == () and result.blank == () and not result.empty
+    assert result.min_seeing == 3 and result.backend == "cpu" and result.stamp_ns == 1_000_000_000
+    assert set(result.stage_ms) == {"carve", "slice", "filter", "sample"}
+
+
+def test_pipeline_contains_the_body_even_where_views_are_cut(scene):
+    """Every voxel whose centre is well inside the body is occupied: no camera vetoes what it does not see."""
+    body = scene[1]
+    narrow = ring_rig(5, focal_px=420.0)
+    result = HullPipeline(narrow, CPU).run(frame_set(silhouettes(narrow, body)))
+    dense, grid = result.volume.to_dense(), result.volume.grid
+    start, end, radius = body[0]  # the trunk
+    centres = grid.centres_world(np.argwhere(np.ones(grid.shape, bool)))
+    inside = distance_to_axes(centres, [(start, end, radius)]) < radius - 0.02
+    assert inside.sum() > 1000 and dense.ravel()[inside].mean() > 0.999
+
+
+def test_pipeline_goes_on_with_fewer_cameras_and_says_so(scene):
+    rig, _, masks = scene
+    whole = HullPipeline(rig, CPU).run(frame_set(masks))
+    fewer = {name: masks[name] for name in ("cam01", "cam03", "cam04", "cam05")}
+    result = HullPipeline(rig, CPU).run(frame_set(fewer, missing=["cam02"]))
+    assert result.missing == ("cam02",) and result.cameras == ("cam01", "cam03", "cam04", "cam05")
+    assert result.min_seeing == 3 and not result.empty
+    assert result.volume.count > whole.volume.count  # fewer silhouettes carve less away
+
+
+def test_pipeline_of_one_camera_is_empty_and_needs_two(scene):
+    rig, _, masks = scene
+    result = HullPipeline(rig, CPU).run(frame_set({"cam01": masks["cam01"]}, missing=rig.names[1:]))
+    assert result.empty and result.min_seeing == 2 and len(result.centerline) == len(result.voxels) == 0
+
+
+def test_pipeline_names_the_camera_whose_silhouette_is_empty(scene):
+    rig, _, masks = scene
+    result = HullPipeline(rig, CPU).run(frame_set(masks | {"cam04": np.zeros_like(masks["cam04"])}))
+    assert result.blank == ("cam04",)
+    assert result.volume.litres < 1.0  # it sees nearly everything, and vetoes it
+
+
+def test_pipeline_refuses_a_mask_of_another_size(scene):
+    rig, _, masks = scene
+    with pytest.raises(InputError, match=r"cam02: the mask is \(10, 10\) uint8"):
+        HullPipeline(rig, CPU).run(frame_set(masks | {"cam02": np.zeros((10, 10), np.uint8)}))
+
+
+def test_pipeline_gives_the_same_bytes_twice(scene):
+    rig, _, masks = scene
+    first, second = (HullPipeline(rig, CPU).run(frame_set(masks)) for _ in range(2))
+    for a, b in (
+        (first.volume.leaves, second.volume.leaves),
+        (first.centerline.points_world, second.centerline.points_world),
+        (first.centerline.sigma, second.centerline.sigma),
+        (first.voxels.points_world, second.voxels.points_world),
+    ):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_pipeline_results_stay_as_they_are_while_the_next_set_is_carved(scene):
+    rig, _, masks = scene
+    pipeline = HullPipeline(rig, CPU)
+    first = pipeline.run(frame_set(masks))
+    before = first.volume.leaves.copy()
+    pipeline.run(frame_set(silhouettes(rig, capsule_person(2.0, -0.3, 0.3))))
+    assert np.array_equal(first.volume.leaves, before)
+
+
+def test_warm_up_carves_a_body_and_leaves_no_trace(scene):
+    rig, _, masks = scene
+    cold, warm = HullPipeline(rig, CPU), HullPipeline(rig, CPU)
+    warm.warm_up()
+    assert np.array_equal(cold.run(frame_set(masks)).volume.leaves, warm.run(frame_set(masks)).volume.leaves)
+
+
+def test_settings_defaults_and_errors_name_key_value_and_remedy():
+    settings = build_settings(NodeSettings, {"blob.min_fill": 0.8, "voxel_size_m": 0.01}, "test")
+    assert settings.blob.min_fill == 0.8 and settings.blob.min_area_m2 == 0.002 and settings.max_voxels == 3000
+    for values, text in (
+        ({"voxel_size_m": -1.0}, r"test: voxel_size_m = -1.0 m is out of range"),
+        ({"backend": "cuda"}, r"backend = 'cuda' is not one of 'auto', 'gl', 'sweep', 'cpu'"),
+        ({"blob.min_fil": 1.0}, r"unknown key 'blob.min_fil'. Did you mean 'blob.min_fill'"),
+    ):
+        with pytest.raises(InputError, match=text):
+            build_settings(NodeSettings, values, "test")

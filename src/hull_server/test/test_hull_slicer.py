@@ -1,0 +1,220 @@
+"""Blobs of all slices against OpenCV's components and plain moments, slice by slice; centerline filters; samples."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from hull_server.bits import lowest_bit, popcount, transpose8
+from hull_server.bricks import BrickVolume
+from hull_server.centerline import find_centerline, point_sigma
+from hull_server.grid import VoxelGrid
+from hull_server.settings import BlobSettings
+from hull_server.slicer import BlobTable, slice_blobs
+from hull_server.voxels import sample_voxels
+
+EVERYTHING = BlobSettings(min_area_m2=0.0, max_elongation=1e9, min_fill=0.0)
+
+
+def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:
+    return BrickVolume.from_dense(VoxelGrid(np.array([-1.0, -2.0, 0.5]), voxel, dense.shape), dense)
+
+
+def oracle_blobs(dense: np.ndarray) -> np.ndarray:
+    """(n, 8) axis, i, j, k, area, uu, vv, uv of all blobs, found slice by slice with OpenCV and plain sums."""
+    found = []
+    for axis in range(3):
+        for number in range(dense.shape[axis]):
+            image = np.ascontiguousarray(dense.take(number, axis=axis), np.uint8)
+            count, labels = cv2.connectedComponents(image, connectivity=8)
+            for label in range(1, count):
+                u, v = np.nonzero(labels == label)
+                centroid = np.insert([u.mean(), v.mean()], axis, number)
+                moments = [u.var(), v.var(), ((u - u.mean()) * (v - v.mean())).mean()]
+                found.append([axis, *centroid, len(u), *moments])
+    return np.array(found, float).reshape(-1, 8)
+
+
+def as_rows(blobs: BlobTable) -> np.ndarray:
+    return np.column_stack([blobs.axis, blobs.centroid, blobs.area, blobs.covariance])
+
+
+def in_order(rows: np.ndarray) -> np.ndarray:
+    return rows[np.lexsort(np.round(rows, 6).T[::-1])]
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(
+    shape=st.tuples(st.integers(1, 90), st.integers(1, 20), st.integers(1, 20)),
+    share=st.sampled_from([0.02, 0.3, 0.6, 0.97]),
+    turned=st.booleans(),
+    seed=st.integers(0, 99),
+)
+def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, share, turned, seed):
+    dense = np.random.default_rng(seed).random(shape[::-1] if turned else shape) < share
+    rows = as_rows(slice_blobs(volume_of(dense)))
+    np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
+
+
+def test_blobs_of_smooth_bodies_equal_scipy_components():
+    """Random shapes a body might have, across word and brick borders: scipy's labels as a second oracle."""
+    noise = np.random.default_rng(3).random((150, 70, 40))
+    dense = ndimage.gaussian_filter(noise, 4) > 0.505
+    blobs = slice_blobs(volume_of(dense))
+    eight = np.ones((3, 3))
+    for axis in range(3):
+        expected = [ndimage.label(dense.take(n, axis=axis), eight)[1] for n in range(dense.shape[axis])]
+        slices = blobs.centroid[blobs.axis == axis][:, axis].astype(int)
+        assert np.array_equal(np.bincount(slices, minlength=dense.shape[axis]), expected)
+        assert blobs.area[blobs.axis == axis].sum() == dense.sum()
+
+
+def test_blobs_connect_diagonally():
+    dense = np.zeros((4, 4, 1), bool)
+    dense[0, 0, 0] = dense[1, 1, 0] = dense[3, 3, 0] = True
+    blobs = slice_blobs(volume_of(dense))
+    assert blobs.area[blobs.axis == 2].tolist() == [2, 1]
+
+
+def test_blobs_are_ordered_and_repeatable():
+    dense = np.random.default_rng(0).random((40, 30, 20)) < 0.2
+    first, second = slice_blobs(volume_of(dense)), slice_blobs(volume_of(dense))
+    assert as_rows(first).tobytes() == as_rows(second).tobytes()
+    slices = first.centroid[np.arange(len(first)), first.axis]
+    assert (np.diff(first.axis.astype(int)) >= 0).all()
+    assert all((np.diff(slices[first.axis == axis]) >= 0).all() for axis in range(3))
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_erosion_equals_scipy_erosion_of_each_slice(times):
+    noise = np.random.default_rng(5).random((80, 24, 24))
+    dense = ndimage.gaussian_filter(noise, 2) > 0.49
+    found = as_rows(slice_blobs(volume_of(dense), times))
+    cross = ndimage.generate_binary_structure(2, 1)
+    expected = []
+    for axis in range(3):
+        slices = [ndimage.binary_erosion(dense.take(n, axis=axis), cross, times) for n in range(dense.shape[axis])]
+        rows = oracle_blobs(np.stack(slices, axis=axis))
+        expected.append(rows[rows[:, 0] == axis])
+    np.testing.assert_allclose(in_order(found), in_order(np.concatenate(expected)), atol=1e-9)
+
+
+def test_blobs_of_an_empty_volume_are_none():
+    blobs = slice_blobs(volume_of(np.zeros((9, 9, 9), bool)))
+    assert len(blobs) == 0 and len(find_centerline(blobs, volume_of(np.zeros((9, 9, 9), bool)).grid, EVERYTHING)) == 0
+
+
+def ellipse_volume(a: float, b: float, turn: float) -> np.ndarray:
+    """One slice with an ellipse of half axes a, b (voxels), turned by ``turn``."""
+    x, y = np.meshgrid(np.arange(121) - 60.3, np.arange(121) - 59.6, indexing="ij")
+    u, v = x * np.cos(turn) + y * np.sin(turn), -x * np.sin(turn) + y * np.cos(turn)
+    return ((u / a) ** 2 + (v / b) ** 2 <= 1)[:, :, None]
+
+
+@pytest.mark.parametrize(("a", "b", "turn"), [(20, 20, 0), (40, 20, 0.5), (30, 12, 1.2), (6, 6, 0)])
+def test_elongation_and_fill_of_an_ellipse(a, b, turn):
+    blobs = slice_blobs(volume_of(ellipse_volume(a, b, turn)))
+    index = np.flatnonzero(blobs.axis == 2)[0]
+    assert blobs.elongation()[index] == pytest.approx(a / b, rel=0.03)
+    assert blobs.fill()[index] == pytest.approx(1.0, abs=0.02)
+    assert blobs.centroid[index] == pytest.approx([60.3, 59.6, 0], abs=0.1)
+
+
+def test_fill_of_a_square_is_that_of_theory_and_of_an_l_shape_much_less():
+    square, l_shape = np.zeros((40, 40, 1), bool), np.zeros((40, 40, 1), bool)
+    square[5:25, 5:25] = True
+    l_shape[:40, :6] = l_shape[:6, :40] = True
+    fills = [slice_blobs(volume_of(dense)).fill()[-1] for dense in (square, l_shape)]
+    assert fills[0] == pytest.approx(3 / np.pi, abs=1e-9)
+    assert fills[1] < 0.6
+
+
+def test_centerline_of_an_upright_cylinder_is_its_axis():
+    x, y = np.meshgrid(np.arange(40), np.arange(40), indexing="ij")
+    dense = np.repeat(((x - 19.5) ** 2 + (y - 21.5) ** 2 <= 49)[:, :, None], 60, axis=2)
+    volume = volume_of(dense)
+    line = find_centerline(slice_blobs(volume), volume.grid, BlobSettings())
+    upright = line.axis == 2
+    assert upright.sum() == 60
+    axis_world = volume.grid.centres_world([[19.5, 21.5, k] for k in range(60)])
+    np.testing.assert_allclose(line.points_world[upright], axis_world, atol=1e-9)
+    assert line.area_m2[upright] == pytest.approx(np.pi * 0.14**2, rel=0.03)  # radius 7 voxels of 20 mm
+    assert (line.sigma[upright] < 0.004).all()
+    assert not (line.axis != 2).any()  # cut lengthwise it is longer than twice its width
+
+
+def test_centerline_filters_drop_small_long_and_concave_blobs():
+    dense = np.zeros((120, 60, 1), bool)
+    dense[0:10, 0:10] = True  # a limb: 400 cm2
+    dense[20:22, 0:2] = True  # 16 cm2: too small
+    dense[30:32, 0:3] = True  # 24 cm2: large enough, 1.5 long
+    dense[40:70, 0:10] = True  # three times as long as wide
+    dense[80:110, 0:4] = dense[80:84, 0:30] = True  # an L
+    volume = volume_of(dense)
+    blobs = slice_blobs(volume)
+    columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance)
+    flat = BlobTable(*(column[blobs.axis == 2] for column in columns))
+    line = find_centerline(flat, volume.grid, BlobSettings())
+    np.testing.assert_allclose(line.points_world, volume.grid.centres_world([[4.5, 4.5, 0], [30.5, 1, 0]]), atol=1e-9)
+    assert len(find_centerline(flat, volume.grid, EVERYTHING)) == 5
+
+
+def test_point_sigma_grows_with_elongation_and_missing_fill():
+    sigma_mm = 1e3 * point_sigma(np.array([1.0, 2.0, 1.0]), np.array([1.0, 1.0, 0.87]))
+    np.testing.assert_allclose(sigma_mm, [3.0, 12.0, 18.0])
+
+
+def ball(radius: float = 11.0) -> np.ndarray:
+    i, j, k = np.indices((30, 30, 30))
+    return (i - 15) ** 2 + (j - 14) ** 2 + (k - 13) ** 2 <= radius**2
+
+
+def test_samples_are_voxels_of_the_hull_and_say_which_lie_on_its_surface():
+    dense = ball()
+    volume = volume_of(dense)
+    samples = sample_voxels(volume, 10**6)
+    voxels = np.round((samples.points_world - volume.grid.origin) / 0.02 - 0.5).astype(int)
+    assert np.array_equal(np.unique(voxels, axis=0), np.argwhere(dense))
+    on_surface = dense & ~ndimage.binary_erosion(dense)
+    assert np.array_equal(samples.surface, on_surface[tuple(voxels.T)])
+
+
+def test_samples_are_limited_different_spread_out_and_repeatable():
+    dense = ball()
+    volume = volume_of(dense)
+    samples = sample_voxels(volume, 300)
+    assert len(samples) == 300 and samples.surface.sum() == 200
+    assert len(np.unique(samples.points_world, axis=0)) == 300
+    assert samples.points_world.tobytes() == sample_voxels(volume, 300).points_world.tobytes()
+    centre = volume.grid.centres_world([15, 14, 13])
+    for part in (samples.surface, ~samples.surface):  # spread out: the mean is the ball's centre, no octant is empty
+        offsets = samples.points_world[part] - centre
+        assert np.linalg.norm(offsets.mean(axis=0)) < 0.02
+        assert np.unique(offsets > 0, axis=0).shape[0] == 8
+
+
+@pytest.mark.parametrize("missing", [1, 2, 100, 1500])
+def test_samples_are_different_when_nearly_all_voxels_are_taken(missing):
+    dense = ball()
+    samples = sample_voxels(volume_of(dense), int(dense.sum()) - missing)
+    assert len(np.unique(samples.points_world, axis=0)) == len(samples) == dense.sum() - missing
+
+
+def test_samples_of_a_thin_body_are_all_surface():
+    dense = np.zeros((40, 40, 40), bool)
+    dense[:, 3:5, 7] = True
+    samples = sample_voxels(volume_of(dense), 60)
+    assert len(samples) == 60 and samples.surface.all()
+    assert len(sample_voxels(volume_of(dense), 0)) == len(sample_voxels(volume_of(dense & False), 60)) == 0
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(word=st.integers(1, 2**64 - 1))
+def test_word_tricks_equal_their_definitions(word):
+    bits = np.unpackbits(np.array([word], "<u8").view(np.uint8), bitorder="little")
+    assert popcount(np.uint64(word)) == bits.sum()
+    assert lowest_bit(np.uint64(word)) == np.flatnonzero(bits)[0]
+    transposed = np.packbits(bits.reshape(8, 8).T, bitorder="little").view("<u8")[0]
+    assert transpose8(np.uint64(word)) == transposed

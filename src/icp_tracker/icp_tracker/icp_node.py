@@ -1,0 +1,246 @@
+"""The node: hull/centerline in, icp/reference_points and icp/fit out, one of each for every centerline."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from capture_rig.errors import InputError
+from capture_rig.settings import setting
+from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, reference_points_array, to_cloud, xyz
+from sagoma_ros.health import OK, WARN
+from sagoma_ros.joints import read_prediction
+from sagoma_ros.main import run_node
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.stamps import to_ns, to_stamp
+from sagoma_ros.worker import Worker
+from stick_figure.body import Body
+from stick_figure.body_file import format_body
+
+from .filter_feedback import FilterFeedback
+from .finite_rows import only_finite
+from .mailbox import Mailbox
+from .pose_source import InitialPoseSettings, make_pose_source
+from .tracker import TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
+from .voxel_cloud import VoxelCloud
+
+VOXEL_CLOUDS_KEPT = 8
+
+
+@dataclass(frozen=True)
+class IcpNodeSettings(TrackerSettings):
+    """Parameters of the node."""
+
+    body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
+    initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
+    prediction_wait_s: float = setting(
+        0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
+    )
+    voxels_wait_s: float = setting(
+        0.05, "a fit that looks at voxels waits at most this long for those of its set", unit="s", low=0.0
+    )
+    queue_depth: int = setting(4, "frame sets that may wait; one more drops the oldest", low=1, high=1000)
+
+
+class IcpNode(SagomaNode):
+    """Fits the stick figure to every centerline, in stamp order, on a thread of its own."""
+
+    Settings = IcpNodeSettings
+
+    def __init__(self, name: str = "icp_tracker", **options: object) -> None:
+        super().__init__(name, **options)
+        self._tracker: IcpTracker | None = None
+        self._worker: Worker[PointCloud2] | None = None
+        self._subscriptions_held: list = []
+        self._publishers_held: list = []
+        self._lock = threading.Lock()  # tracker and last stamp: worker against ~/reset
+        self._last_stamp_ns = -1
+        self._state = ""
+        self._published_body: Body | None = None
+
+    # --- lifecycle -----------------------------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        settings: IcpNodeSettings = self.settings
+        self._tracker = IcpTracker(make_pose_source(settings.initial_pose, settings.body_file), settings)
+        warm_up(settings)
+        self._points_publisher = self.create_publisher(PointCloud2, "icp/reference_points", RESULT)
+        self._fit_publisher = self.create_publisher(DiagnosticArray, "icp/fit", RESULT)
+        self._body_publisher = self.create_publisher(String, "icp/body", LATCHED)
+        self._publishers_held = [self._points_publisher, self._fit_publisher, self._body_publisher]
+        self._reset_service = self.create_service(Trigger, "~/reset", self._on_reset)
+
+    def activate(self) -> None:
+        settings: IcpNodeSettings = self.settings
+        self._feedback = FilterFeedback(settings.prediction_wait_s)
+        self._voxels: Mailbox[PointCloud2] = Mailbox(VOXEL_CLOUDS_KEPT)
+        self._last_stamp_ns = -1
+        self._worker = Worker(
+            "icp", self._process, settings.queue_depth,
+            on_drop=lambda: self.health.count("dropped_sets"), on_error=self._on_error,
+        )  # fmt: skip
+        self._subscriptions_held = [
+            self.create_subscription(PointCloud2, "hull/centerline", self._on_centerline, RESULT),
+            self.create_subscription(PointCloud2, "hull/voxels", self._on_voxels, RESULT),
+            self.create_subscription(JointState, "ekf/prediction", self._on_prediction, RESULT),
+        ]
+
+    def deactivate(self) -> None:
+        for subscription in self._subscriptions_held:
+            self.destroy_subscription(subscription)
+        self._subscriptions_held = []
+        if self._worker is not None:
+            self._feedback.close()
+            self._voxels.close()
+            self._worker.close()
+            self._worker = None
+
+    def cleanup(self) -> None:
+        for publisher in self._publishers_held:
+            self.destroy_publisher(publisher)
+        if self._publishers_held:
+            self.destroy_service(self._reset_service)
+        self._publishers_held = []
+        self._published_body = None
+        self._tracker = None
+
+    # --- callbacks -----------------------------------------------------------------------------------------------
+
+    def _on_centerline(self, message: PointCloud2) -> None:
+        if self._worker is not None:
+            self._worker.put(message)
+
+    def _on_voxels(self, message: PointCloud2) -> None:
+        if self._tracker is not None and self._tracker.needs_voxels:
+            self._voxels.put(to_ns(message.header.stamp), message)
+
+    def _on_prediction(self, message: JointState) -> None:
+        try:
+            self._feedback.put(read_prediction(message, self.resolve_topic_name("ekf/prediction")))
+        except InputError as error:
+            self._refuse("bad_predictions", error)
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            if self._tracker is not None:
+                self._tracker.reset()
+            self._last_stamp_ns = -1
+        response.success = True
+        response.message = f"looking for the first pose again ({self.settings.initial_pose.source})"
+        return response
+
+    # --- one frame set, on the worker's thread -------------------------------------------------------------------
+
+    def _process(self, message: PointCloud2) -> None:
+        stamp_ns = to_ns(message.header.stamp)
+        if stamp_ns <= self._last_stamp_ns:
+            self.health.count("backward_stamps")
+            return
+        points, sigma = self._centerline(message)
+        voxels = self._voxels_of(stamp_ns)
+        prediction = self._feedback.after_previous_set()
+        with self._lock:
+            if self._tracker is None:
+                return
+            self._last_stamp_ns = stamp_ns
+            began = time.perf_counter()
+            result = self._tracker.step(stamp_ns, points, sigma, voxels, prediction)
+            body = self._tracker.body
+            self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
+        self._feedback.asked(stamp_ns)
+        self._publish_body(body)
+        self._publish(result, message.header.frame_id)
+
+    def _centerline(self, message: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
+        where = self.resolve_topic_name("hull/centerline")
+        try:
+            cloud, dropped = only_finite(message, CENTERLINE.names)
+            table = from_cloud(cloud, CENTERLINE, where)
+        except InputError as error:  # the set still gets its answer, so that nobody waits for it
+            self._refuse("bad_centerlines", error)
+            return np.empty((0, 3)), np.empty(0)
+        if dropped:
+            self.health.count("dropped_points", dropped)
+        return xyz(table), table["sigma"].astype(np.float64)
+
+    def _voxels_of(self, stamp_ns: int) -> VoxelCloud | None:
+        if self._tracker is None or not self._tracker.needs_voxels:
+            return None
+        message = self._voxels.wait(stamp_ns, self.settings.voxels_wait_s)
+        if message is None:
+            self.health.count("sets_without_voxels")
+            return None
+        try:
+            cloud, dropped = only_finite(message, VOXELS.names)
+            table = from_cloud(cloud, VOXELS, self.resolve_topic_name("hull/voxels"))
+        except InputError as error:
+            self._refuse("bad_voxels", error)
+            return None
+        if dropped:
+            self.health.count("dropped_voxels", dropped)
+        return VoxelCloud.checked(xyz(table), table["surface"] > 0.5)
+
+    def _publish_body(self, body: Body | None) -> None:
+        """The body as latched YAML, before the first points that were fitted with it: the filter takes the same."""
+        if body is not None and body is not self._published_body:
+            self._body_publisher.publish(String(data=format_body(body, source="icp_tracker")))
+            self._published_body = body
+
+    def _publish(self, result: IcpResult, frame_id: str) -> None:
+        self._fit_publisher.publish(fit_message(result, self.settings.method))
+        table = reference_points_array(result.reference_points_world, result.covariance, result.visible)
+        assert table.dtype == REFERENCE_POINTS
+        self._points_publisher.publish(to_cloud(table, result.stamp_ns, frame_id))
+        self.health.tick(result.stamp_ns)
+        self.health.set("late_predictions", self._feedback.timeouts)
+        summary = f"{result.state}: {result.reason}" if result.reason else result.state
+        if summary != self._state:
+            self._state = summary
+            self.health.status(OK if result.state == TRACKING and not result.reason else WARN, summary)
+            self.get_logger().info(summary)
+
+    def _refuse(self, counter: str, error: InputError) -> None:
+        self.health.count(counter)
+        self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+    def _on_error(self, error: Exception) -> None:
+        self.health.count("failed_sets")
+        self.get_logger().error(f"a frame set failed: {error!r}", throttle_duration_sec=5.0)
+
+
+def fit_message(result: IcpResult, method: str) -> DiagnosticArray:
+    """How the fit of one set went, for icp/fit. Holds no clock times, so equal inputs give equal bytes."""
+    values: dict[str, object] = {"state": result.state, "method": method, "started_from": result.started_from}
+    if result.fit is not None:
+        values |= {
+            "rms_mm": f"{1e3 * result.fit.rms_m:.3f}", "points": result.fit.points, "inliers": result.fit.inliers,
+            "iterations": result.fit.iterations, "converged": result.fit.converged,
+        }  # fmt: skip
+    values |= {"visible": int(result.visible.sum()), "dropped_points": result.dropped_points}
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.OK if result.fit is not None else DiagnosticStatus.WARN,
+        name="icp_tracker: fit",
+        message=result.reason or "fitted",
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+    message = DiagnosticArray(status=[status])
+    message.header.stamp = to_stamp(result.stamp_ns)
+    return message
+
+
+def main(args: list[str] | None = None) -> None:
+    """Entry point of the executable icp_tracker."""
+    sys.exit(run_node(IcpNode, args))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""Where the first pose comes from: a parameter file, the reference of a session, or (t_pose.py) a T-pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import yaml
+
+from capture_rig.errors import InputError
+from stick_figure.body import Body
+from stick_figure.body_file import load_body, save_body
+from stick_figure.kernels import rotation_exp, rotation_log
+from stick_figure.kinematics import inverse
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
+
+KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
+NEIGHBOUR_FRAMES = 5
+"""A point that the reference lacks at the chosen frame may come from a frame this near."""
+
+
+@dataclass(frozen=True, eq=False)
+class InitialPose:
+    """A first pose with the body it is meant for, or the reason why there is none yet."""
+
+    pose: Pose | None = None
+    body: Body | None = None
+    reason: str = ""
+
+
+class PoseSource(Protocol):
+    """Looks for a first pose in one frame set after another."""
+
+    @property
+    def needs_voxels(self) -> bool:
+        """Whether it looks at the hull's voxels."""
+        ...
+
+    def look(self, points_world: np.ndarray, voxels_world: np.ndarray | None) -> InitialPose:
+        """Centerline points (n, 3) and voxels (m, 3) of one frame set, m, world frame (None: not there)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPose:
+    """A pose that was known beforehand."""
+
+    pose: Pose
+    body: Body
+
+    @property
+    def needs_voxels(self) -> bool:
+        return False
+
+    def look(self, points_world: np.ndarray, voxels_world: np.ndarray | None) -> InitialPose:
+        return InitialPose(self.pose, self.body)
+
+
+def load_initial_pose(path: str | Path) -> tuple[Pose, Body | None]:
+    """Read a pose file: torso position (m), heading or torso rotation vector (rad), angles by name (rad), body file.
+
+    Angles that are not given are those of the T-pose; without ``body`` the second result is None. The body's path is
+    relative to the pose file. Raises InputError naming file, key, value and remedy.
+    """
+    path = Path(path)
+    document = _read_mapping(path)
+    _refuse_unknown(document, KEYS, str(path))
+    if "torso_position" not in document:
+        raise InputError("torso_position is missing", where=str(path), remedy="Give [x, y, z] in metres, map frame.")
+    position = _numbers(document["torso_position"], "torso_position", 3, str(path))
+    if "heading" in document and "torso_rotation" in document:
+        raise InputError("heading and torso_rotation are both given", where=str(path), remedy="Keep one of them.")
+    if "torso_rotation" in document:
+        rotation_vector = _numbers(document["torso_rotation"], "torso_rotation", 3, str(path))
+    else:
+        rotation_vector = np.array([0.0, 0.0, _numbers([document.get("heading", 0.0)], "heading", 1, str(path))[0]])
+    pose = Pose.from_angles(position, rotation_matrix(rotation_vector), _angles(document.get("angles"), str(path)))
+    return pose, load_body(path.parent / str(document["body"])) if document.get("body") else None
+
+
+def save_initial_pose(pose: Pose, path: str | Path, body: Body | None = None) -> None:
+    """Write a pose so that :func:`load_initial_pose` reads it back; a body goes into a file of its own beside it."""
+    path = Path(path)
+    rotation_vector = np.empty(3)
+    rotation_log(pose.R_world_torso, rotation_vector)
+    document: dict[str, Any] = {
+        "torso_position": [float(v) for v in pose.position_world],
+        "torso_rotation": [float(v) for v in rotation_vector],
+        "angles": {name: float(v) for name, v in zip(ANGLE_NAMES, pose.angles(), strict=True)},
+    }
+    if body is not None:
+        body_path = path.with_name(path.stem + "_body.yaml")
+        save_body(body, body_path)
+        document["body"] = body_path.name
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+
+
+def pose_from_reference(
+    frames: np.ndarray, points_world: np.ndarray, frame: int, where: str, body: Body | None = None
+) -> KnownPose:
+    """The pose and body of a reference (F, 15, 3) m with frame numbers (F,), at video frame ``frame``.
+
+    The body is measured over all frames unless it is given. A point that is unknown (NaN) at that frame is taken from
+    the nearest frame that has it, up to five frames away. Raises InputError when the frame or a point is missing.
+    """
+    rows = np.flatnonzero(np.asarray(frames) == frame)
+    if rows.size == 0:
+        raise InputError(
+            f"the reference has no frame {frame}", where=where, remedy=f"Choose {frames.min()} to {frames.max()}."
+        )
+    body = body or Body.from_points(points_world)
+    points = _filled(np.asarray(frames), points_world, int(rows[0]), where)
+    return KnownPose(inverse(body, points), body)
+
+
+def rotation_matrix(rotation_vector: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation of a rotation vector (3,), rad."""
+    R = np.empty((3, 3))
+    rotation_exp(*rotation_vector, R)
+    return R
+
+
+def _filled(frames: np.ndarray, points_world: np.ndarray, row: int, where: str) -> np.ndarray:
+    points = points_world[row].copy()
+    for index in np.flatnonzero(~np.isfinite(points).all(axis=1)):
+        known = np.flatnonzero(np.isfinite(points_world[:, index]).all(axis=1))
+        distance = np.abs(frames[known] - frames[row])
+        if known.size == 0 or distance.min() > NEIGHBOUR_FRAMES:
+            raise InputError(
+                f"the reference does not know the {POINT_NAMES[index]} within {NEIGHBOUR_FRAMES} frames of frame "
+                f"{frames[row]}", where=where, remedy="Choose a frame at which all points are known.",
+            )  # fmt: skip
+        points[index] = points_world[known[int(distance.argmin())], index]
+    return points
+
+
+def _read_mapping(path: Path) -> Mapping[str, Any]:
+    remedy = f"A pose file is a mapping with the keys {', '.join(KEYS)}."
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        text = " ".join(str(error).split())
+        raise InputError(f"is not valid YAML ({text})", where=str(path), remedy=remedy) from None
+    if not isinstance(document, Mapping):
+        raise InputError("is not a mapping", where=str(path), remedy=remedy)
+    return document
+
+
+def _refuse_unknown(document: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
+    for key in document:
+        if key not in known:
+            raise InputError(f"unknown key '{key}'", where=where, remedy=f"Known keys: {', '.join(known)}.")
+
+
+def _numbers(value: Any, key: str, count: int, where: str) -> np.ndarray:
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise InputError(f"{key} = {value!r} is not {count} finite number{'s' * (count > 1)}", where=where,
+                         remedy="Give metres or radians.")  # fmt: skip
+    return numbers
+
+
+def _angles(given: Any, where: str) -> np.ndarray:
+    angles = np.array(T_POSE_ANGLES)
+    if given is None:
+        return angles
+    if not isinstance(given, Mapping):
+        raise InputError(f"angles = {given!r} is not a mapping", where=where, remedy="Give angles by name, in radians.")
+    _refuse_unknown(given, ANGLE_NAMES, f"{where}: angles")
+    for name, value in given.items():
+        angles[ANGLE_NAMES.index(name)] = _numbers([value], f"angles.{name}", 1, where)[0]
+    return angles

@@ -1,0 +1,65 @@
+"""Which first pose to start from, as settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from capture_rig.errors import InputError
+from capture_rig.settings import setting
+from stick_figure.body import Body
+from stick_figure.body_file import load_body
+
+from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_reference
+from .t_pose import TPoseSettings, TPoseSource
+
+WHERE = "parameters of the ICP tracker"
+
+
+@dataclass(frozen=True)
+class InitialPoseSettings:
+    """Where the first pose comes from."""
+
+    source: str = setting(
+        "t_pose", "where the first pose comes from: the hull of a T-pose, a pose file, or a session's reference",
+        choices=("t_pose", "file", "session"),
+    )  # fmt: skip
+    file: str = setting("", "pose file (YAML), for source 'file'")
+    session: str = setting("", "session folder with a reference, for source 'session'")
+    frame: int = setting(0, "video frame of the reference, for source 'session'", low=0)
+    t_pose: TPoseSettings = setting(TPoseSettings, "what counts as a T-pose")
+
+
+def make_pose_source(settings: InitialPoseSettings, body_file: str = "") -> PoseSource:
+    """The source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
+
+    Raises InputError naming parameter or file, value and remedy.
+    """
+    body = load_body(body_file) if body_file else None
+    if settings.source == "t_pose":
+        return TPoseSource(settings.t_pose, body)
+    if settings.source == "file":
+        return _from_file(settings.file, body)
+    return _from_session(settings.session, settings.frame, body)
+
+
+def _from_file(path: str, body: Body | None) -> KnownPose:
+    if not path:
+        raise InputError("initial_pose.file is empty", where=WHERE,
+                         remedy="Name a pose file, or choose another initial_pose.source.")  # fmt: skip
+    pose, own_body = load_initial_pose(path)
+    chosen = body or own_body
+    if chosen is None:
+        raise InputError("names no body", where=path, remedy="Add 'body: FILE.yaml', or set the parameter body_file.")
+    return KnownPose(pose, chosen)
+
+
+def _from_session(folder: str, frame: int, body: Body | None) -> KnownPose:
+    from capture_rig.session import load_session  # reads videos' headers: OpenCV is loaded only where it is needed
+
+    if not folder:
+        raise InputError("initial_pose.session is empty", where=WHERE,
+                         remedy="Name a session folder, or choose another initial_pose.source.")  # fmt: skip
+    truth = load_session(folder).truth
+    if truth is None:
+        raise InputError("has no reference", where=folder, remedy="Add truth.csv, or choose another source.")
+    return pose_from_reference(truth.frames, truth.stick_figure_points(), frame, str(truth.source), body)

@@ -1,0 +1,35 @@
+"""The hull's voxels as the tracker takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelCloud:
+    """Samples of the hull. points_world (m, 3) m; surface (m,) bool, True where a neighbour of the voxel is empty."""
+
+    points_world: np.ndarray
+    surface: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.surface)
+
+    @staticmethod
+    def checked(points_world: np.ndarray, surface: np.ndarray) -> VoxelCloud:
+        """The samples whose coordinates are finite, as contiguous arrays."""
+        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
+        finite = np.isfinite(points).all(axis=1)
+        return VoxelCloud(np.ascontiguousarray(points[finite]), np.asarray(surface, dtype=np.bool_)[finite])
+
+    def thinned(self, count: int) -> VoxelCloud:
+        """At most ``count`` samples, evenly spread over the rows; the same ones every time."""
+        if len(self) <= count:
+            return self
+        rows = np.arange(count) * len(self) // count
+        return VoxelCloud(np.ascontiguousarray(self.points_world[rows]), np.ascontiguousarray(self.surface[rows]))
+
+
+NO_VOXELS = VoxelCloud(np.empty((0, 3)), np.empty(0, dtype=np.bool_))

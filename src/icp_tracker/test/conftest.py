@@ -1,0 +1,86 @@
+"""Synthetic people for the ICP tracker's tests: a body, a smooth random motion, clouds of centerline points."""
+
+import types
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stick_figure.body import Body
+from stick_figure.kinematics import sticks
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
+
+# ranges of an energetic person, well inside the joints' (rad), in the order of the angles
+MOTION_LOW = np.array([
+    -0.4, -0.2, -1.4, np.pi - 0.6, -1.0, -1.0, -0.6, -0.8, -1.9, -1.9, -0.1, -0.5, -1.3, -1.3, 0.1, 0.1, -0.3, -0.3,
+])  # fmt: skip
+MOTION_HIGH = np.array([
+    0.4, 0.6, 0.6, np.pi + 1.4, 0.3, 0.3, 0.8, 0.6, -0.1, -0.1, 0.5, 0.1, 0.4, 0.4, 1.7, 1.7, 0.3, 0.3,
+])  # fmt: skip
+assert (MOTION_LOW > ANGLE_LOW).all() and (MOTION_HIGH < ANGLE_HIGH).all()
+
+
+@pytest.fixture
+def body():
+    """A man of 1.75 m."""
+    return Body.from_stature(1.75)
+
+
+def t_pose(position=(0.0, 0.0, 1.2), heading=0.0):
+    return Pose.from_angles(np.array(position), Rotation.from_rotvec([0, 0, heading]).as_matrix(), T_POSE_ANGLES)
+
+
+def smooth_motion(frames, seed, fps=40.0, speed=1.0):
+    """Poses of a smooth random motion: every angle a sum of three sines within its range, torso turning and walking."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(frames) / fps
+
+    def wave(count):
+        frequency = speed * rng.uniform(0.1, 0.9, (count, 3, 1))
+        phase = rng.uniform(0, 2 * np.pi, (count, 3, 1))
+        return np.sin(2 * np.pi * frequency * t + phase).mean(1).T  # (frames, count) in [-1, 1]
+
+    angles = (MOTION_LOW + MOTION_HIGH) / 2 + (MOTION_HIGH - MOTION_LOW) / 2 * wave(18)
+    position = np.array([0.0, 0.0, 1.2]) + [0.5, 0.5, 0.1] * wave(3)
+    turn = wave(3) * [0.15, 0.15, 1.5]
+    rotations = Rotation.from_rotvec(turn).as_matrix()
+    return [Pose.from_angles(p, R, a) for p, R, a in zip(position, rotations, angles, strict=True)]
+
+
+def stick_cloud(body, pose, rng, count=300, sigma=0.034):
+    """Points spread evenly over the ten sticks with Gaussian noise: (about ``count``, 3)."""
+    ends = sticks(body, pose)
+    numbers = np.maximum(2, np.round(count * body.lengths / body.lengths.sum()).astype(int))
+    along = [(np.arange(n) + 0.5) / n for n in numbers]
+    clean = np.concatenate([a + u[:, None] * (b - a) for (a, b), u in zip(ends, along, strict=True)])
+    return clean + sigma * rng.normal(size=clean.shape)
+
+
+RADII = np.array([0.13, 0.09, 0.05, 0.05, 0.08, 0.08, 0.04, 0.04, 0.05, 0.05])  # flesh around the sticks, m
+FOOT_LENGTH, FOOT_HEIGHT = 0.25, 0.07
+
+
+def flesh(body, pose, spacing=0.03):
+    """Voxels (m, 3) of a person: a capsule about every stick, and feet that point forward of the ankles."""
+    ends = sticks(body, pose)
+    points = ends.reshape(-1, 3)
+    low, high = points.min(0) - 0.3, points.max(0) + 0.3
+    axes = [np.arange(a, b, spacing) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    solid = np.zeros(len(grid), bool)
+    for (a, b), radius in zip(ends, RADII, strict=True):
+        u = np.clip((grid - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        solid |= np.linalg.norm(grid - a - u[:, None] * (b - a), axis=1) < radius
+    for ankle in (ends[8, 1], ends[9, 1]):
+        local = (grid - ankle) @ pose.R_world_torso
+        sole = (local[:, 2] > -FOOT_HEIGHT) & (local[:, 2] < 0.0) & (np.abs(local[:, 1]) < 0.045)
+        solid |= sole & (local[:, 0] > -0.06) & (local[:, 0] < FOOT_LENGTH - 0.06)
+        solid[(grid[:, 2] < ankle[2] - FOOT_HEIGHT)] = False
+    return grid[solid]
+
+
+@pytest.fixture
+def synthetic():
+    """The helpers above as one object."""
+    return types.SimpleNamespace(t_pose=t_pose, smooth_motion=smooth_motion, stick_cloud=stick_cloud, flesh=flesh)

@@ -1,0 +1,281 @@
+"""The all-joints solve: derivatives against finite differences, accuracy, soft constraints, honest covariance."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from icp_tracker.articulated_solver import ArticulatedSettings, PriorSettings, fit_articulated
+from icp_tracker.figure_arrays import Figure, State
+from icp_tracker.foot_points import foot_points
+from icp_tracker.normal_equations import add_point_residuals, mirror_upper
+from icp_tracker.small_algebra import inverse_positive, solve_positive
+from icp_tracker.soft_constraints import add_joint_limits, add_neck_rest
+from stick_figure import kernels
+from stick_figure.kinematics import forward, sticks
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_NAMES, HEAD
+
+SIGMA = 0.034  # a sixth of the hips' distance, the noise of the article's synthetic experiment
+CHI2_95 = 7.815  # 95 % point of chi-square with three degrees of freedom
+FREE = PriorSettings(neck_sd=0.0, limit_sd=0.0)
+NECK_X, NECK_Y, KNEE = 6, 7, 6 + ANGLE_NAMES.index("left_knee")
+STEP = 1e-6
+
+
+def mean_error_mm(body, pose, truth):
+    return 1e3 * np.linalg.norm(forward(body, pose) - forward(body, truth), axis=1).mean()
+
+
+def nearest_on_sticks(ends, points):
+    """Stick, position along it and foot point of every point, by plain numpy."""
+    A, d = ends[:, 0], ends[:, 1] - ends[:, 0]
+    u = np.clip(np.einsum("njk,jk->nj", points[:, None] - A, d) / (d * d).sum(1), 0, 1)
+    feet = A + u[..., None] * d
+    stick = np.linalg.norm(points[:, None] - feet, axis=2).argmin(1)
+    rows = np.arange(len(points))
+    return stick, u[rows, stick], feet[rows, stick]
+
+
+def normal_equations(body, pose, points, weight):
+    state, figure, n = State.of(pose), Figure.of(body), len(points)
+    G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
+    kernels.stick_frames(state.R0, state.RJ, state.hinges, G, axes)
+    kernels.stick_ends(G, state.t0, *figure, A, B)
+    stick, along, feet, squared = np.empty(n, int), np.empty(n), np.empty((n, 3)), np.empty(n)
+    foot_points(points, A, B, stick, along, feet, squared)
+    H, g = np.zeros((24, 24)), np.zeros(24)
+    add_point_residuals(points, weight, stick, along, feet, A, B, state.t0, axes, H, g)
+    mirror_upper(H)
+    return H, g
+
+
+@pytest.fixture
+def scene(body, synthetic):
+    rng = np.random.default_rng(8)
+    pose = synthetic.smooth_motion(5, seed=3)[4]
+    points = synthetic.stick_cloud(body, pose.retract(0.05 * rng.normal(size=24)), rng, 120)
+    return pose, points, rng.uniform(0.5, 2.0, len(points))
+
+
+def test_gradient_equals_the_slope_of_the_squared_distances(body, scene):
+    pose, points, weight = scene
+    _, g = normal_equations(body, pose, points, weight)
+
+    def cost(x):
+        _, _, feet = nearest_on_sticks(sticks(body, pose.retract(x)), points)
+        return 0.5 * (weight * ((points - feet) ** 2).sum(1)).sum()
+
+    slope = [(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)]
+    assert np.abs(-g - slope).max() < 1e-7 * np.abs(g).max()
+
+
+def test_hessian_is_the_sum_of_finite_difference_jacobians(body, scene):
+    pose, points, weight = scene
+    H, _ = normal_equations(body, pose, points, weight)
+    ends = sticks(body, pose)
+    stick, u, _ = nearest_on_sticks(ends, points)
+    assert {0.0, 1.0} < set(u.tolist())  # both clamped and sliding feet are there
+
+    def feet(x):
+        moved = sticks(body, pose.retract(x))[stick]
+        return moved[:, 0] + u[:, None] * (moved[:, 1] - moved[:, 0])
+
+    J = np.stack([(feet(STEP * e) - feet(-STEP * e)) / (2 * STEP) for e in np.eye(24)], axis=2)  # (n, 3, 24)
+    direction = (ends[:, 1] - ends[:, 0])[stick]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    slides = (u > 0) & (u < 1)
+    J[slides] -= np.einsum("ni,nj,njk->nik", direction[slides], direction[slides], J[slides])
+    expected = np.einsum("n,nik,nil->kl", weight, J, J)
+    assert np.abs(H - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_small_algebra_solves_and_inverts_like_lapack():
+    rng = np.random.default_rng(9)
+    M = rng.normal(size=(24, 30))
+    M, b = M @ M.T, rng.normal(size=24)
+    x, inverse = np.empty(24), np.empty((24, 24))
+    solve_positive(M, b, np.empty((24, 24)), x)
+    inverse_positive(M, inverse)
+    assert np.abs(x - np.linalg.solve(M, b)).max() < 1e-9 * np.abs(x).max()
+    assert np.abs(inverse - np.linalg.inv(M)).max() < 1e-9 * np.abs(inverse).max()
+    assert np.array_equal(inverse, inverse.T)
+
+
+def test_pose_is_recovered_exactly_from_noiseless_sticks(body, synthetic):
+    rng = np.random.default_rng(10)
+    truth = synthetic.smooth_motion(30, seed=1)[20]
+    points = synthetic.stick_cloud(body, truth, rng, 400, sigma=0.0)
+    start = truth.retract(0.1 * rng.uniform(-1, 1, 24))
+    settings = ArticulatedSettings(
+        max_iterations=40, tolerance=1e-9, prior=PriorSettings(1e2, 1e2, 1e2, 1e2, neck_sd=0.0, limit_sd=0.0)
+    )
+    fit = fit_articulated(body, start, points, settings=settings)
+    assert fit.converged
+    assert mean_error_mm(body, fit.pose, truth) < 1.0  # what is left: points near a joint prefer the other stick
+
+
+@pytest.mark.parametrize("robust", ["x84", "geman_mcclure"])
+def test_noisy_sticks_are_followed_at_about_the_statistical_bound(body, synthetic, robust):
+    """300 points, sigma 34 mm: 14-15 mm, where the bound of a single frame is about 14 and the thesis's ICP has 33."""
+    settings = ArticulatedSettings(robust=robust, model_sigma_m=SIGMA)
+    errors, bounds = [], []
+    for seed in (0, 1):
+        rng = np.random.default_rng(100 + seed)
+        poses = synthetic.smooth_motion(80, seed)
+        pose = poses[0]
+        for truth in poses:
+            fit = fit_articulated(body, pose, synthetic.stick_cloud(body, truth, rng, 300, SIGMA), settings=settings)
+            pose = fit.pose
+            errors.append(mean_error_mm(body, pose, truth))
+            bounds.append(1e3 * np.sqrt(np.trace(fit.covariance / settings.correlation, axis1=1, axis2=2)).mean())
+    assert np.mean(errors) < 16.0
+    assert max(errors) < 40.0
+    assert np.mean(errors) < 1.15 * np.mean(bounds)
+
+
+def test_point_noise_weighs_the_points(body, synthetic):
+    """A third of the points is off by a constant shift; saying so in their sigma takes the shift out of the fit."""
+    rng = np.random.default_rng(11)
+    truth = synthetic.smooth_motion(5, seed=2)[3]
+    points = synthetic.stick_cloud(body, truth, rng, 300, 0.01)
+    bad = rng.random(len(points)) < 0.34
+    points[bad] += [0.0, 0.06, 0.0]
+    equal = fit_articulated(body, truth, points, 0.0)
+    told = fit_articulated(body, truth, points, np.where(bad, 0.3, 0.0))
+    assert mean_error_mm(body, told.pose, truth) < 0.5 * mean_error_mm(body, equal.pose, truth)
+
+
+@pytest.mark.parametrize("hinge", ["left_elbow", "right_knee"])
+def test_hinge_passes_straight_and_is_described_the_right_way_round(body, synthetic, hinge):
+    """The limb really bends to the other side of where the fit starts: clipped at straight it would never arrive."""
+    slot = ANGLE_NAMES.index(hinge)
+    angles = synthetic.t_pose().angles()
+    angles[slot] = -0.4 if "elbow" in hinge else 0.4
+    start = Pose.from_angles(np.array([0, 0, 1.2]), np.eye(3), angles)
+    truth = start.retract(np.eye(24)[6 + slot] * -2 * angles[slot])  # bent the other way
+    points = synthetic.stick_cloud(body, truth, np.random.default_rng(12), 400, 0.005)
+    fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=12, prior=FREE))
+    assert mean_error_mm(body, fit.pose, truth) < 10.0
+    assert (fit.pose.hinges[:2] <= 0.15).all() and (fit.pose.hinges[2:] >= -0.15).all()
+    assert np.abs(fit.pose.hinges).max() == pytest.approx(0.4, abs=0.05)
+
+
+def test_head_returns_to_rest_only_with_the_neck_prior(body, synthetic):
+    truth = synthetic.t_pose()
+    points = synthetic.stick_cloud(body, truth, np.random.default_rng(13), 300, 0.01)
+    neck = forward(body, truth)[2]
+    points = points[points[:, 2] < neck[2] - 0.02]  # nothing of the head is seen
+    start = truth.retract(np.eye(24)[NECK_Y] * 1.2)
+
+    def pitch(prior):
+        fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=20, prior=prior))
+        assert not fit.visible[1]
+        direction = fit.pose.R_joints[0, :, 2]
+        return np.arctan2(direction[0], direction[2])
+
+    assert pitch(PriorSettings(neck_sd=0.25, neck_pitch=0.1, limit_sd=0.0)) == pytest.approx(0.1, abs=0.2)
+    assert pitch(FREE) > 1.0
+
+
+def test_neck_rest_is_a_gauss_newton_residual(body, synthetic):
+    pose = synthetic.smooth_motion(5, seed=4)[2]
+    H, g = np.zeros((24, 24)), np.zeros(24)
+    add_neck_rest(pose.R_joints[0], 0.1, 2.0, H, g)
+    rest = np.array([np.sin(0.1), 0.0, np.cos(0.1)])
+
+    def cost(x):
+        direction = pose.retract(x).R_joints[0, :, 2]
+        return 0.5 * 2.0 * np.arctan2(np.linalg.norm(np.cross(direction, rest)), direction @ rest) ** 2
+
+    slope = np.array([(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)])
+    assert np.abs(g + slope).max() < 1e-6
+    assert H[NECK_X, NECK_X] == H[NECK_Y, NECK_Y] == 2.0
+
+
+def test_joint_limits_push_back_along_the_slope_of_the_excess(synthetic):
+    angles = synthetic.t_pose().angles()
+    angles[ANGLE_NAMES.index("left_hip_z")] = 1.5
+    angles[ANGLE_NAMES.index("right_shoulder_y")] = 2.0
+    angles[ANGLE_NAMES.index("left_knee")] = 2.9
+    angles[ANGLE_NAMES.index("right_shoulder_x")] = 2.6
+    angles[ANGLE_NAMES.index("left_hip_x")] = 0.3
+    pose = Pose.from_angles(np.zeros(3), np.eye(3), angles)
+    H, g = np.zeros((24, 24)), np.zeros(24)
+    add_joint_limits(pose.R_joints, pose.hinges, 1.0, H, g)
+
+    def cost(x):
+        moved = pose.retract(x)
+        leg = Rotation.from_matrix(moved.R_joints[3]).as_euler("XYZ")[2]
+        arm = Rotation.from_matrix(moved.R_joints[2]).as_euler("XZY")[2]
+        excess = max(leg - np.pi / 3, 0), max(arm - np.pi / 2, 0), max(moved.hinges[2] - 2.6, 0)
+        return 0.5 * np.sum(np.square(excess))
+
+    slope = np.array([(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)])
+    assert np.abs(slope).max() > 0.3
+    assert np.abs(g + slope).max() < 1e-6
+    assert np.linalg.eigvalsh(np.triu(H) + np.triu(H, 1).T).min() > -1e-12
+
+
+def test_pose_inside_its_limits_feels_no_limits(synthetic):
+    for pose in synthetic.smooth_motion(20, seed=5):
+        H, g = np.zeros((24, 24)), np.zeros(24)
+        add_joint_limits(pose.R_joints, pose.hinges, 1.0, H, g)
+        assert not g.any() and not H.any()
+
+
+@pytest.mark.parametrize("robust", ["x84", "geman_mcclure"])
+def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, robust):
+    """Independent noise of known size, correlation factor 1: 95 % ellipsoids hold the truth 85 to 99 % of the time."""
+    settings = ArticulatedSettings(robust=robust, model_sigma_m=SIGMA, correlation=1.0, prior=FREE)
+    inside = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        for truth in synthetic.smooth_motion(60, seed):
+            fit = fit_articulated(body, truth, synthetic.stick_cloud(body, truth, rng, 300, SIGMA), settings=settings)
+            error = fit.reference_points_world - forward(body, truth)
+            inside.append(np.einsum("pi,pij,pj->p", error, np.linalg.inv(fit.covariance), error) < CHI2_95)
+    share = np.mean(inside, axis=0)
+    assert share.min() > 0.85
+    assert share.max() <= 0.99
+
+
+def test_covariance_grows_where_the_points_do_not_fit(body, synthetic):
+    truth = synthetic.t_pose()
+    settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3)
+    small, large = (
+        fit_articulated(
+            body, truth, synthetic.stick_cloud(body, truth, np.random.default_rng(14), 300, noise), settings=settings
+        )
+        for noise in (0.01, 0.05)
+    )
+    sd = [np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2)).mean() for fit in (small, large)]
+    assert sd[1] > 3.5 * sd[0]
+
+
+def test_limb_without_points_is_invisible_and_uncertain(body, synthetic):
+    truth = synthetic.t_pose()
+    points = synthetic.stick_cloud(body, truth, np.random.default_rng(15), 300, 0.01)
+    stick, _, _ = nearest_on_sticks(sticks(body, truth), points)
+    fit = fit_articulated(body, truth, points[(stick != HEAD) & (stick != 6)])  # no head, no left forearm
+    assert not fit.visible[[1, 11]].any()
+    assert fit.visible[[0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14]].all()
+    sd = np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2))
+    assert sd[11] > 5 * sd[12]
+    assert sd[1] > 5 * sd[2]
+    assert (np.linalg.eigvalsh(fit.covariance) > 0).all()
+
+
+def test_no_points_leave_the_pose_at_its_start(body, synthetic):
+    start = synthetic.smooth_motion(2, seed=6)[1]
+    fit = fit_articulated(body, start, np.empty((0, 3)), settings=ArticulatedSettings(prior=FREE))
+    assert np.abs(fit.pose.minus(start)).max() < 1e-12
+    assert fit.inliers == 0 and fit.rms_m == 0.0
+    assert not fit.visible.any()
+
+
+def test_same_points_give_the_same_bytes(body, synthetic):
+    truth = synthetic.smooth_motion(9, seed=7)[8]
+    points = synthetic.stick_cloud(body, truth, np.random.default_rng(16))
+    first, second = (fit_articulated(body, synthetic.t_pose(), points) for _ in range(2))
+    for name in ("reference_points_world", "covariance", "information"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()

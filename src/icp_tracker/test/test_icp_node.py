@@ -1,0 +1,328 @@
+"""The ICP node among messages: one answer for every centerline, whatever arrives."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState, PointCloud2
+from std_srvs.srv import Trigger
+
+from icp_tracker.icp_node import IcpNode, fit_message
+from icp_tracker.initial_pose import KnownPose, save_initial_pose
+from icp_tracker.tracker import IcpTracker
+from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, split_reference_points, to_cloud
+from sagoma_ros.joints import prediction_message
+from sagoma_ros.qos import RESULT
+from sagoma_ros.stamps import to_ns
+from stick_figure.kinematics import forward
+
+DOMAIN = 34
+DEADLINE_S = 20.0  # only ever reached by a failing test
+PERIOD_NS = 25_000_000
+EPOCH_NS = 5_000_000_000
+NEVER_S = 3600.0
+
+
+def stamp(k):
+    return EPOCH_NS + k * PERIOD_NS
+
+
+def centerline(points, k, sigma=0.005):
+    table = np.zeros(len(points), CENTERLINE)
+    for axis, name in enumerate("xyz"):
+        table[name] = points[:, axis]
+    table["sigma"] = sigma
+    return to_cloud(table, stamp(k), "map")
+
+
+def voxel_cloud(points, k):
+    table = np.zeros(len(points), VOXELS)
+    for axis, name in enumerate("xyz"):
+        table[name] = points[:, axis]
+    return to_cloud(table, stamp(k), "map")
+
+
+class Bench:
+    """An IcpNode, and a node beside it that plays hull server and filter."""
+
+    def __init__(self, context, **parameters):
+        overrides = [Parameter(key, value=value) for key, value in parameters.items()]
+        self.node = IcpNode(context=context, parameter_overrides=overrides)
+        self.peer = rclpy.create_node("peer", context=context)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.executor.add_node(self.peer)
+        self.points, self.fits = [], []
+        self.peer.create_subscription(PointCloud2, "icp/reference_points", self.points.append, RESULT)
+        self.peer.create_subscription(DiagnosticArray, "icp/fit", self.fits.append, RESULT)
+        self.centerlines = self.peer.create_publisher(PointCloud2, "hull/centerline", RESULT)
+        self.voxels = self.peer.create_publisher(PointCloud2, "hull/voxels", RESULT)
+        self.predictions = self.peer.create_publisher(JointState, "ekf/prediction", RESULT)
+        self.reset = self.peer.create_client(Trigger, "icp_tracker/reset")
+
+    def start(self):
+        assert self.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert self.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        outgoing = (self.centerlines, self.voxels, self.predictions)
+        self.until(lambda: all(p.get_subscription_count() for p in outgoing) and self.reset.service_is_ready())
+        self.until(lambda: self.peer.count_publishers("icp/fit") and self.peer.count_publishers("icp/reference_points"))
+        self.until(lambda: all(p.get_subscription_count() for p in self.node._publishers_held))
+        return self
+
+    def until(self, done):
+        deadline = time.monotonic() + DEADLINE_S
+        while not done():
+            assert time.monotonic() < deadline, "the awaited event did not come"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def answer(self, message):
+        """Publish a centerline; the values of icp/fit and the points that answer it."""
+        count = len(self.points)
+        self.centerlines.publish(message)
+        self.until(lambda: len(self.points) > count and len(self.fits) > count)
+        points, covariance, visible = split_reference_points(from_cloud(self.points[-1], REFERENCE_POINTS, "test"))
+        values = {pair.key: pair.value for pair in self.fits[-1].status[0].values}
+        return SimpleNamespace(
+            points=points, covariance=covariance, visible=visible, stamp_ns=to_ns(self.points[-1].header.stamp),
+            reason=self.fits[-1].status[0].message, state=values["state"], started_from=values["started_from"],
+            used=int(values.get("points", 0)),
+        )  # fmt: skip
+
+    def close(self):
+        self.node.close()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.peer.destroy_node()
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    made = []
+
+    def make(**parameters):
+        made.append(Bench(context, **parameters))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def walk(body, synthetic, tmp_path):
+    """Poses, clouds, and the parameters that start the node at the first of them."""
+    rng = np.random.default_rng(1)
+    poses = synthetic.smooth_motion(12, seed=1)
+    save_initial_pose(poses[0], tmp_path / "start.yaml", body)
+    clouds = [synthetic.stick_cloud(body, pose, rng, 300, 0.02) for pose in poses]
+    parameters = {
+        "initial_pose.source": "file", "initial_pose.file": str(tmp_path / "start.yaml"), "prediction_wait_s": 0.0,
+    }  # fmt: skip
+    return SimpleNamespace(body=body, poses=poses, clouds=clouds, parameters=parameters)
+
+
+def test_every_centerline_is_answered_with_its_stamp(bench, walk):
+    node = bench(**walk.parameters).start()
+    for k, (pose, cloud) in enumerate(zip(walk.poses, walk.clouds, strict=True)):
+        answer = node.answer(centerline(cloud, k))
+        assert answer.stamp_ns == stamp(k)
+        assert np.linalg.norm(answer.points - forward(walk.body, pose), axis=1).mean() < 0.02
+        assert answer.visible.all() and answer.state == "tracking"
+        assert (np.linalg.eigvalsh(answer.covariance) > 0).all()
+        assert answer.started_from == ("initial" if k == 0 else "own")
+        assert answer.used == len(cloud)
+    assert node.points[-1].header.frame_id == "map"
+    assert node.node.health.counter("dropped_sets") == 0
+
+
+def test_fit_starts_from_the_prediction_of_the_previous_set(bench, walk):
+    node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
+    node.answer(centerline(walk.clouds[0], 0))
+    node.centerlines.publish(centerline(walk.clouds[1], 1))
+    node.until(lambda: node.node._feedback.waiting)
+    assert len(node.points) == 1  # no fit without the filter's word
+    node.predictions.publish(prediction_message(walk.poses[0], np.zeros(24), stamp(0)))
+    node.until(lambda: len(node.fits) == 2)
+    values = {pair.key: pair.value for pair in node.fits[1].status[0].values}
+    assert values["started_from"] == str(stamp(0))
+
+
+def test_filter_that_never_answers_is_waited_for_once(bench, walk):
+    node = bench(**{**walk.parameters, "prediction_wait_s": 0.2}).start()
+    answers = [node.answer(centerline(cloud, k)) for k, cloud in enumerate(walk.clouds)]
+    assert [answer.started_from for answer in answers] == ["initial"] + ["own"] * 11
+    assert node.node._feedback.timeouts == 1
+    node.predictions.publish(prediction_message(walk.poses[-1], np.zeros(24), stamp(11)))  # it is back
+    node.until(lambda: node.node._feedback._mailbox.newest() is not None)
+    assert node.answer(centerline(walk.clouds[-1], 12)).started_from == str(stamp(11))
+
+
+def test_filter_without_a_state_leaves_the_start_to_the_tracker(bench, walk):
+    node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
+    node.answer(centerline(walk.clouds[0], 0))
+    node.predictions.publish(prediction_message(None, np.zeros(24), stamp(0)))
+    assert node.answer(centerline(walk.clouds[1], 1)).started_from == "own"
+
+
+def test_empty_centerline_is_answered_with_invisible_points(bench, walk):
+    node = bench(**walk.parameters).start()
+    before = node.answer(centerline(walk.clouds[0], 0))
+    answer = node.answer(centerline(np.empty((0, 3)), 1))
+    assert answer.stamp_ns == stamp(1)
+    assert not answer.visible.any()
+    assert np.abs(answer.points - before.points).max() < 1e-6
+    assert "0 centerline points" in answer.reason
+    assert node.answer(centerline(walk.clouds[2], 2)).visible.all()
+
+
+def test_points_that_are_not_finite_are_dropped_and_counted(bench, walk):
+    node = bench(**walk.parameters).start()
+    dirty = np.vstack([[np.nan, 0.0, 1.0], walk.clouds[0], [0.0, np.inf, 1.0]])
+    answer = node.answer(centerline(dirty, 0))
+    assert answer.state == "tracking"
+    assert np.linalg.norm(answer.points - forward(walk.body, walk.poses[0]), axis=1).mean() < 0.02
+    assert node.node.health.counter("dropped_points") == 2
+
+
+def test_damaged_centerline_is_counted_and_the_graph_goes_on(bench, walk):
+    node = bench(**walk.parameters).start()
+    node.answer(centerline(walk.clouds[0], 0))
+    damaged = centerline(walk.clouds[1], 1)
+    damaged.fields = [field for field in damaged.fields if field.name != "sigma"]
+    answer = node.answer(damaged)
+    assert answer.stamp_ns == stamp(1) and not answer.visible.any()
+    short = centerline(walk.clouds[2], 2)
+    short.width += 5
+    assert not node.answer(short).visible.any()
+    assert node.node.health.counter("bad_centerlines") == 2
+    assert node.answer(centerline(walk.clouds[3], 3)).visible.all()
+
+
+def test_stamp_that_goes_back_is_dropped_and_counted(bench, walk):
+    node = bench(**walk.parameters).start()
+    node.answer(centerline(walk.clouds[5], 5))
+    node.centerlines.publish(centerline(walk.clouds[4], 4))
+    node.centerlines.publish(centerline(walk.clouds[5], 5))
+    answer = node.answer(centerline(walk.clouds[6], 6))
+    assert answer.stamp_ns == stamp(6)
+    assert node.node.health.counter("backward_stamps") == 2
+
+
+def test_bad_prediction_is_counted_and_not_used(bench, walk):
+    node = bench(**walk.parameters).start()
+    node.answer(centerline(walk.clouds[0], 0))
+    message = prediction_message(walk.poses[0], np.zeros(24), stamp(0))
+    message.name[3] = "nonsense"
+    node.predictions.publish(message)
+    node.until(lambda: node.node.health.counter("bad_predictions") == 1)
+    assert node.answer(centerline(walk.clouds[1], 1)).started_from == "own"
+
+
+def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body, synthetic):
+    pose = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
+    cloud = synthetic.stick_cloud(body, pose, np.random.default_rng(2), 300, 0.01)
+    voxels = synthetic.flesh(body, pose)
+    node = bench(**{"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0, "voxels_wait_s": NEVER_S}).start()
+    for k in range(3):
+        node.voxels.publish(voxel_cloud(voxels, k))
+        answer = node.answer(centerline(cloud, k))
+        assert answer.state == ("acquiring" if k == 0 else "tracking")
+        if k == 0:
+            assert answer.reason == "T-pose seen, hold it (1 of 2)"
+            assert not answer.points.any() and not answer.visible.any()
+    future = node.reset.call_async(Trigger.Request())
+    node.until(future.done)
+    assert future.result().success and "t_pose" in future.result().message
+    node.voxels.publish(voxel_cloud(voxels, 3))
+    assert node.answer(centerline(cloud, 3)).state == "acquiring"
+
+
+def test_missing_voxels_are_not_waited_for_for_ever(bench, walk):
+    node = bench(voxels_wait_s=0.01).start()
+    answer = node.answer(centerline(walk.clouds[0], 0))
+    assert answer.state == "acquiring" and answer.reason == "no hull"
+    assert node.node.health.counter("sets_without_voxels") == 1
+
+
+def test_slow_fit_drops_the_oldest_sets_and_counts_them(bench, walk):
+    node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S, "queue_depth": 2}).start()
+    node.answer(centerline(walk.clouds[0], 0))
+    node.centerlines.publish(centerline(walk.clouds[1], 1))
+    node.until(lambda: node.node._feedback.waiting)
+    for k in range(2, 8):  # set 1 waits for the filter; of 2 to 7 only the last two fit into the queue
+        node.centerlines.publish(centerline(walk.clouds[k], k))
+    node.until(lambda: node.node.health.counter("dropped_sets") == 4)
+    for k in (0, 1, 6):
+        node.predictions.publish(prediction_message(walk.poses[k], np.zeros(24), stamp(k)))
+    node.until(lambda: len(node.points) == 4)
+    assert [to_ns(message.header.stamp) for message in node.points] == [stamp(k) for k in (0, 1, 6, 7)]
+
+
+def test_suspended_node_is_silent_and_resumes(bench, walk):
+    node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
+    node.answer(centerline(walk.clouds[0], 0))
+    node.centerlines.publish(centerline(walk.clouds[1], 1))  # its fit waits for the filter
+    assert node.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert node.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    node.until(lambda: node.centerlines.get_subscription_count())
+    assert node.answer(centerline(walk.clouds[2], 2)).state == "tracking"
+    assert node.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert node.node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"initial_pose.source": "file"}, ["initial_pose.file"]),
+        ({"initial_pose.source": "file", "initial_pose.file": "/no/such.yaml"}, ["/no/such.yaml"]),
+        ({"initial_pose.source": "session"}, ["initial_pose.session"]),
+        ({"initial_pose.source": "session", "initial_pose.session": "/no/such"}, ["/no/such"]),
+        ({"initial_pose.source": "guess"}, ["initial_pose.source", "guess", "t_pose"]),
+        ({"body_file": "/no/body.yaml"}, ["/no/body.yaml"]),
+        ({"articulated.gate_m": -1.0}, ["articulated.gate_m", "-1.0"]),
+        ({"articulated.gate": 0.1}, ["articulated.gate", "articulated.gate_m"]),
+    ],
+)
+def test_bad_parameter_fails_configure_with_a_clear_line(bench, capfd, parameters, words):
+    node = bench(**parameters)
+    assert node.node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    shown = capfd.readouterr().err
+    for word in words:
+        assert word in shown
+
+
+def test_two_runs_give_the_same_bytes(bench, walk):
+    def run():
+        node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
+        for k, cloud in enumerate(walk.clouds):
+            node.answer(centerline(cloud, k))
+            node.predictions.publish(prediction_message(walk.poses[k], np.full(24, 0.1), stamp(k)))
+        node.node.trigger_deactivate()
+        # not the serialised messages: CDR pads with whatever bytes lie about
+        return b"".join(bytes(message.data) for message in node.points), node.fits
+
+    first = run()
+    assert first == run()
+
+
+def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
+    node = bench(**walk.parameters).start()
+    tracker = IcpTracker(KnownPose(walk.poses[0], walk.body), node.node.settings)
+    for k, cloud in enumerate(walk.clouds[:4]):
+        message = centerline(cloud, k)
+        answer = node.answer(message)
+        table = from_cloud(message, CENTERLINE, "test")
+        points = np.stack([table[name] for name in "xyz"], axis=1).astype(float)
+        expected = tracker.step(stamp(k), points, table["sigma"].astype(float))
+        assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
+        assert fit_message(expected, "articulated") == node.fits[-1]

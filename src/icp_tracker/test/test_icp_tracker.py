@@ -1,0 +1,172 @@
+"""The tracker set after set: acquiring, following, missing data, predictions."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from icp_tracker.articulated_solver import ArticulatedSettings
+from icp_tracker.initial_pose import InitialPose, KnownPose
+from icp_tracker.t_pose import TPoseSettings, TPoseSource
+from icp_tracker.tracker import IcpTracker, TrackerSettings
+from stick_figure.kinematics import forward
+
+FPS, SIGMA = 40.0, 0.034
+SETTINGS = TrackerSettings(articulated=ArticulatedSettings(model_sigma_m=SIGMA))
+
+
+def stamp(frame):
+    return 1_000_000_000 + round(frame * 1e9 / FPS)
+
+
+def error_mm(body, result, truth):
+    return 1e3 * np.linalg.norm(result.reference_points_world - forward(body, truth), axis=1).mean()
+
+
+@pytest.fixture
+def motion(body, synthetic):
+    rng = np.random.default_rng(1)
+    poses = synthetic.smooth_motion(120, seed=1, fps=FPS)
+    return poses, [synthetic.stick_cloud(body, pose, rng, 300, SIGMA) for pose in poses]
+
+
+@pytest.mark.parametrize(("method", "bound_mm"), [("articulated", 16.0), ("hierarchical", 45.0)])
+def test_motion_is_followed(body, motion, method, bound_mm):
+    poses, clouds = motion
+    settings = TrackerSettings(method=method, articulated=SETTINGS.articulated)
+    tracker = IcpTracker(KnownPose(poses[0], body), settings)
+    results = [tracker.step(stamp(k), cloud) for k, cloud in enumerate(clouds)]
+    assert np.mean([error_mm(body, r, p) for r, p in zip(results, poses, strict=True)]) < bound_mm
+    assert {r.state for r in results} == {"tracking"}
+    assert results[0].started_from == "initial"
+    assert {r.started_from for r in results[1:]} == {"own"}
+    assert all(r.visible.all() and r.reason == "" for r in results)
+
+
+def test_motion_is_followed_across_missing_and_empty_sets(body, motion):
+    poses, clouds = motion
+    tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
+    errors = []
+    for k, (pose, cloud) in enumerate(zip(poses, clouds, strict=True)):
+        if k % 7 == 3:
+            continue  # the set never came
+        result = tracker.step(stamp(k), cloud if k % 7 != 5 else np.empty((0, 3)))
+        errors.append(error_mm(body, result, pose))
+    assert np.mean(errors) < 25.0
+    assert errors[-1] < 30.0
+
+
+def test_set_without_points_keeps_the_prediction_and_says_so(body, motion):
+    poses, clouds = motion
+    tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
+    tracker.step(stamp(0), clouds[0])
+    velocity = poses[1].minus(poses[0]) * FPS
+    prediction = SimpleNamespace(stamp_ns=stamp(0), pose=poses[0], velocity=velocity)
+    result = tracker.step(stamp(1), np.empty((0, 3)), prediction=prediction)
+    assert np.abs(result.reference_points_world - forward(body, poses[1])).max() < 1e-9
+    assert result.state == "tracking" and result.fit is None
+    assert "0 centerline points" in result.reason
+    assert not result.visible.any()
+    assert (np.linalg.eigvalsh(result.covariance) >= 99.0).all()
+
+
+def test_fit_starts_from_the_extrapolated_prediction(body, motion):
+    """With a hand moved by half a metre between sets, only the prediction is near enough."""
+    poses, _ = motion
+    tracker = IcpTracker(KnownPose(poses[0], body), TrackerSettings(articulated=ArticulatedSettings(max_iterations=1)))
+    tracker.step(stamp(0), np.zeros((20, 3)) + forward(body, poses[0])[0])
+    seen = []
+
+    def spy(body, start, *rest):
+        seen.append(start)
+        return fit(body, start, *rest)
+
+    fit, tracker._fit = tracker._fit, spy
+    velocity = np.linspace(-1, 1, 24)
+    prediction = SimpleNamespace(stamp_ns=stamp(0), pose=poses[5], velocity=velocity)
+    result = tracker.step(stamp(2), np.zeros((20, 3)), prediction=prediction)
+    assert np.abs(seen[0].minus(poses[5].retract(velocity * 2 / FPS))).max() < 1e-7
+    assert result.started_from == str(stamp(0))
+    tracker.step(stamp(80), np.zeros((20, 3)), prediction=prediction)  # 2 s later: followed for 0.1 s only
+    assert np.abs(seen[1].minus(poses[5].retract(velocity * 0.1))).max() < 1e-7
+    tracker.step(stamp(81), np.zeros((20, 3)), prediction=SimpleNamespace(stamp_ns=stamp(80), pose=None, velocity=None))
+    assert len(seen) == 3
+
+
+def test_points_that_are_not_finite_are_dropped_and_counted(body, motion):
+    poses, clouds = motion
+    clean, dirty = (IcpTracker(KnownPose(poses[0], body), SETTINGS) for _ in range(2))
+    bad = np.vstack([[np.nan, 0, 0], clouds[0], [0, np.inf, 0], [0.0, 0.0, 1.0]])
+    sigma = np.zeros(len(bad))
+    sigma[-1] = np.nan
+    result = dirty.step(stamp(0), bad, sigma)
+    assert result.dropped_points == 3
+    assert np.array_equal(result.reference_points_world, clean.step(stamp(0), clouds[0]).reference_points_world)
+
+
+def test_before_the_first_pose_the_points_are_zero_invisible_and_unknown(motion):
+    _, clouds = motion
+
+    class Nothing:
+        needs_voxels = True
+
+        def look(self, points_world, voxels_world):
+            return InitialPose(reason="arms not level")
+
+    tracker = IcpTracker(Nothing())
+    assert tracker.needs_voxels
+    result = tracker.step(stamp(0), clouds[0])
+    assert result.state == "acquiring" and result.reason == "arms not level"
+    assert result.started_from == "nothing"
+    assert not result.reference_points_world.any() and not result.visible.any()
+    assert (np.linalg.eigvalsh(result.covariance) >= 99.0).all()
+    assert result.pose is None
+
+
+def test_first_pose_that_explains_nothing_is_not_believed(body, motion):
+    poses, clouds = motion
+    tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
+    everywhere = np.random.default_rng(2).uniform([-2, -2, 0], [2, 2, 2], (300, 3))
+    result = tracker.step(stamp(0), everywhere)
+    assert result.state == "acquiring"
+    assert "explains only" in result.reason
+    assert tracker.step(stamp(1), clouds[1]).state == "tracking"
+
+
+def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
+    rng = np.random.default_rng(3)
+    standing = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
+    tracker = IcpTracker(TPoseSource(TPoseSettings(hold_sets=2)), SETTINGS)
+    voxels = synthetic.flesh(body, standing)
+    cloud = [synthetic.stick_cloud(body, standing, rng, 300, 0.01) for _ in range(20)]
+    assert tracker.step(stamp(0), cloud[0], 0.0, voxels).state == "acquiring"
+    result = tracker.step(stamp(1), cloud[1], 0.0, voxels)
+    assert result.state == "tracking"
+    assert not tracker.needs_voxels
+    assert error_mm(body, result, standing) < 40
+    lowering = np.zeros(24)
+    lowering[[8, 9]] = [-1.0, 1.0]  # both arms sink sideways
+    for k in range(2, 20):
+        pose = standing.retract(lowering * 0.05 * (k - 1))
+        result = tracker.step(stamp(k), synthetic.stick_cloud(body, pose, rng, 300, 0.01))
+    assert error_mm(body, result, pose) < 50
+
+
+def test_reset_looks_for_a_first_pose_again(body, motion):
+    poses, clouds = motion
+    tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
+    tracker.step(stamp(0), clouds[0])
+    tracker.reset()
+    assert tracker.body is None
+    assert tracker.step(stamp(1), clouds[1]).started_from == "initial"
+
+
+def test_two_runs_give_the_same_bytes(body, motion):
+    poses, clouds = motion
+
+    def run():
+        tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
+        results = [tracker.step(stamp(k), cloud) for k, cloud in enumerate(clouds[:30])]
+        return b"".join(r.reference_points_world.tobytes() + r.covariance.tobytes() for r in results)
+
+    assert run() == run()

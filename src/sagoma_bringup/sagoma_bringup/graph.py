@@ -1,0 +1,247 @@
+"""The node graph as data: which nodes run, under which names, with which parameters. No ROS in here.
+
+Launch files turn it into launch_ros actions, the supervisor of sagoma_tools into processes. Nodes start unconfigured;
+whoever starts them drives their lifecycle (or sets ``autostart``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
+from capture_rig.session import Session, load_session
+
+from .node_spec import NodeSpec, Role
+
+CAMERA_NODE = "camera_client"
+SERVER_NODES = ("hull_server", "icp_tracker", "ekf_tracker")
+FOOTAGE_DEADLINE_S = 0.5  # all cameras' frames will come; on a machine that decodes them all, some come late
+# Nothing is dropped, and nobody goes on without what another node is about to send: for footage played as fast as the
+# graph keeps up, and for lockstep replay. Results then depend on the input alone.
+LOSSLESS_SETTINGS: Mapping[str, Any] = {
+    "hull_server.reliable": True,
+    "hull_server.deadline_s": 3.0,  # only a camera that lost a frame is waited for so long
+    "hull_server.queue_depth": 1000,
+    "icp_tracker.prediction_wait_s": 20.0,
+    "icp_tracker.voxels_wait_s": 20.0,
+    "icp_tracker.queue_depth": 1000,
+    "ekf_tracker.body_wait_s": 20.0,
+}
+ALL_CAMERAS, SERVER = "cameras", "server"
+
+
+def build_graph(
+    *,
+    session: str | Path | None = None,
+    rig: str | Path | None = None,
+    cameras: str | Path | None = None,
+    only: str | None = None,
+    rate: float = 1.0,
+    epoch_ns: int = 0,
+    loop: bool = False,
+    body: str | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> list[NodeSpec]:
+    """The nodes to run, the server's first, then the cameras in name order.
+
+    session : a folder of footage: one camera node a video, and the server.
+    rig, cameras : a rig YAML, and a folder with one parameter file a camera of the rig (or one such file); without
+        ``cameras`` the server alone, without ``rig`` the cameras alone.
+    only : "server", "cameras" or a camera's name: this part of the graph.
+    rate, epoch_ns, loop : how footage is played (parameters ``footage.*`` of the camera client).
+    body : a body YAML for the trackers.
+    settings : more parameters, as NODE.PARAMETER (``hull_server.voxel_mm``), CAMERA.PARAMETER or cameras.PARAMETER.
+
+    Raises InputError for whatever does not fit: no such file, camera count, unknown camera or node.
+    """
+    if session is not None:
+        if rig is not None or cameras is not None:
+            raise InputError("a session brings its own rig and cameras", where="rig, cameras",
+                             remedy="Give a session, or a rig with cameras.")  # fmt: skip
+        graph = session_graph(load_session(session), rate=rate, epoch_ns=epoch_ns, loop=loop, body=body)
+    elif rig is not None:
+        graph = server_graph(rig, body=body)
+        if cameras is not None:
+            graph += rig_cameras(rig, cameras)
+    elif cameras is not None:
+        graph = cameras_from_files(cameras)
+    else:
+        raise InputError("neither a session nor a rig nor cameras are given", remedy="Name a session folder or a rig.")
+    return apply_settings(select(graph, only), settings or {})
+
+
+def session_graph(
+    session: Session,
+    *,
+    rate: float = 1.0,
+    epoch_ns: int = 0,
+    loop: bool = False,
+    body: str | Path | None = None,
+) -> list[NodeSpec]:
+    """The whole graph on recorded footage."""
+    rig_file = (session.folder / "rig.yaml").resolve()
+    unlearned = [name for name in session.rig.names if name not in session.backgrounds]
+    if unlearned:
+        raise InputError(f"there is no background for {', '.join(unlearned)}", where=str(session.folder),
+                         remedy=f"Add {unlearned[0]}_background.mp4 or .png: the empty scene.")  # fmt: skip
+    footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
+    cameras = [
+        camera_node(name, {
+            "rig_file": str(rig_file),
+            "source": "footage",
+            "background": str(session.backgrounds[name].resolve()),
+            "footage.path": str(session.videos[name].resolve()),
+            **{f"footage.{key}": value for key, value in footage.items()},
+        })
+        for name in session.rig.names
+    ]  # fmt: skip
+    graph = server_graph(rig_file, body=body) + cameras
+    patience = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
+    if rate == 0:
+        patience = {**LOSSLESS_SETTINGS, f"{ALL_CAMERAS}.footage.pace_timeout_s": 20.0}
+    return apply_settings(graph, {"hull_server.tolerance_s": 0.5 / session.fps, **patience})
+
+
+def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[NodeSpec]:
+    """Hull server, ICP tracker and EKF tracker for one rig."""
+    rig_file = Path(rig).resolve()
+    load_rig(rig_file)
+    trackers = {"body_file": _body_file(Path(body))} if body is not None else {}
+    parameters: dict[str, Mapping[str, Any]] = {
+        "hull_server": {"rig_file": str(rig_file)},
+        "icp_tracker": trackers,
+        "ekf_tracker": trackers,
+    }
+    modules = {"hull_server": "hull_node", "icp_tracker": "icp_node", "ekf_tracker": "ekf_node"}
+    return [
+        NodeSpec(name, name, f"{name}.{modules[name]}", name, "/", Role.SERVER, parameters[name])
+        for name in SERVER_NODES
+    ]
+
+
+def camera_node(name: str, parameters: Mapping[str, Any]) -> NodeSpec:
+    """The camera client of one camera."""
+    given = {"camera_name": name, **parameters}
+    return NodeSpec(CAMERA_NODE, CAMERA_NODE, f"{CAMERA_NODE}.camera_node", CAMERA_NODE, f"/{name}", Role.CAMERA, given)
+
+
+def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
+    """One camera node for each camera of the rig, from the parameter files in ``cameras``."""
+    names = load_rig(rig).names
+    nodes = {node.label: node for node in cameras_from_files(cameras)}
+    strangers, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
+    if strangers:
+        raise InputError(f"the rig {rig} has no camera {', '.join(strangers)}", where=str(cameras),
+                         remedy=f"Known cameras: {', '.join(names)}.")  # fmt: skip
+    if absent:
+        raise InputError(
+            f"the rig {rig} has {len(names)} cameras, but there is no parameter file for {', '.join(absent)}",
+            where=str(cameras),
+            remedy=f"Add {absent[0]}.yaml, or take the camera out of the rig.",
+        )
+    rig_file = str(Path(rig).resolve())
+    return [camera_node(name, {**nodes[name].parameters, "rig_file": rig_file, "autostart": False}) for name in names]
+
+
+def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
+    """The camera nodes of the parameter files in a folder (or of one file), in name order."""
+    nodes = [camera_from_file(path) for path in _camera_files(Path(cameras))]
+    labels = [node.label for node in nodes]
+    twice = sorted({label for label in labels if labels.count(label) > 1})
+    if twice:
+        raise InputError(f"{', '.join(twice)} is described twice", where=str(cameras),
+                         remedy="Keep one parameter file a camera.")  # fmt: skip
+    return sorted(nodes, key=lambda node: node.label)
+
+
+def camera_from_file(path: str | Path) -> NodeSpec:
+    """A camera node from a ROS parameter file whose one key is ``/CAMERA/camera_client``."""
+    path = Path(path)
+    document = _read_yaml(path)
+    keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
+    if len(document) != 1 or len(keys) != 1:
+        raise InputError(f"has the keys {', '.join(map(str, document))}", where=str(path),
+                         remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.")  # fmt: skip
+    entry = document[keys[0]]
+    parameters = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
+    if not isinstance(parameters, Mapping):
+        raise InputError("has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}",
+                         remedy="Put the parameters under it.")  # fmt: skip
+    return camera_node(str(keys[0]).split("/")[1], _flat(parameters))
+
+
+def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:
+    """The part of ``graph`` that runs on one machine: "server", "cameras", or one camera by name."""
+    if only is None:
+        return list(graph)
+    parts = {SERVER: Role.SERVER, ALL_CAMERAS: Role.CAMERA}
+    if only in parts:
+        return [node for node in graph if node.role is parts[only]]
+    chosen = [node for node in graph if node.label == only]
+    if not chosen:
+        labels = ", ".join(node.label for node in graph)
+        raise InputError(f"the graph has no part '{only}'", where="only",
+                         remedy=f"Give server, cameras, or one of: {labels}.")  # fmt: skip
+    return chosen
+
+
+def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> list[NodeSpec]:
+    """Set parameters written as NODE.PARAMETER, CAMERA.PARAMETER or cameras.PARAMETER."""
+    labels = {node.label for node in graph}
+    for key in settings:
+        target, _, parameter = key.partition(".")
+        if not parameter or target not in labels | {ALL_CAMERAS}:
+            known = ", ".join([*sorted(labels), ALL_CAMERAS])
+            raise InputError(f"'{key}' names no node of the graph", where="settings",
+                             remedy=f"Write NODE.PARAMETER, with NODE one of: {known}.")  # fmt: skip
+    return [node.with_parameters(_parameters_for(node, settings)) for node in graph]
+
+
+def _parameters_for(node: NodeSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
+    targets = {node.label} | ({ALL_CAMERAS} if node.role is Role.CAMERA else set())
+    # the single camera's own value comes last, so that it wins over the one given for all
+    ordered = sorted(settings.items(), key=lambda item: not item[0].startswith(ALL_CAMERAS + "."))
+    return {key.partition(".")[2]: value for key, value in ordered if key.partition(".")[0] in targets}
+
+
+def _body_file(path: Path) -> str:
+    if not path.is_file():
+        raise InputError("there is no such file", where=str(path), remedy="Give a body YAML, or none: it is measured.")
+    return str(path.resolve())
+
+
+def _camera_files(path: Path) -> list[Path]:
+    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
+    if not files or not all(file.is_file() for file in files):
+        raise InputError("no camera parameter file", where=str(path),
+                         remedy="Give a folder with one YAML a camera, or one such file.")  # fmt: skip
+    return files
+
+
+def _read_yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        document = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path),
+                         remedy="Give the path of a ROS parameter file.") from None  # fmt: skip
+    except yaml.YAMLError as error:
+        raise InputError(f"is not valid YAML ({' '.join(str(error).split())})", where=str(path),
+                         remedy="Mend the file.") from None  # fmt: skip
+    if not isinstance(document, Mapping):
+        raise InputError("is not a mapping", where=str(path), remedy=f"It needs the key /CAMERA/{CAMERA_NODE}.")
+    return document
+
+
+def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in parameters.items():
+        if isinstance(value, Mapping):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat

@@ -1,0 +1,164 @@
+"""The graph as data: the right nodes for a session, a rig, a machine; and clear errors for what does not fit."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.errors import InputError
+from sagoma_bringup.graph import build_graph
+from sagoma_bringup.node_spec import Role
+
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+RING4 = CONFIG / "rig" / "ring4.yaml"
+SERVER = ["/hull_server", "/icp_tracker", "/ekf_tracker"]
+
+
+def write_video(path, frames=3):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
+    for _ in range(frames):
+        writer.write(np.zeros((480, 640, 3), np.uint8))
+    writer.release()
+
+
+@pytest.fixture()
+def session(tmp_path):
+    """Two cameras of the example rig, with videos and stills of the empty room."""
+    rig = yaml.safe_load(RING4.read_text())
+    rig["cameras"] = {name: rig["cameras"][name] for name in ("cam01", "cam02")}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+    for name in ("cam01", "cam02"):
+        write_video(tmp_path / f"{name}.mp4")
+        cv2.imwrite(str(tmp_path / f"{name}_background.png"), np.zeros((480, 640), np.uint8))
+    return tmp_path
+
+
+def camera_file(folder, name, **parameters):
+    document = {f"/{name}/camera_client": {"ros__parameters": {"camera_name": name, **parameters}}}
+    (folder / f"{name}.yaml").write_text(yaml.safe_dump(document))
+
+
+def test_session_gives_the_server_and_one_camera_node_a_video(session):
+    graph = build_graph(session=session, rate=0.5, epoch_ns=5_000_000_000, loop=True)
+    assert [node.full_name for node in graph] == [*SERVER, "/cam01/camera_client", "/cam02/camera_client"]
+    assert [node.role for node in graph] == [Role.SERVER] * 3 + [Role.CAMERA] * 2
+    cameras = graph[3:]
+    assert {node.parameters["rig_file"] for node in [graph[0], *cameras]} == {str((session / "rig.yaml").resolve())}
+    for node in cameras:
+        given = dict(node.parameters)
+        assert given["footage.path"] == str((session / f"{node.label}.mp4").resolve())
+        assert given["background"] == str((session / f"{node.label}_background.png").resolve())
+        assert (given["footage.fps"], given["footage.rate"]) == (25.0, 0.5)
+        assert (given["footage.epoch_ns"], given["footage.loop"]) == (5_000_000_000, True)
+
+
+def test_session_without_a_video_of_a_rig_camera_is_an_error(session):
+    (session / "cam02.mp4").unlink()
+    with pytest.raises(InputError, match=r"the rig has 2 cameras, but there is no video for cam02"):
+        build_graph(session=session)
+
+
+def test_session_without_a_background_is_an_error(session):
+    (session / "cam01_background.png").unlink()
+    with pytest.raises(InputError, match=r"no background for cam01.*Add cam01_background"):
+        build_graph(session=session)
+
+
+def test_only_one_camera_is_picked_by_its_name(session):
+    (node,) = build_graph(session=session, only="cam02")
+    assert node.full_name == "/cam02/camera_client"
+    assert [n.full_name for n in build_graph(session=session, only="server")] == SERVER
+    assert [n.label for n in build_graph(session=session, only="cameras")] == ["cam01", "cam02"]
+
+
+def test_unknown_camera_is_an_error_that_lists_the_known_ones(session):
+    with pytest.raises(InputError, match=r"no part 'cam07'.*cam01, cam02"):
+        build_graph(session=session, only="cam07")
+
+
+def test_example_rig_and_camera_files_make_one_graph():
+    graph = build_graph(rig=RING4, cameras=CONFIG / "camera", body=CONFIG / "body" / "default.yaml")
+    assert [node.label for node in graph[3:]] == ["cam01", "cam02", "cam03", "cam04"]
+    assert graph[3].parameters["aravis.address"] == "192.168.1.11"
+    assert not any(node.parameters["autostart"] for node in graph[3:])  # driven by whoever starts the graph
+    assert {node.parameters["rig_file"] for node in graph[3:]} == {str(RING4)}
+    assert graph[1].parameters["body_file"] == graph[2].parameters["body_file"]
+
+
+def test_rig_alone_is_the_server_alone():
+    assert [node.full_name for node in build_graph(rig=RING4)] == SERVER
+
+
+def test_camera_file_alone_is_that_camera_alone():
+    (node,) = build_graph(cameras=CONFIG / "camera" / "footage" / "cam01.yaml")
+    assert node.full_name == "/cam01/camera_client" and node.parameters["source"] == "footage"
+
+
+def test_camera_count_that_does_not_match_the_rig_is_an_error(tmp_path):
+    for name in ("cam01", "cam02"):
+        camera_file(tmp_path, name)
+    with pytest.raises(InputError, match=r"has 4 cameras, but there is no parameter file for cam03, cam04"):
+        build_graph(rig=RING4, cameras=tmp_path)
+
+
+def test_camera_that_the_rig_does_not_know_is_an_error(tmp_path):
+    for name in ("cam01", "cam02", "cam03", "cam04", "cam05"):
+        camera_file(tmp_path, name)
+    with pytest.raises(InputError, match=r"has no camera cam05.*Known cameras: cam01, cam02, cam03, cam04"):
+        build_graph(rig=RING4, cameras=tmp_path)
+
+
+def test_two_files_for_one_camera_are_an_error(tmp_path):
+    camera_file(tmp_path, "cam01")
+    (tmp_path / "again.yaml").write_text((tmp_path / "cam01.yaml").read_text())
+    with pytest.raises(InputError, match=r"cam01 .*twice"):
+        build_graph(cameras=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is not a mapping"),
+        ("a: [", "is not valid YAML"),
+        ("/cam01/hull_server: {ros__parameters: {}}", "/CAMERA/camera_client"),
+        ("/cam01/camera_client: {parameters: {}}", "ros__parameters"),
+    ],
+)
+def test_camera_file_of_another_shape_is_an_error(tmp_path, text, message):
+    (tmp_path / "cam01.yaml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        build_graph(cameras=tmp_path / "cam01.yaml")
+
+
+def test_missing_files_are_errors_that_name_them(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.yaml: cannot be read"):
+        build_graph(rig=tmp_path / "nowhere.yaml")
+    with pytest.raises(InputError, match="no camera parameter file"):
+        build_graph(rig=RING4, cameras=tmp_path)
+    with pytest.raises(InputError, match=r"body\.yaml: there is no such file"):
+        build_graph(rig=RING4, body=tmp_path / "body.yaml")
+    with pytest.raises(InputError, match="neither a session nor a rig"):
+        build_graph()
+
+
+def test_settings_reach_the_nodes_they_name(session):
+    settings = {"hull_server.voxel_mm": 15.0, "cameras.publish_preview": True, "cam02.publish_preview": False}
+    graph = {node.label: node.parameters for node in build_graph(session=session, settings=settings)}
+    assert graph["hull_server"]["voxel_mm"] == 15.0
+    assert "voxel_mm" not in graph["icp_tracker"]
+    assert (graph["cam01"]["publish_preview"], graph["cam02"]["publish_preview"]) == (True, False)
+    assert "publish_preview" not in graph["hull_server"]
+
+
+def test_setting_of_an_unknown_node_is_an_error(session):
+    with pytest.raises(InputError, match=r"'hul_server.voxel_mm' names no node.*hull_server"):
+        build_graph(session=session, settings={"hul_server.voxel_mm": 15.0})
+
+
+def test_parameter_document_is_a_ros_parameter_file(session):
+    (node,) = build_graph(session=session, only="cam01")
+    document = node.parameter_document()
+    assert list(document) == ["/cam01/camera_client"]
+    assert document["/cam01/camera_client"]["ros__parameters"]["source"] == "footage"

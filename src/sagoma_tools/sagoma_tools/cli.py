@@ -1,0 +1,41 @@
+"""The ``sagoma`` command: one subcommand a module in ``commands``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from capture_rig.errors import InputError
+
+from .commands import compare, control, demo, evaluate, record, recover, replay, up
+from .supervisor import GraphError
+
+COMMANDS = (demo, evaluate, up, control, record, replay, compare, recover)
+GRAPH_FAILED, BAD_INPUT = 1, 2
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; every subcommand sets ``run``, a function of the parsed arguments."""
+    parser = argparse.ArgumentParser("sagoma", description="Markerless motion capture: run, record, replay, measure.")
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add_parser(subparsers)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one subcommand; 0 when it did what it was asked, 1 when the graph failed, 2 for input it cannot use."""
+    args = build_parser().parse_args(argv)
+    try:
+        return args.run(args)
+    except GraphError as error:
+        print(f"sagoma: {error}", file=sys.stderr)
+        return GRAPH_FAILED
+    except InputError as error:
+        print(f"sagoma: {error}", file=sys.stderr)
+        return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

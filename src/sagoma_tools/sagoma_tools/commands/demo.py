@@ -1,0 +1,91 @@
+"""``sagoma demo``: the main job, end to end, on the built-in session or on a folder of videos."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+from pathlib import Path
+
+from rich.console import Console
+
+from stick_figure.body import Body
+from virtual_studio.rig import ring
+from virtual_studio.session import write_session
+
+from ..demo import LiveRun, draw, judged, run_live
+from ..evaluation.scores import Scores
+from ..evaluation.tables import print_latency, print_nodes, print_scores
+from .common import StopOnSignal, add_settings_argument, parse_settings
+
+RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser("demo", help="run the whole graph live on footage, record, measure and draw it")
+    parser.add_argument("--session", help="folder of footage (default: a synthetic session, made once)")
+    parser.add_argument("--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)")
+    parser.add_argument("--rate", type=float, default=0.0,
+                        help="playing speed of footage; 0 (default): as fast as the graph keeps up, dropping nothing")  # fmt: skip
+    parser.add_argument("--start", choices=("auto", "t_pose", "session"), default="auto",
+                        help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
+    add_settings_argument(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make the session if need be, run, report; 0 when every frame set was answered, else 1."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    console = Console()
+    output = Path(args.output)
+    session = Path(args.session) if args.session else built_in_session(output / "session", console)
+    shutil.rmtree(output / "bag", ignore_errors=True)
+    console.print(f"running the graph live on {session} (logs: {output / 'logs'})")
+    with StopOnSignal() as stop:
+        live = run_live(session, output, rate=args.rate, start=args.start, settings=parse_settings(args.settings),
+                        cancel=stop)  # fmt: skip
+    scores = judged(live)
+    report(console, live, scores)
+    for path in draw(live, output, scores):
+        console.print(f"picture: {path}")
+    console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
+    if live.answered < live.sets:
+        console.print("this machine did not keep up: play slower (--rate 0.5) or as fast as it can (--rate 0)", style="red")
+    print(json.dumps(figures(live, scores)))
+    return 0 if live.answered == live.sets else 1
+
+
+def built_in_session(folder: Path, console: Console) -> Path:
+    """The synthetic session of the demo, made by the virtual studio when it is not there yet."""
+    if not (folder / "session.yaml").is_file():
+        console.print(f"making a synthetic session in {folder}")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        write_session(folder, ring(RING_CAMERAS, True), Body.from_stature(STATURE_M), seconds=SECONDS)
+    return folder
+
+
+def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
+    """Everything that the run measured."""
+    print_nodes(console, live.memory_mib, live.peak_mib, live.diagnostics)
+    print_latency(console, live.latency_ms)
+    console.print(
+        f"{live.sets} frame sets sent, {live.answered} answered by the EKF ({live.sets_per_s:.0f} a second; the footage "
+        f"has {live.session.fps:.0f}), {live.incomplete} incomplete; "
+        f"capture stamps of one set differ by at most {live.spread_ms:.3f} ms"
+    )
+    if scores is not None:
+        print_scores(console, scores)
+
+
+def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
+    """The same, for machines."""
+    return {
+        "sets": live.sets,
+        "answered": live.answered,
+        "incomplete": live.incomplete,
+        "sets_per_s": round(live.sets_per_s, 1),
+        "memory_mib": {name: round(mib, 1) for name, mib in live.memory_mib.items()},
+        **(scores.figures() if scores is not None else {}),
+    }

@@ -1,0 +1,1 @@
+"""How good was it: tracks against truth, as numbers, tables and pictures."""

@@ -1,0 +1,45 @@
+"""Silhouettes out of a bag, back in the camera's own pixels, for drawing over footage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from capture_rig.camera import CameraModel
+from capture_rig.session import Session
+from rclpy.serialization import deserialize_message
+from sagoma_ros.images import decode_silhouette
+from sensor_msgs.msg import CompressedImage
+
+from ..bags import read_messages
+from ..topics import camera_topics
+
+
+def image_masks(bag: Path, session: Session, frames: Sequence[int]) -> dict[str, list[np.ndarray]]:
+    """Each camera's silhouettes (H, W) at the given frames, distorted back to image pixels; empty where none came."""
+    return {camera.name: _masks_of(bag, session, camera, frames) for camera in session.rig.cameras}
+
+
+def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
+    """A mask (h, w) on the padded undistorted canvas, looked up at every pixel (H, W) of the camera's image."""
+    canvas = camera.undistorted_view().camera
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+    rays_world = camera.rays_world(np.column_stack([columns.ravel(), rows.ravel()]))
+    on_canvas = rays_world @ camera.R_camera_world.T @ canvas.K.T
+    pixels = (on_canvas[:, :2] / on_canvas[:, 2:]).astype(np.float32).reshape(camera.height, camera.width, 2)
+    return cv2.remap(canvas_mask, pixels, None, cv2.INTER_NEAREST)
+
+
+def _masks_of(bag: Path, session: Session, camera: CameraModel, frames: Sequence[int]) -> list[np.ndarray]:
+    topic, canvas = camera_topics(camera.name)[1].name, camera.undistorted_view().camera
+    epoch_ns, found = None, {}
+    for message in read_messages(bag, topic.__eq__):
+        epoch_ns = message.stamp_ns if epoch_ns is None else epoch_ns
+        frame = round((message.stamp_ns - epoch_ns) * 1e-9 * session.fps)
+        if frame in frames:
+            mask = decode_silhouette(deserialize_message(message.data, CompressedImage), canvas.width, canvas.height, topic)
+            found[frame] = distort_mask(camera, mask)
+    empty = np.zeros((camera.height, camera.width), np.uint8)
+    return [found.get(frame, empty) for frame in frames]

@@ -1,0 +1,21 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from sagoma_tools.ros_link import RosLink
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _tiny_node_is_importable():
+    """The processes that these tests start find tiny_lifecycle_node.py."""
+    patch = pytest.MonkeyPatch()
+    patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]))
+    yield
+    patch.undo()
+
+
+@pytest.fixture()
+def link():
+    with RosLink("sagoma_test") as link:
+        yield link

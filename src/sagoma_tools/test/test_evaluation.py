@@ -1,0 +1,105 @@
+"""Scoring a track against a truth whose error is known by construction, and drawing back in image pixels."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.truth import WRIST_FRACTION, Truth
+from sagoma_tools.evaluation.pictures import unwrapped
+from sagoma_tools.evaluation.scores import score
+from sagoma_tools.evaluation.silhouettes import distort_mask
+from sagoma_tools.evaluation.track import Track
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+
+FRAMES = np.arange(10, 20)
+
+
+@pytest.fixture
+def points_world() -> np.ndarray:
+    """(10, 15, 3) a walking T-pose that turns a little every frame."""
+    body = Body.from_stature(1.75)
+    turn = [np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]) for a in 0.1 * np.arange(10)]
+    return np.stack([forward(body, Pose.from_angles([0.1 * k, 0, 1], R, T_POSE_ANGLES)) for k, R in enumerate(turn)])
+
+
+def truth_of(points_world: np.ndarray, wrist_fraction: float = 1.0, angles: np.ndarray | None = None) -> Truth:
+    return Truth(FRAMES, points_world, angles, wrist_fraction, Path("truth.csv"))
+
+
+def track_of(points_world: np.ndarray, sd_m: float = 0.01, frames: np.ndarray = FRAMES) -> Track:
+    covariance = np.broadcast_to(np.eye(3) * sd_m**2, (*points_world.shape, 3)).copy()
+    return Track(frames, points_world, covariance, np.tile(T_POSE_ANGLES, (len(frames), 1)))
+
+
+def test_score_reports_the_distance_when_every_point_is_moved_by_it(points_world):
+    scores = score(track_of(points_world + [0.0, 0.03, 0.04]), truth_of(points_world))
+    assert scores.mean_mm == pytest.approx(50.0)
+    assert scores.rmse_mean_mm == pytest.approx(50.0)
+    assert scores.over_200mm == 0.0
+    assert scores.tracked == scores.frames == 10
+
+
+def test_score_removes_an_offset_that_turns_with_the_pelvis(points_world):
+    turn = [np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]) for a in 0.1 * np.arange(10)]
+    biased = points_world.copy()
+    biased[:, 3] += np.stack([R @ [0.0, 0.06, 0.0] for R in turn])
+    scores = score(track_of(biased), truth_of(points_world))
+    assert scores.point_mm[3] == pytest.approx(60.0)
+    assert scores.point_mm_without_offset[3] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_score_counts_frames_with_one_lost_point(points_world):
+    lost = points_world.copy()
+    lost[:3, 11] += [0.25, 0.0, 0.0]
+    assert score(track_of(lost), truth_of(points_world)).over_200mm == pytest.approx(0.3)
+
+
+def test_score_compares_wrists_where_the_reference_ends_there(points_world):
+    truth = truth_of(truth_of(points_world, WRIST_FRACTION).comparable(points_world), WRIST_FRACTION)
+    assert not np.allclose(truth.points_world[:, 11], points_world[:, 11])
+    assert score(track_of(points_world), truth).mean_mm == pytest.approx(0.0, abs=1e-6)
+
+
+def test_score_leaves_out_frames_that_the_track_lacks(points_world):
+    scores = score(track_of(points_world[:4], frames=FRAMES[:4]), truth_of(points_world))
+    assert (scores.tracked, scores.frames) == (4, 10)
+    assert scores.mean_mm == pytest.approx(0.0)
+
+
+def test_score_refuses_a_track_of_other_frames(points_world):
+    with pytest.raises(InputError, match="shares none of its 10 frames"):
+        score(track_of(points_world, frames=FRAMES + 100), truth_of(points_world))
+
+
+def test_share_inside_the_ellipsoid_is_near_95_percent_for_honest_noise(points_world):
+    rng = np.random.default_rng(5)
+    noise = rng.normal(0.0, 0.02, (40, *points_world.shape))
+    shares = [score(track_of(points_world + n, sd_m=0.02), truth_of(points_world)).inside_95 for n in noise]
+    assert np.mean(shares) == pytest.approx(0.95, abs=0.01)
+
+
+def test_angle_errors_are_taken_the_short_way_round(points_world):
+    angles = np.tile(T_POSE_ANGLES, (10, 1))
+    angles[:, 3] = -np.pi + np.deg2rad(2.0)  # the truth says -178 degrees, the track +180
+    scores = score(track_of(points_world), truth_of(points_world, angles=angles))
+    assert scores.angle_rmse_deg[3] == pytest.approx(2.0)
+
+
+def test_unwrapped_leaves_gaps_and_takes_out_full_turns():
+    out = unwrapped(np.array([3.0, np.nan, 3.0 - 2 * np.pi, 3.1]))
+    assert np.isnan(out[1])
+    np.testing.assert_allclose(out[[0, 2, 3]], [3.0, 3.0, 3.1])
+
+
+def test_a_silhouette_comes_back_to_the_pixels_it_was_seen_at():
+    K = np.array([[470.0, 0, 318], [0, 468.0, 242], [0, 0, 1]])
+    camera = CameraModel("cam01", 640, 480, K, "plumb_bob", np.array([-0.19, 0.08, 3e-4, -5e-4, 0]), np.eye(4))
+    mask = np.zeros((480, 640), np.uint8)
+    mask[100:300, 5:200] = 255  # reaches into the corner, where distortion is strong
+    back = distort_mask(camera, camera.undistorted_view().undistort_mask(mask))
+    assert np.mean(back != mask) < 0.004

@@ -1,0 +1,218 @@
+"""Recording and replaying over real ROS topics, with a fake EKF at the far end."""
+
+import re
+import threading
+
+import pytest
+import yaml
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CompressedImage, JointState
+
+from capture_rig.errors import InputError
+from capture_rig.frame_set import FrameSet
+from sagoma_tools.bags import BagMessage, read_messages
+from sagoma_tools.recorder import Recorder, has_header
+from sagoma_tools.replayer import Answers, InputPublishers, play_lockstep, play_timed
+from sagoma_tools.ros_link import RosLink
+from sagoma_tools.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
+
+CAMERAS = ("cam01", "cam02")
+SILHOUETTE = "sensor_msgs/msg/CompressedImage"
+EPOCH_NS = 1_700_000_000_000_000_000
+PERIOD_NS = 20_000_000
+
+
+def silhouette_topic(camera):
+    return f"/{camera}/silhouette/compressed"
+
+
+def silhouette(camera, k):
+    message = CompressedImage(format="mono8; png compressed mono8", data=f"{camera} {k}".encode())
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(EPOCH_NS + k * PERIOD_NS, 1_000_000_000)
+    data = serialize_message(message)
+    return BagMessage(silhouette_topic(camera), SILHOUETTE, EPOCH_NS + k * PERIOD_NS, data)
+
+
+def frame_set(k):
+    stamp_ns = EPOCH_NS + k * PERIOD_NS
+    frames = {camera: [silhouette(camera, k)] for camera in CAMERAS}
+    return FrameSet(stamp_ns, frames, dict.fromkeys(CAMERAS, stamp_ns), ())
+
+
+class FakeGraph:
+    """Hull, ICP and EKF in one: answers a frame set once both silhouettes have come; ``deaf_to`` sets it ignores."""
+
+    def __init__(self, link, deaf_to=()):
+        self.heard, self.answered_after, self._deaf_to = [], [], deaf_to
+        self._publisher = link.node.create_publisher(JointState, "/ekf/prediction", LOSSLESS)
+        self._subscriptions = [
+            link.node.create_subscription(CompressedImage, silhouette_topic(c), self.take, LOSSLESS) for c in CAMERAS
+        ]
+
+    def take(self, message):
+        stamp = message.header.stamp
+        k = round((stamp.sec * 10**9 + stamp.nanosec - EPOCH_NS) / PERIOD_NS)
+        self.heard.append(k)
+        if self.heard.count(k) == len(CAMERAS) and k not in self._deaf_to:
+            self.answered_after.append(len(self.heard))
+            answer = JointState()
+            answer.header.stamp = stamp
+            self._publisher.publish(answer)
+
+
+class CountingClock:
+    """A clock that jumps to whatever is waited for, and notes it."""
+
+    def __init__(self, stop_after=None):
+        self.time_s, self.waited, self._stop_after = 1000.0, [], stop_after
+
+    def now_s(self):
+        return self.time_s
+
+    def sleep_until(self, deadline_s):
+        self.waited.append(deadline_s)
+        self.time_s = max(self.time_s, deadline_s)
+        return self._stop_after is None or len(self.waited) <= self._stop_after
+
+
+class ListOfPublished:
+    def __init__(self):
+        self.published = []
+
+    def publish(self, message):
+        self.published.append(message)
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 0.25])
+def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate(rate):
+    log_ms = [0, 5, 5, 40, 1000]
+    messages = [BagMessage("/x", SILHOUETTE, EPOCH_NS + ms * 1_000_000, b"") for ms in log_ms]
+    clock, publishers = CountingClock(), ListOfPublished()
+    assert play_timed(messages, publishers, clock, rate) == 5
+    assert clock.waited == pytest.approx([1000.0 + ms / 1000 / rate for ms in log_ms])
+    assert publishers.published == messages
+
+
+def test_timed_replay_ends_when_it_is_stopped():
+    publishers = ListOfPublished()
+    messages = [silhouette("cam01", k) for k in range(10)]
+    assert play_timed(messages, publishers, CountingClock(stop_after=4)) == 4
+    assert publishers.published == messages[:4]
+
+
+@pytest.fixture()
+def far_link():
+    with RosLink("fake_graph") as link:
+        yield link
+
+
+def connected_publishers(link):
+    publishers = InputPublishers(link.node, {silhouette_topic(camera): SILHOUETTE for camera in CAMERAS})
+    publishers.wait_for_subscribers(map(silhouette_topic, CAMERAS), timeout_s=20)
+    return publishers
+
+
+def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link):
+    graph = FakeGraph(far_link)
+    answers = Answers(link.node)
+    publishers = connected_publishers(link)
+    report = play_lockstep(map(frame_set, range(30)), publishers, answers, timeout_s=20)
+    assert (report.sets, report.unanswered_ns, report.stray_answers) == (30, [], 0)
+    # set k was answered after exactly 2 (k + 1) silhouettes had been heard: nothing ran ahead
+    assert graph.answered_after == [2 * (k + 1) for k in range(30)]
+    assert graph.heard == [k for k in range(30) for _ in CAMERAS]
+    assert report.last_stamp_ns == EPOCH_NS + 29 * PERIOD_NS
+
+
+def test_lockstep_notes_a_set_that_is_never_answered_and_goes_on(link, far_link):
+    FakeGraph(far_link, deaf_to=(2,))
+    answers = Answers(link.node)
+    report = play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=2.0)
+    assert report.sets == 5
+    assert report.unanswered_ns == [EPOCH_NS + 2 * PERIOD_NS]
+
+
+def test_lockstep_is_an_error_when_the_ekf_stays_silent_from_the_start(link, far_link):
+    FakeGraph(far_link, deaf_to=range(5))
+    answers = Answers(link.node)
+    with pytest.raises(InputError, match="/ekf/prediction: no answer to the first frame set"):
+        play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=0.5)
+
+
+def test_replay_without_a_subscriber_names_the_topic(link):
+    publishers = InputPublishers(link.node, {silhouette_topic("cam01"): SILHOUETTE})
+    with pytest.raises(InputError, match="/cam01/silhouette/compressed: nobody subscribed"):
+        publishers.wait_for_subscribers([silhouette_topic("cam01")], timeout_s=0.2)
+
+
+def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
+    topics = [topic for camera in CAMERAS for topic in camera_topics(camera)]
+    rig = tmp_path / "some_rig.yaml"
+    rig.write_text("cameras: {}\n")
+    recorder = Recorder(link.node, tmp_path / "bag", topics)
+    publishers = connected_publishers(far_link)
+    published = [silhouette(camera, k) for k in range(40) for camera in CAMERAS]
+    for message in published:
+        publishers.publish(message)
+    for camera in CAMERAS:
+        assert recorder.wait_for_count(silhouette_topic(camera), 40, timeout_s=20)
+    counts = recorder.close({"graph": {"/hull_server": {"voxel_mm": 20.0}}}, rig)
+    read = list(read_messages(tmp_path / "bag"))
+    for camera in CAMERAS:
+        sent = [m.data for m in published if m.topic == silhouette_topic(camera)]
+        assert [m.data for m in read if m.topic == silhouette_topic(camera)] == sent
+        assert counts[f"/{camera}/camera_info"] == 0
+    assert (tmp_path / "bag" / "rig.yaml").read_text() == rig.read_text()
+    document = yaml.safe_load((tmp_path / "bag" / "sagoma.yaml").read_text())
+    assert document["graph"]["/hull_server"]["voxel_mm"] == 20.0 and "rosbags" in document["software"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+( \([0-9a-f]{12}(, modified)?\))?", document["software"]["sagoma"])
+
+
+def test_bag_metadata_carries_the_type_hashes_that_ros_itself_announces(link, tmp_path):
+    recorder = Recorder(link.node, tmp_path / "bag", [Topic("/probe", "sensor_msgs/msg/JointState")])
+    publisher = link.node.create_publisher(JointState, "/probe", LOSSLESS)
+    publisher.publish(JointState(name=["neck_x"]))
+    assert recorder.wait_for_count("/probe", 1, timeout_s=20)
+    announced = str(link.node.get_publishers_info_by_topic("/probe")[0].topic_type_hash)
+    recorder.close()
+    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    topic = metadata["topics_with_message_count"][0]["topic_metadata"]
+    assert topic["type_description_hash"] == announced
+    assert topic["offered_qos_profiles"][0]["reliability"] == "reliable"
+    assert metadata["storage_identifier"] == "mcap" and metadata["message_count"] == 1
+
+
+def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
+    recorder = Recorder(link.node, tmp_path / "bag", [])
+    recorder.follow_cameras()
+    publishers = connected_publishers(far_link)
+    publishers.publish(silhouette("cam01", 0))
+    assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)
+    assert set(recorder.close()) == {t.name for camera in CAMERAS for t in camera_topics(camera)}
+
+
+def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
+    stamped = {topic.name for topic in OUTPUT_TOPICS if has_header(topic.msgtype)}
+    unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
+    assert unstamped == {"/icp/body", "/mocap/joint_covariance", "/mocap/skeleton", "/mocap/state"}
+
+
+def test_link_close_is_idempotent_and_ends_its_thread():
+    link = RosLink("short_lived")
+    link.close()
+    link.close()
+    assert "short_lived spin" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_link_hands_a_callbacks_exception_to_its_owner_at_close():
+    link = RosLink("unlucky")
+    raised = threading.Event()
+
+    def fail():
+        raised.set()
+        raise OSError("no space left on device")
+
+    link.node.create_timer(0.01, fail)
+    assert raised.wait(10)
+    with pytest.raises(OSError, match="no space left"):
+        link.close()

@@ -1,0 +1,126 @@
+"""The subcommands that need no camera: start, suspend, stop, compare, recover, and what they refuse."""
+
+import pytest
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from capture_rig.errors import InputError
+from sagoma_bringup.node_spec import NodeSpec, Role
+from sagoma_tools.bag_writer import BagWriter
+from sagoma_tools.cli import main
+from sagoma_tools.commands.common import parse_settings
+from sagoma_tools.configuration import read_configuration
+from sagoma_tools.supervisor import Supervisor
+
+TOPIC = "/mocap/joint_states"
+
+
+@pytest.fixture()
+def running_graph(tmp_path):
+    """A server node and a camera node, unconfigured, as some launch file may have started them."""
+
+    def start(camera_behaviour="good"):
+        graph = [
+            NodeSpec("none", "none", "tiny_lifecycle_node", "hull_server", "/", Role.SERVER, {"behaviour": "good"}),
+            NodeSpec("none", "none", "tiny_lifecycle_node", "camera_client", "/cam01", Role.CAMERA,
+                     {"behaviour": camera_behaviour}),
+        ]  # fmt: skip
+        supervisors.append(Supervisor(graph, tmp_path / "run"))
+        supervisors[-1].start()
+        return supervisors[-1]
+
+    supervisors = []
+    yield start
+    for supervisor in supervisors:
+        supervisor.stop()
+
+
+def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_graph, capsys):
+    running_graph()
+    for verb, state in (("start", "active"), ("suspend", "inactive"), ("start", "active"), ("stop", "unconfigured")):
+        assert main([verb, "--expect", "2", "--wait", "30"]) == 0
+        assert capsys.readouterr().out == f"/cam01/camera_client: {state}\n/hull_server: {state}\n"
+
+
+def test_start_names_the_node_that_refuses_and_starts_the_others(running_graph, capsys):
+    running_graph("refuses_to_configure")
+    assert main(["start", "--expect", "2", "--wait", "30"]) == 1
+    said = capsys.readouterr().out
+    assert "/hull_server: active" in said
+    assert "failed: /cam01/camera_client: configure refused" in said
+
+
+def test_start_names_the_node_that_does_not_answer(running_graph, capsys):
+    running_graph("never_answers")
+    assert main(["start", "--expect", "2", "--wait", "30", "--timeout", "3"]) == 1
+    assert "failed: /cam01/camera_client: configure did not answer" in capsys.readouterr().out
+
+
+def test_start_without_any_node_is_an_input_error(capsys):
+    assert main(["start", "--wait", "0.3"]) == 2
+    assert "found 0 nodes of ours, expected 1" in capsys.readouterr().err
+
+
+def test_configuration_of_running_nodes_is_read_from_the_nodes_themselves(running_graph, link):
+    running_graph()
+    found = read_configuration(link.node, ["/hull_server", "/cam01/camera_client"], timeout_s=30)
+    assert {name: parameters["behaviour"] for name, parameters in found.items()} == {
+        "/hull_server": "good",
+        "/cam01/camera_client": "good",
+    }
+
+
+def joint_states(bag, angles):
+    with BagWriter(bag) as writer:
+        writer.add_topic(TOPIC, "sensor_msgs/msg/JointState")
+        for k, angle in enumerate(angles):
+            message = JointState(name=["neck_x"], position=[angle], velocity=[0.0], effort=[0.0])
+            writer.write(TOPIC, k, serialize_message(message))
+    return str(bag)
+
+
+def test_compare_tells_equal_from_different_bags(tmp_path, capsys):
+    a, b = joint_states(tmp_path / "a", [0.1, 0.2]), joint_states(tmp_path / "b", [0.1, 0.2])
+    c = joint_states(tmp_path / "c", [0.1, 0.3])
+    assert main(["compare", a, b]) == 0
+    assert "identical       2 messages" in capsys.readouterr().out
+    assert main(["compare", a, c]) == 1
+    assert f"{TOPIC}: message 1 (of 2 and 2 messages) differs first" in capsys.readouterr().out
+
+
+def test_compare_of_bags_without_outputs_is_an_input_error(tmp_path, capsys):
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/cam01/camera_info", "sensor_msgs/msg/CameraInfo")
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "a")]) == 2
+    assert "neither bag holds an output" in capsys.readouterr().err
+
+
+def test_recover_refuses_a_complete_bag(tmp_path, capsys):
+    bag = joint_states(tmp_path / "a", [0.1])
+    assert main(["recover", bag]) == 2
+    assert "is complete" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--graph", "--lockstep"], "--graph and --output belong together"),
+        (["--output", "out"], "--graph and --output belong together"),
+        (["--graph", "--output", "out"], "with --lockstep"),
+        (["--rate", "0"], "--rate 0 is not a speed"),
+    ],
+)
+def test_replay_refuses_arguments_that_mean_nothing(arguments, message, tmp_path, capsys):
+    assert main(["replay", str(tmp_path), *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_settings_are_read_as_yaml_and_need_a_value():
+    texts = ["hull_server.voxel_mm=15", "cameras.publish_preview=true", "cam01.background=a=b.png"]
+    assert parse_settings(texts) == {
+        "hull_server.voxel_mm": 15,
+        "cameras.publish_preview": True,
+        "cam01.background": "a=b.png",
+    }
+    with pytest.raises(InputError, match=r"'hull_server.voxel_mm' has no value"):
+        parse_settings(["hull_server.voxel_mm"])

@@ -1,0 +1,158 @@
+"""The supervisor with real processes: tiny lifecycle nodes that behave, refuse, die, or hang."""
+
+import io
+import threading
+
+import psutil
+import pytest
+from rich.console import Console
+
+from camera_client.pace import choose_epoch_ns
+from sagoma_bringup.node_spec import NodeSpec, Role
+from sagoma_tools.lifecycle_client import Transition, Verdict
+from sagoma_tools.processes import Exit, owned_shared_memory, shared_memory_files
+from sagoma_tools.supervisor import GraphError, Supervisor, seconds_to_start_window
+
+
+def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
+    namespace = f"/{name}" if role is Role.CAMERA else "/"
+    node = "camera_client" if role is Role.CAMERA else name
+    return NodeSpec("none", "none", "tiny_lifecycle_node", node, namespace, role, {"behaviour": behaviour})
+
+
+def camera(name: str, behaviour: str = "good") -> NodeSpec:
+    return tiny(name, behaviour, Role.CAMERA)
+
+
+@pytest.fixture()
+def supervise(tmp_path):
+    running = []
+
+    def start(*graph: NodeSpec, **options) -> Supervisor:
+        supervisor = Supervisor(graph, tmp_path / "run", **options)
+        running.append(supervisor)
+        supervisor.start()
+        return supervisor
+
+    yield start
+    for supervisor in running:
+        supervisor.stop()
+
+
+def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
+    run = supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
+    configured = run.configure()
+    assert configured.answers[0].node == "/hull_server"  # the server's side first
+    activated = run.activate()
+    assert activated.ok and len(activated.answers) == 3
+    assert set(run.states().values()) == {"active"}
+    memory = run.memory()
+    assert memory.keys() == {"hull_server", "cam01", "cam02"} and min(memory.values()) > 10
+    pids = run.pids().values()
+    farewells = run.stop()
+    assert [farewell.exit for farewell in farewells] == [Exit.CLEAN] * 3
+    assert run.stop_outcome.ok and len(run.stop_outcome.answers) == 6  # deactivate and cleanup, each acknowledged
+    assert not any(psutil.pid_exists(pid) for pid in pids)
+
+
+def test_configure_names_the_node_and_its_log_when_a_server_node_refuses(supervise):
+    run = supervise(tiny("hull_server", "refuses_to_configure"), camera("cam01"))
+    with pytest.raises(GraphError, match=r"(?s)/hull_server: configure refused.*cannot be opened as a video"):
+        run.configure()
+    assert run.states() == {"/hull_server": "unconfigured", "/cam01/camera_client": "inactive"}
+
+
+def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
+    run = supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"), camera("cam02"))
+    outcome = run.configure()
+    assert outcome.refused == ("/cam01/camera_client",)
+    run.activate()
+    assert run.states() == {
+        "/hull_server": "active",
+        "/cam01/camera_client": "unconfigured",
+        "/cam02/camera_client": "active",
+    }
+    with pytest.raises(GraphError, match="cam01"):
+        run.configure(tolerate_cameras=False)
+
+
+def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supervise):
+    deaths, told = [], threading.Event()
+
+    def on_death(spec, log_tail):
+        deaths.append((spec.label, log_tail))
+        told.set()
+
+    run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_death=on_death)
+    run.configure()
+    its_memory = owned_shared_memory([run.pids()["/cam01/camera_client"]])
+    outcome = run.activate()
+    assert told.wait(30)
+    assert outcome.silent == ("/cam01/camera_client",)
+    assert deaths[0][0] == "cam01" and deaths[0][1].endswith("the last words of a dying node")
+    assert run.states()["/cam01/camera_client"] == "dead"
+    assert run.states()["/hull_server"] == run.states()["/cam02/camera_client"] == "active"
+    exits = {farewell.name: (farewell.exit, farewell.returncode) for farewell in run.stop()}
+    assert exits["cam01"] == (Exit.ALREADY_DEAD, 3) and exits["cam02"] == (Exit.CLEAN, 0)
+    assert its_memory and not shared_memory_files(its_memory)
+
+
+def test_only_camera_lost_is_an_error(supervise):
+    run = supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"))
+    with pytest.raises(GraphError, match="cam01"):
+        run.configure()
+
+
+def test_second_graph_of_the_same_names_is_refused(supervise):
+    first = supervise(tiny("hull_server"))
+    first.configure()
+    second = supervise(tiny("hull_server"))
+    with pytest.raises(GraphError, match="/hull_server run already in this ROS domain"):
+        second.configure()
+
+
+def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(supervise):
+    run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), grace_s=1.5)
+    run.configure()
+    pid = run.pids()["/deaf"]
+    its_memory = owned_shared_memory([pid])
+    assert its_memory
+    exits = {farewell.name: farewell.exit for farewell in run.stop()}
+    assert exits == {"deaf": Exit.KILLED, "good": Exit.CLEAN}
+    assert not psutil.pid_exists(pid)
+    assert not shared_memory_files(its_memory)
+
+
+def test_lifecycle_client_names_the_silent_node_and_serves_the_others(supervise):
+    run = supervise(tiny("hung", "never_answers"), tiny("good"), grace_s=1.0)
+    assert set(run.lifecycle.states(["/hung", "/good"], timeout_s=30).values()) == {"unconfigured"}
+    outcome = run.lifecycle.change(dict.fromkeys(["/hung", "/good"], Transition.CONFIGURE), timeout_s=2.0)
+    assert outcome.silent == ("/hung",)
+    assert {a.node: a.verdict for a in outcome.answers}["/good"] is Verdict.ACKNOWLEDGED
+
+
+def test_board_shows_what_a_node_says_of_itself(supervise):
+    run = supervise(camera("cam01"))
+    assert run.board.wait_for(["/cam01/camera_client"], timeout_s=30)
+    report = run.board.report("/cam01/camera_client")
+    assert report.values["rate_hz"] == "60.0" and report.losses() == {"dropped": 7}
+    names, states = {"/cam01/camera_client": "cam01", "/gone": "gone"}, {"/cam01/camera_client": "active"}
+    heard_line = rendered(run.board.table(names, states, now_s=report.heard_s))[1]
+    assert heard_line.split() == ["cam01", "active", "60.0", "7", "dropped", "tiny"]
+    assert "silent for 10 s" in rendered(run.board.table(names, states, now_s=report.heard_s + 10))[1]
+
+
+def rendered(table):
+    console = Console(width=150, file=io.StringIO())
+    console.print(table)
+    return console.file.getvalue().splitlines()
+
+
+@pytest.mark.parametrize(("into_s", "expected_s"), [(0.0, 0.0), (2.4, 0.0), (2.6, 2.4), (4.9, 0.1)])
+def test_footage_cameras_are_activated_within_one_five_second_span(into_s, expected_s):
+    now_ns = 1_700_000_000_000_000_000 + round(into_s * 1e9)
+    wait_s = seconds_to_start_window(now_ns)
+    assert wait_s == pytest.approx(expected_s, abs=1e-6)
+    # whatever instant of the following 2.4 s a camera picks, it arrives at the same epoch
+    first, last = (choose_epoch_ns(0, now_ns + round((wait_s + t) * 1e9)) for t in (1e-6, 2.4))
+    assert first == last > now_ns

@@ -1,0 +1,88 @@
+"""The whole graph, every node a process of its own: footage in, joint states out, a bag of it, and its replay."""
+
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+from sagoma_bringup.graph import build_graph
+from sagoma_tools.bags import bag_digest, first_difference, read_messages
+from sagoma_tools.demo import LiveRun, frame_count, judged, run_live, start_settings
+from sagoma_tools.graph_recorder import GraphRecorder
+from sagoma_tools.lockstep import replay_through_graph
+from sagoma_tools.supervisor import Supervisor
+from sagoma_tools.topics import PREDICTION_TOPIC
+
+T_POSE = {"icp_tracker.initial_pose.source": "t_pose"}
+FRAME_SET_TOPIC = "/hull/frame_set"
+
+
+@pytest.fixture(scope="module")
+def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
+    """One live run, played as fast as the graph keeps up, so that a slow machine drops nothing."""
+    return run_live(built_in_session, tmp_path_factory.mktemp("live"), rate=0.0)
+
+
+@pytest.fixture(scope="module")
+def replayed(live: LiveRun, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The live run's bag through a fresh graph in lockstep, twice."""
+    folder = tmp_path_factory.mktemp("lockstep")
+    bags = [folder / name for name in ("first", "second")]
+    for bag in bags:
+        report = replay_through_graph(live.bag, bag, folder / f"{bag.name}_logs", settings=T_POSE)
+        assert report.unanswered_ns == []
+    return bags
+
+
+def test_every_frame_set_is_answered_and_none_is_mixed(live):
+    assert live.answered == live.sets == frame_count(live.session)
+    assert live.incomplete == 0
+    assert live.spread_ms == 0.0
+
+
+def test_the_tracked_body_follows_the_truth(live):
+    scores = judged(live)
+    assert scores.tracked > 0.8 * scores.frames
+    assert scores.mean_mm < 60.0
+
+
+def test_every_node_stays_within_its_memory(live):
+    limits = {name: 300.0 for name in ("icp_tracker", "ekf_tracker")} | {"hull_server": 500.0}
+    assert set(live.memory_mib) == {*limits, *live.session.rig.names}
+    for node, mib in live.memory_mib.items():
+        assert mib <= limits.get(node, 150.0), f"{node} takes {mib:.0f} MiB"
+
+
+def test_replaying_a_bag_twice_in_lockstep_gives_the_same_bytes(replayed):
+    first, second = (bag_digest(bag) for bag in replayed)
+    assert first == second
+    assert first["/mocap/joint_states"].count > 0
+
+
+def test_a_lockstep_replay_repeats_the_live_run_where_nothing_was_dropped(live, replayed):
+    assert first_difference(live.bag, replayed[0], "/mocap/joint_states") is None
+    assert first_difference(live.bag, replayed[0], "/mocap/reference_points") is None
+
+
+def test_the_graph_goes_on_when_a_camera_process_is_killed(built_in_session, tmp_path):
+    graph = build_graph(session=built_in_session, rate=0.0, settings=T_POSE)
+    died = threading.Event()
+    with Supervisor(graph, tmp_path / "logs", on_death=lambda spec, log: died.set()) as supervisor:
+        supervisor.configure()
+        with GraphRecorder(graph, tmp_path / "bag") as recorder:
+            supervisor.activate()
+            assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
+            os.kill(supervisor.pids()["/cam02/camera_client"], signal.SIGKILL)
+            assert died.wait(10.0)
+            answered = recorder.recorder.counts[PREDICTION_TOPIC]
+            assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, answered + 20, 60.0)
+        assert supervisor.states()["/cam02/camera_client"] == "dead"
+        assert supervisor.states()["/hull_server"] == "active"
+    sets = [message.data for message in read_messages(tmp_path / "bag", FRAME_SET_TOPIC.__eq__)]
+    assert b"cam02" in sets[-1]
+
+
+def test_start_settings_take_the_t_pose_where_the_truth_is_exact(live):
+    assert start_settings(live.session, "auto") == T_POSE
+    assert start_settings(live.session, "session")["icp_tracker.initial_pose.frame"] == 0
