@@ -12,6 +12,7 @@ as_root() {
 }
 
 missing_packages() {
+    [ -x "$python" ] || echo python3
     "$python" -c 'import ensurepip' 2>/dev/null || echo python3-venv
     "$python" -c 'import gi; gi.require_version("Aravis", "0.8"); from gi.repository import Aravis' 2>/dev/null \
         || echo python3-gi gir1.2-aravis-0.8
@@ -27,7 +28,7 @@ install_system_packages() {
     # shellcheck disable=SC2086
     if ! { as_root apt-get update -qq && as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $packages; }; then
         echo "could not install them (no root and no sudo, or apt failed). As root: apt-get install $packages"
-        "$python" -c 'import ensurepip' 2>/dev/null || exit 1
+        "$python" -c 'import ensurepip' 2>/dev/null || exit 1 # nothing works without these
         echo "going on without: cameras need Aravis, the OpenGL backend needs EGL; footage and the CPU backend need neither"
     fi
 }
@@ -38,7 +39,6 @@ pip_install() { "$venv/bin/python" -m pip install --quiet --disable-pip-version-
 
 fingerprint() { cat requirements*.txt scripts/setup.sh src/*/setup.py | sha256sum | cut -d' ' -f1; echo "$PWD"; have_system_ros && echo system-ros || echo wheels; }
 
-[ -x "$python" ] || { echo "$python is missing. As root: apt-get install python3 python3-venv"; exit 1; }
 stamp="$venv/.sagoma-setup"
 if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$(fingerprint)" ]; then exit 0; fi
 

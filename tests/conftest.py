@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from stick_figure.body import Body
 from virtual_studio.rig import ring
 from virtual_studio.session import write_session

@@ -6,6 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
+
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.bags import bag_digest, first_difference, read_messages
 from sagoma_tools.demo import LiveRun, frame_count, judged, run_live, start_settings

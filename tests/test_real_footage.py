@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from sagoma_tools.bags import bag_digest, first_difference
 from sagoma_tools.demo import LiveRun, judged, run_live, start_settings
 from sagoma_tools.lockstep import replay_through_graph

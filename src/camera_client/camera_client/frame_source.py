@@ -37,7 +37,7 @@ class Frame:
 
 
 class FrameSource(ABC):
-    """A device or file that delivers frames; connect, start, stop and close are the thesis's verbs (section 3.2).
+    """A device or file that delivers frames; connect, start, stop and close follow the thesis's verbs.
 
     connect() is all or nothing: after an error nothing is left open. start() after stop() goes on. As a context
     manager a source connects on entry and closes on exit. ``counters`` grows by name as things happen.

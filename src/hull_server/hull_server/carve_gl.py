@@ -14,13 +14,12 @@ from .boxes import UNSEEN, block_boxes, pixel_projections, summed_area
 from .bricks import BrickVolume
 from .carve_shaders import BRICKS, HEADER, LEAVES, PROJECT, TILES
 from .egl import GlContext
-from .gl_objects import GL, StorageBuffer, make_program
+from .gl_objects import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
 from .grid import BRICK_EDGE, VoxelGrid
 from .views import Masks, RigViews
 
 TILE_PX = 8
 MAX_TILES = 4095  # tile coordinates are packed into 12 bits
-MAX_GL_CAMERAS = 32  # cameras of a frame set are the bits of one shader word
 BRICK_LIST_HEAD = 4  # words: size of the indirect dispatch, number of bricks
 
 

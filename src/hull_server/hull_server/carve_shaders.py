@@ -8,7 +8,7 @@ between the front and the back of a camera, the projection is done again in doub
 PROJECT = """
 layout(std430, binding = 2) readonly buffer Projections { vec4 projection[]; };    // 3 rows a camera, of (i, j, k, 1)
 layout(std430, binding = 7) readonly buffer Exact { dvec4 exact_projection[]; };
-const float BORDER_PX = 8e-6 * float(max(WIDTH, HEIGHT)), NEAR_M = 0.3;            // several times the rounding
+const float BORDER_PX_M = 2e-6 * float(max(WIDTH, HEIGHT)), NEAR_M = 0.3;          // several times the rounding
 bool project_exactly(int camera, ivec3 voxel, out ivec2 pixel) {
     dvec4 at = dvec4(voxel, 1.0);
     double w = dot(exact_projection[3 * camera + 2], at);
@@ -24,7 +24,7 @@ bool project(int camera, ivec3 voxel, out ivec2 pixel) {
     if (w < -NEAR_M) return false;
     vec2 p = vec2(dot(projection[3 * camera], at), dot(projection[3 * camera + 1], at)) / w;
     vec2 beyond = abs(p - round(p));                  // distance from the nearest border between pixels
-    if (w < NEAR_M || min(beyond.x, beyond.y) < BORDER_PX) return project_exactly(camera, voxel, pixel);
+    if (w < NEAR_M || min(beyond.x, beyond.y) * min(w, 1.0) < BORDER_PX_M) return project_exactly(camera, voxel, pixel);
     if (!(all(greaterThan(p, vec2(0.0))) && p.x < WIDTH && p.y < HEIGHT)) return false;
     pixel = ivec2(p);
     return true;

@@ -10,6 +10,8 @@ from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
 from OpenGL import GL  # isort: skip
 
+MAX_GL_CAMERAS = 32  # cameras of a frame set are the bits of one shader word
+
 
 def make_program(**sources: str) -> int:
     """Compile and link shaders given by stage: ``compute=...``, or ``vertex=...`` and ``fragment=...``."""

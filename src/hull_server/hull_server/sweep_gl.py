@@ -12,11 +12,13 @@ import ctypes
 
 import numpy as np
 
+from capture_rig import InputError
+
 from .boxes import pixel_projections
 from .bricks import BrickVolume
 from .carve_shaders import PROJECT
 from .egl import GlContext
-from .gl_objects import GL, StorageBuffer, make_program
+from .gl_objects import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
 from .grid import VoxelGrid
 from .views import Masks, RigViews
 
@@ -64,12 +66,15 @@ void main() {
 class SweepCarver:
     """Carves by sweeping a plane along z. Any thread may call :meth:`carve`, one at a time.
 
-    Raises NoGraphics when there is no OpenGL 4.3 context.
+    Raises NoGraphics when there is no OpenGL 4.3 context, InputError for more than 32 cameras.
     """
 
     name = "sweep"
 
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
+        if len(views.names) > MAX_GL_CAMERAS:
+            raise InputError(f"{len(views.names)} cameras are too many for the sweep", where="backend",
+                             remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.")  # fmt: skip
         self.views, self.grid = views, grid
         self._foreground = np.zeros_like(views.seen)
         self._context = GlContext(hardware)

@@ -220,3 +220,12 @@ def test_carve_counts_more_than_fifteen_cameras():
         expected = carve_brute_force(rig, masks, 0.05, needed)
         assert expected.sum() > 100
         assert_agrees("cpu", carve("cpu", rig, masks, 0.05, needed).to_dense(), expected)
+
+
+@needs_gl
+@pytest.mark.parametrize("kind", ["gl", "sweep"])
+def test_gl_backends_refuse_more_cameras_than_a_shader_word_has_bits(kind):
+    rig = ring_rig(33, size=(32, 24), focal_px=25.0, distortion=False)
+    with pytest.raises(InputError, match=r"33 cameras .* backend 'cpu'"):
+        make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+    assert make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1)).backend.name == "cpu"

@@ -38,9 +38,10 @@ AGES = {"received_ms", "published_ms"}  # time since capture: means nothing when
 class LiveRun:
     """What one live run of the graph left behind.
 
-    sets : frame sets sent; answered : how many of them the EKF answered, sets_per_s of wall time; incomplete : sets
-    that lacked a camera; spread_ms : the largest difference of capture stamps in one set. memory_mib : resident memory
-    by node at the end, peak_mib : the highest it was. diagnostics : each node's last diagnostics. latency_ms : stage -> (sets,) time in it.
+    sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
+    incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
+    memory_mib, peak_mib : resident memory by node at the end, and the highest it was.
+    diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     """
 
     session: Session
@@ -123,7 +124,12 @@ def wait_for_the_end(recorder: GraphRecorder, session: Session, cancel: threadin
 
 
 def _read_back(
-    session: Session, bag: Path, memory: tuple[dict[str, float], dict[str, float]], reports: dict[str, Any], *, live: bool
+    session: Session,
+    bag: Path,
+    memory: tuple[dict[str, float], dict[str, float]],
+    reports: dict[str, Any],
+    *,
+    live: bool,
 ) -> LiveRun:
     stamps = silhouette_stamps(bag, session)
     answers = [message.log_ns for message in read_messages(bag, PREDICTION_TOPIC.__eq__)]

@@ -20,7 +20,7 @@ from camera_client.pace import EPOCH_STEP_NS
 from sagoma_bringup.node_spec import NodeSpec, Role
 
 from .board import Board
-from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Transition, Verdict
+from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import Child, Farewell, node_command, remove_abandoned, stop_children
 from .ros_link import RosLink
 

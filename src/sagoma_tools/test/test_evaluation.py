@@ -37,7 +37,7 @@ def track_of(points_world: np.ndarray, sd_m: float = 0.01, frames: np.ndarray = 
 
 
 def test_score_reports_the_distance_when_every_point_is_moved_by_it(points_world):
-    scores = score(track_of(points_world + [0.0, 0.03, 0.04]), truth_of(points_world))
+    scores = score(track_of(points_world + np.array([0.0, 0.03, 0.04])), truth_of(points_world))
     assert scores.mean_mm == pytest.approx(50.0)
     assert scores.rmse_mean_mm == pytest.approx(50.0)
     assert scores.over_200mm == 0.0

@@ -26,9 +26,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser("demo", help="run the whole graph live on footage, record, measure and draw it")
     parser.add_argument("--session", help="folder of footage (default: a synthetic session, made once)")
-    parser.add_argument("--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)")
+    parser.add_argument(
+        "--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)"
+    )
     parser.add_argument("--rate", type=float, default=0.0,
-                        help="playing speed of footage; 0 (default): as fast as the graph keeps up, dropping nothing")  # fmt: skip
+                        help="playing speed; 0 (default): as fast as the graph keeps up, dropping nothing")  # fmt: skip
     parser.add_argument("--start", choices=("auto", "t_pose", "session"), default="auto",
                         help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
     add_settings_argument(parser)
@@ -52,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"picture: {path}")
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
     if live.answered < live.sets:
-        console.print("this machine did not keep up: play slower (--rate 0.5) or as fast as it can (--rate 0)", style="red")
+        console.print(
+            "this machine did not keep up: play slower (--rate 0.5) or as fast as it can (--rate 0)", style="red"
+        )
     print(json.dumps(figures(live, scores)))
     return 0 if live.answered == live.sets else 1
 
@@ -71,8 +75,8 @@ def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     print_nodes(console, live.memory_mib, live.peak_mib, live.diagnostics)
     print_latency(console, live.latency_ms)
     console.print(
-        f"{live.sets} frame sets sent, {live.answered} answered by the EKF ({live.sets_per_s:.0f} a second; the footage "
-        f"has {live.session.fps:.0f}), {live.incomplete} incomplete; "
+        f"{live.sets} frame sets sent, {live.answered} answered by the EKF ({live.sets_per_s:.0f} a second; the "
+        f"footage has {live.session.fps:.0f}), {live.incomplete} incomplete; "
         f"capture stamps of one set differ by at most {live.spread_ms:.3f} ms"
     )
     if scores is not None:

@@ -28,7 +28,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("session", help="folder of footage with a truth")
     parser.add_argument("--bag", help="score this bag, recorded on the session, instead of tracking it here")
     parser.add_argument("--exact-masks", action="store_true", help="take the session's exact silhouettes")
-    parser.add_argument("--thesis", action="store_true", help="also run the thesis's method: hierarchical ICP, identity EKF")
+    parser.add_argument(
+        "--thesis", action="store_true", help="also run the thesis's method: hierarchical ICP, identity EKF"
+    )
     parser.add_argument("--start", choices=("auto", T_POSE_START, REFERENCE_START), default="auto",
                         help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the line of JSON only")
@@ -40,7 +42,9 @@ def run(args: argparse.Namespace) -> int:
     """Track or read, score, print a table and, last, one line of JSON."""
     session = load_session(args.session)
     if session.truth is None:
-        raise InputError("has no truth.csv or reference*.csv", where=args.session, remedy="Give a session with a truth.")
+        raise InputError(
+            "has no truth.csv or reference*.csv", where=args.session, remedy="Give a session with a truth."
+        )
     settings = {**start_settings(session, args.start), **parse_settings(args.settings)}
     track = session_track(args.bag, session) if args.bag else tracked(session, settings, args.exact_masks)
     scores = score(track, session.truth)

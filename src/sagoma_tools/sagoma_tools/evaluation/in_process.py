@@ -1,4 +1,4 @@
-"""The graph's cores called one after another in this process: what lockstep gives, without ROS, fast to experiment with."""
+"""The graph's cores called one after another in this process: what lockstep gives, without ROS."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+
 from camera_client.background_files import read_background
 from camera_client.settings import CameraClientSettings
 from camera_client.silhouette import SilhouettePipeline
@@ -24,6 +25,7 @@ from hull_server.settings import HullSettings
 from icp_tracker.icp_node import IcpNodeSettings
 from icp_tracker.pose_source import make_pose_source
 from icp_tracker.tracker import IcpTracker
+from icp_tracker.voxel_cloud import VoxelCloud
 
 from .track import Track
 
@@ -91,7 +93,8 @@ def track_session(
         line = result.centerline
         # float32, as the clouds between the nodes carry them
         points, sigma = (a.astype(np.float32).astype(np.float64) for a in (line.points_world, line.sigma))
-        voxels = result.voxels.points_world.astype(np.float32).astype(np.float64)
+        samples = result.voxels
+        voxels = VoxelCloud.checked(samples.points_world.astype(np.float32), samples.surface)
         fit = icp.step(stamp_ns, points, sigma, voxels, feedback)
         if ekf is None and icp.body is not None:
             ekf = ArticulatedEkf(icp.body, configuration.ekf)
@@ -137,7 +140,9 @@ def _images(videos: dict[str, Path]) -> Iterator[dict[str, np.ndarray]]:
             if any(image is None for image in images.values()):
                 return
             for name, image in images.items():
-                grey.setdefault(name, bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all()))
+                grey.setdefault(
+                    name, bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all())
+                )
             yield {name: image[..., 0].copy() if grey[name] else image for name, image in images.items()}
     finally:
         for capture in captures.values():

@@ -17,7 +17,22 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 # (start, end) reference points of each drawn line: spine, head, shoulders, hips, arms, legs
-BONES = ((2, 0), (2, 1), (3, 4), (5, 6), (0, 5), (0, 6), (3, 7), (7, 11), (4, 8), (8, 12), (5, 9), (9, 13), (6, 10), (10, 14))
+BONES = (
+    (2, 0),
+    (2, 1),
+    (3, 4),
+    (5, 6),
+    (0, 5),
+    (0, 6),
+    (3, 7),
+    (7, 11),
+    (4, 8),
+    (8, 12),
+    (5, 9),
+    (9, 13),
+    (6, 10),
+    (10, 14),
+)
 LEFT, RIGHT = {3, 5, 7, 9, 11, 13}, {4, 6, 8, 10, 12, 14}
 LEFT_BGR, RIGHT_BGR, MIDDLE_BGR, TRUTH_BGR = (255, 160, 40), (60, 90, 255), (60, 230, 60), (255, 255, 255)
 SILHOUETTE_TINT_BGR = np.array([60.0, 190.0, 60.0])
@@ -40,17 +55,27 @@ def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
         capture.release()
 
 
-def draw_skeleton(image: np.ndarray, camera: CameraModel, points_world: np.ndarray, colour: tuple | None = None) -> None:
+def draw_skeleton(
+    image: np.ndarray, camera: CameraModel, points_world: np.ndarray, colour: tuple | None = None
+) -> None:
     """Draw the 15 points (15, 3) into a (distorted) BGR image: left limbs blue, right limbs red, or one ``colour``."""
     pixels = camera.project(points_world)
     thick = max(1, round(camera.height / 240))
     for a, b in BONES:
         if np.isfinite(pixels[[a, b]]).all():
-            side = LEFT_BGR if {a, b} & LEFT and not {a, b} & RIGHT else RIGHT_BGR if {a, b} & RIGHT and not {a, b} & LEFT else MIDDLE_BGR
-            ends = [tuple(int(v) for v in np.rint(pixels[k])) for k in (a, b)]
-            cv2.line(image, *ends, colour or side, 1 if colour else thick, cv2.LINE_AA)
+            cv2.line(image, _rounded(pixels[a]), _rounded(pixels[b]), colour or _side_colour(a, b),
+                     1 if colour else thick, cv2.LINE_AA)  # fmt: skip
     for pixel in pixels[np.isfinite(pixels).all(1)]:
-        cv2.circle(image, tuple(int(v) for v in np.rint(pixel)), thick + 1, colour or (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.circle(image, _rounded(pixel), thick + 1, colour or (255, 255, 255), -1, cv2.LINE_AA)
+
+
+def _rounded(pixel: np.ndarray) -> tuple[int, int]:
+    return round(float(pixel[0])), round(float(pixel[1]))
+
+
+def _side_colour(a: int, b: int) -> tuple[int, int, int]:
+    left, right = {a, b} & LEFT, {a, b} & RIGHT
+    return MIDDLE_BGR if bool(left) == bool(right) else LEFT_BGR if left else RIGHT_BGR
 
 
 def tint(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -64,7 +89,11 @@ def tint(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def overlay(
-    camera: CameraModel, image: np.ndarray, mask: np.ndarray | None, points_world: np.ndarray, truth_world: np.ndarray | None
+    camera: CameraModel,
+    image: np.ndarray,
+    mask: np.ndarray | None,
+    points_world: np.ndarray,
+    truth_world: np.ndarray | None,
 ) -> np.ndarray:
     """One camera's picture: footage, silhouette (in the image's own pixels), truth in white, skeleton in colour."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
@@ -81,7 +110,9 @@ def montage(pictures: Sequence[np.ndarray], columns: int, max_width: int = 1800)
     """Pictures of possibly different sizes side by side, ``columns`` a row, scaled to one height."""
     height = max(picture.shape[0] for picture in pictures)
     width = max(picture.shape[1] for picture in pictures)
-    cells = [cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, width - p.shape[1], cv2.BORDER_CONSTANT) for p in pictures]
+    cells = [
+        cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, width - p.shape[1], cv2.BORDER_CONSTANT) for p in pictures
+    ]
     cells += [np.zeros((height, width, 3), np.uint8)] * (-len(cells) % columns)
     sheet = np.vstack([np.hstack(cells[row : row + columns]) for row in range(0, len(cells), columns)])
     scale = min(1.0, max_width / sheet.shape[1])
@@ -120,7 +151,9 @@ def plot_angles(
     figure, axes = plt.subplots(6, 3, figsize=(13, 13), sharex=True, constrained_layout=True)
     for index, (axis, name) in enumerate(zip(axes.flat, names, strict=True)):
         if truth_angles is not None and truth_seconds is not None:
-            axis.plot(truth_seconds, np.rad2deg(unwrapped(truth_angles[:, index])), color="0.7", linewidth=3, label="truth")
+            axis.plot(
+                truth_seconds, np.rad2deg(unwrapped(truth_angles[:, index])), color="0.7", linewidth=3, label="truth"
+            )
         axis.plot(seconds, np.rad2deg(unwrapped(angles[:, index])), color="C0", linewidth=1.1, label="estimate")
         axis.set_title(name.replace("_", " "), fontsize=9)
         axis.grid(alpha=0.3)

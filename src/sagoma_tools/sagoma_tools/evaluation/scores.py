@@ -57,8 +57,11 @@ def score(track: Track, truth: Truth) -> Scores:
     aligned = track.at(truth.frames)
     tracked = np.isfinite(aligned.points_world).all(axis=(1, 2))
     if not tracked.any():
-        raise InputError(f"the track shares none of its {len(track.frames)} frames with the truth",
-                         where=str(truth.source), remedy="Check that track and truth are of the same session.")  # fmt: skip
+        raise InputError(
+            f"the track shares none of its {len(track.frames)} frames with the truth",
+            where=str(truth.source),
+            remedy="Check that track and truth are of the same session.",
+        )
     estimate, reference = truth.comparable(aligned.points_world[tracked]), truth.points_world[tracked]
     summary = metrics.summary(estimate, reference)
     centred = metrics.without_offsets(estimate, reference)

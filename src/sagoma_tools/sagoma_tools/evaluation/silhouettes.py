@@ -7,11 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CompressedImage
+
 from capture_rig.camera import CameraModel
 from capture_rig.session import Session
-from rclpy.serialization import deserialize_message
 from sagoma_ros.images import decode_silhouette
-from sensor_msgs.msg import CompressedImage
 
 from ..bags import read_messages
 from ..topics import camera_topics
@@ -29,7 +30,7 @@ def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
     rays_world = camera.rays_world(np.column_stack([columns.ravel(), rows.ravel()]))
     on_canvas = rays_world @ camera.R_camera_world.T @ canvas.K.T
     pixels = (on_canvas[:, :2] / on_canvas[:, 2:]).astype(np.float32).reshape(camera.height, camera.width, 2)
-    return cv2.remap(canvas_mask, pixels, None, cv2.INTER_NEAREST)
+    return cv2.remap(canvas_mask, pixels[..., 0], pixels[..., 1], cv2.INTER_NEAREST)
 
 
 def _masks_of(bag: Path, session: Session, camera: CameraModel, frames: Sequence[int]) -> list[np.ndarray]:
@@ -39,7 +40,9 @@ def _masks_of(bag: Path, session: Session, camera: CameraModel, frames: Sequence
         epoch_ns = message.stamp_ns if epoch_ns is None else epoch_ns
         frame = round((message.stamp_ns - epoch_ns) * 1e-9 * session.fps)
         if frame in frames:
-            mask = decode_silhouette(deserialize_message(message.data, CompressedImage), canvas.width, canvas.height, topic)
+            mask = decode_silhouette(
+                deserialize_message(message.data, CompressedImage), canvas.width, canvas.height, topic
+            )
             found[frame] = distort_mask(camera, mask)
     empty = np.zeros((camera.height, camera.width), np.uint8)
     return [found.get(frame, empty) for frame in frames]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from .scores import Scores

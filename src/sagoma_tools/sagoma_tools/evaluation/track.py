@@ -55,14 +55,16 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
     for message in read_messages(bag, {POINTS_TOPIC, ANGLES_TOPIC}.__contains__):
         frame = frame_of_stamp(message.stamp_ns)
         if message.topic == POINTS_TOPIC:
-            cloud = from_cloud(deserialize_message(message.data, PointCloud2), REFERENCE_POINTS, f"{bag}: {POINTS_TOPIC}")
+            cloud = from_cloud(
+                deserialize_message(message.data, PointCloud2), REFERENCE_POINTS, f"{bag}: {POINTS_TOPIC}"
+            )
             points[frame] = split_reference_points(cloud)[:2]
         else:
             angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {ANGLES_TOPIC}")
     frames = sorted(set(points) & set(angles))
     if not frames:
         raise InputError("holds no tracked body", where=str(bag),
-                         remedy=f"Record {POINTS_TOPIC} and {ANGLES_TOPIC} while the graph tracks somebody.")  # fmt: skip
+                         remedy=f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks somebody.")  # fmt: skip
     return Track(
         np.array(frames),
         np.stack([points[f][0] for f in frames]),
