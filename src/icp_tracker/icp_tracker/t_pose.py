@@ -23,6 +23,7 @@ HIP_HEIGHT, WAIST_HEIGHT, CHEST_HEIGHT = 0.53, 0.55, 0.75
 ARM_CLEARANCE = 0.20  # beyond this distance from the spine only arms are left
 TORSO_HALF_WIDTH = 0.12
 FOOT_HEIGHT, SHIN_LOW, SHIN_HIGH = 0.04, 0.10, 0.20
+FOOT_HALF_WIDTH, FOOT_REACH = 0.04, 0.17  # a foot is 0.055 wide and 0.152 long
 TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
 FEWEST_VOXELS, FEWEST_ARM_VOXELS = 200, 10
 
@@ -134,13 +135,35 @@ def _with_feet(voxels: np.ndarray, height: np.ndarray, arms: TPose, settings: TP
     feet, shins = height < FOOT_HEIGHT, (height > SHIN_LOW) & (height < SHIN_HIGH)
     if feet.sum() < FEWEST_ARM_VOXELS or shins.sum() < FEWEST_ARM_VOXELS:
         return TPose("no feet in the hull")
-    lead = float((flat[feet].mean(0) - flat[shins].mean(0)) @ arms.forward)
+    lead = _toe_lead(flat, feet, shins, arms.forward, arms.stature)
     if abs(lead) < settings.toe_lead * arms.stature:
         return TPose(f"front and back look alike: the feet lead the shins by {1e3 * abs(lead):.0f} mm only")
     forward = arms.forward if lead > 0.0 else -arms.forward
     across = (flat - arms.centre) @ np.array([-forward[1], forward[0]])
     trunk = (height > WAIST_HEIGHT) & (height < CHEST_HEIGHT) & (np.abs(across) < TORSO_HALF_WIDTH * arms.stature)
     return replace(arms, forward=forward, centre=flat[trunk].mean(0))
+
+
+def _toe_lead(
+    flat: np.ndarray, feet: np.ndarray, shins: np.ndarray, forward: np.ndarray, stature: float
+) -> float:
+    """How far the feet lead their shins along ``forward``, metres, mean of both legs.
+
+    Only voxels within a foot's length and breadth of a shin count: what else lies on the floor is shadow.
+    """
+    left = np.array([-forward[1], forward[0]])
+    middle = np.median(flat[shins], axis=0)
+    leads = []
+    for side in (1.0, -1.0):
+        shin = shins & (side * ((flat - middle) @ left) > 0.0)
+        if not shin.any():
+            continue
+        from_shin = flat - np.median(flat[shin], axis=0)
+        along, across = from_shin @ forward, from_shin @ left
+        foot = feet & (np.abs(across) < FOOT_HALF_WIDTH * stature) & (np.abs(along) < FOOT_REACH * stature)
+        if foot.any():
+            leads.append(float(along[foot].mean()))
+    return float(np.mean(leads)) if leads else 0.0
 
 
 def body_of(measured: list[TPose]) -> Body:

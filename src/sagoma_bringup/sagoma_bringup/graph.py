@@ -55,7 +55,7 @@ def build_graph(
     only : "server", "cameras" or a camera's name: this part of the graph.
     rate, epoch_ns, loop : how footage is played (parameters ``footage.*`` of the camera client).
     body : a body YAML for the trackers.
-    settings : more parameters, as NODE.PARAMETER (``hull_server.voxel_mm``), CAMERA.PARAMETER or cameras.PARAMETER.
+    settings : more parameters, as NODE.PARAMETER (``hull_server.voxel_size_m``), CAMERA.PARAMETER or cameras.PARAMETER.
 
     Raises InputError for whatever does not fit: no such file, camera count, unknown camera or node.
     """

@@ -144,7 +144,7 @@ def test_missing_files_are_errors_that_name_them(tmp_path):
 
 
 def test_settings_reach_the_nodes_they_name(session):
-    settings = {"hull_server.voxel_mm": 15.0, "cameras.publish_preview": True, "cam02.publish_preview": False}
+    settings = {"hull_server.voxel_size_m": 0.015, "cameras.publish_preview": True, "cam02.publish_preview": False}
     graph = {node.label: node.parameters for node in build_graph(session=session, settings=settings)}
     assert graph["hull_server"]["voxel_mm"] == 15.0
     assert "voxel_mm" not in graph["icp_tracker"]

@@ -52,7 +52,7 @@ def decode_silhouette(message: CompressedImage, width: int, height: int, where: 
             where=where,
             remedy="Give camera client and hull server the same rig file.",
         )
-    return np.where(mask > 0, np.uint8(255), np.uint8(0))
+    return cv2.threshold(mask, 0, 255, cv2.THRESH_BINARY)[1]
 
 
 def image_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Image:

@@ -116,11 +116,11 @@ def test_replay_refuses_arguments_that_mean_nothing(arguments, message, tmp_path
 
 
 def test_settings_are_read_as_yaml_and_need_a_value():
-    texts = ["hull_server.voxel_mm=15", "cameras.publish_preview=true", "cam01.background=a=b.png"]
+    texts = ["hull_server.voxel_size_m=0.015", "cameras.publish_preview=true", "cam01.background=a=b.png"]
     assert parse_settings(texts) == {
-        "hull_server.voxel_mm": 15,
+        "hull_server.voxel_size_m": 0.015,
         "cameras.publish_preview": True,
         "cam01.background": "a=b.png",
     }
-    with pytest.raises(InputError, match=r"'hull_server.voxel_mm' has no value"):
-        parse_settings(["hull_server.voxel_mm"])
+    with pytest.raises(InputError, match=r"'hull_server.voxel_size_m' has no value"):
+        parse_settings(["hull_server.voxel_size_m"])

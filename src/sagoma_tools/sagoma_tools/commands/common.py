@@ -54,7 +54,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_settings_argument(parser: argparse.ArgumentParser) -> None:
     """--set NODE.PARAM=VALUE, any number of times; :func:`parse_settings` reads it."""
-    help_text = "set a parameter, e.g. hull_server.voxel_mm=15 or cameras.publish_preview=true"
+    help_text = "set a parameter, e.g. hull_server.voxel_size_m=0.015 or cameras.publish_preview=true"
     parser.add_argument(
         "--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="settings", help=help_text
     )
