@@ -28,7 +28,16 @@ from .figure_arrays import Figure, State
 from .fit_result import FitResult, visible_points
 from .flesh import Flesh
 from .foot_points import STICKS
-from .gauss_newton import GEMAN_MCCLURE, X84, Data, Stop, Weights, gauss_newton, measure, points_and_covariances
+from .gauss_newton import (
+    GEMAN_MCCLURE,
+    X84,
+    Data,
+    Stop,
+    Weights,
+    gauss_newton,
+    measure,
+    points_and_covariances,
+)
 from .normal_equations import TANGENT, mirror_upper
 from .voxel_cloud import NO_VOXELS, VoxelCloud
 
@@ -68,6 +77,10 @@ class VolumeSettings:
     )
     samples: int = setting(1000, "voxels that are looked at", low=10, high=100000)
     gate_m: float = setting(0.06, "distance at which a voxel's weight has fallen to 1/4", unit="m", low=1e-3)
+    covariance_share: float = setting(
+        0.05, "share of their worth with which voxels enter the covariance (their errors are common to many)",
+        low=0.0, high=1.0,
+    )  # fmt: skip
     clearance_worth: float = setting(
         10.0, "centerline points that keeping an arm out of the torso is worth; 0: off", low=0.0, high=1e6
     )
@@ -107,11 +120,18 @@ def fit_articulated(
 ) -> FitResult:
     """Fit the stick figure to ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and to ``voxels``, from ``start``."""
     settings = settings or ArticulatedSettings()
-    state, data = State.of(start), make_data(points_world, sigma_m, voxels, settings)
+    data = make_data(points_world, sigma_m, voxels, settings)
+    pose, iterations, step = minimise(body, start, data, settings)
+    return assess(body, pose, data, iterations, step < settings.tolerance, settings)
+
+
+def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
+    """The pose reached from ``start``, the iterations it took, and the size of the last step."""
+    state = State.of(start)
     stop = Stop(settings.max_iterations, settings.tolerance, settings.step_limit)
     iterations, step = gauss_newton(data, *state, *_figure(body), make_weights(len(data.voxels), settings), stop)
     kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), HINGE_MARGIN)
-    return assess(body, state.pose(), data, iterations, step < settings.tolerance, settings)
+    return state.pose(), iterations, step
 
 
 def assess(
@@ -124,6 +144,7 @@ def assess(
     """
     state, (figure, flesh) = State.of(pose), _figure(body)
     weights = make_weights(len(data.voxels), settings)
+    weights = weights._replace(voxel=settings.volume.covariance_share * weights.voxel)
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     counts, distances = np.zeros(STICKS, np.int64), np.empty(len(data.points))
     total, chi2, freedom = measure(data, *state, figure, flesh, weights, H, g, distances, counts)

@@ -146,15 +146,15 @@ def test_missing_files_are_errors_that_name_them(tmp_path):
 def test_settings_reach_the_nodes_they_name(session):
     settings = {"hull_server.voxel_size_m": 0.015, "cameras.publish_preview": True, "cam02.publish_preview": False}
     graph = {node.label: node.parameters for node in build_graph(session=session, settings=settings)}
-    assert graph["hull_server"]["voxel_mm"] == 15.0
-    assert "voxel_mm" not in graph["icp_tracker"]
+    assert graph["hull_server"]["voxel_size_m"] == 0.015
+    assert "voxel_size_m" not in graph["icp_tracker"]
     assert (graph["cam01"]["publish_preview"], graph["cam02"]["publish_preview"]) == (True, False)
     assert "publish_preview" not in graph["hull_server"]
 
 
 def test_setting_of_an_unknown_node_is_an_error(session):
-    with pytest.raises(InputError, match=r"'hul_server.voxel_mm' names no node.*hull_server"):
-        build_graph(session=session, settings={"hul_server.voxel_mm": 15.0})
+    with pytest.raises(InputError, match=r"'hul_server.voxel_size_m' names no node.*hull_server"):
+        build_graph(session=session, settings={"hul_server.voxel_size_m": 0.015})
 
 
 def test_parameter_document_is_a_ros_parameter_file(session):
