@@ -17,6 +17,7 @@ missing_packages() {
     "$python" -c 'import gi; gi.require_version("Aravis", "0.8"); from gi.repository import Aravis' 2>/dev/null \
         || echo python3-gi gir1.2-aravis-0.8
     ldconfig -p 2>/dev/null | grep -q libEGL.so.1 || echo libegl1
+    ldconfig -p 2>/dev/null | grep -q libOpenGL.so.0 || echo libopengl0
     ls /usr/lib/*/dri/swrast_dri.so /usr/lib/*/dri/*_dri.so >/dev/null 2>&1 || echo libegl-mesa0 libgl1-mesa-dri
 }
 

@@ -68,6 +68,8 @@ def _make_gl(kind: str, views: RigViews, grid: VoxelGrid) -> CarveBackend:
         from .sweep_gl import SweepCarver
     except ImportError as error:
         raise NoGraphics(f"PyOpenGL cannot be imported ({error}); pip install PyOpenGL") from None
+    except (AttributeError, TypeError) as error:  # how PyOpenGL says that it found no OpenGL library
+        raise NoGraphics(f"PyOpenGL finds no libOpenGL.so.0 ({error}); apt install libopengl0") from None
     if kind == "sweep":
         return SweepCarver(views, grid)
     return GlCarver(views, grid, hardware=True if kind == "auto" else None)

@@ -1,5 +1,6 @@
 """Every backend against a float64 brute force of the rule: occupied where all who see agree, and enough see."""
 
+import sys
 import threading
 from dataclasses import replace
 from functools import cache
@@ -229,3 +230,19 @@ def test_gl_backends_refuse_more_cameras_than_a_shader_word_has_bits(kind):
     with pytest.raises(InputError, match=r"33 cameras .* backend 'cpu'"):
         make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
     assert make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1)).backend.name == "cpu"
+
+
+def test_auto_falls_back_to_the_cpu_when_pyopengl_finds_no_opengl_library(monkeypatch):
+    class WithoutLibrary:
+        """Stands for carve_gl where libEGL is there but libOpenGL is not: its import fails as PyOpenGL's does."""
+
+        def __getattr__(self, name):
+            if name == "GlCarver":
+                raise TypeError("'NoneType' object has no attribute 'glGetError'")
+            raise AttributeError(name)
+
+    monkeypatch.setitem(sys.modules, "hull_server.carve_gl", WithoutLibrary())
+    rig = ring_rig(3, size=(32, 24), focal_px=25.0, distortion=False)
+    choice = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+    assert choice.backend.name == "cpu"
+    assert "apt install libopengl0" in choice.reason
