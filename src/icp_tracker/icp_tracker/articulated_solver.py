@@ -70,12 +70,12 @@ class PriorSettings:
 
 @dataclass(frozen=True)
 class VolumeSettings:
-    """The hull's voxels against the figure's flesh."""
+    """The voxels of the hull's surface against the figure's flesh."""
 
     worth: float = setting(
         900.0, "centerline points that all voxels together are worth; 0 leaves the voxels out", low=0.0, high=1e6
     )
-    samples: int = setting(1000, "voxels that are looked at", low=10, high=100000)
+    samples: int = setting(1000, "surface voxels that are looked at", low=10, high=100000)
     gate_m: float = setting(0.06, "distance at which a voxel's weight has fallen to 1/4", unit="m", low=1e-3)
     covariance_share: float = setting(
         0.05, "share of their worth with which voxels enter the covariance (their errors are common to many)",
@@ -165,8 +165,8 @@ def make_data(
     """The data as arrays. A point's variance is its own noise and the model's misfit, added in quadrature."""
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
-    used = voxels.thinned(settings.volume.samples) if settings.volume.worth > 0.0 else NO_VOXELS
-    return Data(points, 1.0 / (settings.model_sigma_m**2 + sigma**2), used.points_world, used.surface)
+    surface = (voxels if settings.volume.worth > 0.0 else NO_VOXELS).surface_points(settings.volume.samples)
+    return Data(points, 1.0 / (settings.model_sigma_m**2 + sigma**2), surface)
 
 
 def make_weights(voxels: int, settings: ArticulatedSettings) -> Weights:

@@ -21,12 +21,11 @@ GEMAN_MCCLURE, X84 = 0, 1
 
 
 class Data(NamedTuple):
-    """What was measured: centerline points (n, 3) m with information (n,) 1/m^2; voxels (m, 3) m, surface (m,)."""
+    """What was measured: centerline points (n, 3) m with information (n,) 1/m^2; surface voxels (m, 3) m."""
 
     points: np.ndarray
     information: np.ndarray
     voxels: np.ndarray
-    surface: np.ndarray
 
 
 class Weights(NamedTuple):
@@ -112,9 +111,7 @@ def add_voxels(data, flesh, weights, G, t0, A, axes, H, g):
     x, y, z = columns(data.voxels)
     place_flesh(flesh, G, A, P, Q)
     nearest_flesh(x, y, z, P, Q, flesh.radii, match[0], match[1], match[2])
-    add_voxel_residuals(
-        data.voxels, data.surface, flesh, P, Q, match, weights.voxel, weights.voxel_gate, t0, A, axes, H, g
-    )
+    add_voxel_residuals(data.voxels, flesh, P, Q, match, weights.voxel, weights.voxel_gate, t0, A, axes, H, g)
 
 
 @njit(cache=True)

@@ -1,8 +1,8 @@
 """The hull's voxels in the all-joints solve, and the room that arms and torso need.
 
 The centerline cannot see which way a torso faces, nor an arm that hangs against it: there the slices of trunk and arm
-merge. The hull's voxels can. Every surface voxel should lie on the figure's flesh, every voxel outside the flesh pulls
-the nearest capsule towards it; a small Geman-McClure gate ignores the phantom volumes of a hull. And arms do not go
+merge. The hull's surface can: every voxel of it should lie on the figure's flesh. A small Geman-McClure gate ignores
+phantom volumes, whose surface is far from any flesh (their interior would not be: it stays out). And arms do not go
 through the torso.
 """
 
@@ -24,21 +24,17 @@ CLEARANCE_M = 0.02  # the sticks of an arm stay this far outside the torso's fle
 
 
 @njit(cache=True)
-def add_voxel_residuals(voxels, surface, flesh, P, Q, match, information, gate, t0, A, axes, H, g):
+def add_voxel_residuals(voxels, flesh, P, Q, match, information, gate, t0, A, axes, H, g):
     """Add every voxel's distance to the flesh, weight 1/m^2 ``information`` times Geman-McClure, to upper H and g.
 
-    ``match`` = capsule, along, distance of :func:`flesh.nearest_flesh`. Voxels inside the flesh count only on the
-    hull's surface, where they say that a limb sticks out of the hull.
+    ``match`` = capsule, along, distance of :func:`flesh.nearest_flesh`.
     """
     capsule, along, distance = match
     J, row = np.empty((3, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS)
     slots = np.empty(CHAIN_COLUMNS, np.int64)
     foot, normal = np.empty(3), np.empty(3)
     for i in range(voxels.shape[0]):
-        e = distance[i]
-        if e <= 0.0 and not surface[i]:
-            continue
-        k, length2 = capsule[i], 0.0
+        e, k, length2 = distance[i], capsule[i], 0.0
         for q in range(3):
             foot[q] = P[k, q] + along[i] * (Q[k, q] - P[k, q])
             normal[q] = voxels[i, q] - foot[q]

@@ -24,12 +24,12 @@ class VoxelCloud:
         finite = np.isfinite(points).all(axis=1)
         return VoxelCloud(np.ascontiguousarray(points[finite]), np.asarray(surface, dtype=np.bool_)[finite])
 
-    def thinned(self, count: int) -> VoxelCloud:
-        """At most ``count`` samples, evenly spread over the rows; the same ones every time."""
-        if len(self) <= count:
-            return self
-        rows = np.arange(count) * len(self) // count
-        return VoxelCloud(np.ascontiguousarray(self.points_world[rows]), np.ascontiguousarray(self.surface[rows]))
+    def surface_points(self, count: int) -> np.ndarray:
+        """At most ``count`` samples (m, 3) of the surface, evenly spread over the rows; the same ones every time."""
+        points = self.points_world[self.surface]
+        if len(points) > count:
+            points = points[np.arange(count) * len(points) // count]
+        return np.ascontiguousarray(points)
 
 
 NO_VOXELS = VoxelCloud(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
