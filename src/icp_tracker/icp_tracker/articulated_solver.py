@@ -118,7 +118,7 @@ def fit_articulated(
     voxels: VoxelCloud = NO_VOXELS,
     settings: ArticulatedSettings | None = None,
 ) -> FitResult:
-    """Fit the stick figure to ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and to ``voxels``, from ``start``."""
+    """Fit the figure to ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and to ``voxels``, from ``start``."""
     settings = settings or ArticulatedSettings()
     data = make_data(points_world, sigma_m, voxels, settings)
     pose, iterations, step = minimise(body, start, data, settings)

@@ -109,7 +109,7 @@ class IcpTracker:
         voxels: VoxelCloud | None = None,
         prediction: Predicted | None = None,
     ) -> IcpResult:
-        """Fit one frame set: centerline ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and the hull's voxels."""
+        """Fit one frame set: centerline ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and hull voxels."""
         points, sigma, dropped = _finite(points_world, sigma_m)
         if self._pose is None or self._body is None:
             return self._acquire(stamp_ns, points, sigma, voxels, dropped)
