@@ -5,7 +5,7 @@ hierarchical ICP of thesis 4.3, but the 24 tangent components of the pose are so
 limb is frozen before its descendants have spoken:
 
     minimise  sum_i rho(|x_i - c_i|) / sigma_i^2  +  sum_v rho(distance of voxel v to the flesh) / sigma_v^2
-              +  |pose (-) start|^2_Lambda
+              +  sum_s rho(distance of stick point s from the hull) / sigma_s^2  +  |pose (-) start|^2_Lambda
 
 with c_i the foot point on the closest stick, rho Geman-McClure or X84, and Lambda a weak prior that holds what the
 data do not see. Ball joints move on SO(3): no gimbal lock. Elbows and knees may pass straight during the solve (a
@@ -34,6 +34,7 @@ from .gauss_newton import (
     Data,
     Stop,
     Weights,
+    flesh_distances,
     gauss_newton,
     measure,
     points_and_covariances,
@@ -48,10 +49,10 @@ HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 class PriorSettings:
     """How far the pose may leave its start where no datum says otherwise: standard deviations of a Gaussian prior."""
 
-    position_sd_m: float = setting(1.0, "torso position", unit="m", low=1e-4, high=100.0)
-    rotation_sd: float = setting(1.0, "torso rotation", unit="rad", low=1e-4, high=100.0)
-    ball_sd: float = setting(0.7, "neck, shoulders and hips", unit="rad", low=1e-4, high=100.0)
-    hinge_sd: float = setting(0.7, "elbows and knees", unit="rad", low=1e-4, high=100.0)
+    position_sd_m: float = setting(0.1, "torso position", unit="m", low=1e-4, high=100.0)
+    rotation_sd: float = setting(0.2, "torso rotation", unit="rad", low=1e-4, high=100.0)
+    ball_sd: float = setting(0.15, "neck, shoulders and hips", unit="rad", low=1e-4, high=100.0)
+    hinge_sd: float = setting(0.2, "elbows and knees", unit="rad", low=1e-4, high=100.0)
     neck_sd: float = setting(
         0.25, "head about its rest direction; in the solve, not in the covariance (0: off)", unit="rad", low=0.0
     )
@@ -77,6 +78,15 @@ class VolumeSettings:
     )
     samples: int = setting(1000, "surface voxels that are looked at", low=10, high=100000)
     gate_m: float = setting(0.06, "distance at which a voxel's weight has fallen to 1/4", unit="m", low=1e-3)
+    tight_m: float = setting(
+        0.025, "excess of the hull over the flesh at which the voxels' weight has fallen to a half", unit="m", low=1e-3
+    )
+    inside_worth: float = setting(
+        6.0, "centerline points that one point of a stick outside the hull is worth; 0: off", low=0.0, high=1e6
+    )
+    inside_samples: int = setting(1000, "voxels of surface and interior that stand for the hull", low=10, high=100000)
+    inside_slack_m: float = setting(0.045, "distance from those voxels that still counts as inside", unit="m", low=0.0)
+    inside_gate_m: float = setting(0.2, "distance at which that weight has fallen to 1/4", unit="m", low=1e-3)
     covariance_share: float = setting(
         0.05, "share of their worth with which voxels enter the covariance (their errors are common to many)",
         low=0.0, high=1.0,
@@ -103,9 +113,18 @@ class ArticulatedSettings:
         4.0, "data that carry the information of one independent datum (neighbours share voxels)", low=1.0
     )
     max_iterations: int = setting(8, "Gauss-Newton iterations at most", low=1, high=1000)
-    tolerance: float = setting(2e-3, "converged when no component of the step exceeds this", unit="m, rad", low=0.0)
+    tolerance_m: float = setting(
+        0.002, "converged when an iteration moves no reference point farther than this", unit="m", low=0.0
+    )
     step_limit: float = setting(0.5, "largest component of one step", unit="m, rad", low=1e-3)
     support_points: int = setting(3, "inliers that make a reference point visible", low=1)
+    support_voxels: int = setting(
+        5, "surface voxels on the flesh of a point's stick that make it visible without inliers", low=1
+    )
+    joint_sd_m: float = setting(
+        0.05, "distance of the figure's joints from the body's, each direction: added to the points' covariance",
+        unit="m", low=0.0, high=1.0,
+    )  # fmt: skip
     prior: PriorSettings = setting(PriorSettings, "prior about the start of the fit")
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
 
@@ -121,17 +140,35 @@ def fit_articulated(
     """Fit the figure to ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and to ``voxels``, from ``start``."""
     settings = settings or ArticulatedSettings()
     data = make_data(points_world, sigma_m, voxels, settings)
-    pose, iterations, step = minimise(body, start, data, settings)
-    return assess(body, pose, data, iterations, step < settings.tolerance, settings)
+    pose, iterations, moved = minimise(body, start, data, settings)
+    return assess(body, pose, data, iterations, moved < settings.tolerance_m, settings)
 
 
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
-    """The pose reached from ``start``, the iterations it took, and the size of the last step."""
+    """The pose reached from ``start``, the iterations it took, and how far (m) the last one moved a reference point."""
     state = State.of(start)
-    stop = Stop(settings.max_iterations, settings.tolerance, settings.step_limit)
-    iterations, step = gauss_newton(data, *state, *_figure(body), make_weights(len(data.voxels), settings), stop)
+    stop = Stop(settings.max_iterations, settings.tolerance_m, settings.step_limit)
+    weights = with_trust_in_hull(make_weights(data, settings), body, start, data, settings)
+    iterations, moved = gauss_newton(data, *state, *_figure(body), weights, stop)
     kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), HINGE_MARGIN)
-    return state.pose(), iterations, step
+    return state.pose(), iterations, moved
+
+
+def with_trust_in_hull(
+    weights: Weights, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings
+) -> Weights:
+    """The weights with the surface voxels trusted as far as the hull is tight.
+
+    A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not flesh. Its excess
+    is the median distance of the surface from the flesh at ``pose``: about 10 mm for six cameras around a person,
+    60 mm for four on two sides.
+    """
+    if weights.voxel == 0.0:
+        return weights
+    distance = np.empty(len(data.voxels))
+    flesh_distances(data, *State.of(pose), *_figure(body), distance)
+    excess = max(float(np.median(distance)), 0.0)
+    return weights._replace(voxel=weights.voxel / (1.0 + (excess / settings.volume.tight_m) ** 4))
 
 
 def assess(
@@ -140,11 +177,14 @@ def assess(
     """What the data say about ``pose``: residuals, information matrix, reference points and their covariance.
 
     The covariance is ``correlation * J (H + Lambda)^-1 J^T`` per point, and larger by the reduced chi-square where the
-    inliers lie farther off than their own sigma says. It serves any fit, also the hierarchical one.
+    inliers lie farther off than their own sigma says. It serves any fit, also the hierarchical one. ``joint_sd_m`` is
+    added: hull and stick figure share errors (a hull is fatter than the body, a shoulder is no single point) that no
+    number of voxels averages out. They last for many sets, and a filter that takes sets as independent shrinks them:
+    the default leaves about half of it in the filtered covariance.
     """
     state, (figure, flesh) = State.of(pose), _figure(body)
-    weights = make_weights(len(data.voxels), settings)
-    weights = weights._replace(voxel=settings.volume.covariance_share * weights.voxel)
+    weights = with_trust_in_hull(make_weights(data, settings), body, pose, data, settings)
+    weights = weights._replace(voxel=settings.volume.covariance_share * weights.voxel, inside=0.0)
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     counts, distances = np.zeros(STICKS, np.int64), np.empty(len(data.points))
     total, chi2, freedom = measure(data, *state, figure, flesh, weights, H, g, distances, counts)
@@ -153,9 +193,10 @@ def assess(
     scale = settings.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
     P, covariance = np.empty((15, 3)), np.empty((15, 3, 3))
     points_and_covariances(*state, figure, H + np.diag(weights.prior), scale, P, covariance)
+    covariance += settings.joint_sd_m**2 * np.eye(3)
     return FitResult(
         pose, bool(converged), int(iterations), len(data.points), inliers, float(np.sqrt(total / max(inliers, 1))),
-        counts, H, P, covariance, visible_points(counts, settings.support_points),
+        counts, H, P, covariance, _visible(counts, state, body, data, settings),
     )  # fmt: skip
 
 
@@ -165,13 +206,16 @@ def make_data(
     """The data as arrays. A point's variance is its own noise and the model's misfit, added in quadrature."""
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
-    surface = (voxels if settings.volume.worth > 0.0 else NO_VOXELS).surface_points(settings.volume.samples)
-    return Data(points, 1.0 / (settings.model_sigma_m**2 + sigma**2), surface)
+    volume = settings.volume
+    surface = (voxels if volume.worth > 0.0 else NO_VOXELS).surface_points(volume.samples)
+    hull = (voxels if volume.inside_worth > 0.0 else NO_VOXELS).hull_points(volume.inside_samples)
+    return Data(points, 1.0 / (settings.model_sigma_m**2 + sigma**2), surface, hull)
 
 
-def make_weights(voxels: int, settings: ArticulatedSettings) -> Weights:
+def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     """The settings as information: what counts how much."""
     prior, volume, one = settings.prior, settings.volume, 1.0 / settings.model_sigma_m**2
+    voxels = len(data.voxels)
     return Weights(
         prior=prior.information(),
         robust=X84 if settings.robust == "x84" else GEMAN_MCCLURE,
@@ -180,10 +224,26 @@ def make_weights(voxels: int, settings: ArticulatedSettings) -> Weights:
         voxel=volume.worth * one / voxels if voxels else 0.0,
         voxel_gate=volume.gate_m,
         clearance=volume.clearance_worth * one if voxels else 0.0,
+        inside=volume.inside_worth * one if len(data.hull) else 0.0,
+        inside_slack=volume.inside_slack_m,
+        inside_gate=volume.inside_gate_m,
         neck=_information(prior.neck_sd),
         neck_pitch=prior.neck_pitch,
         limit=_information(prior.limit_sd),
     )
+
+
+def _visible(
+    counts: np.ndarray, state: State, body: Body, data: Data, settings: ArticulatedSettings
+) -> np.ndarray:
+    """(15,) bool: the points whose sticks have centerline points, or hull surface where their flesh is."""
+    seen = visible_points(counts, settings.support_points)
+    if len(data.voxels) == 0:
+        return seen
+    distance = np.empty(len(data.voxels))
+    stick = flesh_distances(data, *state, *_figure(body), distance)
+    near = np.bincount(stick[np.abs(distance) < settings.volume.gate_m], minlength=STICKS)
+    return seen | visible_points(near, settings.support_voxels)
 
 
 @lru_cache(maxsize=4)

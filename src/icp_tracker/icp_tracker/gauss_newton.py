@@ -11,6 +11,7 @@ from stick_figure import kernels
 
 from .flesh import nearest_flesh, place_flesh
 from .foot_points import STICKS, columns, foot_points
+from .inside_term import add_inside_residuals
 from .normal_equations import TANGENT, add_point_residuals, mirror_upper, point_covariances
 from .small_algebra import solve_positive
 from .soft_constraints import add_joint_limits, add_neck_rest
@@ -21,11 +22,13 @@ GEMAN_MCCLURE, X84 = 0, 1
 
 
 class Data(NamedTuple):
-    """What was measured: centerline points (n, 3) m with information (n,) 1/m^2; surface voxels (m, 3) m."""
+    """What was measured: centerline points (n, 3) m with information (n,) 1/m^2; voxels (m, 3) m of the hull's surface,
+    and samples (k, 3) m of the whole hull."""
 
     points: np.ndarray
     information: np.ndarray
     voxels: np.ndarray
+    hull: np.ndarray
 
 
 class Weights(NamedTuple):
@@ -38,13 +41,17 @@ class Weights(NamedTuple):
     voxel: float
     voxel_gate: float
     clearance: float
+    inside: float
+    inside_slack: float
+    inside_gate: float
     neck: float
     neck_pitch: float
     limit: float
 
 
 class Stop(NamedTuple):
-    """When to stop: iterations at most, step below which it has converged, largest step allowed (m, rad)."""
+    """When to stop: iterations at most, converged when no reference point moves farther than ``tolerance`` (m) in one;
+    largest step allowed (m, rad)."""
 
     iterations: int
     tolerance: float
@@ -53,12 +60,18 @@ class Stop(NamedTuple):
 
 @njit(cache=True)
 def gauss_newton(data, t0, R0, RJ, hinges, figure, flesh, weights, stop):
-    """Minimise in place over the state t0, R0, RJ, hinges; returns the iterations and the last step's size."""
+    """Minimise in place over the state t0, R0, RJ, hinges.
+
+    Returns the iterations, and how far (m) the last one moved any of the 15 reference points. (Not the step itself: the
+    twist of a straight limb may wander without moving anything.)
+    """
     start = (t0.copy(), R0.copy(), RJ.copy(), hinges.copy())
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     L, step, back = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), np.empty(TANGENT)
     distances, counts = np.empty(data.points.shape[0]), np.zeros(STICKS, np.int64)
-    size = np.inf
+    before, after = np.empty((15, 3)), np.empty((15, 3))
+    place_points(t0, R0, RJ, hinges, figure, after)
+    moved = np.inf
     for iteration in range(stop.iterations):
         measure(data, t0, R0, RJ, hinges, figure, flesh, weights, H, g, distances, counts)
         kernels.difference(start[0], start[1], start[2], start[3], t0, R0, RJ, hinges, back)
@@ -75,9 +88,22 @@ def gauss_newton(data, t0, R0, RJ, hinges, figure, flesh, weights, stop):
         solve_positive(H, g, L, step)
         size = np.abs(step).max()
         kernels.retract(t0, R0, RJ, hinges, step, min(1.0, stop.step_limit / max(size, 1e-300)))
-        if size < stop.tolerance:
-            return iteration + 1, size
-    return stop.iterations, size
+        before[:] = after
+        place_points(t0, R0, RJ, hinges, figure, after)
+        moved = np.sqrt(((after - before) ** 2).sum(axis=1).max())
+        if moved < stop.tolerance:
+            return iteration + 1, moved
+    return stop.iterations, moved
+
+
+@njit(cache=True)
+def place_points(t0, R0, RJ, hinges, figure, P):
+    """The 15 reference points (15, 3) of a pose."""
+    G, axes = np.empty((STICKS, 3, 3)), np.empty((18, 3))
+    A, B = np.empty((STICKS, 3)), np.empty((STICKS, 3))
+    kernels.stick_frames(R0, RJ, hinges, G, axes)
+    kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
+    kernels.reference_points(A, B, t0, P)
 
 
 @njit(cache=True)
@@ -98,6 +124,8 @@ def measure(data, t0, R0, RJ, hinges, figure, flesh, weights, H, g, distances, c
     add_point_residuals(data.points, weight, stick, along, feet, A, B, t0, axes, H, g)
     if weights.voxel > 0.0:
         add_voxels(data, flesh, weights, G, t0, A, axes, H, g)
+    if weights.inside > 0.0:
+        add_inside_residuals(data.hull, weights.inside_slack, weights.inside, weights.inside_gate, A, B, t0, axes, H, g)
     distances[:] = np.sqrt(squared)
     return summarise(stick, along, squared, weight, keep, counts)
 
@@ -112,6 +140,23 @@ def add_voxels(data, flesh, weights, G, t0, A, axes, H, g):
     place_flesh(flesh, G, A, P, Q)
     nearest_flesh(x, y, z, P, Q, flesh.radii, match[0], match[1], match[2])
     add_voxel_residuals(data.voxels, flesh, P, Q, match, weights.voxel, weights.voxel_gate, t0, A, axes, H, g)
+
+
+@njit(cache=True)
+def flesh_distances(data, t0, R0, RJ, hinges, figure, flesh, distance):
+    """Signed distance (m,) of every surface voxel from the flesh at a pose, m, negative inside; returns the stick (m,)
+    whose flesh is nearest."""
+    m, k = data.voxels.shape[0], flesh.stick.shape[0]
+    G, axes = np.empty((STICKS, 3, 3)), np.empty((18, 3))
+    A, B = np.empty((STICKS, 3)), np.empty((STICKS, 3))
+    P, Q = np.empty((k, 3)), np.empty((k, 3))
+    kernels.stick_frames(R0, RJ, hinges, G, axes)
+    kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
+    place_flesh(flesh, G, A, P, Q)
+    x, y, z = columns(data.voxels)
+    capsule = np.zeros(m, np.int64)
+    nearest_flesh(x, y, z, P, Q, flesh.radii, capsule, np.zeros(m), distance)
+    return flesh.stick[capsule]
 
 
 @njit(cache=True)

@@ -82,7 +82,7 @@ class IcpNode(SagomaNode):
     def activate(self) -> None:
         settings: IcpNodeSettings = self.settings
         self._feedback = FilterFeedback(settings.prediction_wait_s)
-        self._voxels: Mailbox[PointCloud2] = Mailbox(VOXEL_CLOUDS_KEPT)
+        self._voxels: Mailbox[PointCloud2] = Mailbox(VOXEL_CLOUDS_KEPT, settings.voxels_wait_s)
         self._last_stamp_ns = -1
         self._worker = Worker(
             "icp", self._process, settings.queue_depth,
@@ -99,7 +99,7 @@ class IcpNode(SagomaNode):
             self.destroy_subscription(subscription)
         self._subscriptions_held = []
         if self._worker is not None:
-            self._feedback.close()
+            self._feedback.mailbox.close()
             self._voxels.close()
             self._worker.close()
             self._worker = None
@@ -175,7 +175,7 @@ class IcpNode(SagomaNode):
     def _voxels_of(self, stamp_ns: int) -> VoxelCloud | None:
         if self._tracker is None or not self._tracker.needs_voxels:
             return None
-        message = self._voxels.wait(stamp_ns, self.settings.voxels_wait_s)
+        message = self._voxels.take(stamp_ns)
         if message is None:
             self.health.count("sets_without_voxels")
             return None
@@ -201,7 +201,7 @@ class IcpNode(SagomaNode):
         assert table.dtype == REFERENCE_POINTS
         self._points_publisher.publish(to_cloud(table, result.stamp_ns, frame_id))
         self.health.tick(result.stamp_ns)
-        self.health.set("late_predictions", self._feedback.timeouts)
+        self.health.set("late_predictions", self._feedback.mailbox.timeouts)
         summary = f"{result.state}: {result.reason}" if result.reason else result.state
         if summary != self._state:
             self._state = summary

@@ -95,7 +95,8 @@ class IcpTracker:
         """Whether the next step looks at the hull's voxels."""
         if self._pose is None and self._source.needs_voxels:
             return True
-        return self._settings.method == "articulated" and self._settings.articulated.volume.worth > 0.0
+        volume = self._settings.articulated.volume
+        return self._settings.method == "articulated" and max(volume.worth, volume.inside_worth) > 0.0
 
     def reset(self) -> None:
         """Forget the pose and look for a first one again."""
@@ -133,7 +134,9 @@ class IcpTracker:
                 explained = fit.inliers / fit.points
                 if explained >= self._settings.acquire_inliers:
                     self._body, self._pose = found.body, fit.pose
-                    return _seen(stamp_ns, FROM_INITIAL, dropped, fit)
+                    # the first pose is itself a measurement of every point, also of those the hull hides
+                    seen_whole = replace(fit, visible=np.ones(15, dtype=bool))
+                    return _seen(stamp_ns, FROM_INITIAL, dropped, seen_whole)
                 reason = f"the first pose explains only {100 * explained:.0f} % of the points"
             else:
                 reason = f"{len(points)} centerline points, {self._settings.min_points} needed"

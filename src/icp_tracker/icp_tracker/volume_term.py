@@ -14,9 +14,11 @@ from numba import njit
 from stick_figure import kernels
 
 from .flesh import TORSO_CAPSULES
+from .foot_points import STICKS
 from .normal_equations import CHAIN_COLUMNS
 
 FIRST_JOINT_SLOT = 6
+LINE = 6  # coordinates of a line in space
 # where along upper arms and forearms the torso's surface is looked for
 ARM_SAMPLES = np.array([(j, u) for j, us in ((2, (0.5, 0.75, 1.0)), (6, (0.3, 0.6, 0.85))) for u in us]
                        + [(j, u) for j, us in ((3, (0.5, 0.75, 1.0)), (7, (0.3, 0.6, 0.85))) for u in us])  # fmt: skip
@@ -27,26 +29,77 @@ CLEARANCE_M = 0.02  # the sticks of an arm stay this far outside the torso's fle
 def add_voxel_residuals(voxels, flesh, P, Q, match, information, gate, t0, A, axes, H, g):
     """Add every voxel's distance to the flesh, weight 1/m^2 ``information`` times Geman-McClure, to upper H and g.
 
-    ``match`` = capsule, along, distance of :func:`flesh.nearest_flesh`.
+    ``match`` = capsule, along, distance of :func:`flesh.nearest_flesh`. The derivative of a distance with respect to
+    any joint is linear in the surface normal's line (n, c x n), so a stick's voxels enter through 6x6 sums.
     """
+    squares, pulls = np.zeros((STICKS, LINE, LINE)), np.zeros((STICKS, LINE))
+    sum_lines(voxels, flesh, P, Q, match, information, gate, squares, pulls)
+    twists, slots = np.empty((CHAIN_COLUMNS, LINE)), np.empty(CHAIN_COLUMNS, np.int64)
+    half = np.empty(LINE)
+    for j in range(STICKS):
+        n = stick_twists(j, t0, A, axes, twists, slots)
+        for m in range(n):
+            for q in range(LINE):
+                half[q] = 0.0
+                for k in range(LINE):
+                    half[q] += twists[m, k] * squares[j, k, q]
+                g[slots[m]] += twists[m, q] * pulls[j, q]
+            for p in range(m, n):
+                first, last = min(slots[m], slots[p]), max(slots[m], slots[p])
+                for q in range(LINE):
+                    H[first, last] += half[q] * twists[p, q]
+
+
+@njit(cache=True)
+def sum_lines(voxels, flesh, P, Q, match, information, gate, squares, pulls):
+    """Sums over each stick's voxels: squares (10, 6, 6) = w l l^T, pulls (10, 6) = w e l, with the line l = (n, c x n)
+    of the surface normal n through the capsule's axis point c, and e the distance to the surface."""
     capsule, along, distance = match
-    J, row = np.empty((3, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS)
-    slots = np.empty(CHAIN_COLUMNS, np.int64)
-    foot, normal = np.empty(3), np.empty(3)
+    line = np.empty(LINE)
     for i in range(voxels.shape[0]):
-        e, k, length2 = distance[i], capsule[i], 0.0
-        for q in range(3):
-            foot[q] = P[k, q] + along[i] * (Q[k, q] - P[k, q])
-            normal[q] = voxels[i, q] - foot[q]
-            length2 += normal[q] * normal[q]
-        if length2 == 0.0:
+        e, k, u = distance[i], capsule[i], along[i]
+        c0 = P[k, 0] + u * (Q[k, 0] - P[k, 0])
+        c1 = P[k, 1] + u * (Q[k, 1] - P[k, 1])
+        c2 = P[k, 2] + u * (Q[k, 2] - P[k, 2])
+        n0, n1, n2 = voxels[i, 0] - c0, voxels[i, 1] - c1, voxels[i, 2] - c2
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        if length == 0.0:
             continue
-        for q in range(3):
-            normal[q] /= np.sqrt(length2)
+        line[0], line[1], line[2] = n0 / length, n1 / length, n2 / length
+        line[3], line[4], line[5] = c1 * line[2] - c2 * line[1], c2 * line[0] - c0 * line[2], c0 * line[1] - c1 * line[0]
         ratio = 1.0 + e * e / (gate * gate)
-        n = kernels.point_jacobian(flesh.stick[k], foot, t0, A, axes, J, slots)
-        project(J, n, normal, row)
-        add_scalar_residual(row, slots, n, e, information / (ratio * ratio), H, g)
+        weight, j = information / (ratio * ratio), flesh.stick[k]
+        for p in range(LINE):
+            a = weight * line[p]
+            pulls[j, p] += a * e
+            for q in range(LINE):
+                squares[j, p, q] += a * line[q]
+
+
+@njit(cache=True)
+def stick_twists(j, t0, A, axes, twists, slots):
+    """The motions (n, 6) that move stick j, as (o x a, a) for a turn about axis a through o and (e, 0) for a shift:
+    the line (n, c x n) is shortened by their scalar product with it. Returns n; ``slots`` (n,) are their tangent slots."""
+    for i in range(3):
+        slots[i], slots[3 + i] = i, 3 + i
+        twists[i, :] = 0.0
+        twists[i, i] = 1.0
+        twists[3 + i, :] = 0.0
+        twists[3 + i, 3 + i] = 1.0
+    twists[3, 1], twists[3, 2] = t0[2], -t0[1]  # t0 x e
+    twists[4, 0], twists[4, 2] = -t0[2], t0[0]
+    twists[5, 0], twists[5, 1] = t0[1], -t0[0]
+    n = FIRST_JOINT_SLOT
+    for m in range(kernels.CHAIN.shape[1]):
+        slot = kernels.CHAIN[j, m]
+        if slot < 0:
+            break
+        o, a = A[kernels.PIVOT_STICK[slot]], axes[slot - FIRST_JOINT_SLOT]
+        twists[n, 0], twists[n, 1], twists[n, 2] = o[1] * a[2] - o[2] * a[1], o[2] * a[0] - o[0] * a[2], o[0] * a[1] - o[1] * a[0]
+        twists[n, 3], twists[n, 4], twists[n, 5] = a[0], a[1], a[2]
+        slots[n] = slot
+        n += 1
+    return n
 
 
 @njit(cache=True)

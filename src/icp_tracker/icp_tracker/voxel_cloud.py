@@ -26,10 +26,17 @@ class VoxelCloud:
 
     def surface_points(self, count: int) -> np.ndarray:
         """At most ``count`` samples (m, 3) of the surface, evenly spread over the rows; the same ones every time."""
-        points = self.points_world[self.surface]
-        if len(points) > count:
-            points = points[np.arange(count) * len(points) // count]
-        return np.ascontiguousarray(points)
+        return _thinned(self.points_world[self.surface], count)
+
+    def hull_points(self, count: int) -> np.ndarray:
+        """At most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
+        return _thinned(self.points_world, count)
+
+
+def _thinned(points: np.ndarray, count: int) -> np.ndarray:
+    if len(points) > count:
+        points = points[np.arange(count) * len(points) // count]
+    return np.ascontiguousarray(points)
 
 
 NO_VOXELS = VoxelCloud(np.empty((0, 3)), np.empty(0, dtype=np.bool_))

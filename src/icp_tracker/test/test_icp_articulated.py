@@ -1,5 +1,7 @@
 """The all-joints solve: derivatives against finite differences, accuracy, soft constraints, honest covariance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,7 +19,8 @@ from stick_figure.skeleton import ANGLE_NAMES, HEAD
 
 SIGMA = 0.034  # a sixth of the hips' distance, the noise of the article's synthetic experiment
 CHI2_95 = 7.815  # 95 % point of chi-square with three degrees of freedom
-FREE = PriorSettings(neck_sd=0.0, limit_sd=0.0)
+LOOSE = PriorSettings(position_sd_m=1.0, rotation_sd=1.0, ball_sd=0.7, hinge_sd=0.7)
+FREE = replace(LOOSE, neck_sd=0.0, limit_sd=0.0)
 NECK_X, NECK_Y, KNEE = 6, 7, 6 + ANGLE_NAMES.index("left_knee")
 STEP = 1e-6
 
@@ -107,7 +110,7 @@ def test_pose_is_recovered_exactly_from_noiseless_sticks(body, synthetic):
     points = synthetic.stick_cloud(body, truth, rng, 400, sigma=0.0)
     start = truth.retract(0.1 * rng.uniform(-1, 1, 24))
     settings = ArticulatedSettings(
-        max_iterations=40, tolerance=1e-9, prior=PriorSettings(1e2, 1e2, 1e2, 1e2, neck_sd=0.0, limit_sd=0.0)
+        max_iterations=40, tolerance_m=1e-9, prior=PriorSettings(1e2, 1e2, 1e2, 1e2, neck_sd=0.0, limit_sd=0.0)
     )
     fit = fit_articulated(body, start, points, settings=settings)
     assert fit.converged
@@ -173,7 +176,7 @@ def test_head_returns_to_rest_only_with_the_neck_prior(body, synthetic):
         direction = fit.pose.R_joints[0, :, 2]
         return np.arctan2(direction[0], direction[2])
 
-    assert pitch(PriorSettings(neck_sd=0.25, neck_pitch=0.1, limit_sd=0.0)) == pytest.approx(0.1, abs=0.2)
+    assert pitch(replace(LOOSE, neck_sd=0.25, neck_pitch=0.1, limit_sd=0.0)) == pytest.approx(0.1, abs=0.2)
     assert pitch(FREE) > 1.0
 
 
@@ -226,7 +229,7 @@ def test_pose_inside_its_limits_feels_no_limits(synthetic):
 @pytest.mark.parametrize("robust", ["x84", "geman_mcclure"])
 def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, robust):
     """Independent noise of known size, correlation factor 1: 95 % ellipsoids hold the truth 85 to 99 % of the time."""
-    settings = ArticulatedSettings(robust=robust, model_sigma_m=SIGMA, correlation=1.0, prior=FREE)
+    settings = ArticulatedSettings(robust=robust, model_sigma_m=SIGMA, correlation=1.0, joint_sd_m=0.0, prior=FREE)
     inside = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -241,7 +244,7 @@ def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, ro
 
 def test_covariance_grows_where_the_points_do_not_fit(body, synthetic):
     truth = synthetic.t_pose()
-    settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3)
+    settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3, joint_sd_m=0.0)
     small, large = (
         fit_articulated(
             body, truth, synthetic.stick_cloud(body, truth, np.random.default_rng(14), 300, noise), settings=settings
@@ -256,7 +259,8 @@ def test_limb_without_points_is_invisible_and_uncertain(body, synthetic):
     truth = synthetic.t_pose()
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(15), 300, 0.01)
     stick, _, _ = nearest_on_sticks(sticks(body, truth), points)
-    fit = fit_articulated(body, truth, points[(stick != HEAD) & (stick != 6)])  # no head, no left forearm
+    points = points[(stick != HEAD) & (stick != 6)]  # no head, no left forearm
+    fit = fit_articulated(body, truth, points, settings=ArticulatedSettings(joint_sd_m=0.0, prior=LOOSE))
     assert not fit.visible[[1, 11]].any()
     assert fit.visible[[0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14]].all()
     sd = np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2))

@@ -1,5 +1,6 @@
 """The ICP node among messages: one answer for every centerline, whatever arrives."""
 
+import os
 import time
 from types import SimpleNamespace
 
@@ -23,6 +24,7 @@ from sagoma_ros.stamps import to_ns
 from stick_figure.kinematics import forward
 
 DOMAIN = 34
+NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hear each other
 DEADLINE_S = 20.0  # only ever reached by a failing test
 PERIOD_NS = 25_000_000
 EPOCH_NS = 5_000_000_000
@@ -54,8 +56,8 @@ class Bench:
     def __init__(self, context, **parameters):
         without_voxels = {"articulated.volume.worth": 0.0}  # but where a test is about them
         overrides = [Parameter(key, value=value) for key, value in {**without_voxels, **parameters}.items()]
-        self.node = IcpNode(context=context, parameter_overrides=overrides)
-        self.peer = rclpy.create_node("peer", context=context)
+        self.node = IcpNode(context=context, namespace=NAMESPACE, parameter_overrides=overrides)
+        self.peer = rclpy.create_node("peer", context=context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.executor.add_node(self.peer)
@@ -150,7 +152,7 @@ def test_fit_starts_from_the_prediction_of_the_previous_set(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
     node.answer(centerline(walk.clouds[0], 0))
     node.centerlines.publish(centerline(walk.clouds[1], 1))
-    node.until(lambda: node.node._feedback.waiting)
+    node.until(lambda: node.node._feedback.mailbox.waiting)
     assert len(node.points) == 1  # no fit without the filter's word
     node.predictions.publish(prediction_message(walk.poses[0], np.zeros(24), stamp(0)))
     node.until(lambda: len(node.fits) == 2)
@@ -162,9 +164,9 @@ def test_filter_that_never_answers_is_waited_for_once(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": 0.2}).start()
     answers = [node.answer(centerline(cloud, k)) for k, cloud in enumerate(walk.clouds)]
     assert [answer.started_from for answer in answers] == ["initial"] + ["own"] * 11
-    assert node.node._feedback.timeouts == 1
+    assert node.node._feedback.mailbox.timeouts == 1
     node.predictions.publish(prediction_message(walk.poses[-1], np.zeros(24), stamp(11)))  # it is back
-    node.until(lambda: node.node._feedback._mailbox.newest() is not None)
+    node.until(lambda: node.node._feedback.mailbox.newest() is not None)
     assert node.answer(centerline(walk.clouds[-1], 12)).started_from == str(stamp(11))
 
 
@@ -259,7 +261,7 @@ def test_slow_fit_drops_the_oldest_sets_and_counts_them(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S, "queue_depth": 2}).start()
     node.answer(centerline(walk.clouds[0], 0))
     node.centerlines.publish(centerline(walk.clouds[1], 1))
-    node.until(lambda: node.node._feedback.waiting)
+    node.until(lambda: node.node._feedback.mailbox.waiting)
     for k in range(2, 8):  # set 1 waits for the filter; of 2 to 7 only the last two fit into the queue
         node.centerlines.publish(centerline(walk.clouds[k], k))
     node.until(lambda: node.node.health.counter("dropped_sets") == 4)
