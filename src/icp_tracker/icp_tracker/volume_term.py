@@ -66,7 +66,9 @@ def sum_lines(voxels, flesh, P, Q, match, information, gate, squares, pulls):
         if length == 0.0:
             continue
         line[0], line[1], line[2] = n0 / length, n1 / length, n2 / length
-        line[3], line[4], line[5] = c1 * line[2] - c2 * line[1], c2 * line[0] - c0 * line[2], c0 * line[1] - c1 * line[0]
+        line[3] = c1 * line[2] - c2 * line[1]
+        line[4] = c2 * line[0] - c0 * line[2]
+        line[5] = c0 * line[1] - c1 * line[0]
         ratio = 1.0 + e * e / (gate * gate)
         weight, j = information / (ratio * ratio), flesh.stick[k]
         for p in range(LINE):
@@ -79,7 +81,7 @@ def sum_lines(voxels, flesh, P, Q, match, information, gate, squares, pulls):
 @njit(cache=True)
 def stick_twists(j, t0, A, axes, twists, slots):
     """The motions (n, 6) that move stick j, as (o x a, a) for a turn about axis a through o and (e, 0) for a shift:
-    the line (n, c x n) is shortened by their scalar product with it. Returns n; ``slots`` (n,) are their tangent slots."""
+    the line (n, c x n) is shortened by their scalar product with it. Returns n; ``slots`` (n,) their tangent slots."""
     for i in range(3):
         slots[i], slots[3 + i] = i, 3 + i
         twists[i, :] = 0.0
@@ -95,7 +97,9 @@ def stick_twists(j, t0, A, axes, twists, slots):
         if slot < 0:
             break
         o, a = A[kernels.PIVOT_STICK[slot]], axes[slot - FIRST_JOINT_SLOT]
-        twists[n, 0], twists[n, 1], twists[n, 2] = o[1] * a[2] - o[2] * a[1], o[2] * a[0] - o[0] * a[2], o[0] * a[1] - o[1] * a[0]
+        twists[n, 0] = o[1] * a[2] - o[2] * a[1]
+        twists[n, 1] = o[2] * a[0] - o[0] * a[2]
+        twists[n, 2] = o[0] * a[1] - o[1] * a[0]
         twists[n, 3], twists[n, 4], twists[n, 5] = a[0], a[1], a[2]
         slots[n] = slot
         n += 1
