@@ -6,6 +6,7 @@ import threading
 from types import TracebackType
 
 import rclpy
+from rclpy._rclpy_pybind11 import InvalidHandle
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -56,7 +57,11 @@ class RosLink:
 
     def _spin(self) -> None:
         try:
-            self._executor.spin_until_future_complete(self._closing)
+            while not self._closing.done():
+                try:
+                    self._executor.spin_until_future_complete(self._closing)
+                except InvalidHandle:  # another thread destroyed an entity just as rclpy was about to wait for it
+                    continue
         except ExternalShutdownException:
             return
         except Exception as error:  # a callback's: the owner learns of it at close()
