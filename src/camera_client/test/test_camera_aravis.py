@@ -111,7 +111,7 @@ def test_closed_camera_can_be_opened_again_at_once(fake_camera):
     for _ in range(3):
         with AravisSource(AravisSettings(address=fake_camera)) as source:
             source.start()
-            frames_of(source, 1)
+            assert len(frames_of(source, 1)) == 1
 
 
 def test_stop_pauses_and_start_goes_on(fake_camera):
