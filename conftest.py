@@ -6,10 +6,12 @@ Processes that tests start inherit it.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -19,9 +21,9 @@ _LOGS = tempfile.TemporaryDirectory(prefix="sagoma_test_logs_")  # removed when 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
 # two test runs side by side (or a live graph) do not hear each other; ports stay below those of outgoing connections
-_DOMAINS, _DOMAINS_A_RUN = range(40, 100), 12
+_DOMAINS = range(30, 100)
 _CHOSEN_DOMAIN = os.environ.get("ROS_DOMAIN_ID")
-_folders: list[Path] = []  # of the tests run so far, in the order of their domains
+_claims: dict[Path, tuple[str, IO[str]]] = {}  # folder of tests -> its domain, and the lock that keeps others off it
 
 # on few cores the thread pools of BLAS cost more than they give
 for _pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -33,10 +35,26 @@ SHARED_DATA = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve()
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """A domain of its own for the tests of each folder, unless ROS_DOMAIN_ID was set: leftovers are not heard."""
-    if item.path.parent not in _folders:
-        _folders.append(item.path.parent)
-    index = os.getpid() * _DOMAINS_A_RUN + _folders.index(item.path.parent)
-    os.environ["ROS_DOMAIN_ID"] = _CHOSEN_DOMAIN or str(_DOMAINS[index % len(_DOMAINS)])
+    if _CHOSEN_DOMAIN is None:
+        folder = item.path.parent
+        if folder not in _claims:
+            _claims[folder] = _claim_domain()
+        os.environ["ROS_DOMAIN_ID"] = _claims[folder][0]
+
+
+def _claim_domain() -> tuple[str, IO[str]]:
+    """A domain that no other test run on this machine holds; ours until this process ends, however it ends."""
+    locks = Path(tempfile.gettempdir()) / f"sagoma_test_domains_{os.getuid()}"
+    locks.mkdir(exist_ok=True)
+    for domain in _DOMAINS:
+        lock = (locks / str(domain)).open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        return str(domain), lock
+    raise pytest.UsageError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use by other test runs")
 
 
 @pytest.fixture(scope="session")

@@ -50,9 +50,9 @@ def test_the_tracked_body_follows_the_truth(live):
 
 def test_every_node_stays_within_its_memory(live):
     limits = {name: 300.0 for name in ("icp_tracker", "ekf_tracker")} | {"hull_server": 500.0}
-    assert set(live.memory_mib) == {*limits, *live.session.rig.names}
-    for node, mib in live.memory_mib.items():
-        assert mib <= limits.get(node, 150.0), f"{node} takes {mib:.0f} MiB"
+    assert set(live.usage) == {*limits, *live.session.rig.names}
+    for node, used in live.usage.items():
+        assert used.resident_mib <= limits.get(node, 150.0), f"{node} takes {used.resident_mib:.0f} MiB"
 
 
 def test_replaying_a_bag_twice_in_lockstep_gives_the_same_bytes(replayed):

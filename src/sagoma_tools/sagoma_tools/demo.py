@@ -24,6 +24,7 @@ from .evaluation.scores import Scores, score
 from .evaluation.silhouettes import image_masks
 from .evaluation.track import Track, track_from_bag
 from .graph_recorder import GraphRecorder
+from .processes import Usage
 from .supervisor import Supervisor
 from .topics import PREDICTION_TOPIC, camera_topics
 
@@ -40,7 +41,8 @@ class LiveRun:
 
     sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
     incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
-    memory_mib, peak_mib : resident memory by node at the end, and the highest it was.
+    usage : memory and processor time by node, at the end of the run.
+    cpu_ms_per_set : processor time that each node spent on one frame set, on average, its start left out.
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     """
 
@@ -51,8 +53,8 @@ class LiveRun:
     sets_per_s: float
     incomplete: int
     spread_ms: float
-    memory_mib: dict[str, float]
-    peak_mib: dict[str, float]
+    usage: dict[str, Usage]
+    cpu_ms_per_set: dict[str, float]
     diagnostics: dict[str, Mapping[str, str]]
     latency_ms: dict[str, np.ndarray]
     track: Track
@@ -84,12 +86,13 @@ def run_live(
         with GraphRecorder(graph, bag, domain_id=domain_id, provenance={"session": str(session.folder)}) as recorder:
             recorder.wait_for_publishers()
             supervisor.activate(tolerate_cameras=False)
+            usage_before = supervisor.usage()
             wait_for_the_end(recorder, session, cancel)
-            memory = supervisor.memory(), supervisor.memory(peak=True)
+            usage = supervisor.usage()
             names = [spec.full_name for spec in graph]
             reports = {name: report.values for name in names if (report := supervisor.board.report(name))}
             supervisor.suspend()
-    return _read_back(session, bag, memory, reports, live=rate > 0.0)
+    return _read_back(session, bag, (usage_before, usage), reports, live=rate > 0.0)
 
 
 def start_settings(session: Session, start: str) -> dict[str, Any]:
@@ -126,7 +129,7 @@ def wait_for_the_end(recorder: GraphRecorder, session: Session, cancel: threadin
 def _read_back(
     session: Session,
     bag: Path,
-    memory: tuple[dict[str, float], dict[str, float]],
+    usage: tuple[dict[str, Usage], dict[str, Usage]],
     reports: dict[str, Any],
     *,
     live: bool,
@@ -144,8 +147,12 @@ def _read_back(
         sets_per_s=(len(answers) - 1) / max(1e-9 * (answers[-1] - answers[0]), 1e-9) if answers else 0.0,
         incomplete=sum(bool(values.get("missing")) for values in sets),
         spread_ms=max((float(values["spread_ms"]) for values in sets), default=float("nan")),
-        memory_mib=memory[0],
-        peak_mib=memory[1],
+        usage=usage[1],
+        cpu_ms_per_set={
+            label: 1e3 * (after.cpu_s - usage[0][label].cpu_s) / len(stamps)
+            for label, after in usage[1].items()
+            if label in usage[0]
+        },
         diagnostics=reports,
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
         track=session_track(bag, session),

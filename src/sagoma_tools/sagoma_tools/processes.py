@@ -43,6 +43,15 @@ class Farewell:
     returncode: int
 
 
+@dataclass(frozen=True)
+class Usage:
+    """What a process uses: memory resident now and at its peak, MiB, and processor time since its start, seconds."""
+
+    resident_mib: float
+    peak_mib: float
+    cpu_s: float
+
+
 class Child:
     """One running process with its log file.
 
@@ -82,14 +91,15 @@ class Child:
         """The last lines of its log."""
         return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
 
-    def rss_mb(self) -> tuple[float, float] | None:
-        """(resident now, highest so far) in MiB; None once it has ended."""
+    def usage(self) -> Usage | None:
+        """What it uses and has used; None once it has ended."""
         try:
             status = Path(f"/proc/{self.pid}/status").read_text()
-        except OSError:
+            cpu = psutil.Process(self.pid).cpu_times()
+        except (OSError, psutil.Error):
             return None
         kib = {line.split(":")[0]: int(line.split()[1]) for line in status.splitlines() if line.startswith("Vm")}
-        return (kib["VmRSS"] / 1024, kib["VmHWM"] / 1024) if "VmRSS" in kib else None
+        return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, cpu.user + cpu.system) if "VmRSS" in kib else None
 
     def note_shared_memory(self) -> None:
         """Remember which Fast DDS shared memory it owns: a node that is killed or crashes leaves it behind."""

@@ -28,9 +28,7 @@ class Recorder:
     some 0.05 ms a message (2 ms for markers), so it is for lockstep, not for live recordings.
     """
 
-    def __init__(
-        self, node: Node, folder: str | Path, topics: Iterable[Topic], *, canonical: bool = False
-    ) -> None:
+    def __init__(self, node: Node, folder: str | Path, topics: Iterable[Topic], *, canonical: bool = False) -> None:
         self._node, self._canonical = node, canonical
         self._writer = BagWriter(folder)
         self._arrived = threading.Condition()

@@ -21,7 +21,7 @@ from sagoma_bringup.node_spec import NodeSpec, Role
 
 from .board import Board
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
-from .processes import Child, Farewell, node_command, remove_abandoned, stop_children
+from .processes import Child, Farewell, Usage, node_command, remove_abandoned, stop_children
 from .ros_link import RosLink
 
 GRACE_S = 8.0
@@ -44,7 +44,7 @@ class Supervisor:
         run.configure()
         run.activate()
         ...
-        print(run.memory())
+        print(run.usage())
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Supervisor:
         grace_s : how long a node may take to end after SIGINT before it is killed.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         """
-        self.graph = tuple(graph)
+        self.graph = with_common_epoch(graph, time.time_ns())
         self.run_folder = Path(run_folder)
         self.farewells: tuple[Farewell, ...] = ()
         self.stop_outcome = Outcome(())
@@ -134,8 +134,8 @@ class Supervisor:
     def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Start every configured node, the cameras last; GraphError as for :meth:`configure`.
 
-        Footage without an epoch of its own starts at the next whole 5 s of the clock: all its cameras are activated
-        within one such span, so that they agree on it.
+        Footage played by the clock, without an epoch of its own, starts at the next whole 5 s: all its cameras are
+        activated within one such span, so that they agree on it.
         """
         server, cameras = self._in(State.INACTIVE)
         outcome = self._bring([server], State.ACTIVE)
@@ -166,10 +166,10 @@ class Supervisor:
         """Full node name -> process id."""
         return {name: child.pid for name, child in self._children.items()}
 
-    def memory(self, *, peak: bool = False) -> dict[str, float]:
-        """Label of each living node -> resident memory in MiB, now or the highest so far."""
-        found = {spec.label: self._children[spec.full_name].rss_mb() for spec in self.graph}
-        return {label: rss[1 if peak else 0] for label, rss in found.items() if rss is not None}
+    def usage(self) -> dict[str, Usage]:
+        """Label of each living node -> the memory and processor time that it uses."""
+        found = {spec.label: self._children[spec.full_name].usage() for spec in self.graph}
+        return {label: usage for label, usage in found.items() if usage is not None}
 
     def log_tail(self, name: str, lines: int = 15) -> str:
         """The last lines that a node wrote."""
@@ -258,6 +258,19 @@ def seconds_to_start_window(now_ns: int) -> float:
     """How long to wait until enough is left of the current span of EPOCH_STEP_NS to activate every camera within it."""
     into_ns = now_ns % EPOCH_STEP_NS
     return 0.0 if into_ns <= EPOCH_STEP_NS - ACTIVATION_NS else (EPOCH_STEP_NS - into_ns) / 1e9
+
+
+def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
+    """The graph, its footage that is not played by the clock (rate 0) stamped from one epoch.
+
+    Nothing waits for that instant, so any will do; left to themselves, cameras that are activated on both sides of a
+    whole 5 s would stamp their frames 5 s apart, and wait for each other for ever.
+    """
+    unpaced = [spec.full_name for spec in graph if _chooses_epoch(spec) and spec.parameters.get("footage.rate") == 0]
+    if len(unpaced) < 2:
+        return tuple(graph)
+    epoch = {"footage.epoch_ns": epoch_ns}
+    return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
 
 
 def _chooses_epoch(camera: NodeSpec) -> bool:

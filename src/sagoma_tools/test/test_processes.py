@@ -67,7 +67,7 @@ def test_death_is_told_once_with_the_log_complete(tmp_path):
     told = threading.Event()
     child = start(tmp_path, "mortal", "print('first'); print('last'); raise SystemExit(5)", lambda child: told.set())
     assert told.wait(30)
-    assert child.log_tail(1) == "last" and child.returncode == 5 and child.rss_mb() is None
+    assert child.log_tail(1) == "last" and child.returncode == 5 and child.usage() is None
     (farewell,) = stop_children([child], grace_s=1.0)
     assert (farewell.exit, farewell.returncode) == (Exit.ALREADY_DEAD, 5)
 

@@ -11,7 +11,7 @@ from camera_client.pace import choose_epoch_ns
 from sagoma_bringup.node_spec import NodeSpec, Role
 from sagoma_tools.lifecycle_client import Transition, Verdict
 from sagoma_tools.processes import Exit, owned_shared_memory, shared_memory_files
-from sagoma_tools.supervisor import GraphError, Supervisor, seconds_to_start_window
+from sagoma_tools.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
 
 
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
@@ -46,8 +46,9 @@ def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
     activated = run.activate()
     assert activated.ok and len(activated.answers) == 3
     assert set(run.states().values()) == {"active"}
-    memory = run.memory()
-    assert memory.keys() == {"hull_server", "cam01", "cam02"} and min(memory.values()) > 10
+    usage = run.usage()
+    assert usage.keys() == {"hull_server", "cam01", "cam02"}
+    assert all(used.peak_mib >= used.resident_mib > 10 and used.cpu_s > 0 for used in usage.values())
     pids = run.pids().values()
     farewells = run.stop()
     assert [farewell.exit for farewell in farewells] == [Exit.CLEAN] * 3
@@ -113,7 +114,7 @@ def test_second_graph_of_the_same_names_is_refused(supervise):
 
 
 def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(supervise):
-    run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), grace_s=1.5)
+    run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), grace_s=5.0)
     run.configure()
     pid = run.pids()["/deaf"]
     its_memory = owned_shared_memory([pid])
@@ -157,3 +158,22 @@ def test_footage_cameras_are_activated_within_one_five_second_span(into_s, expec
     # whatever instant of the following 2.4 s a camera picks, it arrives at the same epoch
     first, last = (choose_epoch_ns(0, now_ns + round((wait_s + t) * 1e9)) for t in (1e-6, 2.4))
     assert first == last > now_ns
+
+
+def footage_camera(name, **parameters):
+    package = "camera_client"
+    given = {"source": "footage", **parameters}
+    return NodeSpec(package, package, f"{package}.camera_node", package, f"/{name}", Role.CAMERA, given)
+
+
+def test_footage_played_as_fast_as_possible_is_stamped_from_one_epoch():
+    unpaced, paced = {"footage.rate": 0.0, "footage.epoch_ns": 0}, {"footage.rate": 1.0, "footage.epoch_ns": 0}
+    graph = [footage_camera("cam01", **unpaced), footage_camera("cam02", **unpaced), footage_camera("cam03", **paced)]
+    epochs = [spec.parameters["footage.epoch_ns"] for spec in with_common_epoch(graph, 7_000_000_123)]
+    assert epochs == [7_000_000_123, 7_000_000_123, 0]
+
+
+def test_an_epoch_that_was_given_is_kept():
+    given = {"footage.rate": 0.0, "footage.epoch_ns": 5_000_000_000}
+    graph = [footage_camera("cam01", **given), footage_camera("cam02", **given)]
+    assert with_common_epoch(graph, 7_000_000_123) == tuple(graph)

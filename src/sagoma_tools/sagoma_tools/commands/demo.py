@@ -72,7 +72,7 @@ def built_in_session(folder: Path, console: Console) -> Path:
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     """Everything that the run measured."""
-    print_nodes(console, live.memory_mib, live.peak_mib, live.diagnostics)
+    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics)
     print_latency(console, live.latency_ms)
     console.print(
         f"{live.sets} frame sets sent, {live.answered} answered by the EKF ({live.sets_per_s:.0f} a second; the "
@@ -90,6 +90,7 @@ def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
         "answered": live.answered,
         "incomplete": live.incomplete,
         "sets_per_s": round(live.sets_per_s, 1),
-        "memory_mib": {name: round(mib, 1) for name, mib in live.memory_mib.items()},
+        "memory_mib": {name: round(used.resident_mib, 1) for name, used in live.usage.items()},
+        "cpu_ms_per_set": {name: round(ms, 2) for name, ms in live.cpu_ms_per_set.items()},
         **(scores.figures() if scores is not None else {}),
     }

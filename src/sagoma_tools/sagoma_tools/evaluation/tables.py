@@ -10,6 +10,7 @@ from rich.table import Table
 
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
+from ..processes import Usage
 from .scores import Scores
 
 
@@ -55,19 +56,21 @@ def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> Non
 
 def print_nodes(
     console: Console,
-    memory_mib: Mapping[str, float],
-    peak_mib: Mapping[str, float],
+    usage: Mapping[str, Usage],
+    cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """One row a node: resident memory and its peak, results, latency, processor share in the last second."""
+    """One row a node: resident memory and its peak, processor time a frame set, results, latency."""
     table = Table(title="nodes", title_justify="left", box=None, pad_edge=False)
-    for title in ("node", "resident MiB", "peak MiB", "results", "latency p50 ms", "p95 ms", "cpu %"):
+    for title in ("node", "resident MiB", "peak MiB", "cpu ms a set", "results", "latency p50 ms", "p95 ms"):
         table.add_column(title, justify="left" if title == "node" else "right")
     values = {_label(name): report for name, report in diagnostics.items()}
-    for label, mib in memory_mib.items():
+    for label, used in usage.items():
+        memory = f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}"
+        cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
         report = values.get(label, {})
-        keys = ("results", "latency_p50_ms", "latency_p95_ms", "cpu_percent")
-        table.add_row(label, f"{mib:.0f}", f"{peak_mib[label]:.0f}", *(report.get(key, "") for key in keys))
+        keys = ("results", "latency_p50_ms", "latency_p95_ms")
+        table.add_row(label, *memory, cpu, *(report.get(key, "") for key in keys))
     console.print(table)
 
 

@@ -1,0 +1,133 @@
+"""Collects the facts of this machine and of one camera. Asks the one camera by its address, and nobody else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from camera_client.aravis_source import import_aravis
+from camera_client.background_files import read_background
+from camera_client.background_model import BackgroundModel, load_background
+from camera_client.footage_reader import open_footage
+from camera_client.settings import CameraClientSettings
+from capture_rig.errors import InputError
+
+from .facts import BackgroundFacts, ClockFacts, HostFacts, InterfaceFacts
+
+RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+GOVERNORS = "/sys/devices/system/cpu"
+ANY_PORT = 9  # discard; connecting a UDP socket sends nothing
+ANSWER_S = 3.0
+ROS_VARIABLES = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
+
+
+def collect_host() -> HostFacts:
+    """This machine."""
+    governors = sorted(Path(GOVERNORS).glob("cpu[0-9]*/cpufreq/scaling_governor"))
+    return HostFacts(
+        rmem_max=int(RMEM_MAX.read_text()),
+        cores=len(os.sched_getaffinity(0)),
+        load=os.getloadavg()[0],
+        available_bytes=psutil.virtual_memory().available,
+        governors=tuple(path.read_text().strip() for path in governors),
+        clock=collect_clock(),
+        environment={name: os.environ[name] for name in ROS_VARIABLES if name in os.environ},
+        aravis_error=_aravis_error(),
+    )
+
+
+def collect_interface(address: str) -> InterfaceFacts | None:
+    """The interface that packets to ``address`` leave through; None when there is no way."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
+        try:
+            way.connect((address, ANY_PORT))
+        except OSError:
+            return None
+        ours = way.getsockname()[0]
+    for name, addresses in psutil.net_if_addrs().items():
+        for entry in addresses:
+            if entry.family == socket.AF_INET and _belongs(entry.address, ours):
+                state = psutil.net_if_stats()[name]
+                return InterfaceFacts(
+                    name, ours, entry.netmask or "255.255.255.255", state.mtu, state.speed, state.isup,
+                    loopback=ours.startswith("127."),
+                )  # fmt: skip
+    return None
+
+
+def collect_background(settings: CameraClientSettings, shape: tuple[int, int]) -> BackgroundFacts | None:
+    """The background file that the settings name, for images of ``shape`` (H, W); None when they name none."""
+    path = settings.background
+    if not path:
+        return None
+    try:
+        model = _read(path, shape, settings)
+        age_s = time.time() - Path(path).stat().st_mtime
+    except InputError as error:
+        return BackgroundFacts(path, str(error))
+    except OSError as error:
+        return BackgroundFacts(path, f"{path}: {error.strerror}")
+    about = model.provenance
+    summary = f"{about.frames} frames of {about.source}, noise {about.mean_noise:.2f} grey levels"
+    return BackgroundFacts(path, "", age_s, model.shape, summary, about.exposure_us)
+
+
+def collect_clock() -> ClockFacts:
+    """How the system's clock is kept, as chrony or systemd says."""
+    if shutil.which("chronyc"):
+        text = _output(["chronyc", "-c", "tracking"])
+        fields = text.strip().split(",")
+        if len(fields) > 4:
+            return chrony_clock(fields)
+    if shutil.which("timedatectl"):
+        text = _output(["timedatectl", "show", "--property=NTPSynchronized", "--value"])
+        if text.strip() in ("yes", "no"):
+            return ClockFacts("systemd-timesyncd or another service", text.strip() == "yes")
+    ptp = [process.name() for process in psutil.process_iter(["name"]) if process.name() in ("ptp4l", "phc2sys")]
+    if ptp:
+        return ClockFacts(" and ".join(sorted(set(ptp))), True)
+    return ClockFacts(unknown_because="neither chronyc nor timedatectl answers here, and no ptp4l runs")
+
+
+def chrony_clock(fields: list[str]) -> ClockFacts:
+    """From the fields of ``chronyc -c tracking``: 0 reference, 2 stratum, 4 the clock's offset in seconds."""
+    return ClockFacts("chrony", fields[2] not in ("0", "16"), float(fields[4]))
+
+
+def _read(path: str, shape: tuple[int, int], settings: CameraClientSettings) -> BackgroundModel:
+    if path.endswith(".npz"):
+        return load_background(path)
+    reader = open_footage(path)
+    try:
+        seen = reader.probe()
+    finally:
+        reader.close()
+    if seen[:2] != shape:
+        raise InputError(f"is {seen[1]} x {seen[0]}, the camera {shape[1]} x {shape[0]} pixels", where=path)
+    return read_background(path, tuple(np.asarray(seen).tolist()), settings.background_model)
+
+
+def _belongs(address: str, ours: str) -> bool:
+    return address == ours or (ours.startswith("127.") and address.startswith("127."))
+
+
+def _aravis_error() -> str:
+    try:
+        import_aravis()
+    except InputError as error:
+        return error.what
+    return ""
+
+
+def _output(command: list[str]) -> str:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=ANSWER_S, check=False).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return ""

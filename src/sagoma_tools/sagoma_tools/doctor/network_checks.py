@@ -1,0 +1,128 @@
+"""The way to the camera: interface, subnet, packets, bandwidth, buffers, and who controls it."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterator, Sequence
+
+from camera_client.settings import AravisSettings
+
+from .facts import DeviceFacts, HostFacts, InterfaceFacts, Stream
+from .findings import Finding, error, note, ok, warning
+
+JUMBO_MTU = 9000
+GIGABIT = 1000
+PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
+ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
+BUSY, FULL = 0.75, 0.95  # shares of the link
+
+
+def check_interface(facts: InterfaceFacts | None, address: str, settings: AravisSettings) -> Iterator[Finding]:
+    """Is there a way to the camera, and does it carry large packets?"""
+    if facts is None:
+        yield error("interface", f"there is no way to {address} from this machine",
+                    f"Give an interface an address in the camera's subnet: ip addr add ... (see: ip route get {address})")  # fmt: skip
+        return
+    if not facts.up:
+        yield error("interface", f"{facts.name} is down", f"Plug the cable in, or: sudo ip link set {facts.name} up")
+        return
+    yield ok("interface", f"{facts.name}, {facts.address}/{facts.netmask}, MTU {facts.mtu}")
+    jumbo = f"sudo ip link set {facts.name} mtu {JUMBO_MTU} (and the same on the switch)"
+    if settings.packet_size > facts.mtu:
+        yield error("mtu", f"aravis.packet_size = {settings.packet_size} does not fit the MTU {facts.mtu} of {facts.name}",
+                    f"{jumbo}, or a smaller packet_size, or 0: the largest that passes")  # fmt: skip
+    elif facts.mtu < JUMBO_MTU and not facts.loopback:
+        yield warning("mtu", f"{facts.name} carries packets of {facts.mtu} bytes: six times the interrupts", jumbo)
+    if 0 < facts.speed_mbit < GIGABIT and not facts.loopback:
+        yield warning("speed", f"{facts.name} runs at {facts.speed_mbit} Mbit/s",
+                      "Check cable and switch: GigE Vision needs 1000 Mbit/s or more.")  # fmt: skip
+
+
+def check_device(facts: DeviceFacts, settings: AravisSettings, interface: InterfaceFacts | None) -> Iterator[Finding]:
+    """Does it answer, is it the one that is meant, may we have it?"""
+    if facts.error:
+        yield error("camera", facts.error, "Check power, cable, address and subnet (ping it).")
+        return
+    yield ok("camera", f"{facts.name}, serial {facts.serial}, answers at {facts.address}")
+    for key, wanted, got in (("serial", settings.serial, facts.serial), ("user_id", settings.user_id, facts.user_id)):
+        if wanted and wanted != got:
+            yield error(key, f"the camera at {facts.address} has {key} '{got}', aravis.{key} asks for '{wanted}'",
+                        f"Correct aravis.address or aravis.{key}.")  # fmt: skip
+    yield from _check_subnet(facts, interface)
+    yield from _check_control(facts, interface)
+    if facts.can_resend is False:
+        yield warning("resend", "the camera cannot send a packet again: each one lost costs a frame",
+                      "Use its own cable to this machine, and jumbo frames.")  # fmt: skip
+
+
+def check_bandwidth(
+    streams: Sequence[Stream], interface: InterfaceFacts | None, packet_size: int
+) -> Iterator[Finding]:
+    """Does what the cameras on this interface send fit the link? ``streams`` holds this camera first."""
+    unknown = [stream.camera for stream in streams if not stream.frame_rate]
+    if unknown:
+        yield note("bandwidth", f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera",
+                   "Set it, so that all cameras run at one rate.")  # fmt: skip
+        return
+    if interface is None:
+        return
+    packet = packet_size or min(interface.mtu, JUMBO_MTU)
+    needed = sum(stream_bytes_per_s(stream, packet) for stream in streams)
+    who = f"{len(streams)} cameras" if len(streams) > 1 else streams[0].camera
+    what = f"{needed / 1e6:.0f} MB/s of {who}"
+    if interface.loopback or not interface.speed_mbit:
+        why = "loopback has no speed" if interface.loopback else f"the speed of {interface.name} is unknown"
+        yield note("bandwidth", f"{what}; {why}")
+        return
+    share = needed / (interface.speed_mbit * 1e6 / 8)
+    text = f"{what} take {100 * share:.0f} % of the {interface.speed_mbit} Mbit/s of {interface.name}"
+    remedy = "Lower frame rate, region or bit depth, or give some cameras another interface."
+    if share > FULL:
+        yield error("bandwidth", text, remedy)
+    elif share > BUSY:
+        yield warning("bandwidth", text, f"{remedy} Space packets out with aravis.packet_delay_ns.")
+    else:
+        yield ok("bandwidth", text)
+
+
+def stream_bytes_per_s(stream: Stream, packet_size: int) -> float:
+    """Bytes a second on the wire, with the headers of every packet (leader and trailer included)."""
+    packets = -(-stream.payload_bytes // max(packet_size - PACKET_HEADERS, 1)) + 2
+    return stream.frame_rate * (stream.payload_bytes + packets * (PACKET_HEADERS + ETHERNET_FRAME))
+
+
+def check_receive_buffer(host: HostFacts, settings: AravisSettings) -> Iterator[Finding]:
+    """May the stream's socket be as large as the settings ask?"""
+    wanted = settings.socket_buffer_bytes
+    if host.rmem_max >= wanted:
+        yield ok("rmem_max", f"net.core.rmem_max = {host.rmem_max} bytes, wanted {wanted}")
+        return
+    yield warning(
+        "rmem_max",
+        f"net.core.rmem_max = {host.rmem_max} bytes, aravis.socket_buffer_bytes asks for {wanted}: frames will be lost",
+        f"sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in /etc/sysctl.d/60-cameras.conf)",
+    )
+
+
+def _check_subnet(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iterator[Finding]:
+    if interface is None or not facts.own_address:
+        return
+    ours = ipaddress.IPv4Interface(f"{interface.address}/{interface.netmask}").network
+    theirs = ipaddress.IPv4Interface(f"{facts.own_address}/{facts.subnet_mask}").network
+    if ipaddress.IPv4Address(facts.own_address) in ours and ipaddress.IPv4Address(interface.address) in theirs:
+        return
+    yield warning("subnet", f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router",
+                  "Put both into one subnet (the maker's IP tool, or DHCP).")  # fmt: skip
+
+
+def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iterator[Finding]:
+    if facts.controlled is None:
+        yield note("control", "unknown: the camera does not tell who controls it")
+    elif not facts.controlled:
+        yield ok("control", "nobody controls the camera: it can be opened")
+    elif interface is not None and facts.controller == interface.address:
+        yield note("control", f"a program on this machine ({facts.controller}) controls the camera",
+                   "Well, if that is the camera client; else stop it.")  # fmt: skip
+    else:
+        yield warning("control", f"{facts.controller or 'another program'} controls the camera",
+                      "Stop the program there; a camera has one controller.")  # fmt: skip
