@@ -5,9 +5,10 @@ SESSION ?=
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help setup demo test test-all lint colcon clean
+.PHONY: help setup demo studio test test-all lint colcon clean
 help:
 	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
+	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/studio.md)"
 	@echo "make test                   set up, run the tests;  make test-all: the slow ones too"
 	@echo "make lint | colcon | clean  ruff and mypy | colcon build in ros_ws | remove what was built"
 
@@ -16,6 +17,9 @@ setup:
 
 demo: setup
 	@$(PYTHON) -m sagoma_tools.cli demo $(if $(SESSION),--session "$(SESSION)")
+
+studio: setup
+	@$(PYTHON) -m sagoma_tools.cli studio $(if $(SESSION),--session "$(SESSION)")
 
 test: setup
 	$(PYTHON) -m pytest

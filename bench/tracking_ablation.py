@@ -29,10 +29,10 @@ from hull_server.pipeline import HullPipeline
 from icp_tracker.pose_source import make_pose_source
 from icp_tracker.tracker import IcpTracker
 from icp_tracker.voxel_cloud import VoxelCloud
-from sagoma_tools.demo import start_settings
 from sagoma_tools.evaluation.in_process import EPOCH_NS, Configuration, Feedback, exact_silhouettes, silhouettes
 from sagoma_tools.evaluation.scores import Scores, score
 from sagoma_tools.evaluation.track import Track
+from sagoma_tools.live_run import start_settings
 
 SOLVE = "icp_tracker.articulated."
 NO_SURFACE = {SOLVE + "volume.worth": 0.0}

@@ -9,9 +9,12 @@ import pytest
 
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.bags import bag_digest, first_difference, read_messages
-from sagoma_tools.demo import LiveRun, frame_count, judged, run_live, start_settings
+from sagoma_tools.demo import judged
 from sagoma_tools.graph_recorder import GraphRecorder
+from sagoma_tools.live_run import LiveRun, run_live, start_settings
 from sagoma_tools.lockstep import replay_through_graph
+from sagoma_tools.playing import frame_count
+from sagoma_tools.stages import FootageStage
 from sagoma_tools.supervisor import Supervisor
 from sagoma_tools.topics import PREDICTION_TOPIC
 
@@ -22,7 +25,7 @@ FRAME_SET_TOPIC = "/hull/frame_set"
 @pytest.fixture(scope="module")
 def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
     """One live run, played as fast as the graph keeps up, so that a slow machine drops nothing."""
-    return run_live(built_in_session, tmp_path_factory.mktemp("live"), rate=0.0)
+    return run_live(FootageStage(built_in_session), tmp_path_factory.mktemp("live"))
 
 
 @pytest.fixture(scope="module")

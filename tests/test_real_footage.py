@@ -5,15 +5,17 @@ from pathlib import Path
 import pytest
 
 from sagoma_tools.bags import bag_digest, first_difference
-from sagoma_tools.demo import LiveRun, judged, run_live, start_settings
+from sagoma_tools.demo import judged
+from sagoma_tools.live_run import LiveRun, run_live, start_settings
 from sagoma_tools.lockstep import replay_through_graph
+from sagoma_tools.stages import FootageStage
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def live(shared_data, tmp_path_factory) -> LiveRun:
-    return run_live(shared_data("real_4cam"), tmp_path_factory.mktemp("real"), rate=0.0)
+    return run_live(FootageStage(shared_data("real_4cam")), tmp_path_factory.mktemp("real"))
 
 
 @pytest.fixture(scope="module")

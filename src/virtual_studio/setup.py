@@ -5,7 +5,7 @@ package_name = "virtual_studio"
 setup(
     name=package_name,
     version="0.1.0",
-    description="Virtual studio: a built-in body in a room, seen by simulated cameras, written as session folders.",
+    description="Virtual studio: a built-in body in a room, as session folders or behind simulated GigE cameras.",
     license="Apache-2.0",
     maintainer="sagoma maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-689beada.example",

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
 from capture_rig.camera import CameraModel
+from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 
@@ -10,39 +15,83 @@ from .aravis_source import AravisSource
 from .footage_source import FootageSource
 from .frame_source import FrameSource
 from .settings import CameraClientSettings
+from .supervised_source import SupervisedSource
+
+Accept = Callable[[FrameSource], None]
+
+STALL_PERIODS = 5  # a camera that is slow has not stalled
 
 
-def load_camera(rig_file: str, name: str) -> CameraModel:
-    """The calibrated camera ``name`` of ``rig_file``. Raises InputError naming the file."""
-    if not rig_file:
+def load_camera(settings: CameraClientSettings, name: str) -> CameraModel:
+    """The calibrated camera ``name`` of the rig, with the intrinsics of camera_info_file where there is one.
+
+    Raises InputError naming the file.
+    """
+    if not settings.rig_file:
         raise InputError("is empty", where="parameter rig_file", remedy="Give the path of the rig YAML.")
     try:
-        return load_rig(rig_file).camera(name)
+        camera = load_rig(settings.rig_file).camera(name)
     except InputError as error:
-        raise InputError(error.what, where=error.where or rig_file, remedy=error.remedy) from None
+        raise InputError(error.what, where=error.where or settings.rig_file, remedy=error.remedy) from None
+    if settings.camera_info_file and Path(settings.camera_info_file).exists():
+        return load_camera_info(settings.camera_info_file, camera)
+    return camera
 
 
-def make_source(settings: CameraClientSettings) -> FrameSource:
-    """The source that ``settings.source`` names, not connected yet."""
+def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSource:
+    """The source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
+
+    A live camera that is not there is no error: it is awaited once the source runs, and looked at when it comes.
+    """
     if settings.source == "aravis":
-        return AravisSource(settings.aravis, settings.channels)
+        source: FrameSource = live_source(settings, accept)
+        source.connect()
+        return source
     if not settings.footage.path:
         raise InputError("is empty", where="parameter footage.path",
                          remedy="Give a video or stills, or set source: aravis.")  # fmt: skip
-    return FootageSource(settings.footage, settings.channels)
-
-
-def connect_source(settings: CameraClientSettings, camera: CameraModel) -> FrameSource:
-    """The source, connected, its images as large as the camera was calibrated for. Raises InputError otherwise."""
-    source = make_source(settings)
+    source = FootageSource(settings.footage, settings.channels)
     source.connect()
+    try:
+        accept(source)
+    except BaseException:
+        source.close()
+        raise
+    return source
+
+
+def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSource:
+    """The GigE Vision camera of ``settings`` under supervision, not connected yet."""
+    return SupervisedSource(
+        lambda: AravisSource(settings.aravis, settings.channels), settings.supervision, accept,
+        lambda source: stall_timeout_s(settings, source),
+    )  # fmt: skip
+
+
+def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
+    """How long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
+    supervision = settings.supervision
+    if settings.aravis.sync == "line":  # nobody here knows when somebody pulses the line
+        return supervision.triggered_stall_timeout_s or math.inf
+    rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
+    return max(supervision.stall_timeout_s, STALL_PERIODS / rate_hz if rate_hz else 0.0)
+
+
+def _rate_hz(details: Mapping[str, str]) -> float:
+    """The rate that the camera told, 0 when it did not."""
+    try:
+        return max(float(details.get("frame_rate", 0.0)), 0.0)
+    except ValueError:
+        return 0.0
+
+
+def check_size(source: FrameSource, camera: CameraModel) -> None:
+    """Raises InputError when the source's images are not as large as the camera was calibrated for."""
     height, width = source.shape[:2]
     if (width, height) != (camera.width, camera.height):
-        source.close()
         raise InputError(
             f"gives images of {width} x {height} pixels, camera {camera.name} was calibrated at "
             f"{camera.width} x {camera.height}",
             where=source.description,
             remedy="Set the camera's region, or use the rig file that belongs to this footage.",
         )
-    return source

@@ -6,7 +6,7 @@ import json
 import math
 import zipfile
 import zlib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
@@ -29,7 +29,10 @@ SQRT_2_PI = math.sqrt(2 * math.pi)
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a background model comes from. ``mean_noise`` is the mean standard deviation, grey levels."""
+    """Where a background model comes from.
+
+    ``mean_noise`` is the mean standard deviation, grey levels; ``verdict`` what was thought of it when it was learned.
+    """
 
     source: str
     frames: int
@@ -38,6 +41,7 @@ class Provenance:
     created: str = ""
     camera_serial: str = ""
     exposure_us: str = ""
+    verdict: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +56,17 @@ class BackgroundModel:
     def shape(self) -> tuple[int, ...]:
         return self.mean.shape
 
-    @cached_property
-    def moving_share(self) -> float:
-        """Share of pixels that varied much more than the rest: something moved while the background was learned."""
+    @property
+    def moving_pixels(self) -> npt.NDArray[np.bool_]:
+        """(H, W) pixels that varied much more than the rest: something moved while the background was learned."""
         spread = self.sigma if self.sigma.ndim == 2 else self.sigma.max(axis=2)
         limit = np.clip(MOVING_SIGMAS * float(np.median(spread)), MOVING_MIN_SIGMA, NOISE_MAX_SIGMA)
-        return float((spread > limit).mean())
+        return np.asarray(spread > limit)
+
+    @cached_property
+    def moving_share(self) -> float:
+        """Share of the :attr:`moving_pixels`."""
+        return float(self.moving_pixels.mean())
 
     def limits(self, settings: BackgroundSettings) -> BackgroundLimits:
         """The grey levels that count as background.
@@ -160,9 +169,11 @@ def load_background(path: str | Path) -> BackgroundModel:
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         raise InputError("is not a background model", where=str(path), remedy="Learn and save it again.") from None
     known = {field.name for field in fields(Provenance)}
-    if not isinstance(about, dict) or about.pop("format", None) != FORMAT or set(about) != known | {"image"}:
+    needed = {field.name for field in fields(Provenance) if field.default is MISSING}
+    if isinstance(about, dict):
+        about.pop("image", None)  # the arrays say it; written for people who look into the file
+    if not isinstance(about, dict) or about.pop("format", None) != FORMAT or not needed <= set(about) <= known:
         raise InputError("was written by another version", where=str(path), remedy="Learn and save it again.")
-    about.pop("image")  # the arrays say it; written for people who look into the file
     sound = mean.shape == sigma.shape and mean.dtype == sigma.dtype == np.float32
     if not sound or not np.isfinite(mean).all() or not (np.isfinite(sigma).all() and (sigma >= 0).all()):
         raise InputError("holds damaged arrays", where=str(path), remedy="Learn and save it again.")

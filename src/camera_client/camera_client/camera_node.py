@@ -6,40 +6,44 @@ import datetime
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 import cv2
-import numpy as np
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from sensor_msgs.msg import JointState
+from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
+from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
-from sagoma_ros.health import ERROR, OK, WARN
-from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
 from sagoma_ros.main import run_node
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
+from sagoma_ros.qos import RESULT
 from sagoma_ros.stamps import to_ns
 
-from .assembly import connect_source, load_camera
-from .background_files import read_background
+from .assembly import check_size, connect_source, load_camera
 from .background_model import BackgroundModel
+from .camera_chain import CameraChain, Seen
+from .camera_info import camera_from_message
+from .camera_topics import CameraTopics
 from .frame_source import Frame, FrameSource
 from .grab_loop import GrabLoop, GrabState
+from .learning_desk import LearningDesk
 from .live_learning import LiveLearning, describe
 from .memory import release_free_memory, return_large_blocks
+from .reports import CameraState, Level, RecentAccount, judge, seen_values, source_values
 from .settings import CameraClientSettings
-from .silhouette import Silhouette, SilhouettePipeline
 
 T = TypeVar("T")
 
 REPORT_PERIOD_S = 0.5
-SILENCE_S = 1.0
+LEARNING_PATIENCE_S = 10.0  # a camera that comes back sooner goes on being learned from
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
+PROVENANCE = ("camera_serial", "exposure_us")  # of the source's details
 
 
 class CameraNode(SagomaNode):
@@ -52,33 +56,29 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self._source: FrameSource | None = None
         self._loop: GrabLoop | None = None
-        self._pipeline: SilhouettePipeline | None = None
-        self._learning: tuple[LiveLearning, Future] | None = None
+        self._chain: CameraChain | None = None
+        self._desk = LearningDesk(self._keep)
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
-        self._last_silhouette: Silhouette | None = None
+        self._last: tuple[Frame, Seen] | None = None
         self._matched_s: float | None = None
-        self._last_preview_ns = 0
         self._said = ""
-        # lives as long as the node, so that no answer is due to a service that is gone; in a group of its own, because
-        # its answer takes seconds and must not hold up the timer and the acknowledgements
+        # they live as long as the node, so that no answer is due to a service that is gone; learning in a group of its
+        # own, because its answer takes seconds and must not hold up the timer and the acknowledgements
         self.create_service(
             Trigger, "~/learn_background", self._on_learn, callback_group=MutuallyExclusiveCallbackGroup()
         )
+        self.create_service(SetCameraInfo, "set_camera_info", self._on_set_camera_info)
 
     # --- lifecycle -----------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         settings: CameraClientSettings = self.settings
         name = settings.camera_name or self.get_namespace().rsplit("/", 1)[-1]
-        self._camera = load_camera(settings.rig_file, name)
-        self._frame_id = f"{name}_optical"
-        self._source = connect_source(settings, self._camera)
-        for warning in self._source.warnings:
-            self.get_logger().warning(warning)
-        self._make_publishers(settings)
-        if settings.background:
-            shape, path = self._source.shape, settings.background
-            self._use_background(read_background(path, shape, settings.background_model))
+        self._chain = CameraChain(load_camera(settings, name), settings)
+        self._topics = CameraTopics(self._publisher, f"{name}_optical", settings)
+        self._source = connect_source(settings, self._accept)
+        if not self._source.shape:
+            self._chain.check_background_file()
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report))
         if settings.source == "footage" and settings.footage.rate == 0:
             topic = settings.footage.pace_topic
@@ -86,13 +86,15 @@ class CameraNode(SagomaNode):
                 self.destroy_subscription,
                 self.create_subscription(JointState, topic, self._on_acknowledgement, RESULT),
             )
-        release_free_memory()
+        info_file = settings.camera_info_file
+        if info_file and not Path(info_file).exists():
+            self.get_logger().warning(f"{info_file} does not exist yet: the rig's intrinsics are in use")
         self.get_logger().info(f"camera {name}: {self._source.description}")
 
     def activate(self) -> None:
         assert self._source is not None
         live = self.settings.source != "footage"
-        self._matched_s, self._said = None, ""
+        self._matched_s, self._said, self._recent = None, "", RecentAccount()
         self._loop = GrabLoop(
             self._source, self._on_frame, self._on_error, ready=lambda: live or self._consumer_listens(),
             ready_timeout_s=0.0 if live else self.settings.footage.wait_for_consumer_s,
@@ -105,26 +107,29 @@ class CameraNode(SagomaNode):
         if self._loop is not None:
             self._loop.stop()
             self._loop = None
-        self._cancel_learning("the camera was suspended")
+        self._desk.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
         for destroy, entity in self._held:
             destroy(entity)
         self._held = []
-        self._pipeline = self._last_silhouette = None
+        self._chain = self._last = None
         if self._source is not None:
             self._source.close()
             self._source = None
 
-    def _make_publishers(self, settings: CameraClientSettings) -> None:
-        def publisher(kind: type, topic: str, qos: QoSProfile) -> Publisher:
-            return self._hold(self.destroy_publisher, self.create_publisher(kind, topic, qos))
+    def _accept(self, source: FrameSource) -> None:
+        """Look at a connection before its first frame, and take the background that fits it."""
+        assert self._chain is not None
+        for warning in source.warnings:
+            self.get_logger().warning(warning)
+        check_size(source, self._chain.camera)
+        if self._chain.use_shape(source.shape):
+            self._show_background()
+        release_free_memory()
 
-        self._silhouettes = publisher(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
-        self._infos = publisher(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
-        self._means = publisher(Image, "background/mean", LATCHED)
-        self._raws = publisher(Image, "image_raw", SILHOUETTE_PUBLISHER) if settings.publish_raw else None
-        self._previews = publisher(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
+    def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
+        return self._hold(self.destroy_publisher, self.create_publisher(kind, topic, qos))
 
     def _hold(self, destroy: Callable[[T], object], entity: T) -> T:
         self._held.append((destroy, entity))
@@ -133,7 +138,7 @@ class CameraNode(SagomaNode):
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
         acknowledged = not paced or self.count_publishers(self.settings.footage.pace_topic) > 0
-        if self._silhouettes.get_subscription_count() == 0 or not acknowledged:
+        if not self._topics.has_listener or not acknowledged:
             return False
         self._matched_s = self._matched_s or time.monotonic()
         return time.monotonic() >= self._matched_s + SETTLE_S
@@ -141,34 +146,23 @@ class CameraNode(SagomaNode):
     # --- one frame, on the grab loop's thread --------------------------------------------------------------------
 
     def _on_frame(self, frame: Frame) -> None:
+        assert self._chain is not None
         began = time.perf_counter()
-        if self._raws is not None:
-            self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
-        self._learn(frame)
-        if self._pipeline is None:
+        self._topics.publish_image(frame)
+        self._desk.add(frame.image)
+        seen = self._chain.run(frame)
+        self._last = (frame, seen)
+        for flag in seen.flags:
+            self.health.count(f"{flag}_frames")
+        silhouette = seen.silhouette
+        if silhouette is None:
             self.health.count("frames_without_background")
             return
-        silhouette = self._pipeline.run(frame.image)
-        self._publish(frame, silhouette)
-        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began))
-
-    def _publish(self, frame: Frame, silhouette: Silhouette) -> None:
-        stamp_ns, canvas = frame.stamp_ns, self._camera.undistorted_view().camera
-        self._infos.publish(camera_info_message(canvas, stamp_ns, self._frame_id))
-        self._silhouettes.publish(silhouette_message(silhouette.mask, stamp_ns, self._frame_id))
-        self._publish_preview(frame, silhouette)
-        self._last_silhouette = silhouette
-        self.health.tick(stamp_ns if self._stamps_are_now() else None)
+        self._topics.publish_silhouette(frame, seen, silhouette)
         for flag in silhouette.flags:
             self.health.count(f"{flag}_masks")
-
-    def _publish_preview(self, frame: Frame, silhouette: Silhouette) -> None:
-        now_ns = time.monotonic_ns()
-        if self._previews is None or now_ns - self._last_preview_ns < 1e9 / self.settings.preview_rate:
-            return
-        self._last_preview_ns = now_ns
-        outlined = outline(frame.image, silhouette.image_mask)
-        self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
+        self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
+        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began))
 
     def _stamps_are_now(self) -> bool:
         """Whether stamps follow the system clock, so that their age is a latency."""
@@ -178,111 +172,105 @@ class CameraNode(SagomaNode):
         bad_frame = isinstance(error, InputError)
         self.health.count("bad_frames" if bad_frame else "failed_frames")
         text = str(error) if bad_frame else f"a frame failed: {error!r}"
+        self.health.set("last_error", text)
         self.get_logger().error(text, throttle_duration_sec=5.0)
 
     def _on_acknowledgement(self, message: JointState) -> None:
         if self._source is not None:
             self._source.acknowledge(to_ns(message.header.stamp))
 
-    # --- background ----------------------------------------------------------------------------------------------
+    # --- background and calibration ------------------------------------------------------------------------------
 
     async def _on_learn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._source is None or self._loop is None or self._loop.state is not GrabState.RUNNING:
+        source, loop = self._source, self._loop
+        if source is None or loop is None or loop.state is not GrabState.RUNNING or source.lost:
             response.message = "no frames are coming: activate the camera first"
             return response
-        if self._learning is not None:
-            response.message = "learning already"
-            return response
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        learning = LiveLearning(
-            self.settings.background_frames, self._source.description, created=now, **self._source.details
-        )
+        about = {key: value for key, value in source.details.items() if key in PROVENANCE}
         future: Future = Future()
-        self._learning = (learning, future)
+        try:
+            learning = LiveLearning(self.settings.background_frames, source.description, created=now, **about)
+            self._desk.begin(learning, future.set_result)
+        except InputError as error:
+            response.message = str(error)
+            return response
         response.success, response.message = await future
+        self.get_logger().info(response.message)
         return response
 
-    def _learn(self, frame: Frame) -> None:
-        if self._learning is None:
-            return
-        learning, future = self._learning
-        learning.add(frame.image)
-        if not learning.done:
-            return
-        self._learning = None
-        verdict = (False, learning.refusal)
-        if learning.model is not None:
-            verdict = (True, self._keep(learning.model))
-        self.get_logger().info(verdict[1])
-        future.set_result(verdict)
-
     def _keep(self, model: BackgroundModel) -> str:
-        self._use_background(model)
+        """Use a learned background and save it; says so in a line."""
+        assert self._chain is not None
+        self._chain.use_background(model)
+        self._show_background()
         release_free_memory()
-        text = describe(model)
-        if not self.settings.background_file:
+        text, path = describe(model), self.settings.background_file
+        if not path:
             return text
         try:
-            model.save(self.settings.background_file)
+            model.save(path)
         except InputError as error:
             return f"{text}; in use, but not saved: {error}"
-        return f"{text}; saved to {self.settings.background_file}"
+        return f"{text}; saved to {path}"
 
-    def _use_background(self, model: BackgroundModel) -> None:
-        settings: CameraClientSettings = self.settings
-        self._pipeline = SilhouettePipeline(self._camera, model, settings.silhouette, settings.background_model)
-        self._means.publish(image_message(np.rint(model.mean).astype(np.uint8), 0, self._frame_id))
-        self.health.set("background", describe(model))
+    def _show_background(self) -> None:
+        assert self._chain is not None and self._chain.background is not None
+        self._topics.publish_background(self._chain.background)
+        self.health.set("background", describe(self._chain.background))
 
-    def _cancel_learning(self, reason: str) -> None:
-        learning, self._learning = self._learning, None
-        if learning is not None:
-            learning[0].cancel(reason)
-            learning[1].set_result((False, learning[0].refusal))
+    def _on_set_camera_info(
+        self, request: SetCameraInfo.Request, response: SetCameraInfo.Response
+    ) -> SetCameraInfo.Response:
+        if self._chain is None:
+            response.status_message = "not configured: configure the node first"
+            return response
+        try:
+            camera, path = camera_from_message(request.camera_info, self._chain.camera), self.settings.camera_info_file
+            if path:
+                save_camera_info(path, camera)
+            self._chain.use_camera(camera)
+        except InputError as error:
+            response.status_message = str(error)
+            return response
+        response.success = True
+        response.status_message = f"in use; saved to {path}" if path else "in use until cleanup: set camera_info_file"
+        self.get_logger().info(f"calibration by set_camera_info: {response.status_message}")
+        return response
 
     # --- diagnostics ---------------------------------------------------------------------------------------------
 
     def _report(self) -> None:
-        if self._loop is None or self._source is None:
+        source, loop, chain = self._source, self._loop, self._chain
+        if loop is None or source is None or chain is None:
             return
-        for name, count in self._source.counters.items():
-            self.health.set(name, count)
-        self.health.set("frames", self._loop.frames)
-        self.health.set("missing_frames", self._loop.missing_frames)
-        if self._last_silhouette is not None:
-            self.health.set("mask_fraction", self._last_silhouette.foreground_fraction)
-        level, text = self._state(self._loop)
-        self.health.status(level, text)
-        if self._loop.state in (GrabState.ENDED, GrabState.FAILED):
-            self._cancel_learning(text)
-            if text != self._said:
-                self.get_logger().log(text, 20 if level == OK else 40)
-        self._said = text
+        link, last = source.link, self._last
+        values = source_values(source) | (seen_values(*last) if last else {})
+        for key, value in values.items():
+            self.health.set(key, value)
+        recent = self._recent.look(time.monotonic(), source.account)
+        state = CameraState(loop.state, loop.frames, loop.reason, link, recent, chain.background is not None)
+        self._say(*judge(state.with_seen(last[1]) if last else state))
+        if loop.state in (GrabState.ENDED, GrabState.FAILED):
+            self._desk.cancel(f"{loop.state.value} {loop.reason}".strip())
+        elif link is not None and link.state.away and link.down_s > LEARNING_PATIENCE_S:
+            self._desk.cancel(f"the camera went away ({link.reason})")
 
-    def _state(self, loop: GrabLoop) -> tuple[bytes, str]:
-        """Level and text of what the camera is doing."""
-        if loop.state is GrabState.FAILED:
-            return ERROR, str(loop.failure)
-        if loop.state is not GrabState.RUNNING:
-            return OK, f"{loop.state.value} after {loop.frames} frames" if loop.frames else loop.state.value
-        if self._source is not None and self._source.lost:
-            return ERROR, "the camera does not answer any more; suspend, stop and connect it again"
-        silence_s = time.monotonic() - loop.last_frame_s
-        if silence_s > SILENCE_S and self.settings.source != "footage":
-            return WARN, f"no frame for {silence_s:.1f} s"
-        if self._pipeline is None:
-            return WARN, "no background: call ~/learn_background while the scene is empty"
-        if self._last_silhouette is not None and self._last_silhouette.flags:
-            return WARN, f"the mask is {' and '.join(self._last_silhouette.flags)}"
-        return OK, loop.state.value
-
-
-def outline(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The image at half size, BGR, with the mask's outline in green."""
-    shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
-    cv2.drawContours(shown, contours, -1, (0, 255, 0), 2)
-    return cv2.resize(shown, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    def _say(self, level: Level, text: str) -> None:
+        """Show it in the diagnostics; a new kind of trouble, and its end, go to the log."""
+        self.health.status(bytes([level]), text)
+        if level is Level.ERROR:
+            self.health.set("last_error", text)
+        kind = "".join(letter for letter in text.partition(":")[0] if not letter.isdigit())
+        if kind == self._said:
+            return
+        self._said = kind
+        if level is Level.OK:
+            self.get_logger().info(text)
+        elif level is Level.WARN:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().error(text)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from .background_model import BackgroundModel
 from .frame_source import Image, Mask
+from .regions import Box
 from .settings import ColourShadowSettings
 
 _THREE = np.ones((3, 3), np.uint8)
@@ -25,32 +26,40 @@ class ColourShadow:
     out nearly all pixels before the exact test.
     """
 
+    alignment_px = 2
+
     def __init__(self, background: BackgroundModel, sigma_floor: float, settings: ColourShadowSettings) -> None:
         mean, sigma = halve(background.mean), np.maximum(halve(background.sigma), np.float32(sigma_floor))
         self._settings = settings
-        self._inverse_sigma = (1 / sigma).reshape(-1, 3)
-        self._mean_sigmas = mean.reshape(-1, 3) * self._inverse_sigma
+        self._inverse_sigma = 1 / sigma
+        self._mean_sigmas = mean * self._inverse_sigma
         slack = settings.chromaticity * sigma
         bright = mean.mean(axis=2, keepdims=True) >= settings.min_brightness
         lo = np.where(bright, np.clip(np.floor(settings.darkest * mean - slack), 0, 255), 255)
         hi = np.where(bright, np.clip(np.ceil(settings.lightest * mean + slack), 0, 255), 0)
         self._lo, self._hi = lo.astype(np.uint8), hi.astype(np.uint8)
 
-    def shadow(self, image: Image, mask: Mask) -> Mask:
-        """255 where ``image`` (H, W, 3) fits the shadowed background, else 0; looks only where ``mask`` (H, W) is."""
-        small = halve(image)
-        found = cv2.inRange(small, self._lo, self._hi)
-        index = np.flatnonzero(cv2.bitwise_and(found, halve(mask)) != 0)
-        fits = self._fits(small.reshape(-1, 3).take(index, axis=0), index)
-        found[:] = 0
-        found.reshape(-1)[index[fits]] = 255
-        found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's rim is a blend that can look like shadow
-        return cv2.resize(found, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_NEAREST)
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        """255 where ``image`` (H, W, 3) fits the shadowed background, else 0; looks only where ``mask`` is.
 
-    def _fits(self, x: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """Which pixels x (n, 3), at flat ``index`` (n,), are a darkened background."""
-        s, mu = self._settings, self._mean_sigmas.take(index, axis=0)
-        x_sigmas = x * self._inverse_sigma.take(index, axis=0)
+        ``mask`` covers ``box`` of the image, or all of it; the box begins at even pixels.
+        """
+        box = box or Box.whole(image.shape)
+        small = halve(image[box.slices])
+        rows, columns = (slice(s.start // 2, -(-s.stop // 2)) for s in box.slices)
+        found = cv2.inRange(small, self._lo[rows, columns], self._hi[rows, columns])
+        row, column = np.nonzero(cv2.bitwise_and(found, halve(mask)))
+        fits = self._fits(small[row, column], row + rows.start, column + columns.start)
+        found[:] = 0
+        found[row[fits], column[fits]] = 255
+        found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's rim is a blend that can look like shadow
+        full = cv2.resize(found, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+        return np.ascontiguousarray(full[: mask.shape[0], : mask.shape[1]])
+
+    def _fits(self, x: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Which pixels x (n, 3), at ``row`` and ``column`` (n,) of the half-size image, are a darkened background."""
+        s, mu = self._settings, self._mean_sigmas[row, column]
+        x_sigmas = x * self._inverse_sigma[row, column]
         power = np.einsum("ij,ij->i", mu, mu)
         factor = np.einsum("ij,ij->i", x_sigmas, mu) / np.maximum(power, 1e-9)
         departure = x_sigmas - factor[:, None] * mu
@@ -59,6 +68,8 @@ class ColourShadow:
 
 
 def halve(image: np.ndarray) -> np.ndarray:
-    """The image at half its size (rounded up), each pixel the mean of those it covers."""
-    size = ((image.shape[1] + 1) // 2, (image.shape[0] + 1) // 2)
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    """The image at half its size (rounded up), each pixel the mean of the four it covers; odd sides are continued."""
+    down, right = image.shape[0] % 2, image.shape[1] % 2
+    if down or right:
+        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
+    return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)

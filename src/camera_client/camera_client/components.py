@@ -44,9 +44,17 @@ def majority(mask: Mask, side_px: int) -> Mask:
     """The median filter of a mask of 0 and 255, as a box filter: several times faster, and equal for odd sides."""
     if side_px <= 1:
         return mask
-    return cv2.threshold(
-        cv2.blur(mask, (side_px, side_px), borderType=cv2.BORDER_REPLICATE), 127, 255, cv2.THRESH_BINARY
-    )[1]
+    mean = cv2.blur(mask, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
+    return cv2.threshold(mean, 127, 255, cv2.THRESH_BINARY)[1]
+
+
+def majority_count(side_px: int) -> int:
+    """A pixel that survives the filter has so many pixels of foreground in one 8 x 8 block that its window meets.
+
+    The window lies in four blocks at most, which leaves (side^2 + 1) / 8 for one of them; fewer at the image's border,
+    where a pixel also stands for its neighbours outside: in the corner, (side + 1) / 2 of them outvote all others.
+    """
+    return side_px // 2 + 1
 
 
 def _parts(outers: list[np.ndarray], min_area_px: float) -> list[_Part]:

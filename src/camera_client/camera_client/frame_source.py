@@ -8,10 +8,17 @@ from types import TracebackType
 
 import numpy as np
 
+from capture_rig.errors import InputError
+
+from .account import FrameAccount
+from .link import Link
+
 Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
 
-WRAP_16_BIT = 65535  # GVSP block ids of 16 bits run 1 ... 65535 and start again at 1
+
+class SourceUnavailable(InputError):
+    """The device does not answer, is held by somebody else, or went away: other settings will not help, time may."""
 
 
 class EndOfFootage(Exception):
@@ -27,36 +34,52 @@ class Frame:
     """One image as it left its source.
 
     ``image`` (H, W) or (H, W, 3) uint8, BGR; ``stamp_ns`` the capture time; ``frame_id`` counts the source's frames,
-    so that a gap shows a loss; ``clock`` says in words whose clock the stamp is.
+    so that a gap shows a loss; ``clock`` says in words whose clock the stamp is, and ``uncertainty_ns`` how far it may
+    be from the truth on the system's clock (0: exact by definition, as footage is).
     """
 
     image: Image
     stamp_ns: int
     frame_id: int
     clock: str
+    uncertainty_ns: int = 0
 
 
 class FrameSource(ABC):
     """A device or file that delivers frames; connect, start, stop and close follow the thesis's verbs.
 
     connect() is all or nothing: after an error nothing is left open. start() after stop() goes on. As a context
-    manager a source connects on entry and closes on exit. ``counters`` grows by name as things happen.
+    manager a source connects on entry and closes on exit.
     """
 
     def __init__(self) -> None:
-        self.counters: dict[str, int] = {}
+        self._counters: dict[str, int] = {}
+        self._account = FrameAccount()
         self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What happened how often, by name."""
+        return self._counters
+
+    @property
+    def account(self) -> FrameAccount:
+        """What became of every frame."""
+        return self._account
 
     def count(self, name: str, by: int = 1) -> None:
         self.counters[name] = self.counters.get(name, 0) + by
 
     @abstractmethod
     def connect(self) -> None:
-        """Open the device or file. Raises InputError when it is absent, in use or unusable."""
+        """Open the device or file.
+
+        Raises SourceUnavailable when it is absent or in use, and InputError when it cannot do what the settings ask.
+        """
 
     @abstractmethod
     def start(self) -> None:
-        """Begin to deliver frames. Raises InputError when the source is not connected or refuses."""
+        """Begin to deliver frames. Raises InputError when not connected, SourceUnavailable when the device refuses."""
 
     @abstractmethod
     def read(self, timeout_s: float) -> Frame | None:
@@ -90,6 +113,11 @@ class FrameSource(ABC):
         """True once a connected device has stopped to answer, or somebody else has taken it."""
         return False
 
+    @property
+    def link(self) -> Link | None:
+        """The connection to the device where it is watched, else None."""
+        return None
+
     def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027 (a live source has nothing to do)
         """Consumers have worked off every frame up to ``stamp_ns``; only paced footage listens."""
 
@@ -101,23 +129,3 @@ class FrameSource(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-class GapCounter:
-    """Counts frames that never arrived, from the frame ids of those that did (16-bit ids wrap past 0)."""
-
-    def __init__(self) -> None:
-        self._last: int | None = None
-        self.missing = 0
-
-    def add(self, frame_id: int) -> int:
-        """Take note of ``frame_id``; returns how many ids were skipped just before it."""
-        skipped = 0
-        if self._last is not None:
-            step = frame_id - self._last
-            if step < -WRAP_16_BIT // 2:
-                step += WRAP_16_BIT
-            skipped = max(step - 1, 0)
-        self._last = frame_id
-        self.missing += skipped
-        return skipped

@@ -9,7 +9,7 @@ from enum import Enum
 
 from capture_rig.errors import InputError
 
-from .frame_source import EndOfFootage, Frame, FrameSource, GapCounter
+from .frame_source import EndOfFootage, Frame, FrameSource
 
 READ_TIMEOUT_S = 0.2
 READY_POLL_S = 0.02
@@ -30,7 +30,8 @@ class GrabLoop:
     """Starts ``source`` once ``ready`` says so (or ``ready_timeout_s`` is over) and calls ``on_frame`` for each frame.
 
     ``on_frame`` runs on the loop's own thread; an exception in it goes to ``on_error`` and costs this frame only.
-    An error of the source ends the loop in state FAILED, with ``failure`` saying why.
+    An error of the source ends the loop in state FAILED, with ``failure`` saying why; a live camera that goes is none,
+    for its source (:class:`~camera_client.supervised_source.SupervisedSource`) waits for it.
     """
 
     def __init__(
@@ -45,16 +46,14 @@ class GrabLoop:
         self._ready, self._ready_timeout_s = ready, ready_timeout_s
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="grab", daemon=True)
-        self._gaps = GapCounter()
         self.state = GrabState.WAITING
-        self.failure: InputError | None = None
+        self.failure: Exception | None = None
         self.frames = 0
-        self.last_frame_s = time.monotonic()
 
     @property
-    def missing_frames(self) -> int:
-        """Frames that the source numbered but never delivered."""
-        return self._gaps.missing
+    def reason(self) -> str:
+        """Why it failed, in words; empty while it did not."""
+        return "" if self.failure is None else str(self.failure)
 
     def start(self) -> None:
         self._thread.start()
@@ -72,14 +71,15 @@ class GrabLoop:
             if not self._stopping.is_set():
                 self._source.start()
                 self.state = GrabState.RUNNING
-                self.last_frame_s = time.monotonic()
             while not self._stopping.is_set():
                 self._step()
             self.state = GrabState.STOPPED
         except EndOfFootage:
             self.state = GrabState.ENDED
-        except InputError as error:
+        except Exception as error:
             self.failure, self.state = error, GrabState.FAILED
+            if not isinstance(error, InputError):
+                self._on_error(error)
 
     def _wait_until_ready(self) -> None:
         deadline_s = time.monotonic() + self._ready_timeout_s
@@ -91,8 +91,6 @@ class GrabLoop:
         frame = self._source.read(READ_TIMEOUT_S)
         if frame is None:
             return
-        self._gaps.add(frame.frame_id)
-        self.last_frame_s = time.monotonic()
         self.frames += 1
         try:
             self._on_frame(frame)

@@ -3,42 +3,45 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 from capture_rig.errors import InputError
 
 from .background_files import SOFTWARE
 from .background_model import BackgroundLearner, BackgroundModel
 from .frame_source import Image
-
-MAX_MOVING_SHARE = 0.02
+from .learning_verdict import REDO, LearningJudge, Verdict
 
 
 class LiveLearning:
     """Takes the next ``frames`` images of a source; done when it has a model, or a reason why there is none.
 
+    ``verdict`` says what is to be thought of what was learned, also when it was refused; the model carries its text.
     Images come on one thread, :meth:`cancel` may come on another.
     """
 
     def __init__(self, frames: int, source: str, **about: str) -> None:
         self._wanted, self._source, self._about = frames, source, about
-        self._learner = BackgroundLearner()
+        self._learner, self._judge = BackgroundLearner(), LearningJudge()
         self._lock = threading.Lock()
         self.model: BackgroundModel | None = None
         self.refusal = ""
+        self.verdict: Verdict | None = None
 
     @property
     def done(self) -> bool:
         return self.model is not None or bool(self.refusal)
 
     def add(self, image: Image) -> None:
-        """Take one image; the last one completes the model, which is refused when something moved."""
+        """Take one image; the last one completes the model, which is refused when it is of no use."""
         with self._lock:
             if self.done:
                 return
             try:
                 self._learner.add(image)
+                self._judge.add(image)
                 if self._learner.frames == self._wanted:
-                    self._judge(self._learner.model(self._source, software=SOFTWARE, **self._about))
+                    self._conclude(self._learner.model(self._source, software=SOFTWARE, **self._about))
             except InputError as error:
                 self.refusal = str(error)
 
@@ -48,18 +51,21 @@ class LiveLearning:
             if not self.done:
                 self.refusal = f"{reason} after {self._learner.frames} of {self._wanted} frames"
 
-    def _judge(self, model: BackgroundModel) -> None:
-        if model.moving_share > MAX_MOVING_SHARE:
-            self.refusal = f"something moved: {describe(model)}; clear the scene and call again"
+    def _conclude(self, model: BackgroundModel) -> None:
+        self.verdict = self._judge.verdict(model)
+        judged = BackgroundModel(model.mean, model.sigma, replace(model.provenance, verdict=str(self.verdict)))
+        if self.verdict.grade == REDO:
+            self.refusal = describe(judged)
         else:
-            self.model = model
+            self.model = judged
 
 
 def describe(model: BackgroundModel) -> str:
-    """One line on a background model."""
+    """One line on a background model: the verdict on it, if there was one, and where it comes from."""
     about = model.provenance
     noise = "assumed" if about.frames == 1 else "mean"
+    verdict = f"{about.verdict}; " if about.verdict else ""
     return (
-        f"{about.frames} frames of {about.source}, {noise} noise {about.mean_noise:.2f} grey levels, "
+        f"{verdict}{about.frames} frames of {about.source}, {noise} noise {about.mean_noise:.2f} grey levels, "
         f"{100 * model.moving_share:.2f} % of the pixels moved"
     )

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from capture_rig.settings import setting
 
+from .gige.pixel_formats import FORMATS
+
 
 @dataclass(frozen=True)
 class FootageSettings:
@@ -34,25 +36,92 @@ class FootageSettings:
 
 @dataclass(frozen=True)
 class AravisSettings:
-    """A GigE Vision camera, opened through Aravis by its IP address. A negative number leaves a feature as it is."""
+    """A GigE Vision camera, opened through Aravis. A negative number leaves a feature as it is."""
 
-    address: str = setting("", "IPv4 address of the camera; nothing is ever broadcast")
+    address: str = setting("", "IPv4 address of the camera; nothing is broadcast when it is given")
+    serial: str = setting("", "Serial number: verified, or searched for on `interface` when no address is given")
+    user_id: str = setting("", "User-defined name of the camera: verified, or searched for, like the serial number")
+    interface: str = setting("", "Where to search by broadcast: names or own addresses of interfaces, with commas")
+
     pixel_format: str = setting(
-        "auto", "GenICam pixel format; auto prefers 8-bit Bayer, then BGR8, RGB8, Mono8",
-        choices=("auto", "Mono8", "BGR8", "RGB8", "BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8"),
+        "auto", "GenICam pixel format; auto prefers 8-bit Bayer, then YUV422, BGR8, RGB8, Mono8, deeper mono",
+        choices=("auto", *FORMATS),
     )  # fmt: skip
     exposure_us: float = setting(-1.0, "Exposure time", unit="us", low=-1, high=1e7)
-    gain: float = setting(-1.0, "Gain in the camera's own unit (mostly dB)", low=-1, high=1000)
-    frame_rate: float = setting(-1.0, "Frame rate", unit="Hz", low=-1, high=10000)
-    packet_size: int = setting(0, "Bytes of a stream packet; 0 lets Aravis find the largest", low=0, high=16000)
-    stamp_source: str = setting(
-        "arrival", "arrival: host clock at the frame's first packet; camera: camera clock mapped onto the host's",
-        choices=("arrival", "camera"),
+    gain: float = setting(-1.0, "Gain in the camera's own unit (mostly dB)", low=-1, high=1e6)
+    frame_rate: float = setting(-1.0, "Frame rate, also of the triggers that we send", unit="Hz", low=-1, high=10000)
+    binning: int = setting(-1, "Pixels binned into one, in both directions", unit="px", low=-1, high=16)
+    width: int = setting(-1, "Width of the region; 0: the whole sensor", unit="px", low=-1, high=100000)
+    height: int = setting(-1, "Height of the region; 0: the whole sensor", unit="px", low=-1, high=100000)
+    offset_x: int = setting(-1, "Left edge of the region; -1: in the middle", unit="px", low=-1, high=100000)
+    offset_y: int = setting(-1, "Upper edge of the region; -1: in the middle", unit="px", low=-1, high=100000)
+    features: list[str] = setting(
+        [], "Any GenICam features, set in this order before all others: 'Name=value', or 'Name!' for a command"
+    )
+
+    sync: str = setting(
+        "free_run", "What starts an exposure: the camera itself; its PTP clock; a trigger line; scheduled action "
+        "commands (in PTP time); software triggers (in this host's time)",
+        choices=("free_run", "ptp", "line", "action", "software"),
     )  # fmt: skip
+    trigger_line: str = setting("Line1", "sync line: the input, a name of TriggerSource")
+    trigger_activation: str = setting(
+        "RisingEdge", "sync line: the edge", choices=("RisingEdge", "FallingEdge", "AnyEdge")
+    )
+    trigger_delay_us: float = setting(-1.0, "From trigger to exposure", unit="us", low=-1, high=1e7)
+    action_device_key: int = setting(1, "sync action: key of the camera", low=0, high=0xFFFFFFFF)
+    action_group_key: int = setting(1, "sync action: key of the group", low=0, high=0xFFFFFFFF)
+    action_group_mask: int = setting(1, "sync action: mask of the group", low=1, high=0xFFFFFFFF)
+    action_lead_ms: float = setting(100.0, "sync action: sent so long ahead", unit="ms", low=1, high=10000)
+    ptp_wait_s: float = setting(10.0, "PTP: longest wait for the camera to be in step", unit="s", low=0, high=600)
+
+    stamp_source: str = setting(
+        "auto", "Whose clock stamps frames; auto: ptp when the camera is in step, else camera (its clock mapped onto "
+        "the host's); arrival: the host's at the first packet",
+        choices=("auto", "ptp", "camera", "arrival"),
+    )  # fmt: skip
+    camera_stamps: str = setting(
+        "exposure_start", "Which instant the camera stamps; ours is always mid-exposure",
+        choices=("exposure_start", "exposure_middle", "exposure_end"),
+    )  # fmt: skip
+    tai_utc_offset_s: int = setting(
+        37, "By how much the PTP clock is ahead of UTC: 37 for TAI, 0 where the grandmaster gives UTC", unit="s",
+        low=-1000, high=1000,
+    )  # fmt: skip
+    chunks: bool = setting(False, "Take time and exposure from the chunks of each frame")
+
+    packet_size: int = setting(0, "Bytes of a stream packet; 0: the largest that gets through", low=0, high=16404)
+    packet_delay_ns: int = setting(-1, "Pause between the packets of a frame", unit="ns", low=-1, high=10**9)
+    packet_resend: bool = setting(True, "Ask for lost packets again, where the camera can")
+    resend_share: float = setting(1.0, "At most this share of a frame's packets is asked for again", low=0, high=2)
+    first_packet_timeout_ms: float = setting(
+        1.0, "A missing packet is asked for after this", unit="ms", low=0, high=1000
+    )
+    packet_timeout_ms: float = setting(5.0, "... and again after this", unit="ms", low=1, high=1000)
+    frame_retention_ms: float = setting(40.0, "An incomplete frame is given up after this", unit="ms", low=5, high=5000)
     buffers: int = setting(16, "Frame buffers in the pool", low=2, high=256)
     socket_buffer_bytes: int = setting(4 << 20, "Receive buffer of the stream's socket", unit="bytes", low=65536)
-    packet_timeout_ms: float = setting(5.0, "A packet is asked for again after this", unit="ms", low=1, high=1000)
-    frame_retention_ms: float = setting(40.0, "An incomplete frame is given up after this", unit="ms", low=5, high=5000)
+
+
+@dataclass(frozen=True)
+class LightDriftSettings:
+    """Following slow changes of the light; people are never followed, however long they stand."""
+
+    mode: str = setting(
+        "none", "none: the background stays as learned; slow: it follows lamps that warm up, the sun, dust",
+        choices=("none", "slow"),
+    )  # fmt: skip
+    max_gain: float = setting(
+        0.5, "The whole image may become brighter or darker by at most this share", low=0, high=4
+    )
+    max_local: float = setting(
+        12.0, "On top of it a single pixel may move by at most this much", unit="grey levels", low=0, high=255
+    )
+    local_time_s: float = setting(60.0, "Time constant of a single pixel's drift", unit="s", low=1, high=86400)
+    quiet_s: float = setting(
+        30.0, "A pixel is followed when no foreground has been near for so long", unit="s", low=0, high=86400
+    )
+    margin: float = setting(0.06, "What counts as near", unit="share of height", low=0, high=1)
 
 
 @dataclass(frozen=True)
@@ -70,6 +139,7 @@ class BackgroundSettings:
     still_sigma: float = setting(
         4.0, "Standard deviation assumed for a background that is a single still", unit="grey levels", low=0.1, high=64
     )
+    drift: LightDriftSettings = setting(LightDriftSettings, "Slow changes of the light")
 
 
 @dataclass(frozen=True)
@@ -92,17 +162,22 @@ class ColourShadowSettings:
 class FloorShadowSettings:
     """Mono cameras: floor that is darkened by a locally constant factor, its texture unchanged, is in shadow."""
 
-    enabled: bool = setting(True, "Remove shadows on the floor (z = 0) from the masks of mono cameras")
-    darkest: float = setting(0.5, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
+    enabled: bool = setting(True, "Look for shadows on the floor (z = 0) in the masks of mono cameras")
+    darkest: float = setting(0.45, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
     lightest: float = setting(0.97, "... and at most this share", low=0.5, high=1.2)
     window: float = setting(
-        0.0105, "Side of the window that compares textures", unit="share of height", low=0.004, high=0.2
+        0.0105, "Side of the window that tells texture from brightness", unit="share of height", low=0.004, high=0.2
     )
     residual: float = setting(
-        1.75, "In a shadow, window and darkened background differ by at most this many sigma", low=0.1, high=100
-    )
+        3.0, "In a shadow, image and darkened background differ by at most this many sigma (root mean square)",
+        low=0.1, high=100,
+    )  # fmt: skip
+    persistence: float = setting(
+        0.3, "In a shadow at least this share of the floor's texture is still seen; smooth clothes show none",
+        low=-2, high=1,
+    )  # fmt: skip
     min_area: float = setting(
-        0.006, "Smaller patches are not taken for shadow", unit="share of height^2", low=0, high=1
+        0.0015, "Smaller patches are not taken for shadow", unit="share of height^2", low=0, high=1
     )
 
 
@@ -111,12 +186,16 @@ class SilhouetteSettings:
     """From a frame to a clean silhouette. Lengths are shares of the image height, areas of its square."""
 
     median_px: int = setting(5, "Side of the median filter", unit="px", choices=(1, 3, 5, 7))
+    shadow: str = setting(
+        "mark", "Shadows found: mark them as candidates (level 127), remove them, or keep them in the person",
+        choices=("mark", "remove", "keep"),
+    )  # fmt: skip
     closing: float = setting(
         0.0085, "Cracks in the silhouette up to about this width are closed", unit="share of height", low=0, high=0.1
     )
     min_area: float = setting(2e-4, "Components smaller than this are dropped", unit="share of height^2", low=0, high=1)
     near: float = setting(
-        0.08, "Components are kept within this gap of the largest one (or of one kept)", unit="share of height",
+        0.12, "Components are kept within this gap of the largest one (or of one kept)", unit="share of height",
         low=0, high=10,
     )  # fmt: skip
     max_hole: float = setting(1e-3, "Holes smaller than this are filled", unit="share of height^2", low=0, high=1)
@@ -124,6 +203,42 @@ class SilhouetteSettings:
     full_above: float = setting(0.6, "A mask with a larger share of foreground is flagged full", low=0, high=1)
     colour_shadow: ColourShadowSettings = setting(ColourShadowSettings, "Shadow removal of colour cameras")
     floor_shadow: FloorShadowSettings = setting(FloorShadowSettings, "Shadow removal of mono cameras")
+
+
+@dataclass(frozen=True)
+class SupervisionSettings:
+    """When a live camera counts as gone, and how it is brought back."""
+
+    stall_timeout_s: float = setting(
+        0.5, "Connect anew when nothing came for so long (and for five frame periods)", unit="s", low=0.05, high=3600
+    )
+    triggered_stall_timeout_s: float = setting(
+        10.0, "The same while frames wait for somebody else's trigger; 0: never", unit="s", low=0, high=86400
+    )
+    first_retry_s: float = setting(
+        0.25, "Pause after the first attempt that failed; it doubles", unit="s", low=0.01, high=60
+    )
+    longest_retry_s: float = setting(2.0, "... up to this, for ever", unit="s", low=0.01, high=3600)
+
+
+@dataclass(frozen=True)
+class FrameCheckSettings:
+    """When a frame is no picture of the scene: black, white, frozen, or under other lights."""
+
+    dark_level: float = setting(
+        16.0, "A frame is dark when nearly all of it is no brighter", unit="grey levels", low=0, high=255
+    )
+    lights_change: float = setting(
+        0.25, "The lights changed when the typical pixel is brighter or darker by this share", low=0.02, high=10
+    )
+    saturated_share: float = setting(
+        0.2, "A frame is saturated when a larger share than this is white, and was not in the background",
+        low=0.001, high=1,
+    )  # fmt: skip
+    frozen_s: float = setting(
+        1.0, "A camera is frozen when its picture stays the same for so long; 0 never (footage)",
+        unit="s", low=0, high=3600,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -138,6 +253,9 @@ class CameraClientSettings:
         "Work in mono or colour; auto follows the footage, or takes what the camera has",
         choices=("auto", "mono", "colour"),
     )
+    camera_info_file: str = setting(
+        "", "ROS camera_info YAML: its intrinsics replace the rig's, and set_camera_info writes it; empty: the rig's"
+    )
     background: str = setting(
         "", "Background: saved model (.npz), still, or video of the empty scene; empty: learn it by service"
     )
@@ -148,5 +266,7 @@ class CameraClientSettings:
     preview_rate: float = setting(5.0, "At most so many previews", unit="Hz", low=0.1, high=1000)
     footage: FootageSettings = setting(FootageSettings, "Footage source")
     aravis: AravisSettings = setting(AravisSettings, "GigE Vision source")
+    supervision: SupervisionSettings = setting(SupervisionSettings, "Stalls and reconnections of a live camera")
     background_model: BackgroundSettings = setting(BackgroundSettings, "Background model")
     silhouette: SilhouetteSettings = setting(SilhouetteSettings, "Silhouette")
+    frame_checks: FrameCheckSettings = setting(FrameCheckSettings, "When a frame is no picture of the scene")

@@ -10,28 +10,38 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 
 from .background_model import BackgroundModel, check_shape, shape_text
 from .colour_shadow import ColourShadow
-from .components import keep_person, majority
+from .components import keep_person, majority, majority_count
 from .floor_shadow import FloorShadow
 from .frame_source import Image, Mask
+from .light_drift import LightDrift
+from .regions import BLOCK_PX, Box, Surroundings
 from .settings import BackgroundSettings, SilhouetteSettings
+from .undistortion import BoxUndistorter
 
 EMPTY, FULL = "empty", "full"
+LEAST_GAIN = 0.005  # shadow tests need it no finer
 
 
 class ShadowTest(Protocol):
     """Tells which foreground pixels show only the background in shadow."""
 
-    def shadow(self, image: Image, mask: Mask) -> Mask:
-        """(H, W) uint8: 255 at pixels of ``mask`` that are shadow, else 0."""
+    alignment_px: int
+    """Boxes that begin at multiples of this give what the whole image gives."""
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        """255 at pixels of ``mask`` that are shadow, else 0; ``mask`` covers ``box`` of ``image``, or all of it."""
 
 
 class NoShadow:
     """Finds no shadow anywhere."""
 
-    def shadow(self, image: Image, mask: Mask) -> Mask:
+    alignment_px = 1
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
         return np.zeros_like(mask)
 
 
@@ -39,20 +49,29 @@ class NoShadow:
 class Silhouette:
     """What a camera sees of the person.
 
-    ``mask`` (h, w) uint8, 0 or 255, on the padded undistorted canvas; ``image_mask`` (H, W) the same in the camera's
-    own pixels; ``foreground_fraction`` the share of the image that is foreground; ``flags`` may hold "empty" or
-    "full": such a mask is what was seen, and probably not a person.
+    ``mask`` (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, 127 maybe only a shadow (see
+    ``capture_rig.mask_levels``); ``image_mask`` (H, W) the same in the camera's own pixels; ``foreground_fraction`` and
+    ``candidate_fraction`` the shares of the image that are 255 and 127; ``flags`` may hold "empty" or "full": such a
+    mask is what was seen, and probably not a person.
     """
 
     mask: Mask
     image_mask: Mask
     foreground_fraction: float
     flags: tuple[str, ...]
+    candidate_fraction: float = 0.0
+
+    @property
+    def person(self) -> Mask:
+        """``mask`` with 0 or 255 only: candidates are taken for shadow."""
+        return cv2.threshold(self.mask, SHADOW_CANDIDATE, FOREGROUND, cv2.THRESH_BINARY)[1]
 
 
 class SilhouettePipeline:
-    """The chain subtract, filter, remove shadow, keep the person, undistort, for one camera and background.
+    """The chain subtract, filter, look for shadow, keep the person, undistort, for one camera and background.
 
+    After the subtraction all work happens in a box around the places where foreground is dense. But for noise too thin
+    to be a part of anybody, the result is that of the whole image.
     Raises InputError when background and camera differ in image size.
     """
 
@@ -67,19 +86,45 @@ class SilhouettePipeline:
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
         self._settings, self._shape = settings, background.shape
         self._limits = background.limits(background_settings)
-        self._view = camera.undistorted_view()
+        self._drift: LightDrift | None = None
+        if background_settings.drift.mode == "slow":
+            self._drift = LightDrift(background, self._limits, background_settings)
         self._shadow = _shadow_test(camera, background, settings, background_settings.sigma_floor)
+        min_area_px = settings.min_area * camera.height**2
+        self._surroundings = Surroundings(self._shape, min_area_px, majority_count(settings.median_px))
+        self._undistorter = BoxUndistorter(camera.undistorted_view())
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
+        self._margin_px = 2 * (side // 2) + 2  # what closing looks at
 
-    def run(self, image: Image) -> Silhouette:
-        """The silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type."""
+    @property
+    def gain(self) -> float:
+        """How much brighter than learned the scene is now, as far as slow drift was followed; 1 without."""
+        return 1.0 if self._drift is None else self._drift.gain
+
+    def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
+        """The silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
+
+        Slow drift of the light is followed (when the settings ask for it) by the frames' ``stamp_ns``, so that the same
+        footage gives the same silhouettes at every speed.
+        """
         self._check(image)
-        mask = majority(self._limits.subtract(image), self._settings.median_px)
-        mask = cv2.subtract(mask, self._shadow.shadow(image, mask))
-        mask = self._keep_person(mask)
-        fraction = cv2.countNonZero(mask) / mask.size
-        return Silhouette(self._view.undistort_mask(mask), mask, fraction, self._flags(fraction))
+        box, raw = self._subtract(image)
+        if self._drift is not None and stamp_ns is not None:
+            self._drift.follow(image, self._surroundings.buffer, self._surroundings.busy, stamp_ns)
+        if box.empty:
+            return self._silhouette(np.zeros((0, 0), np.uint8), box)
+        shadow = self._shadow.shadow(self._as_learned(image), raw, box)
+        person = self._keep_person(cv2.subtract(raw, shadow))
+        if self._settings.shadow == "mark":
+            return self._silhouette(cv2.max(person, cv2.min(shadow, SHADOW_CANDIDATE)), box)
+        return self._silhouette(person, box)
+
+    def _as_learned(self, image: Image) -> Image:
+        """As bright as it would be under the light that the background was learned in."""
+        if abs(self.gain - 1) < LEAST_GAIN:
+            return image
+        return cv2.convertScaleAbs(image, alpha=1 / self.gain)
 
     def _check(self, image: Image) -> None:
         if image.shape != self._shape or image.dtype != np.uint8:
@@ -88,11 +133,36 @@ class SilhouettePipeline:
                 remedy="The camera's region or pixel format has changed; configure again.",
             )
 
+    def _subtract(self, image: Image) -> tuple[Box, Mask]:
+        """A box of the image that holds all foreground which survives the majority filter, and that foreground."""
+        within, side = self._surroundings.buffer, self._settings.median_px
+        cv2.inRange(image, self._limits.lo, self._limits.hi, dst=within)
+        busy = self._surroundings.box()
+        if busy.empty:
+            return Box(0, 0, 0, 0), np.zeros((0, 0), np.uint8)
+        survivors = busy.grown(BLOCK_PX, self._shape)
+        seen = survivors.grown(side // 2, self._shape)
+        filtered = majority(cv2.bitwise_not(within[seen.slices]), side)
+        box = survivors.grown(self._margin_px, self._shape, self._shadow.alignment_px)
+        mask = np.zeros((box.bottom - box.top, box.right - box.left), np.uint8)
+        mask[survivors.within(box).slices] = filtered[survivors.within(seen).slices]
+        return box, mask
+
     def _keep_person(self, mask: Mask) -> Mask:
-        s, height = self._settings, mask.shape[0]
+        s, height = self._settings, self._shape[0]
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
         area = height * height
         return keep_person(mask, s.min_area * area, s.near * height, s.max_hole * area)
+
+    def _silhouette(self, levels: Mask, box: Box) -> Silhouette:
+        """Back to the whole image, and onto the canvas."""
+        image_mask = np.zeros(self._shape[:2], np.uint8)
+        image_mask[box.slices] = levels
+        marked = box if box.empty else Box.around(levels).outside(box)
+        anything, person = int(np.count_nonzero(levels)), int(np.count_nonzero(levels == FOREGROUND))
+        fraction = person / image_mask.size
+        canvas = self._undistorter.undistort(image_mask, marked)
+        return Silhouette(canvas, image_mask, fraction, self._flags(fraction), (anything - person) / image_mask.size)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:
         if fraction < self._settings.empty_below:
@@ -104,6 +174,8 @@ def _shadow_test(
     camera: CameraModel, background: BackgroundModel, settings: SilhouetteSettings, sigma_floor: float
 ) -> ShadowTest:
     colour = len(background.shape) == 3
+    if settings.shadow == "keep":
+        return NoShadow()
     if colour and settings.colour_shadow.enabled:
         return ColourShadow(background, sigma_floor, settings.colour_shadow)
     if not colour and settings.floor_shadow.enabled:

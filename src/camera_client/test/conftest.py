@@ -6,8 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from camera_client.aravis_source import import_aravis
 from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, save_rig
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
 
 WIDTH, HEIGHT = 160, 120
 FPS = 50.0
@@ -72,3 +75,28 @@ def scene():
         camera=camera, write_video=write_video, empty=empty_scene, person_mask=person_mask, with_person=with_person,
         write_rig=write_rig, width=WIDTH, height=HEIGHT, fps=FPS,
     )  # fmt: skip
+
+
+@pytest.fixture
+def gige_camera():
+    """``gige_camera(scene, loop=..., **settings)``: a simulated GigE Vision camera on a loopback address of its own.
+
+    Its pictures are numbered and carry the instant of mid-exposure, unless another scene is given. Skips where Aravis
+    is not installed. All cameras are switched off at the end.
+    """
+    try:
+        import_aravis()
+    except InputError as error:
+        pytest.skip(str(error))
+    cameras = []
+
+    def make(scene=None, *, address=None, loop=None, wire=None, **settings):
+        address = address or free_addresses(1)[0]
+        scene = scene or PatternScene(256, 192)
+        simulated = SimulatedCamera(address, scene, CameraSettings(**settings), loop=loop, wire=wire)
+        cameras.append(simulated)
+        return simulated.start()
+
+    yield make
+    for simulated in cameras:
+        simulated.close()

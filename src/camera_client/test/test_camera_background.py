@@ -3,8 +3,11 @@
 import json
 import math
 
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.stats import norm
 
 from camera_client.background_files import read_background
@@ -60,6 +63,39 @@ def test_limits_agree_with_the_density_at_every_grey_level(pixels, risk):
     assert np.array_equal(foreground_of_every_grey_level(pixels, settings), expected)
     if risk == 0.02:  # sigma above 1 / (risk sqrt(2 pi)) = 19.9 grey levels: nothing is ever probable enough
         assert expected.all(axis=1).any()
+
+
+def probability(rule, grey, mean, sigma):
+    """Thesis eq. 6.3: the density, or the two-sided tail, in float64."""
+    return norm.pdf(grey, mean, sigma) if rule == "pdf" else 2 * norm.sf(np.abs(grey - mean) / sigma)
+
+
+@given(
+    st.sampled_from(["tail", "pdf"]),
+    st.floats(-12, math.log10(0.5)),
+    st.floats(0.1, 64),
+    st.lists(st.tuples(st.floats(0, 255, width=32), st.floats(0, 120, width=32)), min_size=1, max_size=30),
+)
+@hypothesis.settings(max_examples=150, deadline=None)
+def test_limits_agree_with_the_definition_for_any_background_and_risk(rule, log_risk, sigma_floor, pixels):
+    mean, sigma = np.array(pixels, np.float32).T.reshape(2, 1, -1)
+    settings = BackgroundSettings(rule=rule, risk=10**log_risk, sigma_floor=sigma_floor)
+    floored = np.maximum(sigma.astype(float), sigma_floor).reshape(-1, 1)
+    expected = probability(rule, GREY_LEVELS, mean.astype(float).reshape(-1, 1), floored)
+    undecided = np.abs(expected / settings.risk - 1) < 1e-9  # equal but for rounding
+    found = foreground_of_every_grey_level(model_of(mean, sigma), settings)
+    assert np.array_equal(found[~undecided], (expected < settings.risk)[~undecided])
+
+
+@pytest.mark.parametrize("rule", ["tail", "pdf"])
+def test_colour_limits_agree_with_the_definition_channel_by_channel(rule):
+    rng = np.random.default_rng(5)
+    mean, sigma = (rng.uniform(0, most, (20, 30, 3)).astype(np.float32) for most in (255, 20))
+    settings, image = BackgroundSettings(rule=rule, risk=1e-3), rng.integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    image[5:] = np.clip(np.rint(mean + rng.normal(0, 8, mean.shape)), 0, 255)[5:]
+    unlikely = probability(rule, image, mean.astype(float), np.maximum(sigma.astype(float), 1.0)) < settings.risk
+    found = model_of(mean, sigma).limits(settings).subtract(image) > 0
+    assert np.array_equal(found, unlikely.any(axis=2)) and 0.1 < found.mean() < 0.9
 
 
 def test_background_frame_is_background_but_for_the_risk(scene):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from camera_client.components import keep_person, majority
+from camera_client.settings import SilhouetteSettings
 
 
 def blank():
@@ -75,6 +76,37 @@ def test_hole_of_a_dropped_component_stays_empty():
 
 def test_empty_mask_stays_empty():
     assert not keep(blank()).any()
+
+
+def person():
+    """Head, trunk, an arm held out with its hand, two legs with feet, as a camera 3 m away would see them."""
+    mask = blank()
+    cv2.circle(mask, (120, 30), 12, 255, -1)
+    mask[42:120, 100:140] = 255
+    mask[50:60, 140:200] = 255
+    mask[120:215, 102:115] = mask[120:215, 125:138] = 255
+    mask[215:222, 92:115] = mask[215:222, 125:148] = 255
+    return mask
+
+
+LIMBS = {
+    "hand cut off by a thin strip in the background's colour": (slice(48, 62), slice(182, 187)),
+    "head separated by a bright collar": (slice(40, 49), slice(95, 145)),
+    "forearm hidden behind a pole": (slice(48, 62), slice(155, 170)),
+    "foot beyond the shadow that was taken off the shin": (slice(188, 214), slice(95, 145)),
+    "legs below shorts as dark as the floor": (slice(115, 142), slice(95, 145)),
+}
+
+
+@pytest.mark.parametrize("cut", LIMBS.values(), ids=LIMBS)
+def test_limb_survives_that_is_cut_off_as(cut):
+    mask = person()
+    mask[cut] = 0
+    settings = SilhouetteSettings()
+    area = mask.shape[0] ** 2
+    kept = keep_person(mask, settings.min_area * area, settings.near * mask.shape[0], settings.max_hole * area)
+    assert cv2.connectedComponents(mask)[0] > 2  # it is cut off
+    assert np.array_equal(kept, mask)
 
 
 @pytest.mark.parametrize("side", [1, 3, 5, 7])

@@ -2,6 +2,7 @@
 
 import os
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -13,12 +14,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
 from camera_client.background_model import load_background
 from camera_client.camera_node import CameraNode
+from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
-from sagoma_ros.images import decode_silhouette
+from sagoma_ros.images import camera_info_message, decode_silhouette
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 from sagoma_ros.stamps import to_ns, to_stamp
 
@@ -99,7 +102,7 @@ class Bench:
     def ask_to_learn(self, meanwhile=lambda: None):
         assert self.learn.wait_for_service(DEADLINE_S)
         answer = self.learn.call_async(Trigger.Request())
-        self.until(lambda: self.node._learning is not None or answer.done())
+        self.until(lambda: self.node._desk.busy or answer.done())
         meanwhile()
         self.until(answer.done)
         return answer.result()
@@ -245,10 +248,10 @@ def test_learning_while_somebody_moves_keeps_the_old_background(bench, session, 
     parameters["footage.path"] = scene.write_video(session.folder / "moving.avi", images)
     camera = bench(**parameters).start()
     camera.until(lambda: camera.masks)
-    before = camera.node._pipeline
+    before = camera.node._chain.pipeline
     answer = camera.ask_to_learn()
     assert not answer.success and "something moved" in answer.message
-    assert camera.node._pipeline is before
+    assert camera.node._chain.pipeline is before
 
 
 def test_learning_without_frames_is_refused(bench, session):
@@ -291,7 +294,8 @@ def test_frame_of_another_size_is_dropped_and_counted(bench, session, scene):
     camera.until(lambda: len(camera.masks) == 4)
     assert camera.stamps_ns() == [footage_stamp_ns(EPOCH_NS, k, 50.0) for k in (0, 1, 3, 5)]
     values = camera.values()
-    assert (values["bad_frames"], values["undecodable"], values["missing_frames"]) == ("1", "1", "1")
+    assert [int(values[key]) for key in ("expected", "delivered", "incomplete", "lost")] == [6, 5, 1, 0]
+    assert (values["bad_frames"], values["undecodable"], values["incomplete"]) == ("1", "1", "1")
 
 
 def test_raw_images_and_previews_are_published_on_request(bench, session, scene):
@@ -321,13 +325,16 @@ def test_raw_images_and_previews_are_published_on_request(bench, session, scene)
         ({"footage.rate": -1.0}, "footage.rate = -1.0 is out of range"),
         ({"footage.raet": 1.0}, "unknown key 'footage.raet'. Did you mean 'footage.rate'?"),
         ({"source": "usb"}, "source = 'usb' is not one of 'footage', 'aravis'"),
-        ({"source": "aravis", "aravis.address": "127.0.0.78"}, "no GigE Vision camera answers at 127.0.0.78"),
+        ({"source": "aravis", "aravis.address": "cam01"}, "'cam01' is not an IPv4 address"),
+        ({"camera_info_file": "{folder}/other.yaml"}, "camera_name = 'cam02' is not this camera, 'cam01'"),
     ],
 )
-def test_configure_fails_with_a_clear_error(bench, session, changed, text):
+def test_configure_fails_with_a_clear_error(bench, session, scene, changed, text):
     if changed.get("source") == "aravis":
         pytest.importorskip("gi", reason="PyGObject is not installed: apt install python3-gi gir1.2-aravis-0.8")
-    camera = bench(**{**session.parameters, **changed})
+    save_camera_info(session.folder / "other.yaml", scene.camera("cam02"))
+    filled = {key: v.format(folder=session.folder) if isinstance(v, str) else v for key, v in changed.items()}
+    camera = bench(**{**session.parameters, **filled})
     assert camera.node.trigger_configure() == FAILURE
     camera.until_said(text)
     assert camera.node._source is None
@@ -346,3 +353,87 @@ def test_failed_configure_can_be_mended_by_setting_the_parameter(bench, session)
     camera.node.set_parameters([Parameter("background", value=session.parameters["background"])])
     camera.start()
     camera.until(lambda: len(camera.masks) == FRAMES)
+
+
+@pytest.fixture
+def absent():
+    """An address where no camera answers."""
+    pytest.importorskip("gi", reason="PyGObject is not installed: apt install python3-gi gir1.2-aravis-0.8")
+    return "127.0.0.78"
+
+
+def test_camera_that_is_off_does_not_fail_configure_and_is_shown_as_an_error(bench, session, absent):
+    camera = bench(**{**session.parameters, "source": "aravis", "aravis.address": absent}).start()
+    camera.until_said(f"no camera: aravis.address: no GigE Vision camera answers at {absent}")
+    assert camera.diagnostics[-1].status[0].level == b"\2"
+    answer = camera.ask_to_learn()
+    assert not answer.success and "no frames are coming" in answer.message
+    values = camera.values()
+    assert float(values["downtime_s"]) > 0 and values["expected"] == "0" and int(values["failed_attempts"]) > 0
+    assert camera.node.trigger_deactivate() == SUCCESS
+    assert camera.node.trigger_cleanup() == SUCCESS
+
+
+def test_missing_background_fails_configure_even_while_the_camera_is_off(bench, session, absent):
+    parameters = {**session.parameters, "source": "aravis", "aravis.address": absent, "background": "/nowhere/bg.npz"}
+    camera = bench(**parameters)
+    assert camera.node.trigger_configure() == FAILURE
+    camera.until_said("/nowhere/bg.npz: cannot be read")
+
+
+def calibrated(camera):
+    """Another calibration of the same camera: longer lens, some distortion."""
+    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
+    return replace(camera, K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
+
+
+def set_camera_info(bench_, info):
+    client = bench_.peer.create_client(SetCameraInfo, f"{NAMESPACE}/set_camera_info")
+    assert client.wait_for_service(DEADLINE_S)
+    answer = client.call_async(SetCameraInfo.Request(camera_info=info))
+    bench_.until(answer.done)
+    return answer.result()
+
+
+def test_intrinsics_of_the_camera_info_file_replace_those_of_the_rig(bench, session, scene):
+    wanted = calibrated(scene.camera())
+    save_camera_info(session.folder / "info.yaml", wanted)
+    camera = bench(**{**session.parameters, "camera_info_file": str(session.folder / "info.yaml")}).start()
+    camera.until(lambda: camera.heard["camera_info"])
+    info, canvas = camera.heard["camera_info"][0], wanted.undistorted_view().camera
+    assert (info.width, info.height) == (canvas.width, canvas.height)
+    assert np.allclose(np.reshape(info.k, (3, 3)), canvas.K) and not any(info.d)
+
+
+def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session, scene):
+    path = session.folder / "info.yaml"
+    camera = bench(**{**session.parameters, "camera_info_file": str(path), "footage.window": 2})
+    camera.acknowledging = False
+    camera.start()
+    camera.until(lambda: len(camera.heard["camera_info"]) == 2)
+    wanted = calibrated(scene.camera())
+    answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
+    assert answer.success and f"saved to {path}" in answer.status_message
+    camera.acknowledging = True
+    camera.acknowledge(camera.stamps_ns()[-1])
+    camera.until(lambda: len(camera.heard["camera_info"]) > 2 and len(camera.masks) == len(camera.heard["camera_info"]))
+    before, after = camera.heard["camera_info"][1], camera.heard["camera_info"][2]
+    canvas = wanted.undistorted_view().camera
+    assert before.k[0] == pytest.approx(150.0) and after.k[0] == pytest.approx(170.0) and not any(after.d)
+    assert decode_silhouette(camera.masks[2], canvas.width, canvas.height, "test").any()
+    saved = load_camera_info(path, scene.camera())
+    assert np.array_equal(saved.K, wanted.K) and np.array_equal(saved.D, wanted.D)
+
+
+def test_set_camera_info_that_does_not_fit_changes_nothing(bench, session, scene):
+    camera = bench(**{**session.parameters, "camera_info_file": str(session.folder / "info.yaml")})
+    info = camera_info_message(calibrated(scene.camera()), 0, "cam01_optical")
+    answer = set_camera_info(camera, info)
+    assert not answer.success and "not configured" in answer.status_message
+    camera.start()
+    info.width = 640
+    answer = set_camera_info(camera, info)
+    assert not answer.success and "is for images of 640 x 120 pixels" in answer.status_message
+    assert not (session.folder / "info.yaml").exists()
+    camera.until(lambda: len(camera.heard["camera_info"]) == FRAMES)
+    assert {message.k[0] for message in camera.heard["camera_info"]} == {150.0}

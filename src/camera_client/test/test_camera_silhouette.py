@@ -19,6 +19,7 @@ from camera_client.settings import (
 )
 from camera_client.silhouette import EMPTY, FULL, SilhouettePipeline
 from capture_rig.errors import InputError
+from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
 
 
@@ -30,11 +31,12 @@ def learned(images):
 
 
 def iou(a, b):
-    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
+    a = a == 255  # a candidate for shadow is not the person
+    return (a & (b > 0)).sum() / (a | (b > 0)).sum()
 
 
 def recall(found, truth):
-    return ((found > 0) & (truth > 0)).sum() / (truth > 0).sum()
+    return ((found == 255) & (truth > 0)).sum() / (truth > 0).sum()
 
 
 @pytest.mark.parametrize("colour", [False, True])
@@ -139,19 +141,21 @@ def test_floor_is_what_rays_below_the_horizon_meet(scene):
     assert (floor[scene.height // 2 + 17 :] > 0).all()
 
 
-def test_shadow_on_the_floor_is_removed_and_the_person_stays(scene):
+def test_shadow_on_the_floor_is_marked_removed_or_kept_and_the_person_stays(scene):
     background, frame = learned(scene.empty(60)), scene.empty(1, seed=7)[0]
     shadow = np.zeros((scene.height, scene.width), np.uint8)
     shadow[88:112, 20:70] = 255
     frame[shadow > 0] = np.rint(frame[shadow > 0] * 0.65)
     frame = scene.with_person(frame)
-    with_test = SilhouettePipeline(scene.camera(), background).run(frame).image_mask
-    off = SilhouetteSettings(floor_shadow=FloorShadowSettings(enabled=False))
-    without = SilhouettePipeline(scene.camera(), background, off).run(frame).image_mask
+    masks = {how: SilhouettePipeline(scene.camera(), background, SilhouetteSettings(shadow=how)).run(frame).image_mask
+             for how in ("keep", "remove", "mark")}  # fmt: skip
     alone = (shadow > 0) & (scene.person_mask() == 0)
-    assert without[alone].mean() > 250
-    assert with_test[92:108, 24:64].mean() < 5
-    assert recall(with_test, scene.person_mask()) > 0.98 * recall(without, scene.person_mask())
+    assert (masks["keep"][alone] == 255).mean() > 0.98
+    assert not masks["remove"][92:108, 24:64].any()
+    assert recall(masks["remove"], scene.person_mask()) > 0.98 * recall(masks["keep"], scene.person_mask())
+    assert (masks["mark"][92:108, 24:64] == SHADOW_CANDIDATE).all()
+    assert np.array_equal(masks["mark"] == 255, masks["remove"] == 255)
+    assert set(np.unique(masks["keep"])) == set(np.unique(masks["remove"])) == {0, 255}
 
 
 def test_darkening_above_the_horizon_is_no_floor_shadow(scene):
@@ -169,10 +173,38 @@ def test_smooth_dark_clothes_over_a_textured_floor_are_no_shadow(scene):
     assert not test.shadow(frame, EVERYWHERE).any()
 
 
+def test_soft_rim_of_a_shadow_is_found_and_not_only_its_core(scene):
+    test = FloorShadow(scene.camera(), learned(scene.empty(60)), 1.0, FloorShadowSettings())
+    frame = scene.empty(1, seed=7)[0].astype(float)
+    ramp = np.interp(np.arange(160), [30, 60, 100, 130], [1.0, 0.6, 0.6, 1.0])  # penumbras 30 px wide
+    frame[84:116] *= ramp
+    found = test.shadow(np.rint(frame).astype(np.uint8), EVERYWHERE)[88:112] > 0
+    assert found[:, 64:96].mean() > 0.97 and found[:, 40:60].mean() > 0.9 and found[:, 100:120].mean() > 0.9
+    assert found[:, :26].mean() < 0.1 and found[:, 134:].mean() < 0.1  # darker by less than the noise shows
+
+
+def test_dark_clothes_before_a_floor_without_texture_are_no_shadow(scene):
+    """There is no evidence either way, and a lost leg costs more than a shadow."""
+    rng = np.random.default_rng(1)
+
+    def plain(darker):
+        image = np.full((120, 160), 140.0) * darker + rng.normal(0, 1.5, (120, 160))
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    test = FloorShadow(scene.camera(), learned([plain(1.0) for _ in range(60)]), 1.0, FloorShadowSettings())
+    assert not test.shadow(plain(0.6), EVERYWHERE).any()
+
+
+def test_textured_clothes_as_dark_as_a_shadow_are_no_shadow(scene):
+    test = FloorShadow(scene.camera(), learned(scene.empty(60)), 1.0, FloorShadowSettings())
+    other = cv2.GaussianBlur(np.random.default_rng(5).uniform(55, 105, (120, 160)), (0, 0), 1.0)  # cloth of its own
+    assert not test.shadow(np.rint(other).astype(np.uint8), EVERYWHERE).any()
+
+
 # --- real and rendered footage ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("session, least_iou", [("walk_ring5top", 0.74), ("charleston_ring5top", 0.75)])
+@pytest.mark.parametrize("session, least_iou", [("walk_ring5top", 0.80), ("charleston_ring5top", 0.83)])
 def test_rendered_session_is_segmented_with_high_recall(shared_data, session, least_iou):
     folder = shared_data("sessions", session)
     scores = []

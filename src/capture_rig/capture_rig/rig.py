@@ -56,7 +56,9 @@ def load_rig(path: str | Path) -> Rig:
     cameras = document.get("cameras")
     if not isinstance(cameras, Mapping) or not cameras:
         raise InputError("key 'cameras' is missing or empty", where=str(path), remedy="List each camera under it.")
-    models = tuple(_camera(str(name), cameras[name], f"{path}: cameras.{name}") for name in sorted(cameras, key=str))
+    models = tuple(
+        camera_from_mapping(str(name), cameras[name], f"{path}: cameras.{name}") for name in sorted(cameras, key=str)
+    )
     if "volume" in document:
         return Rig(models, _volume(document["volume"], f"{path}: volume"))
     return Rig(models, default_volume(models))
@@ -85,7 +87,8 @@ def default_volume(cameras: tuple[CameraModel, ...]) -> Volume:
     return Volume(low, high)
 
 
-def _camera(name: str, entry: Any, where: str) -> CameraModel:
+def camera_from_mapping(name: str, entry: Any, where: str) -> CameraModel:
+    """The camera that ``entry`` describes with the keys CAMERA_KEYS. Raises InputError naming ``where`` and the key."""
     if not isinstance(entry, Mapping):
         raise InputError("is not a mapping", where=where, remedy=f"It needs the keys {', '.join(CAMERA_KEYS)}.")
     for key in CAMERA_KEYS:

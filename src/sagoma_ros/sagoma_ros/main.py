@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from collections.abc import Callable
 
 import rclpy
@@ -22,16 +23,22 @@ def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -
 
     Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when the node could not be made at all.
     """
+    ending = threading.Event()
+
+    def interrupt(number: int, frame: object) -> None:
+        ending.set()
+        raise KeyboardInterrupt
+
     # our own handlers: rclpy's shut the context down first, and a node could no longer say or release anything
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+        signal.signal(number, interrupt)
     status = 0
     node: SagomaNode | None = None
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = factory()
         if node.autostart():
-            _spin(node)
+            _spin(node, ending)
         else:
             status = 1
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -49,17 +56,14 @@ def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -
     return status
 
 
-def _spin(node: SagomaNode) -> None:
+def _spin(node: SagomaNode, ending: threading.Event) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    while rclpy.ok():
+    while rclpy.ok() and not ending.is_set():
         try:
             executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
         except ExternalShutdownException:
             raise
         except Exception as error:  # in a callback: one bad message may not end the process
-            node.report(error)
-
-
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
+            if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
+                node.report(error)

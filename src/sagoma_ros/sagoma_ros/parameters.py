@@ -37,7 +37,12 @@ def read_declared(node: Node, settings_class: type[T]) -> T:
 
 
 def _declared(node: Node, settings_class: type) -> dict[str, Any]:
-    return {leaf.key: node.get_parameter(leaf.key).value for leaf in leaves(settings_class)}
+    return {leaf.key: _value(leaf, node.get_parameter(leaf.key).value) for leaf in leaves(settings_class)}
+
+
+def _value(leaf: Leaf, given: Any) -> Any:
+    # an empty list in a parameter file has no type, and arrives as no value at all
+    return [] if given is None and isinstance(leaf.default, list) else given
 
 
 def _undeclared(node: Node) -> dict[str, Any]:
@@ -51,8 +56,8 @@ def _where(node: Node) -> str:
 
 
 def _check(node: Node, settings_class: type, changes: list[Parameter]) -> SetParametersResult:
-    known = {leaf.key for leaf in leaves(settings_class)}
-    values = {change.name: change.value for change in changes if change.name in known}
+    known = {leaf.key: leaf for leaf in leaves(settings_class)}
+    values = {change.name: _value(known[change.name], change.value) for change in changes if change.name in known}
     try:
         build_settings(settings_class, values, _where(node))
     except InputError as error:

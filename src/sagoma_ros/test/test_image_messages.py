@@ -11,6 +11,7 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message, silhouette_message
 from sagoma_ros.stamps import to_ns
 
@@ -59,11 +60,29 @@ def test_silhouette_is_a_png_of_one_bit_a_pixel_and_a_few_kilobytes() -> None:
     assert len(data) < 4096
 
 
-def test_every_value_but_zero_is_foreground_on_both_sides() -> None:
+def test_every_value_but_zero_and_candidates_is_foreground_on_both_sides() -> None:
     grey = np.arange(HEIGHT * WIDTH, dtype=np.uint64).reshape(HEIGHT, WIDTH).astype(np.uint8)
-    expected = np.where(grey == 0, 0, 255)
+    expected = np.where((grey == 0) | (grey == SHADOW_CANDIDATE), 0, 255)
     assert np.array_equal(decode_silhouette(silhouette_message(grey, 0, ""), WIDTH, HEIGHT, TOPIC), expected)
     assert np.array_equal(decode_silhouette(encoded(grey), WIDTH, HEIGHT, TOPIC), expected)
+
+
+@pytest.mark.parametrize("level", [BACKGROUND, SHADOW_CANDIDATE, FOREGROUND])
+def test_shadow_candidates_come_back_as_the_reader_wants_them(level: int) -> None:
+    mask = body_mask()
+    mask[90:, 60:140] = SHADOW_CANDIDATE
+    message = silhouette_message(mask, STAMP, "cam01_optical")
+    assert np.array_equal(cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED), mask)
+    read = decode_silhouette(message, WIDTH, HEIGHT, TOPIC, candidates=level)
+    assert np.array_equal(read, np.where(mask == SHADOW_CANDIDATE, level, mask))
+    without = np.where(mask == SHADOW_CANDIDATE, 0, mask)
+    assert np.array_equal(decode_silhouette(message, WIDTH, HEIGHT, TOPIC), without)
+
+
+def test_silhouette_with_candidates_takes_a_few_kilobytes() -> None:
+    large = cv2.resize(body_mask(), (640, 480), interpolation=cv2.INTER_NEAREST)
+    cv2.ellipse(large, (420, 400), (150, 40), 20, 0, 360, SHADOW_CANDIDATE, -1)
+    assert len(bytes(silhouette_message(large, 0, "").data)) < 5000
 
 
 def test_silhouette_of_another_size_names_both_sizes() -> None:

@@ -81,6 +81,13 @@ def test_parameter_file_is_read(ros: Ros, tmp_path: Path) -> None:
     assert (settings.cameras, settings.low, settings.ids, settings.blob) == (5, [0.5, 1.0], [4, 2], Blob(0.25))
 
 
+def test_empty_list_in_a_parameter_file_is_an_empty_list(ros: Ros, tmp_path: Path) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/studio/hull_server:\n  ros__parameters:\n    axes: []\n    ids: []\n")
+    settings = read_parameters(make_node(ros, arguments=["--ros-args", "--params-file", str(file)]), Settings)
+    assert settings.axes == [] and settings.ids == []
+
+
 def test_unknown_override_is_refused_with_a_suggestion(ros: Ros) -> None:
     assert "unknown key 'voxel_mm'. Did you mean 'voxel_m'?" in refusal(make_node(ros, {"voxel_mm": 10}))
 

@@ -14,6 +14,7 @@ import pytest
 PATIENCE_S = 60.0  # for the process to end; a hang, not slowness, is what this catches
 
 NODE = textwrap.dedent("""
+    import signal
     import sys
     from dataclasses import dataclass
 
@@ -27,6 +28,7 @@ NODE = textwrap.dedent("""
     class Settings:
         rig_file: str = setting("rig.yaml", "the rig")
         failing_callback: bool = setting(False, "raise in a callback")
+        turned_interrupt: bool = setting(False, "wait for a signal in a callback and make another error of it")
 
 
     def say(text):
@@ -53,6 +55,12 @@ NODE = textwrap.dedent("""
                 say(self._state_machine.current_state[1])
             if self.turns == 1 and self.get_parameter("failing_callback").value:
                 raise ZeroDivisionError("a defect in a callback")
+            if self.turns == 3 and self.get_parameter("turned_interrupt").value:
+                say("waiting")
+                try:
+                    signal.sigwait({signal.SIGUSR1})
+                except KeyboardInterrupt:
+                    raise RuntimeError("as a conversion in C++ would") from None
 
         def cleanup(self):
             say("released")
@@ -98,6 +106,16 @@ def test_signal_ends_an_active_node_with_status_0_and_everything_released(start:
     process = start(*parameters(autostart=True))
     assert next_line(process) == "active"
     process.send_signal(number)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    assert output.split() == ["released"]
+    assert "Traceback" not in errors
+
+
+def test_signal_ends_the_node_although_an_extension_made_another_error_of_the_interrupt(start: Start) -> None:
+    process = start(*parameters(turned_interrupt=True))
+    assert (next_line(process), next_line(process)) == ("unconfigured", "waiting")
+    process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors
     assert output.split() == ["released"]

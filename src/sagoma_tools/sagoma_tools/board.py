@@ -16,7 +16,8 @@ from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3.0
 LOSS_WORDS = (
-    "ahead", "unexpected", "dropped", "late", "missing", "refused", "timeout", "backwards", "duplicate", "bad", "lost"
+    "ahead", "unexpected", "dropped", "late", "missing", "refused", "timeout", "backwards", "duplicate", "bad", "lost",
+    "incomplete", "stalls", "control_losses",
 )  # fmt: skip
 LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import TracebackType
 
 import yaml
+from rclpy.node import Node
 
 from camera_client.pace import EPOCH_STEP_NS
 from sagoma_bringup.node_spec import NodeSpec, Role
@@ -86,6 +87,12 @@ class Supervisor:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
+
+    @property
+    def node(self) -> Node:
+        """Its own node, spun by a thread, once it has been started: for further questions to the graph."""
+        assert self._link is not None
+        return self._link.node
 
     # starting and stopping ------------------------------------------------------------------------------------
 

@@ -38,7 +38,7 @@ def shadow_lookup(floor_xy: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.nan_to_num(cells, nan=-100.0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _block(lamp, starts, ends, radii, blocked, done):
     """Adds 1 to every cell that does not see the lamp: rays from the cells near each part's shadow to the lamp."""
     for p in range(len(starts)):

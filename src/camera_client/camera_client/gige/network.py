@@ -1,55 +1,50 @@
-"""The network side of a GigE Vision camera that Aravis leaves to us: is it there, and can we receive fast enough."""
+"""Our own side of the link to a camera: network interfaces, and a socket that is large enough to stream through."""
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
 import os
 import socket
 import stat
 import struct
+from dataclasses import dataclass
 
-from capture_rig.errors import InputError
-
-GVCP_PORT = 3956
-DISCOVERY_COMMAND = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 1)  # key, "answer me", DISCOVERY_CMD, 0 bytes, id 1
-DISCOVERY_ACK = 0x0003
-ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
+_SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
+_IFREQ = struct.Struct("256s")
 
 
-def host_address_for(address: str) -> str:
-    """Our own IPv4 address on the way to the camera at ``address``, after the camera has answered there.
+@dataclass(frozen=True)
+class Interface:
+    """A network interface with its first IPv4 address."""
 
-    Sends the GVCP discovery command to this one address (never to a broadcast address). Raises InputError when
-    ``address`` is no IPv4 unicast address or no GigE Vision camera answers.
-    """
-    where = "aravis.address"
-    try:
-        ip = ipaddress.IPv4Address(address)
-    except ValueError:
-        raise InputError(f"{address!r} is not an IPv4 address", where=where,
-                         remedy="Give the camera's address, such as 192.168.1.10.") from None  # fmt: skip
-    if ip.is_multicast or ip.is_unspecified or str(ip).endswith(".255"):
-        raise InputError(f"{address} is not the address of one device", where=where, remedy="Give the camera's own.")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.settimeout(ANSWER_TIMEOUT_S)
-        try:
-            link.connect((address, GVCP_PORT))
-            if any(_answers(link) for _ in range(ATTEMPTS)):
-                return link.getsockname()[0]
-            reason = "nothing answered"
-        except OSError as error:
-            reason = error.strerror or str(error)
-    raise InputError(f"no GigE Vision camera answers at {address} ({reason})", where=where,
-                     remedy="Check power, cable, and that camera and host share a subnet (ping it).")  # fmt: skip
+    name: str
+    address: ipaddress.IPv4Interface
+
+    @property
+    def host(self) -> str:
+        return str(self.address.ip)
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.address})"
 
 
-def _answers(link: socket.socket) -> bool:
-    link.send(DISCOVERY_COMMAND)
-    try:
-        answer = link.recv(1024)
-    except TimeoutError:
-        return False
-    return len(answer) >= 8 and struct.unpack(">HHHH", answer[:8])[1] == DISCOVERY_ACK
+def interfaces() -> tuple[Interface, ...]:
+    """This machine's interfaces that have an IPv4 address."""
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        for _, name in socket.if_nameindex():
+            try:
+                address, mask = (_ask(any_socket, what, name) for what in (_SIOCGIFADDR, _SIOCGIFNETMASK))
+            except OSError:  # it has none
+                continue
+            found.append(Interface(name, ipaddress.IPv4Interface(f"{address}/{mask}")))
+    return tuple(found)
+
+
+def _ask(any_socket: socket.socket, what: int, name: str) -> str:
+    answer = fcntl.ioctl(any_socket.fileno(), what, _IFREQ.pack(name.encode()))
+    return socket.inet_ntoa(answer[20:24])
 
 
 def enlarge_receive_buffer(port: int, wanted_bytes: int) -> str:

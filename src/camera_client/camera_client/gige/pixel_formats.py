@@ -1,49 +1,161 @@
-"""Pixel formats of GenICam cameras that we can take, and how each becomes a mono or BGR image."""
+"""Pixel formats of GenICam cameras that we can take, and how each becomes an 8-bit mono or BGR image.
+
+Grey levels of 10 and 12 bits are cut to their upper 8: the background model, and everything after it, works on 8 bits.
+Source: EMVA Pixel Format Naming Convention 2.x; GigE Vision 1.x for the ``Packed`` formats.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from .frame_source import Image
+from ..frame_source import Image
 
-# OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is OpenCV's "BG"
-_CONVERSIONS: dict[str, int | None] = {
-    "BayerRG8": cv2.COLOR_BayerBG2BGR,
-    "BayerGR8": cv2.COLOR_BayerGB2BGR,
-    "BayerGB8": cv2.COLOR_BayerGR2BGR,
-    "BayerBG8": cv2.COLOR_BayerRG2BGR,
-    "BGR8": None,
-    "RGB8": cv2.COLOR_RGB2BGR,
-    "Mono8": None,
+Bytes = np.ndarray  # (N,) uint8: a frame as it came
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a format lies in memory: bits that one pixel takes, whether it has colour, and how it becomes an image."""
+
+    bits_per_pixel: int
+    colour: bool
+    convert: Callable[[Bytes, int, int], Image]
+
+
+def _mono8(raw: Bytes, width: int, height: int) -> Image:
+    return raw.reshape(height, width).copy()
+
+
+def _upper_byte_of(bits: int) -> Callable[[Bytes, int, int], Image]:
+    """Two bytes a pixel, little endian, the grey level in the lower ``bits``."""
+
+    def convert(raw: Bytes, width: int, height: int) -> Image:
+        return (raw.view("<u2") >> (bits - 8)).astype(np.uint8).reshape(height, width)
+
+    return convert
+
+
+def _packed(raw: Bytes, width: int, height: int) -> Image:
+    """Mono10Packed, Mono12Packed: bytes 0 and 2 of three are the upper bits of two pixels, byte 1 the rest of both."""
+    image = np.empty(width * height, np.uint8)
+    image[0::2], image[1::2] = raw[0::3], raw[2::3]
+    return image.reshape(height, width)
+
+
+def _mono12p(raw: Bytes, width: int, height: int) -> Image:
+    """A row of bits, the lowest first: 12 of one pixel, 12 of the next, in three bytes."""
+    image = np.empty(width * height, np.uint8)
+    image[0::2] = raw[0::3] >> 4 | raw[1::3][: len(raw[0::3])] << 4
+    image[1::2] = raw[2::3]
+    return image.reshape(height, width)
+
+
+def _mono10p(raw: Bytes, width: int, height: int) -> Image:
+    """A row of bits, the lowest first: four pixels of 10 bits in five bytes."""
+    count = width * height
+    groups = np.zeros((-(-count // 4), 5), np.uint8)  # whole groups, also where the last one is cut
+    groups.reshape(-1)[: len(raw)] = raw
+    image = np.empty((len(groups), 4), np.uint8)
+    for pixel in range(4):  # bits 10 p + 2 to 10 p + 9
+        low = 2 * pixel + 2
+        image[:, pixel] = groups[:, pixel] >> low | groups[:, pixel + 1] << (8 - low) if low < 8 else groups[:, 4]
+    return image.reshape(-1)[:count].reshape(height, width)
+
+
+def _opencv(code: int | None, channels: int) -> Callable[[Bytes, int, int], Image]:
+    def convert(raw: Bytes, width: int, height: int) -> Image:
+        image = raw.reshape((height, width, channels) if channels > 1 else (height, width))
+        return image.copy() if code is None else cv2.cvtColor(image, code)
+
+    return convert
+
+
+def _yuv422(luma: int, blue: int, red: int) -> Callable[[Bytes, int, int], Image]:
+    """Two pixels in four bytes that share their chroma; 0 to 255 is the full range (BT.601 weights).
+
+    luma : index of the first pixel's luma in the four bytes, the second's is two further; blue, red : of Cb and Cr.
+    """
+
+    def convert(raw: Bytes, width: int, height: int) -> Image:
+        pairs = raw.reshape(height, width // 2, 4)
+        ycrcb = np.empty((height, width // 2, 2, 3), np.uint8)
+        ycrcb[..., 0] = pairs[..., luma::2]
+        ycrcb[..., 1] = pairs[..., red, None]
+        ycrcb[..., 2] = pairs[..., blue, None]
+        return cv2.cvtColor(ycrcb.reshape(height, width, 3), cv2.COLOR_YCrCb2BGR)
+
+    return convert
+
+
+# in the order of preference; OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is "BG"
+LAYOUTS: dict[str, Layout] = {
+    "BayerRG8": Layout(8, True, _opencv(cv2.COLOR_BayerBG2BGR, 1)),
+    "BayerGR8": Layout(8, True, _opencv(cv2.COLOR_BayerGB2BGR, 1)),
+    "BayerGB8": Layout(8, True, _opencv(cv2.COLOR_BayerGR2BGR, 1)),
+    "BayerBG8": Layout(8, True, _opencv(cv2.COLOR_BayerRG2BGR, 1)),
+    "YUV422_8": Layout(16, True, _yuv422(luma=0, blue=1, red=3)),
+    "YUV422_8_UYVY": Layout(16, True, _yuv422(luma=1, blue=0, red=2)),
+    "BGR8": Layout(24, True, _opencv(None, 3)),
+    "RGB8": Layout(24, True, _opencv(cv2.COLOR_RGB2BGR, 3)),
+    "Mono8": Layout(8, False, _mono8),
+    "Mono10p": Layout(10, False, _mono10p),
+    "Mono12p": Layout(12, False, _mono12p),
+    "Mono10Packed": Layout(12, False, _packed),
+    "Mono12Packed": Layout(12, False, _packed),
+    "Mono10": Layout(16, False, _upper_byte_of(10)),
+    "Mono12": Layout(16, False, _upper_byte_of(12)),
 }
-PREFERENCE = tuple(_CONVERSIONS)
-_PACKED_3 = ("BGR8", "RGB8")
+FORMATS = tuple(LAYOUTS)
+_OLD_NAMES = {
+    "BGR8Packed": "BGR8",
+    "RGB8Packed": "RGB8",
+    "YUV422Packed": "YUV422_8_UYVY",
+    "YUV422_YUYV_Packed": "YUV422_8",
+    "YCbCr422_8": "YUV422_8",
+}
+
+
+def standard_name(name: str) -> str:
+    """Today's name of a pixel format; other names are returned as they are."""
+    return _OLD_NAMES.get(name, name)
 
 
 def choose_format(available: list[str], channels: str) -> str | None:
-    """The preferred one of the camera's formats (colour at one byte a pixel first); None when none can be taken.
+    """The preferred one of the camera's formats, as the camera spells it; None when none can be taken.
 
-    ``channels``: "mono", "colour", or "auto" for either.
+    ``channels``: "mono", "colour", or "auto" for either (colour first). Fewer bytes a pixel come before more.
     """
-    fits = {"auto": PREFERENCE, "mono": ("Mono8",), "colour": tuple(n for n in PREFERENCE if n != "Mono8")}
-    return next((name for name in fits[channels] if name in available), None)
+    spelled = {standard_name(name): name for name in reversed(available)}
+    fits = (name for name, layout in LAYOUTS.items() if channels == "auto" or layout.colour == (channels == "colour"))
+    return next((spelled[name] for name in fits if name in spelled), None)
+
+
+def find_format(wanted: str, available: list[str]) -> str | None:
+    """The camera's spelling of the format ``wanted``; None when it has no such format."""
+    return next((name for name in available if standard_name(name) == standard_name(wanted)), None)
 
 
 def image_shape(name: str, width: int, height: int) -> tuple[int, ...]:
-    """Shape of the converted image."""
-    return (height, width) if name == "Mono8" else (height, width, 3)
+    """Shape of the converted image: (H, W), or (H, W, 3) for colour."""
+    return (height, width, 3) if LAYOUTS[standard_name(name)].colour else (height, width)
 
 
-def to_image(data: bytes, name: str, width: int, height: int) -> Image:
-    """The raw bytes of one frame as an image of its own memory, (H, W) or (H, W, 3) BGR.
+def image_bytes(name: str, width: int, height: int) -> int:
+    """Bytes that one frame takes; an image that ends within a byte fills it up."""
+    return -(-LAYOUTS[standard_name(name)].bits_per_pixel * width * height // 8)
+
+
+def to_image(data: bytes | Bytes, name: str, width: int, height: int) -> Image:
+    """The raw bytes of one frame as an image of its own memory: (H, W), or (H, W, 3) BGR; uint8.
 
     Raises ValueError when the bytes are too few.
     """
-    depth = 3 if name in _PACKED_3 else 1
-    size = width * height * depth
+    size = image_bytes(name, width, height)
     if len(data) < size:
         raise ValueError(f"{len(data)} bytes are too few for {width} x {height} {name}")
-    raw = np.frombuffer(data, np.uint8, size).reshape((height, width, 3) if depth == 3 else (height, width))
-    conversion = _CONVERSIONS[name]
-    return raw.copy() if conversion is None else cv2.cvtColor(raw, conversion)
+    raw = data[:size] if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8, size)
+    return LAYOUTS[standard_name(name)].convert(raw, width, height)

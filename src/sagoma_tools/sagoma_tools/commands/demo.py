@@ -14,11 +14,15 @@ from stick_figure.body import Body
 from virtual_studio.rig import ring
 from virtual_studio.session import write_session
 
-from ..demo import LiveRun, draw, judged, run_live
+from ..demo import draw, judged
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_latency, print_nodes, print_scores
+from ..live_run import LiveRun, run_live
+from ..stages import FootageStage, Stage, StudioStage
 from .common import StopOnSignal, add_settings_argument, parse_settings
 
+CAMERA_FPS = 30.0
+KEPT_UP = 0.9  # of the frame sets, at least, are answered where a machine keeps up
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
 
@@ -29,8 +33,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)"
     )
-    parser.add_argument("--rate", type=float, default=0.0,
-                        help="playing speed; 0 (default): as fast as the graph keeps up, dropping nothing")  # fmt: skip
+    parser.add_argument("--fps", type=float, default=CAMERA_FPS,
+                        help=f"frame rate of the simulated cameras (default: {CAMERA_FPS:g})")  # fmt: skip
+    parser.add_argument("--rate", type=float, default=None, metavar="R",
+                        help="no cameras: the clients read the videos, at this speed, or at 0 as fast as the graph "
+                        "keeps up, dropping nothing")  # fmt: skip
     parser.add_argument("--start", choices=("auto", "t_pose", "session"), default="auto",
                         help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
     add_settings_argument(parser)
@@ -38,16 +45,22 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Make the session if need be, run, report; 0 when every frame set was answered, else 1."""
+    """Make the session if need be, run, report; 0 when at least 90 % of the frame sets were answered, else 1."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     console = Console()
     output = Path(args.output)
     session = Path(args.session) if args.session else built_in_session(output / "session", console)
     shutil.rmtree(output / "bag", ignore_errors=True)
-    console.print(f"running the graph live on {session} (logs: {output / 'logs'})")
+    stage: Stage
+    if args.rate is None:
+        stage = StudioStage(session, output / "studio", args.fps)
+        console.print(f"{len(stage.session.rig.names)} simulated GigE cameras at {args.fps:g} Hz look at {session}")
+    else:
+        stage = FootageStage(session, args.rate)
+        console.print(f"the camera clients read the videos of {session}")
+    console.print(f"running the graph live (logs: {output / 'logs'})")
     with StopOnSignal() as stop:
-        live = run_live(session, output, rate=args.rate, start=args.start, settings=parse_settings(args.settings),
-                        cancel=stop)  # fmt: skip
+        live = run_live(stage, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
     scores = judged(live)
     report(console, live, scores)
     for path in draw(live, output, scores):
@@ -55,10 +68,11 @@ def run(args: argparse.Namespace) -> int:
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
     if live.answered < live.sets:
         console.print(
-            "this machine did not keep up: play slower (--rate 0.5) or as fast as it can (--rate 0)", style="red"
-        )
+            "this machine did not keep up with every frame set: give the cameras a lower rate (--fps), or read the "
+            "videos as fast as it can (--rate 0)", style="yellow",
+        )  # fmt: skip
     print(json.dumps(figures(live, scores)))
-    return 0 if live.answered == live.sets else 1
+    return 0 if live.answered >= KEPT_UP * live.sets else 1
 
 
 def built_in_session(folder: Path, console: Console) -> Path:

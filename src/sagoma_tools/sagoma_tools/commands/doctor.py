@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from ..doctor.camera import examine
 from ..doctor.findings import Finding, Severity, exit_status
 
 STYLES = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
-WIDTH = 140
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -26,8 +24,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )  # fmt: skip
     parser.add_argument("what", choices=["camera"], help="what to examine")
     parser.add_argument("parameters", metavar="PARAMS.yaml", type=Path, help="the camera's parameter file")
-    parser.add_argument("--json", action="store_true", help="print one line of JSON instead of a table")
-    parser.add_argument("--open", action="store_true", help="take control of the camera for a moment, as its client would")
+    parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
+    help_open = "take control of the camera for a moment, as its client would"
+    parser.add_argument("--open", action="store_true", help=help_open)
     parser.set_defaults(run=run)
 
 
@@ -38,16 +37,15 @@ def run(args: argparse.Namespace) -> int:
         status = exit_status(findings)
         print(json.dumps({"status": status, "findings": [finding.as_dict() for finding in findings]}))
     else:
-        show(findings, Console() if Console().is_terminal else Console(width=WIDTH))
+        show(findings, Console())
     return exit_status(findings)
 
 
 def show(findings: Sequence[Finding], console: Console) -> None:
-    """A table, the gravest findings last, where the eye is."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("", "about", "finding", "remedy"):
-        table.add_column(heading, overflow="fold")
+    """One line a finding, its remedy below; the gravest last, where the eye is."""
     for finding in sorted(findings, key=lambda finding: finding.severity):
-        severity = Text(finding.severity.name, style=STYLES[finding.severity])
-        table.add_row(severity, finding.about, Text(finding.what), Text(finding.remedy))
-    console.print(table)
+        line = Text(f"{finding.severity.name:8}", style=STYLES[finding.severity])
+        line.append(f"{finding.about:12} {finding.what}", style="default")
+        console.print(line, soft_wrap=True)
+        if finding.remedy:
+            console.print(Text(f"{'':21} -> {finding.remedy}"), soft_wrap=True)

@@ -12,11 +12,12 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 
-from ..demo import REFERENCE_START, T_POSE_START, session_track, start_settings
 from ..evaluation.in_process import Configuration, track_session
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_scores
-from ..evaluation.track import Track
+from ..evaluation.track import Track, track_from_bag
+from ..live_run import REFERENCE_START, T_POSE_START, start_settings
+from ..playing import play_of_bag
 from .common import add_settings_argument, parse_settings
 
 THESIS = {"icp_tracker.method": "hierarchical", "ekf_tracker.filter.motion_model": "identity"}
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
             "has no truth.csv or reference*.csv", where=args.session, remedy="Give a session with a truth."
         )
     settings = {**start_settings(session, args.start), **parse_settings(args.settings)}
-    track = session_track(args.bag, session) if args.bag else tracked(session, settings, args.exact_masks)
+    track = recorded(args.bag, session) if args.bag else tracked(session, settings, args.exact_masks)
     scores = score(track, session.truth)
     figures = {**scores.figures(), "time_to_track_s": round(float(track.frames[0]) / session.fps, 3)}
     if args.thesis:
@@ -56,6 +57,12 @@ def run(args: argparse.Namespace) -> int:
         report(Console(), args.session, scores, figures)
     print(json.dumps(figures))
     return 0
+
+
+def recorded(bag: str, session: Session) -> Track:
+    """The track in a bag that was recorded while the session played."""
+    play = play_of_bag(bag, session)
+    return track_from_bag(bag, play.frame_of).between(0, play.frames)
 
 
 def tracked(session: Session, settings: Mapping[str, Any], exact_masks: bool) -> Track:

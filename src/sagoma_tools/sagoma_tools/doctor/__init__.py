@@ -1,1 +1,1 @@
-"""What may keep a camera PC from working, found before it does: facts are collected, judged, and shown with remedies."""
+"""What may keep a camera PC from working, found before it does: facts are collected and judged, remedies shown."""

@@ -22,7 +22,7 @@ def ask_camera(address: str) -> DeviceFacts:
     try:
         record = at_address(address).device
     except InputError as error:
-        return DeviceFacts(address, str(error))
+        return DeviceFacts(address, error.what)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(ANSWER_TIMEOUT_S)
         link.connect((address, PORT))

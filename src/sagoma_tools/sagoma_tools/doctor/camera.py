@@ -9,7 +9,6 @@ from pathlib import Path
 from camera_client.aravis_source import AravisSource
 from camera_client.assembly import load_camera
 from camera_client.settings import CameraClientSettings
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
 from gige_vision.pixel_formats import PixelFormat
@@ -62,7 +61,7 @@ def examine(path: Path, open_it: bool = False) -> Iterator[Finding]:
         yield from check_background(collect_background(file.settings, shape), camera, file.settings)
     host = collect_host()
     if file.settings.source == "aravis":
-        yield from _examine_live(file, camera, host, open_it)
+        yield from _examine_live(file, host, open_it)
     else:
         yield note("camera", f"source: {file.settings.source}; network and camera are not looked at")
     yield from check_host(host)
@@ -93,10 +92,10 @@ def siblings(file: CameraFile, interface: InterfaceFacts) -> list[CameraFile]:
     return found
 
 
-def stream_of(file: CameraFile, camera: CameraModel | None) -> Stream | None:
+def stream_of(file: CameraFile) -> Stream | None:
     """What the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
     try:
-        camera = camera or load_camera(file.settings, file.settings.camera_name or file.name)
+        camera = load_camera(file.settings, file.settings.camera_name or file.name)
     except InputError:
         return None
     wanted = file.settings.aravis.pixel_format
@@ -106,9 +105,7 @@ def stream_of(file: CameraFile, camera: CameraModel | None) -> Stream | None:
     return Stream(file.name, payload, max(file.settings.aravis.frame_rate, 0.0))
 
 
-def _examine_live(
-    file: CameraFile, camera: CameraModel | None, host: HostFacts, open_it: bool
-) -> Iterator[Finding]:
+def _examine_live(file: CameraFile, host: HostFacts, open_it: bool) -> Iterator[Finding]:
     settings = file.settings.aravis
     yield from check_timing(file.settings)
     yield from check_receive_buffer(host, settings)
@@ -120,9 +117,9 @@ def _examine_live(
         yield from check_interface(interface, settings.address, settings)
         yield from check_device(ask_camera(settings.address), settings, interface)
         if interface is not None:
-            files = [file, *siblings(file, interface)]
-            streams = [stream for stream in (stream_of(one, camera if one is file else None) for one in files) if stream]
-            yield from check_bandwidth(streams, interface, settings.packet_size) if streams else ()
+            streams = [stream_of(one) for one in (file, *siblings(file, interface))]
+            known = [stream for stream in streams if stream is not None]
+            yield from check_bandwidth(known, interface, settings.packet_size) if known else ()
     yield from _opened(file) if open_it else _unopened(file)
 
 

@@ -15,7 +15,9 @@ EXPOSURE_TOLERANCE = 0.02
 LEARN = "ros2 service call /{name}/camera_client/learn_background std_srvs/srv/Trigger while the scene is empty"
 
 
-def check_background(facts: BackgroundFacts | None, camera: CameraModel, settings: CameraClientSettings) -> Iterator[Finding]:
+def check_background(
+    facts: BackgroundFacts | None, camera: CameraModel, settings: CameraClientSettings
+) -> Iterator[Finding]:
     """Is it there, does it fit, is it fresh?"""
     learn = LEARN.format(name=camera.name)
     if facts is None:
@@ -56,4 +58,4 @@ def check_timing(settings: CameraClientSettings) -> Iterator[Finding]:
         yield ok("exposure", f"{exposure_us:g} us at {rate:g} frames a second")
     for key, value in (("exposure_us", exposure_us), ("gain", settings.aravis.gain), ("frame_rate", rate)):
         if value < 0:
-            yield note("settings", f"aravis.{key} is left as the camera has it", f"Set it: a camera forgets, {key} too.")
+            yield note("settings", f"aravis.{key} is left as the camera has it", "Set it: cameras forget.")

@@ -14,14 +14,14 @@ JUMBO_MTU = 9000
 GIGABIT = 1000
 PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
 ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
-BUSY, FULL = 0.75, 0.95  # shares of the link
+BUSY, FULL = 0.7, 0.95  # shares of the link
 
 
 def check_interface(facts: InterfaceFacts | None, address: str, settings: AravisSettings) -> Iterator[Finding]:
     """Is there a way to the camera, and does it carry large packets?"""
     if facts is None:
         yield error("interface", f"there is no way to {address} from this machine",
-                    f"Give an interface an address in the camera's subnet: ip addr add ... (see: ip route get {address})")  # fmt: skip
+                    f"Give an interface an address in the camera's subnet; see: ip route get {address}")  # fmt: skip
         return
     if not facts.up:
         yield error("interface", f"{facts.name} is down", f"Plug the cable in, or: sudo ip link set {facts.name} up")
@@ -29,7 +29,7 @@ def check_interface(facts: InterfaceFacts | None, address: str, settings: Aravis
     yield ok("interface", f"{facts.name}, {facts.address}/{facts.netmask}, MTU {facts.mtu}")
     jumbo = f"sudo ip link set {facts.name} mtu {JUMBO_MTU} (and the same on the switch)"
     if settings.packet_size > facts.mtu:
-        yield error("mtu", f"aravis.packet_size = {settings.packet_size} does not fit the MTU {facts.mtu} of {facts.name}",
+        yield error("mtu", f"aravis.packet_size = {settings.packet_size}, but the MTU of {facts.name} is {facts.mtu}",
                     f"{jumbo}, or a smaller packet_size, or 0: the largest that passes")  # fmt: skip
     elif facts.mtu < JUMBO_MTU and not facts.loopback:
         yield warning("mtu", f"{facts.name} carries packets of {facts.mtu} bytes: six times the interrupts", jumbo)
@@ -50,14 +50,13 @@ def check_device(facts: DeviceFacts, settings: AravisSettings, interface: Interf
                         f"Correct aravis.address or aravis.{key}.")  # fmt: skip
     yield from _check_subnet(facts, interface)
     yield from _check_control(facts, interface)
+    yield from _check_ptp(facts, settings)
     if facts.can_resend is False:
         yield warning("resend", "the camera cannot send a packet again: each one lost costs a frame",
                       "Use its own cable to this machine, and jumbo frames.")  # fmt: skip
 
 
-def check_bandwidth(
-    streams: Sequence[Stream], interface: InterfaceFacts | None, packet_size: int
-) -> Iterator[Finding]:
+def check_bandwidth(streams: Sequence[Stream], interface: InterfaceFacts | None, packet_size: int) -> Iterator[Finding]:
     """Does what the cameras on this interface send fit the link? ``streams`` holds this camera first."""
     unknown = [stream.camera for stream in streams if not stream.frame_rate]
     if unknown:
@@ -113,6 +112,23 @@ def _check_subnet(facts: DeviceFacts, interface: InterfaceFacts | None) -> Itera
         return
     yield warning("subnet", f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router",
                   "Put both into one subnet (the maker's IP tool, or DHCP).")  # fmt: skip
+
+
+def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding]:
+    needed_by = (
+        "sync" if settings.sync in ("ptp", "action") else "stamp_source" if settings.stamp_source == "ptp" else ""
+    )
+    if not needed_by:
+        return
+    what = f"aravis.{needed_by} = {getattr(settings, needed_by)} needs PTP"
+    if facts.can_ptp:
+        yield ok("ptp", f"the camera has PTP, which aravis.{needed_by} needs; --open shows whether it is in step")
+    elif facts.can_ptp is None:
+        yield note("ptp", f"{what}; whether the camera has it is unknown", "See with --open, while no client runs.")
+    else:
+        # the capability bit is of GigE Vision 2.0; older cameras may have PTP all the same
+        yield warning("ptp", f"{what}, and the camera does not announce it",
+                      "See with --open; else set aravis.sync to line or software, stamp_source to camera.")  # fmt: skip
 
 
 def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iterator[Finding]:

@@ -116,7 +116,7 @@ def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Ma
                 background = read_background(session.backgrounds[name], image.shape, settings.background_model)
                 camera = session.rig.camera(name)
                 pipelines[name] = SilhouettePipeline(camera, background, settings.silhouette, settings.background_model)
-        yield {name: pipelines[name].run(image).mask for name, image in images.items()}
+        yield {name: pipelines[name].run(image).person for name, image in images.items()}
 
 
 def exact_silhouettes(session: Session) -> Iterator[Masks]:

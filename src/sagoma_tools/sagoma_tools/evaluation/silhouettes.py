@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import cv2
@@ -11,16 +11,17 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
-from capture_rig.session import Session
 from sagoma_ros.images import decode_silhouette
 
 from ..bags import read_messages
 from ..topics import camera_topics
 
 
-def image_masks(bag: Path, session: Session, frames: Sequence[int]) -> dict[str, list[np.ndarray]]:
+def image_masks(
+    bag: Path, cameras: Iterable[CameraModel], frames: Sequence[int], frame_of_stamp: Callable[[int], int]
+) -> dict[str, list[np.ndarray]]:
     """Each camera's silhouettes (H, W) at the given frames, distorted back to image pixels; empty where none came."""
-    return {camera.name: _masks_of(bag, session, camera, frames) for camera in session.rig.cameras}
+    return {camera.name: _masks_of(bag, camera, frames, frame_of_stamp) for camera in cameras}
 
 
 def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
@@ -33,12 +34,13 @@ def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
     return cv2.remap(canvas_mask, pixels[..., 0], pixels[..., 1], cv2.INTER_NEAREST)
 
 
-def _masks_of(bag: Path, session: Session, camera: CameraModel, frames: Sequence[int]) -> list[np.ndarray]:
+def _masks_of(
+    bag: Path, camera: CameraModel, frames: Sequence[int], frame_of_stamp: Callable[[int], int]
+) -> list[np.ndarray]:
     topic, canvas = camera_topics(camera.name)[1].name, camera.undistorted_view().camera
-    epoch_ns, found = None, {}
+    found = {}
     for message in read_messages(bag, topic.__eq__):
-        epoch_ns = message.stamp_ns if epoch_ns is None else epoch_ns
-        frame = round((message.stamp_ns - epoch_ns) * 1e-9 * session.fps)
+        frame = frame_of_stamp(message.stamp_ns)
         if frame in frames:
             mask = decode_silhouette(
                 deserialize_message(message.data, CompressedImage), canvas.width, canvas.height, topic

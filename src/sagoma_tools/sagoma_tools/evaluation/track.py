@@ -34,6 +34,11 @@ class Track:
     covariance: np.ndarray
     angles: np.ndarray
 
+    def between(self, first: int, end: int) -> Track:
+        """The rows of frames first, first + 1, ... end - 1."""
+        rows = (self.frames >= first) & (self.frames < end)
+        return Track(self.frames[rows], self.points_world[rows], self.covariance[rows], self.angles[rows])
+
     def at(self, frames: np.ndarray) -> Track:
         """The rows of the given frames, NaN where the track has none."""
         row_of = {int(frame): row for row, frame in enumerate(self.frames)}

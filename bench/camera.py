@@ -1,0 +1,243 @@
+"""Simulated GigE cameras through Aravis into camera client processes: frames lost, latency, processor time.
+
+    python bench/camera.py --quick                            # 5 cameras at 60 Hz for 15 s
+    python bench/camera.py --seconds 300 --fps 60             # the long run
+    python bench/camera.py --fps 60 80 100 120                # until the machine no longer keeps up
+    python bench/camera.py --fps 60 --loss 0 0.0005 0.005     # with packets lost on the way
+
+Every run is the real thing: one process serves the cameras (GigE Vision over loopback, a moving body in a room with
+shadow and noise, 640 x 480 Mono8), each camera has a client process that learns the empty room, subtracts it,
+undistorts and publishes, and one subscriber takes every silhouette, as the hull server would. Counts are the clients'
+own (expected = delivered + incomplete + lost). Latency runs from the capture stamp (mid-exposure, PTP time of the
+simulated cameras, so the same clock) to the subscriber; `published` is the client's own, up to the publication.
+cpu_per_client is in shares of one core. The last line is JSON: the first run's figures, and all runs under "runs".
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shutil
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.table import Table
+from sensor_msgs.msg import CompressedImage
+
+from capture_rig.errors import InputError
+from sagoma_bringup.graph import ALL_CAMERAS, build_graph, select
+from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
+from sagoma_tools.backgrounds import learn_backgrounds
+from sagoma_tools.bags import header_stamp_ns
+from sagoma_tools.ros_link import RosLink
+from sagoma_tools.stages import free_first_address
+from sagoma_tools.studio_process import StudioProcess
+from sagoma_tools.supervisor import Supervisor
+from sagoma_tools.topics import camera_topics
+from stick_figure.body import Body
+from virtual_studio.rig import ring
+from virtual_studio.session import write_session
+
+PLAY_S, PLAY_FPS = 4.0, 60.0
+SETTLE_S = 3.0  # from the play's beginning until counting begins
+COUNTED = ("expected", "delivered", "incomplete", "lost", "resent_packets", "missing_packets", "underruns")
+
+
+@dataclass(frozen=True)
+class Run:
+    """The figures of one run, all cameras together. Shares of a core; ms."""
+
+    cameras: int
+    fps: float
+    packet_loss: float
+    seconds: float
+    expected: int
+    delivered: int
+    incomplete: int
+    lost: int
+    resent_packets: int
+    received: int
+    latency_p50_ms: float
+    latency_p99_ms: float
+    published_p50_ms: float
+    cpu_per_client: float
+    cpu_studio: float
+    studio_late_p99_ms: float
+
+    @property
+    def kept_up(self) -> bool:
+        """Every frame delivered, and published before the next one came, mostly."""
+        return self.lost + self.incomplete == 0 and self.latency_p50_ms < 1e3 / self.fps
+
+
+class Ear:
+    """Takes every silhouette, undecoded, and notes how old it is."""
+
+    def __init__(self, cameras: tuple[str, ...]) -> None:
+        self._link, self._lock = RosLink("bench_ear"), threading.Lock()
+        self._ages_ns: list[int] = []
+        for camera in cameras:
+            topic = camera_topics(camera)[1].name
+            self._link.node.create_subscription(CompressedImage, topic, self._take, SILHOUETTE_SUBSCRIBER, raw=True)
+
+    def ages_ms(self) -> np.ndarray:
+        """The ages since the last call."""
+        with self._lock:
+            ages, self._ages_ns = self._ages_ns, []
+        return np.array(ages) / 1e6
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _take(self, data: bytes) -> None:
+        age_ns = time.time_ns() - header_stamp_ns(data)
+        with self._lock:
+            self._ages_ns.append(age_ns)
+
+
+def measure(session: Path, folder: Path, cameras: int, fps: float, loss: float, seconds: float) -> Run:
+    """One run: studio, clients, ear; the clients' counts from SETTLE_S after the play has begun."""
+    arguments = ("--session", str(session), "--fps", f"{fps:g}", "--empty", "--address", free_first_address(cameras))
+    with StudioProcess(folder / "studio", *arguments) as studio:
+        settings = {f"{ALL_CAMERAS}.aravis.sync": "ptp"}
+        graph = select(build_graph(rig=studio.rig, cameras=studio.cameras, settings=settings), ALL_CAMERAS)
+        with Supervisor(graph, folder / "logs") as supervisor:
+            supervisor.configure(tolerate_cameras=False)
+            ear = Ear(tuple(spec.label for spec in graph))
+            try:
+                supervisor.activate(tolerate_cameras=False)
+                learn_backgrounds(supervisor)
+                studio.ask("play", loop=True)
+                studio.ask("set", faults={"packet_loss": loss})
+                return _count(studio, supervisor, ear, fps, loss, seconds)
+            finally:
+                ear.close()
+
+
+def _count(studio: StudioProcess, supervisor: Supervisor, ear: Ear, fps: float, loss: float, seconds: float) -> Run:
+    still = threading.Event()
+    still.wait(SETTLE_S)
+    names = [spec.full_name for spec in supervisor.graph]
+    before, cpu_before, began_s = _totals(supervisor, names), _cpu(supervisor, studio), time.monotonic()
+    ear.ages_ms()
+    published: list[float] = []
+    while time.monotonic() < began_s + seconds:
+        still.wait(1.0)
+        reports = [supervisor.board.report(name) for name in names]
+        published += [float(r.values["latency_p50_ms"]) for r in reports if r and "latency_p50_ms" in r.values]
+    ages, after, cpu_after = ear.ages_ms(), _totals(supervisor, names), _cpu(supervisor, studio)
+    took_s = time.monotonic() - began_s
+    clients, served = ((cpu_after[k] - cpu_before[k]) / took_s for k in (0, 1))
+    lateness = [camera["late_us"]["p99"] for camera in studio.ask("status")["cameras"].values()]
+    counts = {key: after[key] - before[key] for key in COUNTED}
+    return Run(
+        cameras=len(names),
+        fps=fps,
+        packet_loss=loss,
+        seconds=round(took_s, 1),
+        expected=counts["expected"],
+        delivered=counts["delivered"],
+        incomplete=counts["incomplete"],
+        lost=counts["lost"],
+        resent_packets=counts["resent_packets"],
+        received=len(ages),
+        latency_p50_ms=_ms(np.percentile(ages, 50)) if len(ages) else float("nan"),
+        latency_p99_ms=_ms(np.percentile(ages, 99)) if len(ages) else float("nan"),
+        published_p50_ms=_ms(median(published)) if published else float("nan"),
+        cpu_per_client=round(clients / len(names), 3),
+        cpu_studio=round(served, 3),
+        studio_late_p99_ms=_ms(max(lateness) / 1e3),
+    )
+
+
+def _totals(supervisor: Supervisor, names: list[str]) -> Mapping[str, int]:
+    """The clients' counters, added up. Raises InputError where one has not reported."""
+    totals = dict.fromkeys(COUNTED, 0)
+    for name in names:
+        report = supervisor.board.report(name)
+        if report is None:
+            raise InputError("has not reported", where=name, remedy="Look into its log.")
+        for key in COUNTED:
+            totals[key] += int(report.values.get(key, 0))
+    return totals
+
+
+def _cpu(supervisor: Supervisor, studio: StudioProcess) -> tuple[float, float]:
+    """Processor time so far, s: of all clients together, and of the studio."""
+    served = psutil.Process(studio.pid).cpu_times()
+    return sum(used.cpu_s for used in supervisor.usage().values()), served.user + served.system
+
+
+def _ms(value: float) -> float:
+    return round(float(value), 2)
+
+
+def print_runs(console: Console, runs: list[Run]) -> None:
+    """One row a run."""
+    titles = ("cameras", "Hz", "packet loss", "s", "expected", "delivered", "incomplete", "lost", "resent packets",
+              "latency p50 ms", "p99 ms", "published p50 ms", "core/client", "core studio", "late p99 ms")  # fmt: skip
+    table = Table(title="simulated GigE cameras -> Aravis -> camera clients -> subscriber", title_justify="left",
+                  box=None, pad_edge=False)  # fmt: skip
+    for title in titles:
+        table.add_column(title, justify="right")
+    for r in runs:
+        table.add_row(*map(str, (
+            r.cameras, f"{r.fps:g}", f"{100 * r.packet_loss:g} %", f"{r.seconds:.0f}", r.expected, r.delivered,
+            r.incomplete, r.lost, r.resent_packets, r.latency_p50_ms, r.latency_p99_ms, r.published_p50_ms,
+            r.cpu_per_client, r.cpu_studio, r.studio_late_p99_ms,
+        )))  # fmt: skip
+    console.print(table)
+
+
+def main() -> int:
+    """Run every combination of rate and packet loss; stops raising the rate where the machine no longer keeps up."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one run of 15 s")
+    parser.add_argument("--cameras", type=int, default=5)
+    parser.add_argument("--fps", type=float, nargs="+", default=[60.0])
+    parser.add_argument("--loss", type=float, nargs="+", default=[0.0], help="share of the packets lost on the way")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of a run")
+    args = parser.parse_args()
+    seconds = 15.0 if args.quick else args.seconds
+    console, runs = Console(width=190), list[Run]()
+    folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_camera_"))
+    try:
+        session = write_session(folder / "session", ring(args.cameras - 1, True), Body.from_stature(1.75),
+                                fps=PLAY_FPS, seconds=PLAY_S)  # fmt: skip
+        for fps in args.fps:
+            for loss in args.loss:
+                runs.append(measure(session, folder / f"{fps:g}_{loss:g}", args.cameras, fps, loss, seconds))
+                print(f"{fps:g} Hz, packet loss {loss:g}: done", file=sys.stderr)
+            if not runs[-1].kept_up and args.loss == [0.0]:
+                break
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    print_runs(console, runs)
+    if args.loss == [0.0] and len(args.fps) > 1:
+        stopped = "" if runs[-1].kept_up else f"; it stops at {runs[-1].fps:g} Hz"
+        kept = [run.fps for run in runs if run.kept_up]
+        console.print(
+            f"this machine keeps up at {max(kept):g} Hz{stopped}" if kept else "this machine does not keep up"
+        )
+    console.print(f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
+                  f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}")  # fmt: skip
+    print(json.dumps({**asdict(runs[0]), "runs": [asdict(run) for run in runs]}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""What one camera publishes of its frames: silhouettes with their camera_info, and pictures on request."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
+from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
+
+from .background_model import BackgroundModel
+from .camera_chain import Seen
+from .frame_source import Frame
+from .preview import outline
+from .settings import CameraClientSettings
+from .silhouette import Silhouette
+
+
+class CameraTopics:
+    """The publishers of one camera client, made by ``create(message type, topic, QoS)``."""
+
+    def __init__(self, create: Callable[[type, str, Any], Any], frame_id: str, settings: CameraClientSettings) -> None:
+        self._frame_id = frame_id
+        self._silhouettes = create(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
+        self._infos = create(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
+        self._means = create(Image, "background/mean", LATCHED)
+        self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if settings.publish_raw else None
+        self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
+        self._preview_period_s, self._last_preview_s = 1 / settings.preview_rate, -np.inf
+
+    @property
+    def has_listener(self) -> bool:
+        """Does anybody listen to the silhouettes?"""
+        return self._silhouettes.get_subscription_count() > 0
+
+    def publish_image(self, frame: Frame) -> None:
+        """The frame as it came, when that was asked for."""
+        if self._raws is not None:
+            self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
+
+    def publish_silhouette(self, frame: Frame, seen: Seen, silhouette: Silhouette) -> None:
+        """The silhouette and its camera_info under one stamp; now and then a preview."""
+        self._infos.publish(camera_info_message(seen.canvas, frame.stamp_ns, self._frame_id))
+        self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
+        now_s = time.monotonic()
+        if self._previews is not None and now_s - self._last_preview_s >= self._preview_period_s:
+            self._last_preview_s = now_s
+            outlined = outline(frame.image, silhouette.image_mask)
+            self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
+
+    def publish_background(self, model: BackgroundModel) -> None:
+        """The mean of the background in use."""
+        self._means.publish(image_message(np.rint(model.mean).astype(np.uint8), 0, self._frame_id))

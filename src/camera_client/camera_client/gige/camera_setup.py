@@ -1,0 +1,148 @@
+"""From settings to a camera that takes pictures that way: every feature set, read back and compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from capture_rig.errors import InputError
+
+from ..settings import AravisSettings
+from .features import Features
+from .pixel_formats import FORMATS, choose_format, find_format, standard_name
+from .synchronisation import switch_triggers_off
+
+AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
+RATE_SHORTFALL = 0.01  # a camera that is slower than asked for by more than this is warned of
+CHUNKS = ("Timestamp", "ExposureTime")
+
+
+@dataclass(frozen=True)
+class CameraSetup:
+    """How the camera takes pictures now.
+
+    pixel_format : its standard name. exposure_us, frame_rate : None where the camera does not tell, or waits for
+    triggers. chunks : names of the chunks that each frame carries.
+    """
+
+    pixel_format: str
+    width: int
+    height: int
+    exposure_us: float | None
+    frame_rate: float | None
+    chunks: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def set_up_camera(features: Features, settings: AravisSettings, channels: str) -> CameraSetup:
+    """Everything but the trigger. Raises InputError naming the setting for what the camera cannot do."""
+    features.apply(settings.features, "aravis.features")
+    features.ensure("AcquisitionMode", "Continuous", "aravis.sync")
+    switch_triggers_off(features)
+    for name in AUTO_FUNCTIONS:
+        features.ensure(name, "Off", "aravis.features")
+    pixel_format = _set_format(features, settings, channels)
+    _set_region(features, settings)
+    _set_exposure(features, settings)
+    warnings = _set_rate(features, settings)
+    chunks, chunk_warnings = _set_chunks(features, settings.chunks)
+    triggered = settings.sync in ("line", "action", "software")
+    return CameraSetup(
+        standard_name(pixel_format), _integer(features, "Width"), _integer(features, "Height"),
+        features.number("ExposureTime"), None if triggered else features.number("AcquisitionFrameRate"), chunks,
+        warnings + chunk_warnings,
+    )  # fmt: skip
+
+
+def _set_format(features: Features, settings: AravisSettings, channels: str) -> str:
+    available = list(features.access.choices(features.require("PixelFormat", "aravis.pixel_format")))
+    wanted = settings.pixel_format
+    chosen = choose_format(available, channels) if wanted == "auto" else find_format(wanted, available)
+    if chosen is None:
+        raise InputError(f"does not offer pixel format {wanted!r} but {', '.join(available)}", where=features.where,
+                         remedy=f"aravis.pixel_format can be {', '.join(FORMATS)}.")  # fmt: skip
+    features.set("PixelFormat", chosen, "aravis.pixel_format")
+    return chosen
+
+
+def _set_region(features: Features, settings: AravisSettings) -> None:
+    """Binning first, for it changes how large the region may be; then size, from the corner; then the offset."""
+    if settings.binning > 0:
+        for name in ("BinningHorizontal", "BinningVertical"):
+            features.set(name, settings.binning, "aravis.binning")
+    for size, offset, wanted_size, wanted_offset in (
+        ("Width", "OffsetX", settings.width, settings.offset_x),
+        ("Height", "OffsetY", settings.height, settings.offset_y),
+    ):
+        if wanted_size < 0 and wanted_offset < 0:
+            continue
+        if features.find(offset) is not None:
+            features.set(offset, 0, f"aravis.{_key(offset)}")
+        largest = _largest(features, size)
+        if wanted_size >= 0:
+            features.set(size, wanted_size or largest, f"aravis.{size.lower()}")
+        left = largest - _integer(features, size)
+        if features.find(offset) is not None and (wanted_offset > 0 or left > 0):
+            features.set(offset, left // 2 if wanted_offset < 0 else wanted_offset, f"aravis.{_key(offset)}")
+
+
+def _set_exposure(features: Features, settings: AravisSettings) -> None:
+    if settings.exposure_us >= 0:
+        features.ensure("ExposureMode", "Timed", "aravis.exposure_us")
+        features.set("ExposureTime", settings.exposure_us, "aravis.exposure_us")
+    if settings.gain >= 0:
+        features.set("Gain", settings.gain, "aravis.gain")
+
+
+def _set_rate(features: Features, settings: AravisSettings) -> tuple[str, ...]:
+    """The camera's own rate; where triggers give it, the camera's limit is switched off."""
+    switch = features.find("AcquisitionFrameRateEnable")
+    if settings.sync in ("line", "action", "software"):
+        if switch is not None:
+            features.switch(switch, False, "aravis.sync")
+        return ()
+    if settings.frame_rate < 0:
+        return ()
+    if switch is not None:
+        features.switch(switch, True, "aravis.frame_rate")
+    features.set("AcquisitionFrameRate", settings.frame_rate, "aravis.frame_rate")
+    reached = features.number("ResultingFrameRate")
+    if reached is None or reached >= (1 - RATE_SHORTFALL) * settings.frame_rate:
+        return ()
+    return (
+        f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
+        "region smaller, or raise the packet size",
+    )
+
+
+def _set_chunks(features: Features, wanted: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the chunks that are on now, and warnings."""
+    if features.find("ChunkModeActive") is None:
+        return (), ((f"{features.where} has no chunks: time and exposure come from elsewhere",) if wanted else ())
+    if wanted or features.read("ChunkModeActive"):
+        features.switch("ChunkModeActive", wanted, "aravis.chunks")
+    if not wanted:
+        return (), ()
+    offered = features.access.choices(features.require("ChunkSelector", "aravis.chunks"))
+    chosen = tuple(name for name in CHUNKS if name in offered)
+    for name in chosen:
+        features.set("ChunkSelector", name, "aravis.chunks")
+        features.switch("ChunkEnable", True, "aravis.chunks")
+    missing = [name for name in CHUNKS if name not in chosen]
+    return chosen, tuple(f"{features.where} has no chunk {name}" for name in missing)
+
+
+def _largest(features: Features, size: str) -> int:
+    """Largest width or height at offset 0."""
+    limits = features.access.limits(size)
+    return int(limits[1]) if limits else _integer(features, f"{size}Max")
+
+
+def _integer(features: Features, name: str) -> int:
+    value = features.number(name)
+    if value is None:
+        raise InputError(f"does not tell its {name}", where=features.where, remedy="Use another camera.")
+    return int(value)
+
+
+def _key(offset: str) -> str:
+    return {"OffsetX": "offset_x", "OffsetY": "offset_y"}[offset]

@@ -1,0 +1,203 @@
+"""When was a frame taken, on the system's clock (UTC)? Three sources, best first: PTP, the camera's clock, arrival.
+
+Each strategy turns what a frame carries into the stamp of mid-exposure and an honest bound on its error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from capture_rig.errors import InputError
+
+from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock
+from .clock_reading import ClockReading
+
+PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is not what it is said to be
+PTP_IN_STEP = ("Slave", "Master")
+ARRIVAL_UNCERTAINTY_NS = 5 * MS  # readout, transfer and scheduling between the end of exposure and its first packet
+UNREAD_CLOCK_UNCERTAINTY_NS = 1 * MS  # readout and first packet, of a camera whose clock cannot be read
+UNSEEN_DELAY_NS = 200_000  # by which the smallest delay of a link may change as the computers' load does
+SETTLING_NS = 8 * SECOND  # so long the smallest delay of a link is estimated; then it is kept
+MIDDLE = {"exposure_start": 0.5, "exposure_middle": 0.0, "exposure_end": -0.5}
+"""Share of the exposure from the instant that the camera stamps to its middle."""
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """What is known of one frame, ns: the camera's stamp on its clock, arrival of the first packet on ours (UTC)."""
+
+    camera_ns: int
+    arrival_ns: int
+    exposure_ns: int
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """Mid-exposure on the system's clock (UTC, ns), how far that may be off, and whose clock it is from."""
+
+    ns: int
+    uncertainty_ns: int
+    clock: str
+
+
+class TimeSource(Protocol):
+    """Stamps the frames of one run, in the order of their arrival."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def jumps(self) -> int:
+        """How often the clock was found to have been set."""
+
+    def stamp(self, times: FrameTimes) -> Stamp: ...
+
+
+class ArrivalTime:
+    """The host's clock at the first packet, less half the exposure: cameras send once the exposure is over.
+
+    Uncertain by half the exposure and what readout, transfer and scheduling may take.
+    """
+
+    name = "host, at arrival"
+
+    def __init__(self) -> None:
+        self.jumps = 0
+        self._last_ns: int | None = None
+
+    def stamp(self, times: FrameTimes) -> Stamp:
+        stamp_ns = times.arrival_ns - times.exposure_ns // 2
+        if self._last_ns is not None:
+            stamp_ns = max(stamp_ns, self._last_ns + 1)
+        self._last_ns = stamp_ns
+        return Stamp(stamp_ns, times.exposure_ns // 2 + ARRIVAL_UNCERTAINTY_NS, self.name)
+
+
+class CameraTime:
+    """The camera's own clock, mapped onto the host's by the least delayed frames.
+
+    reading : of the camera's clock at the start: it tells the smallest delay of a frame, which is then taken out. None:
+        the delay is taken for the rest of the exposure, and the stamp is uncertain by a millisecond more.
+
+    Uncertain by that of the reading and by how unsteady the smallest delay is (twice the median height of the
+    envelope's points, and 0.2 ms for changes that no frame shows); in the first seconds by the drift that is not known
+    yet instead, and in the first second after the camera's clock was set by what a frame may be late.
+    """
+
+    name = "camera, mapped onto the host"
+
+    def __init__(self, reading: ClockReading | None, camera_stamps: str) -> None:
+        self._reading, self._camera_stamps = reading, camera_stamps
+        self._clock = CameraClock()
+        self._delay_ns: int | None = None
+        self._last_ns: int | None = None
+
+    @property
+    def jumps(self) -> int:
+        return self._clock.jumps
+
+    def stamp(self, times: FrameTimes) -> Stamp:
+        host_ns = self._clock.to_host_ns(times.camera_ns, times.arrival_ns)
+        to_middle_ns = round(MIDDLE[self._camera_stamps] * times.exposure_ns)
+        delay_ns = self._smallest_delay(times)
+        unsure_ns = UNREAD_CLOCK_UNCERTAINTY_NS if self._reading is None else self._reading.uncertainty_ns
+        if self._clock.jumps and self._clock.span_ns < SECOND:
+            unsure_ns += ARRIVAL_UNCERTAINTY_NS
+        if self._clock.knows_drift:
+            unsure_ns += UNSEEN_DELAY_NS
+        else:
+            unsure_ns += round(USUAL_DRIFT * self._clock.span_ns)
+        stamp_ns = host_ns - delay_ns + to_middle_ns
+        if self._last_ns is not None:
+            stamp_ns = max(stamp_ns, self._last_ns + 1)
+        self._last_ns = stamp_ns
+        return Stamp(stamp_ns, unsure_ns + round(2 * self._clock.spread_ns), self.name)
+
+    def _smallest_delay(self, times: FrameTimes) -> int:
+        """From the instant that the camera stamps to the arrival of the least delayed frame."""
+        if self._reading is None:
+            return round((0.5 + MIDDLE[self._camera_stamps]) * times.exposure_ns)
+        if self._delay_ns is None or (self._clock.jumps == 0 and self._clock.span_ns < SETTLING_NS):
+            at_reading_ns = self._clock.offset_ns(self._reading.camera_ns)
+            self._delay_ns = max(round(at_reading_ns - self._reading.offset_ns), 0)
+        return self._delay_ns
+
+
+class PtpTime:
+    """A camera's clock that PTP keeps: TAI (or UTC, where the grandmaster says so), no mapping needed.
+
+    tai_utc_offset_s : seconds by which the clock is ahead of UTC.
+    uncertainty_ns : how well the camera's clock was found to agree with the system's at the start.
+    fallback : stamps the frames whose PTP time cannot be right: after they arrived, or long before. ``jumps`` counts
+        how often that began.
+    """
+
+    name = "PTP"
+
+    def __init__(self, tai_utc_offset_s: int, camera_stamps: str, uncertainty_ns: int, fallback: CameraTime) -> None:
+        self._ahead_ns, self._camera_stamps = tai_utc_offset_s * SECOND, camera_stamps
+        self._uncertainty_ns, self._fallback = uncertainty_ns, fallback
+        self._believed = True
+        self._last_ns: int | None = None
+        self.jumps = 0
+
+    def stamp(self, times: FrameTimes) -> Stamp:
+        mapped = self._fallback.stamp(times)
+        taken_ns = times.camera_ns - self._ahead_ns + round(MIDDLE[self._camera_stamps] * times.exposure_ns)
+        believed = abs(taken_ns - mapped.ns) <= PTP_TOLERANCE_NS
+        self.jumps += self._believed and not believed
+        self._believed = believed
+        stamp = Stamp(taken_ns, self._uncertainty_ns, self.name) if believed else mapped
+        if self._last_ns is not None and stamp.ns <= self._last_ns:
+            stamp = Stamp(self._last_ns + 1, stamp.uncertainty_ns, stamp.clock)
+        self._last_ns = stamp.ns
+        return stamp
+
+
+def choose_time_source(
+    wanted: str, reading: ClockReading | None, ptp_status: str | None, tai_utc_offset_s: int, camera_stamps: str,
+    where: str,
+) -> tuple[TimeSource, str]:  # fmt: skip
+    """The source for ``wanted`` (auto, ptp, camera, arrival), and a warning ("" when there is none).
+
+    ptp_status : the camera's PTP status; None where it has no PTP.
+    Raises InputError when PTP was demanded and the camera's clock is not that of PTP.
+    """
+    if wanted == "arrival":
+        return ArrivalTime(), ""
+    mapped = CameraTime(reading, camera_stamps)
+    if wanted == "camera" or (wanted == "auto" and (ptp_status is None or ptp_status not in PTP_IN_STEP)):
+        return mapped, ""
+    objection = _objection(reading, ptp_status, tai_utc_offset_s)
+    if not objection:
+        assert reading is not None
+        away_ns = max(abs(_away_ns(reading, tai_utc_offset_s)) - reading.uncertainty_ns, 0)
+        return PtpTime(tai_utc_offset_s, camera_stamps, reading.uncertainty_ns + away_ns, mapped), ""
+    if wanted == "ptp":
+        raise InputError(f"cannot be stamped by PTP: {objection}", where=where,
+                         remedy="Set aravis.stamp_source to auto or camera to do without.")  # fmt: skip
+    return mapped, f"PTP is not used for stamps: {objection}"
+
+
+def _away_ns(reading: ClockReading, tai_utc_offset_s: int) -> int:
+    """How far the camera's clock is from the system's, when it is said to be ahead by so much."""
+    return reading.camera_ns - tai_utc_offset_s * SECOND - reading.host_ns
+
+
+def _objection(reading: ClockReading | None, ptp_status: str | None, tai_utc_offset_s: int) -> str:
+    """Why the camera's clock cannot be taken for PTP time; "" when it can."""
+    if ptp_status is None:
+        return "the camera has no PTP"
+    if ptp_status not in PTP_IN_STEP:
+        return f"its PTP status is {ptp_status}, not {' or '.join(PTP_IN_STEP)} (is a grandmaster on the network?)"
+    if reading is None:
+        return "the camera's clock cannot be read, so nothing shows that it is in step with this host's"
+    away_ns = _away_ns(reading, tai_utc_offset_s)
+    if abs(away_ns) <= PTP_TOLERANCE_NS + reading.uncertainty_ns:
+        return ""
+    ahead_s = tai_utc_offset_s + away_ns / SECOND
+    return (
+        f"its clock is {ahead_s:.3f} s ahead of this host's UTC, not {tai_utc_offset_s} s as aravis.tai_utc_offset_s "
+        "says (37: the grandmaster gives TAI, 0: UTC); set that right, or this host's clock (chrony; ptp4l and phc2sys)"
+    )

@@ -1,0 +1,255 @@
+"""GenICam features: set, read back, compare; and errors that say what the camera would have taken."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from capture_rig.errors import InputError
+
+from .errors import DeviceRefusal
+from .feature_names import known_as, spellings
+
+Value = bool | int | float | str
+
+FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
+ON, OFF = ("true", "1", "on", "yes"), ("false", "0", "off", "no")
+_SWITCH_WORDS = {True: ("On", "True", "Enable", "Enabled"), False: ("Off", "False", "Disable", "Disabled")}
+MOST_NAMES = 24  # of an enumeration, in an error
+
+
+class Kind(Enum):
+    """What a feature holds."""
+
+    INTEGER = "integer"
+    FLOAT = "float"
+    ENUMERATION = "enumeration"
+    BOOLEAN = "boolean"
+    STRING = "string"
+    COMMAND = "command"
+
+
+class FeatureAccess(Protocol):
+    """A device's features by their exact names.
+
+    Every method may raise DeviceSilence when the device does not answer, and DeviceRefusal when it says no.
+    """
+
+    def kind(self, name: str) -> Kind | None:
+        """None for a feature that the device does not have, or not now."""
+
+    def read(self, name: str) -> Value: ...
+
+    def write(self, name: str, value: Value) -> None: ...
+
+    def execute(self, name: str) -> None: ...
+
+    def limits(self, name: str) -> tuple[float, float] | None:
+        """Smallest and largest value of a number; None where the device does not tell."""
+
+    def step(self, name: str) -> float | None:
+        """Distance between the values a number can take; None where the device does not tell."""
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        """The entries of an enumeration that are to be had now."""
+
+
+@dataclass(frozen=True)
+class Applied:
+    """One feature as the device took it."""
+
+    name: str
+    wanted: Value
+    got: Value
+
+
+class Features:
+    """Features of one device by any generation's name, with every write checked.
+
+    ``where`` begins every error: which camera this is.
+    """
+
+    def __init__(self, access: FeatureAccess, where: str) -> None:
+        self.access, self.where = access, where
+
+    def find(self, name: str) -> str | None:
+        """The name under which this device has the feature; None when it has it under none."""
+        return known_as(name, lambda spelling: self.access.kind(spelling) is not None)
+
+    def require(self, name: str, key: str) -> str:
+        """Like find(), but InputError (blaming the setting ``key``) when the device has no such feature."""
+        found = self.find(name)
+        if found is None:
+            raise self._error(f"has no feature {' or '.join(spellings(name))}, which {key} needs",
+                              f"Leave {key} out, or use a camera that has it.")  # fmt: skip
+        return found
+
+    def read(self, name: str) -> Value | None:
+        """The feature's value; None when the device has no such feature or does not let it be read now."""
+        found = self.find(name)
+        if found is None or self.access.kind(found) is Kind.COMMAND:
+            return None
+        try:
+            return self.access.read(found)
+        except DeviceRefusal:
+            return None
+
+    def number(self, name: str) -> float | None:
+        """The feature's value when it is a number."""
+        value = self.read(name)
+        return None if value is None or isinstance(value, str) else float(value)
+
+    def ensure(self, name: str, wanted: Value, key: str) -> None:
+        """Set a feature that may be absent, unless it is so already: what needs no change may well be locked."""
+        found = self.find(name)
+        if found is not None and self.read(found) != wanted:
+            self.set(found, wanted, key)
+
+    def set(self, name: str, wanted: Value, key: str) -> Applied:
+        """Set, read back, compare. ``wanted`` may be text for any kind of feature.
+
+        A feature that may only be written is believed to hold what it was given. Raises InputError naming feature,
+        wanted and got value, what is allowed, and the setting ``key`` to change.
+        """
+        found = self.require(name, key)
+        kind = self.access.kind(found)
+        if kind is Kind.COMMAND:
+            raise self._error(f"{found} is a command and takes no value (asked for {wanted!r})",
+                              f"Write '{found}!' in {key} to run it.")  # fmt: skip
+        assert kind is not None
+        value = self._allowed(found, self._parsed(found, kind, wanted, key), key)
+        try:
+            self.access.write(found, value)
+        except DeviceRefusal as refusal:
+            raise self._error(
+                f"refuses {found} = {value} ({refusal})",
+                f"{self._allowance(found)}Change {key}, or what locks this feature.",
+            ) from None
+        got = self.read(found)
+        if got is None:
+            return Applied(found, value, value)
+        if not self._same(found, value, got):
+            raise self._error(f"took {found} = {got} instead of {value}",
+                              f"{self._allowance(found)}Set {key} to a value that the camera keeps.")  # fmt: skip
+        return Applied(found, value, got)
+
+    def switch(self, name: str, on: bool, key: str) -> Applied:
+        """Set what is a boolean on one camera, On and Off on the next, and 1 and 0 on a third."""
+        found = self.require(name, key)
+        words: tuple[str, ...] = _SWITCH_WORDS[on]
+        if self.access.kind(found) is Kind.ENUMERATION:
+            words = tuple(word for word in words if word in self.access.choices(found)) or words
+        return self.set(found, words[0], key)
+
+    def run(self, name: str, key: str) -> None:
+        """Run a command. Raises InputError when there is none, or it is refused."""
+        found = self.require(name, key)
+        if self.access.kind(found) is not Kind.COMMAND:
+            raise self._error(f"{found} is no command", f"Write '{found}=value' in {key} to set it.")
+        try:
+            self.access.execute(found)
+        except DeviceRefusal as refusal:
+            raise self._error(f"refuses {found}! ({refusal})", f"Change {key}.") from None
+
+    def apply(self, lines: Sequence[str], key: str) -> tuple[Applied, ...]:
+        """ "Name=value" and "Name!" (a command), one after the other, in this order."""
+        applied = []
+        for line in lines:
+            name, equals, value = (part.strip() for part in line.partition("="))
+            if not equals and name.endswith("!") and len(name) > 1:
+                self.run(name[:-1].strip(), key)
+            elif equals and name:
+                applied.append(self.set(name, value, key))
+            else:
+                raise self._error(f"{key} holds {line!r}", "Write 'Name=value', or 'Name!' for a command.")
+        return tuple(applied)
+
+    # --- values --------------------------------------------------------------------------------------------------
+
+    def _parsed(self, name: str, kind: Kind, wanted: Value, key: str) -> Value:
+        try:
+            return _PARSERS[kind](wanted)
+        except (ValueError, OverflowError):
+            raise self._error(f"{name} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
+
+    def _allowed(self, name: str, value: Value, key: str) -> Value:
+        """The value on the feature's grid. Raises InputError when it is out of range or no entry."""
+        kind = self.access.kind(name)
+        fits = True
+        if kind is Kind.ENUMERATION:
+            fits = value in self.access.choices(name)
+        elif kind in (Kind.INTEGER, Kind.FLOAT):
+            assert not isinstance(value, str)
+            low, high = self.access.limits(name) or (-math.inf, math.inf)
+            fits = low <= value <= high
+            step = self.access.step(name)
+            if fits and kind is Kind.INTEGER and step and step > 1 and math.isfinite(low):
+                value = int(low + step * round((value - low) / step))
+        if not fits:
+            raise self._error(f"cannot take {name} = {value}", f"{self._allowance(name)}Change {key}.")
+        return value
+
+    def _same(self, name: str, wanted: Value, got: Value) -> bool:
+        if isinstance(wanted, bool | str) or isinstance(got, bool | str):
+            return wanted == got
+        kind, step = self.access.kind(name), self.access.step(name) or 0.0
+        if kind is Kind.INTEGER:
+            return wanted == got
+        return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), step, 1e-9)
+
+    def _allowance(self, name: str) -> str:
+        """What the feature takes, as a sentence; empty where the device does not tell."""
+        try:
+            if self.access.kind(name) is Kind.ENUMERATION:
+                names = self.access.choices(name)
+                return f"Allowed: {', '.join(names[:MOST_NAMES])}{', ...' if len(names) > MOST_NAMES else ''}. "
+            limits, step = self.access.limits(name), self.access.step(name)
+        except DeviceRefusal:
+            return ""
+        if limits is None:
+            return ""
+        return f"Allowed: {limits[0]:g} to {limits[1]:g}{f' in steps of {step:g}' if step else ''}. "
+
+    def _error(self, what: str, remedy: str) -> InputError:
+        return InputError(what, where=self.where, remedy=remedy)
+
+
+def _boolean(wanted: Value) -> bool:
+    if isinstance(wanted, bool):
+        return wanted
+    text = str(wanted).lower()
+    if text not in ON + OFF:
+        raise ValueError(text)
+    return text in ON
+
+
+def _integer(wanted: Value) -> int:
+    if isinstance(wanted, str):
+        text = wanted.lower()
+        return int(text in ON) if text in ON + OFF else int(wanted, 0)
+    if wanted != int(wanted):
+        raise ValueError(wanted)
+    return int(wanted)
+
+
+def _float(wanted: Value) -> float:
+    value = float(wanted)
+    if not math.isfinite(value):
+        raise ValueError(wanted)
+    return value
+
+
+def _text(wanted: Value) -> str:
+    return str(wanted)
+
+
+_PARSERS: dict[Kind, Callable[[Value], Value]] = {
+    Kind.BOOLEAN: _boolean,
+    Kind.INTEGER: _integer,
+    Kind.FLOAT: _float,
+    Kind.ENUMERATION: _text,
+    Kind.STRING: _text,
+}

@@ -1,0 +1,167 @@
+"""Is a background that was just learned good enough to work with, and if not, what to do about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .background_model import BackgroundModel
+from .frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL, grid_sample
+from .frame_source import Image
+
+GOOD, USABLE, REDO = "good", "usable", "redo"
+FEW_FRAMES = 25  # sigma is known to 14 %
+HIGH_NOISE, LOW_NOISE = 6.0, 0.3  # grey levels, of the typical pixel
+MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
+WHITE_SHARE, WHITE_MUCH_SHARE = 0.02, 0.3
+BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
+FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, change from first to last
+BRIDGE_OF_HEIGHT = 1 / 30  # what moved this near to each other is one place
+SMALLEST_PLACE = 2e-4  # of the pixels; fewer vary much by chance
+MAX_PLACES = 3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong, how much it matters (USABLE or REDO), and what to do."""
+
+    grade: str
+    what: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.what} ({self.remedy})"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``grade`` is GOOD, USABLE (works, but worse than it could) or REDO (do not use it); ``findings`` say why."""
+
+    grade: str
+    findings: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        return "; ".join([self.grade, *map(str, self.findings)]).replace(";", ":", 1)
+
+
+@dataclass(frozen=True)
+class MovingPlace:
+    """A box of columns ``left`` to ``right`` and rows ``top`` to ``bottom``, px, where ``share`` of the image moved."""
+
+    left: int
+    right: int
+    top: int
+    bottom: int
+    share: float
+
+    def __str__(self) -> str:
+        return f"{self.left}..{self.right}, {self.top}..{self.bottom}: {100 * self.share:.1f} %"
+
+
+class LearningJudge:
+    """Watches the frames that a background is learned from, and judges it."""
+
+    def __init__(self) -> None:
+        self._first: npt.NDArray[np.float32] | None = None
+        self._brightness: list[float] = []  # of each frame, relative to the first
+
+    def add(self, image: Image) -> None:
+        """Take one frame (H, W) or (H, W, 3)."""
+        sample = grid_sample(image).astype(np.float32)
+        if self._first is None:
+            self._first = sample
+        if sample.shape == self._first.shape:
+            lit = self._first >= MIN_LIT_LEVEL
+            self._brightness.append(float(np.median(sample[lit] / self._first[lit])) if lit.any() else 1.0)
+
+    def verdict(self, model: BackgroundModel) -> Verdict:
+        """On the model learned from the frames so far."""
+        found = [*_light(model), *_frames(model), *_moved(model), *_noise(model), *_steadiness(self._brightness)]
+        grades = {finding.grade for finding in found}
+        return Verdict(next((grade for grade in (REDO, USABLE) if grade in grades), GOOD), tuple(found))
+
+
+def moving_places(model: BackgroundModel) -> list[MovingPlace]:
+    """Where something moved while ``model`` was learned, the largest place first."""
+    moving = model.moving_pixels.astype(np.uint8)
+    reach = 2 * round(BRIDGE_OF_HEIGHT * moving.shape[0] / 2) + 1
+    together = cv2.morphologyEx(moving, cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(together)
+    pixels = np.bincount(labels[moving > 0], minlength=count)
+    places = []
+    for label in sorted(range(1, count), key=lambda label: -pixels[label]):
+        x, y, width, height, _ = (int(n) for n in stats[label])
+        if pixels[label] < SMALLEST_PLACE * moving.size:
+            break
+        places.append(MovingPlace(x, x + width - 1, y, y + height - 1, float(pixels[label] / moving.size)))
+    return places
+
+
+def _light(model: BackgroundModel) -> list[Finding]:
+    if float(np.percentile(model.mean, 99)) <= BLACK_LEVEL:
+        return [Finding(REDO, "the image is black", "take the lens cap off, or switch the light on")]
+    white, found = float((model.mean >= WHITE_LEVEL).mean()), []
+    if white > WHITE_SHARE:
+        found.append(Finding(REDO if white > WHITE_MUCH_SHARE else USABLE, f"{100 * white:.0f} % of the image is white",
+                             "shorten the exposure or lower the gain"))  # fmt: skip
+    typical = float(np.median(model.mean))
+    if typical < DIM_LEVEL:
+        found.append(Finding(USABLE, f"the image is dim, {typical:.0f} grey levels on the median",
+                             "lengthen the exposure, open the iris, or add light"))  # fmt: skip
+    return found
+
+
+def _frames(model: BackgroundModel) -> list[Finding]:
+    frames = model.provenance.frames
+    if frames >= FEW_FRAMES:
+        return []
+    error = 100 / np.sqrt(2 * max(frames - 1, 1))
+    return [Finding(USABLE, f"{frames} frames tell the noise to {error:.0f} % only", "set background_frames to 100")]
+
+
+def _moved(model: BackgroundModel) -> list[Finding]:
+    places = moving_places(model)
+    share = sum(place.share for place in places)
+    if share <= MOVED_SHARE:
+        return []
+    what = ", ".join(f"{_whereabouts(place, model.shape)} at {place}" for place in places[:MAX_PLACES])
+    if len(places) > MAX_PLACES:
+        what = f"{len(places)} places ({100 * share:.1f} %), the largest {what}"
+    return [Finding(REDO if share > MOVED_MUCH_SHARE else USABLE, f"something moved: {what}",
+                    "clear the scene, see that the camera stands firm, and call again")]  # fmt: skip
+
+
+def _whereabouts(place: MovingPlace, shape: tuple[int, ...]) -> str:
+    """ "lower left" for a box there; thirds of the image."""
+    row = ("upper", "", "lower")[min(int(1.5 * (place.top + place.bottom) / shape[0]), 2)]
+    column = ("left", "", "right")[min(int(1.5 * (place.left + place.right) / shape[1]), 2)]
+    return f"{row} {column}".strip() or "in the middle"
+
+
+def _noise(model: BackgroundModel) -> list[Finding]:
+    typical = float(np.median(model.sigma))
+    if typical > HIGH_NOISE:
+        return [Finding(USABLE, f"the noise is high, {typical:.1f} grey levels on the median",
+                        "lower the gain and add light; check that the camera stands firm")]  # fmt: skip
+    if typical < LOW_NOISE:
+        return [Finding(USABLE, f"the noise is suspiciously low, {typical:.2f} grey levels on the median",
+                        "check that the camera sends new pictures and does not smooth them")]  # fmt: skip
+    return []
+
+
+def _steadiness(brightness: list[float]) -> list[Finding]:
+    if len(brightness) < 3:
+        return []
+    values, time = np.array(brightness), np.linspace(-0.5, 0.5, len(brightness))
+    slope, level = np.polyfit(time, values, 1)
+    flicker, drift, found = float(np.std(values - level - slope * time) / level), float(slope / level), []
+    if flicker > FLICKER:
+        found.append(Finding(USABLE, f"the brightness flickers by {100 * flicker:.1f} %",
+                             "expose for whole periods of the lamps: 10 ms at 50 Hz, 8.33 ms at 60 Hz"))  # fmt: skip
+    if abs(drift) > DRIFT:
+        found.append(Finding(USABLE, f"the brightness changed by {100 * drift:+.1f} % while it was learned",
+                             "wait until lamps are warm and automatic exposure is off"))  # fmt: skip
+    return found

@@ -1,0 +1,91 @@
+"""Run as root of a network namespace of its own: searches for cameras in it, and prints what came of it.
+
+Two pairs of interfaces: "here" with cameras at its other end "there", "other" without. The cameras are sockets that
+answer broadcasts arriving at "there", with whatever address they say they have.
+"""
+
+import pathlib
+import socket
+import subprocess
+import threading
+
+from camera_client.gige.discovery import Wanted, find_camera
+from capture_rig.errors import InputError
+from gige_vision.discovery import DeviceRecord
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
+
+ETH_P_IP = 0x0800
+CAMERAS = [
+    DeviceRecord("10.1.0.2", "Maker", "M", serial="S2", mac=b"\2\0\0\0\0\2", subnet_mask="255.255.255.0"),
+    DeviceRecord("10.1.0.3", "Maker", "M", serial="S3", user_id="left", mac=b"\2\0\0\0\0\3"),
+    DeviceRecord("10.1.0.4", "Maker", "M", serial="S4", user_id="twin", mac=b"\2\0\0\0\0\4"),
+    DeviceRecord("10.1.0.5", "Maker", "M", serial="S5", user_id="twin", mac=b"\2\0\0\0\0\5"),
+    DeviceRecord("192.168.77.5", "Maker", "M", serial="S6", mac=b"\2\0\0\0\0\6", subnet_mask="255.255.255.0"),
+]
+
+
+def sh(command):
+    subprocess.run(command.split(), check=True)
+
+
+def make_network():
+    for here, there, address in (("here", "there", "10.1.0.1/24"), ("other", "beyond", "10.2.0.1/24")):
+        sh(f"ip link add {here} type veth peer name {there}")
+        sh(f"ip addr add {address} dev {here}")
+        for name in (here, there):
+            sh(f"ip link set {name} up")
+            # both ends are ours: packets come in with a source address of this very machine
+            for switch, value in (("accept_local", "1"), ("rp_filter", "0")):
+                pathlib.Path(f"/proc/sys/net/ipv4/conf/{name}/{switch}").write_text(value)
+    sh("ip link set lo up")
+
+
+def serve_cameras():
+    """A broadcast that comes out of "there" is answered by a broadcast into it, as a camera without a route would."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"there\0")
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    listener.bind(("", PORT))
+
+    def serve():
+        while True:
+            packet, (_, port) = listener.recvfrom(2048)
+            command = CommandPacket.decode(packet)
+            for camera in CAMERAS:
+                answer = AcknowledgePacket(command.command + 1, camera.encode(), command.request_id)
+                listener.sendto(answer.encode(), ("255.255.255.255", port))
+
+    threading.Thread(target=serve, daemon=True).start()
+
+
+def outcome(interface="here", **wanted):
+    try:
+        found = find_camera(Wanted(**wanted, interface=interface))
+    except InputError as error:
+        return f"{type(error).__name__}: {error}"
+    return f"{found.device.address} from {found.host}"
+
+
+def heard(eavesdropper):
+    count = 0
+    try:
+        while eavesdropper.recv(2048):
+            count += 1
+    except BlockingIOError:
+        return count
+
+
+make_network()
+serve_cameras()
+eavesdropper = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(ETH_P_IP))
+eavesdropper.bind(("beyond", ETH_P_IP))
+eavesdropper.setblocking(False)
+print("serial", outcome(serial="S2"), sep="\t")
+print("user_id", outcome(user_id="left"), sep="\t")
+print("absent", outcome(serial="S99"), sep="\t")
+print("ambiguous", outcome(user_id="twin"), sep="\t")
+print("subnet", outcome(serial="S6"), sep="\t")
+print("other interface", heard(eavesdropper), sep="\t")
+print("wrong interface", outcome("other", serial="S2"), sep="\t")
+print("other interface when named", heard(eavesdropper), sep="\t")
+print("both interfaces", outcome("here,other", serial="S2"), sep="\t")

@@ -1,0 +1,256 @@
+"""Capture stamps and synchronisation against simulated cameras, whose pictures carry the instant of mid-exposure."""
+
+import threading
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from camera_client.aravis_features import AravisFeatures
+from camera_client.aravis_source import AravisSource
+from camera_client.frame_source import SourceUnavailable
+from camera_client.settings import AravisSettings
+from capture_rig.errors import InputError
+from virtual_studio.gige import EventLoop, PatternScene, TriggerWire
+
+MS = 1_000_000
+PATIENCE = 60
+RATE = 50.0
+PERIOD_NS = 20 * MS
+
+
+def source_of(camera, **settings):
+    return AravisSource(AravisSettings(address=camera.address, frame_rate=RATE, **settings))
+
+
+def frames_of(source, count):
+    frames = []
+    for _ in range(count + PATIENCE):
+        frame = source.read(1.0)
+        if frame is not None:
+            frames.append(frame)
+        if len(frames) == count:
+            return frames
+    raise AssertionError(f"only {len(frames)} frames: {source.counters} {source.account}")
+
+
+def errors_ns(frames):
+    """Stamp minus the instant of mid-exposure that the picture shows."""
+    return np.array([frame.stamp_ns - PatternScene.read(frame.image)[1] for frame in frames])
+
+
+def stamped(source, count=30):
+    with source:
+        source.start()
+        return frames_of(source, count)
+
+
+# --- stamps ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("exposure_us", [500.0, 15000.0])
+def test_camera_clock_gives_mid_exposure_within_its_own_uncertainty(gige_camera, exposure_us):
+    camera = gige_camera(drift_ppm=50, nominal_exposure_us=500)
+    frames = stamped(source_of(camera, stamp_source="camera", exposure_us=exposure_us))
+    assert all("camera" in frame.clock for frame in frames)
+    uncertainty_ns = np.array([frame.uncertainty_ns for frame in frames])
+    assert (np.abs(errors_ns(frames)) <= uncertainty_ns + 0.1 * MS).all()  # and the drift since the start
+    assert np.median(np.abs(errors_ns(frames))) < 1 * MS
+
+
+def test_ptp_gives_mid_exposure_in_utc(gige_camera):
+    frames = stamped(source_of(gige_camera(ptp_offset_ns=80), stamp_source="ptp"))
+    assert {frame.clock for frame in frames} == {"PTP"}
+    assert np.abs(errors_ns(frames)).max() <= 80  # the camera's own offset from the master
+    assert all(0 < frame.uncertainty_ns < 100 * MS for frame in frames)
+
+
+def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(gige_camera):
+    frames = stamped(source_of(gige_camera(), stamp_source="arrival", exposure_us=8000.0))
+    assert {frame.clock for frame in frames} == {"host, at arrival"}
+    assert errors_ns(frames).min() >= -1 * MS  # less half the exposure, it is never before mid-exposure
+    assert all(frame.uncertainty_ns == 9 * MS for frame in frames)
+
+
+def test_auto_takes_ptp_where_the_camera_is_in_step_else_its_clock(gige_camera):
+    plain, in_step = gige_camera(), gige_camera(ptp_settle_s=0.0)
+    assert "camera" in stamped(source_of(plain), 1)[0].clock
+    assert stamped(source_of(in_step, features=["PtpEnable=1"]), 1)[0].clock == "PTP"
+
+
+def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gige_camera):
+    """A grandmaster that gives UTC, while TAI is expected."""
+    camera = gige_camera(tai_minus_utc_s=0, ptp_settle_s=0.0)
+    with pytest.raises(InputError, match=r"0\.000 s ahead of this host's UTC, not 37 s as aravis\.tai_utc_offset_s"):
+        source_of(camera, stamp_source="ptp").connect()
+    source = source_of(camera, stamp_source="auto", features=["PtpEnable=1"])
+    frames = stamped(source)
+    assert any("PTP is not used for stamps" in warning for warning in source.warnings)
+    assert "camera" in frames[0].clock and np.median(np.abs(errors_ns(frames))) < 1 * MS
+    right = stamped(source_of(camera, stamp_source="ptp", tai_utc_offset_s=0))
+    assert np.abs(errors_ns(right)).max() < 1000
+
+
+def test_camera_that_is_never_in_step_is_unavailable_when_ptp_is_demanded(gige_camera):
+    source = source_of(gige_camera(ptp_grandmaster=False), stamp_source="ptp", ptp_wait_s=0.2)
+    with pytest.raises(SourceUnavailable, match=r"not in step by PTP after 0\.2 s \(status Listening\)"):
+        source.connect()
+
+
+@pytest.mark.parametrize("jump_s", [3, -1])
+@pytest.mark.parametrize("stamp_source", ["camera", "ptp"])
+def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_source, jump_s):
+    camera = gige_camera()
+    with source_of(camera, stamp_source=stamp_source) as source:
+        source.start()
+        frames = frames_of(source, 40)
+        camera.faults.stamp_jump_ns = jump_s * 1000 * MS
+        sent = camera.counters["frames_sent"]
+        frames += frames_of(source, 40)
+    after = [frame for frame in frames if frame.frame_id > sent + 2]
+    assert source.counters["stamp_jumps"] == 1
+    assert np.median(np.abs(errors_ns(after))) < 2 * MS
+    assert {"camera" in frame.clock for frame in after} == {True}
+    assert all(b.stamp_ns > a.stamp_ns for a, b in pairwise(frames))
+
+
+def test_chunks_give_each_frame_its_own_exposure(gige_camera):
+    camera = gige_camera(nominal_exposure_us=2000)
+    with source_of(camera, stamp_source="ptp", chunks=True, exposure_us=2000.0) as source:
+        source.start()
+        frames = frames_of(source, 5)
+        registers = camera.loop.call(lambda: camera._parts.registers)
+        camera.loop.call(lambda: registers.__setitem__("ExposureTime", 12000.0))  # as an auto function would
+        frames += frames_of(source, 20)
+    errors = np.sort(np.abs(errors_ns(frames)))
+    assert errors[-2] < 1000  # the simulated camera gives the frame under way when it is changed the new exposure
+    assert source.counters["chunk_errors"] == 0
+
+
+# --- synchronisation ---------------------------------------------------------------------------------------------
+
+
+def instants_of(sources, count=25):
+    """True instants of mid-exposure, (cameras, frames), ns, of the frames that all cameras have taken."""
+    seen = [{} for _ in sources]
+
+    def collect(source, instants):
+        for frame in frames_of(source, count):
+            instant_ns = PatternScene.read(frame.image)[1]
+            instants[round(instant_ns / PERIOD_NS)] = instant_ns
+
+    threads = [threading.Thread(target=collect, args=pair) for pair in zip(sources, seen, strict=True)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    common = set.intersection(*(set(instants) for instants in seen))
+    assert len(common) >= count // 3, [len(instants) for instants in seen]
+    return np.array([[instants[number] for number in sorted(common)] for instants in seen])
+
+
+@pytest.fixture
+def three_cameras(gige_camera):
+    """Three cameras with clocks of their own, which were switched on one after the other, and their trigger wire."""
+    loop = EventLoop()
+    wire = TriggerWire(loop)
+    loop.start()
+    made = {"loop": loop, "wire": wire, "nominal_exposure_us": 1000}
+    cameras = [gige_camera(seed=seed, drift_ppm=10.0 * seed, **made) for seed in (1, 2, 3)]
+    yield cameras, wire
+    for camera in cameras:
+        camera.close()
+    loop.stop()
+
+
+def run_in(mode, cameras, **settings):
+    sources = [source_of(camera, sync=mode, exposure_us=1000.0, **settings) for camera in cameras]
+    try:
+        for source in sources:
+            source.connect()
+        for source in sources:
+            source.start()
+        return sources, instants_of(sources)
+    finally:
+        for source in sources:
+            source.close()
+
+
+@pytest.mark.parametrize("without", [(), ("SyncFreeRunTimerEnable",)])
+def test_ptp_free_run_exposes_at_multiples_of_the_period_of_the_ptp_clock(three_cameras, without, monkeypatch):
+    """Whichever way the camera has to begin at a given time."""
+    kind = AravisFeatures.kind
+    monkeypatch.setattr(AravisFeatures, "kind", lambda self, name: None if name in without else kind(self, name))
+    _, instants_ns = run_in("ptp", three_cameras[0], stamp_source="ptp")
+    assert np.ptp(instants_ns, axis=0).max() < 1000  # the cameras' offsets from the master: 80 ns at most, twice
+    begins_ns = instants_ns - MS // 2 + 37 * 1000 * MS
+    assert np.abs((begins_ns + PERIOD_NS // 2) % PERIOD_NS - PERIOD_NS // 2).max() < 1000
+
+
+def test_action_commands_expose_all_cameras_at_the_scheduled_instant(three_cameras):
+    sources, instants_ns = run_in("action", three_cameras[0], action_lead_ms=300.0)
+    assert np.ptp(instants_ns, axis=0).max() < 1000
+    begins_ns = instants_ns - MS // 2 + 37 * 1000 * MS
+    assert np.abs((begins_ns + PERIOD_NS // 2) % PERIOD_NS - PERIOD_NS // 2).max() < 1000
+    assert all(source.counters["actions"] >= 25 for source in sources)
+    assert all(source.counters["actions_refused"] == 0 for source in sources)
+
+
+def test_line_exposes_all_cameras_at_the_edge(three_cameras):
+    cameras, wire = three_cameras
+    wire.run(RATE)
+    _, instants_ns = run_in("line", cameras, trigger_line="Line1", trigger_delay_us=300.0)
+    assert np.ptp(instants_ns, axis=0).max() == 0
+    assert ((instants_ns - MS // 2 - 300_000) % PERIOD_NS == 0).all()  # the wire's generator counts in UTC
+
+
+def test_software_triggers_come_at_multiples_of_the_period_of_the_host_clock(three_cameras):
+    sources, instants_ns = run_in("software", three_cameras[0])
+    late_ns = (instants_ns - MS // 2) % PERIOD_NS
+    assert np.median(late_ns) < 5 * MS  # as late as network and scheduling make it, but never early
+    assert all(source.counters["triggers"] >= 25 for source in sources)
+
+
+def test_action_that_comes_too_late_is_refused_by_the_camera_and_counted(gige_camera):
+    camera = gige_camera()
+    with source_of(camera, sync="action", action_lead_ms=200.0) as source:
+        source.start()
+        frames_of(source, 3)
+        source._actions.send(1)  # one nanosecond after the epoch of PTP
+        frames_of(source, 5)
+        source.stop()
+        assert source.counters["actions_late"] >= 1 and source.counters["actions"] >= 8
+
+
+def test_action_without_ptp_time_is_refused_by_the_camera_and_counted(gige_camera):
+    camera = gige_camera()
+    with source_of(camera, sync="action", action_lead_ms=200.0) as source:
+        source.start()
+        frames_of(source, 3)
+        camera.faults.ptp_lost = True
+        for _ in range(PATIENCE):
+            source.read(0.1)
+            if source.counters["actions_refused"]:
+                break
+    assert source.counters["actions_refused"] > 0
+
+
+@pytest.mark.parametrize("mode", ["ptp", "action", "software"])
+def test_mode_that_counts_periods_needs_a_frame_rate(gige_camera, mode):
+    source = AravisSource(AravisSettings(address=gige_camera().address, sync=mode))
+    with pytest.raises(InputError, match=r"needs a frame rate.*aravis\.frame_rate"):
+        source.connect()
+
+
+def test_line_that_the_camera_lacks_is_refused_with_those_it_has(gige_camera):
+    with pytest.raises(InputError, match=r"TriggerSource = Line9. Allowed: Software, Line1.*aravis\.trigger_line"):
+        source_of(gige_camera(), sync="line", trigger_line="Line9").connect()
+
+
+def test_free_run_switches_off_what_an_earlier_program_left_on(gige_camera):
+    camera = gige_camera()
+    with source_of(camera, sync="line"):
+        pass
+    with source_of(camera) as source:
+        source.start()
+        assert len(frames_of(source, 2)) == 2

@@ -1,0 +1,257 @@
+"""A camera's clock mapped onto the host's, and the stamps made from it, against clocks whose truth is known."""
+
+import numpy as np
+import pytest
+
+from camera_client.gige.camera_clock import CameraClock
+from camera_client.gige.capture_time import CameraTime, FrameTimes, PtpTime, choose_time_source
+from camera_client.gige.clock_reading import ClockReading, read_clock
+from camera_client.gige.errors import DeviceRefusal
+from capture_rig.errors import InputError
+
+US, MS, SECOND = 1_000, 1_000_000, 1_000_000_000
+PERIOD_NS = 10 * MS
+HOST_EPOCH_NS = 1_700_000_000 * SECOND
+DELAY_NS = 400 * US  # of the least delayed frame
+
+
+def camera_times(count, start_ns=7 * SECOND):
+    return start_ns + np.arange(count) * PERIOD_NS
+
+
+def host_times(camera_ns, drift=0.0):
+    """The same instants on the host's clock, when the camera's clock is slow by ``drift``."""
+    return HOST_EPOCH_NS + np.round((camera_ns - camera_ns[0]) * (1 + drift)).astype(np.int64)
+
+
+def delays(count, seed=0):
+    return DELAY_NS + (np.random.default_rng(seed).exponential(2.0, count) * MS).astype(np.int64)
+
+
+def mapped(clock, camera_ns, arrival_ns):
+    return np.array([clock.to_host_ns(int(c), int(a)) for c, a in zip(camera_ns, arrival_ns, strict=True)])
+
+
+def test_jitter_of_arrival_is_taken_out():
+    camera_ns = camera_times(400)
+    true_ns = host_times(camera_ns)
+    clock = CameraClock()
+    stamps = mapped(clock, camera_ns, true_ns + delays(400))
+    error_us = (stamps - true_ns - DELAY_NS)[100:] / US
+    assert error_us.min() >= -1 and error_us.max() < 100
+    assert clock.jumps == 0
+
+
+@pytest.mark.parametrize("drift_ppm", [-100, 30, 100])
+def test_drift_is_followed_for_minutes(drift_ppm):
+    camera_ns = camera_times(18000)
+    true_ns = host_times(camera_ns, drift_ppm * 1e-6)
+    stamps = mapped(CameraClock(), camera_ns, true_ns + delays(18000))
+    error_us = (stamps - true_ns - DELAY_NS)[1000:] / US
+    assert np.abs(error_us).max() < 250  # without the drift it would be 1600 over the 16 s of the envelope
+
+
+def test_spread_tells_how_sure_the_map_is():
+    camera_ns = camera_times(1000)
+    steady, rough = CameraClock(), CameraClock()
+    mapped(steady, camera_ns, host_times(camera_ns) + DELAY_NS)
+    mapped(rough, camera_ns, host_times(camera_ns) + 10 * delays(1000))
+    assert steady.spread_ns == pytest.approx(0, abs=2)
+    assert 0.1 * MS < rough.spread_ns < 5 * MS
+
+
+@pytest.mark.parametrize("jump_ns", [5 * SECOND, 80 * MS, -5 * SECOND, -30 * MS])
+def test_clock_that_is_set_is_noticed_once_and_stamps_go_on(jump_ns):
+    camera_ns = camera_times(600)
+    true_ns = host_times(camera_ns)
+    camera_ns[300:] += jump_ns
+    source = CameraTime(None, "exposure_start")
+    arrival_ns = true_ns + DELAY_NS + delays(600) // 10
+    times = [FrameTimes(int(c), int(a), 0) for c, a in zip(camera_ns, arrival_ns, strict=True)]
+    stamps = np.array([source.stamp(frame).ns for frame in times])
+    assert source.jumps == 1
+    assert (np.diff(stamps) > 0).all()
+    assert np.abs(stamps - true_ns - DELAY_NS)[310:].max() < 2 * MS
+
+
+def test_clock_that_goes_back_unseen_is_believed_after_some_seconds():
+    """Frames were lost meanwhile, so that the clock never showed a smaller time than before."""
+    camera_ns, shown = camera_times(1500), np.r_[0:300, 330:1500]
+    true_ns = host_times(camera_ns)
+    camera_ns[300:] -= 200 * MS
+    clock = CameraClock()
+    stamps = mapped(clock, camera_ns[shown], true_ns[shown] + DELAY_NS)
+    assert clock.jumps == 1
+    assert np.abs(stamps - true_ns[shown] - DELAY_NS)[-300:].max() < 1 * MS
+
+
+def test_frames_held_up_for_a_while_are_no_jump():
+    """The computer was busy for 3 s: the frames of that time come all at once."""
+    camera_ns = camera_times(1000)
+    true_ns = host_times(camera_ns)
+    arrival_ns = true_ns + DELAY_NS
+    arrival_ns[300:600] = arrival_ns[600]
+    clock = CameraClock()
+    stamps = mapped(clock, camera_ns, arrival_ns)
+    assert clock.jumps == 0
+    assert np.abs(stamps - true_ns - DELAY_NS).max() < 10 * US
+
+
+def test_slow_first_frames_are_no_jump_and_do_not_spoil_the_stamps():
+    camera_ns = camera_times(200)
+    true_ns = host_times(camera_ns)
+    arrival_ns = true_ns + DELAY_NS
+    arrival_ns[:5] += 300 * MS
+    source = CameraTime(ClockReading(int(camera_ns[0]) - 50 * MS, HOST_EPOCH_NS - 50 * MS, 60 * US), "exposure_start")
+    times = [FrameTimes(int(c), int(a), 0) for c, a in zip(camera_ns, arrival_ns, strict=True)]
+    stamps = np.array([source.stamp(frame).ns for frame in times])
+    assert source.jumps == 0
+    assert np.abs(stamps - true_ns).max() <= 2
+
+
+# --- reading a camera's clock ------------------------------------------------------------------------------------
+
+
+class Registers:
+    """A device whose clock runs at ``ticks`` a second and is ahead of the host by ``ahead_ns``; writes take time."""
+
+    def __init__(self, ticks, ahead_ns=0, way_there_ns=(300_000, 100_000, 900_000), way_back_ns=50_000):
+        self.ticks, self.ahead_ns, self.ways, self.way_back_ns = ticks, ahead_ns, list(way_there_ns), way_back_ns
+        self.now_ns, self.latched, self.count = HOST_EPOCH_NS, 0, 0
+
+    def clock(self):
+        return self.now_ns
+
+    def write_register(self, address, value):
+        assert (address, value) == (0x944, 2)
+        self.now_ns += self.ways[self.count % len(self.ways)]
+        self.count += 1
+        self.latched = (self.now_ns + self.ahead_ns) * self.ticks // SECOND
+        self.now_ns += self.way_back_ns
+
+    def read_register(self, address):
+        words = {0x93C: self.ticks >> 32, 0x940: self.ticks, 0x948: self.latched >> 32, 0x94C: self.latched}
+        return words[address] & 0xFFFFFFFF
+
+
+@pytest.mark.parametrize("ticks", [SECOND, 125_000_000, 8_000_000_000])
+def test_reading_of_a_clock_contains_the_truth_within_its_uncertainty(ticks):
+    registers = Registers(ticks, ahead_ns=123 * SECOND)
+    reading = read_clock(registers, registers.clock)
+    assert abs(reading.offset_ns + 123 * SECOND) <= reading.uncertainty_ns
+    assert reading.uncertainty_ns <= 75 * US + SECOND // ticks  # the shortest exchange took 150 us
+
+
+def test_device_without_a_clock_gives_no_reading():
+    assert read_clock(Registers(0), lambda: 0) is None
+
+    class Refusing(Registers):
+        def write_register(self, address, value):
+            raise DeviceRefusal("write protect")
+
+    assert read_clock(Refusing(SECOND), lambda: 0) is None
+
+
+# --- stamps ------------------------------------------------------------------------------------------------------
+
+
+def run(source, exposure_ns, jump_at=None, jump_ns=0, ahead_ns=0, count=400, marks=0.0):
+    """Stamps of frames whose camera stamps the start of exposure, + ``marks`` of it; and the true mid-exposures."""
+    taken_ns = HOST_EPOCH_NS + np.arange(count) * PERIOD_NS
+    camera_ns = taken_ns + ahead_ns + round(marks * exposure_ns)
+    if jump_at is not None:
+        camera_ns[jump_at:] += jump_ns
+    arrival_ns = taken_ns + exposure_ns + DELAY_NS + delays(count) // 20
+    stamps = [source.stamp(FrameTimes(int(c), int(a), exposure_ns)) for c, a in zip(camera_ns, arrival_ns, strict=True)]
+    return stamps, taken_ns + exposure_ns // 2
+
+
+@pytest.mark.parametrize("marks, name", [(0.0, "exposure_start"), (0.5, "exposure_middle"), (1.0, "exposure_end")])
+def test_camera_time_is_mid_exposure_whatever_instant_the_camera_stamps(marks, name):
+    reading = ClockReading(HOST_EPOCH_NS - 5 * SECOND, HOST_EPOCH_NS, 60 * US)
+    stamps, true_ns = run(CameraTime(reading, name), 4 * MS, ahead_ns=-5 * SECOND, marks=marks)
+    errors = np.array([stamp.ns for stamp in stamps]) - true_ns
+    assert np.abs(errors).max() <= 2 * US
+
+
+def test_camera_time_without_a_reading_is_late_by_the_least_delay_and_says_so():
+    stamps, true_ns = run(CameraTime(None, "exposure_start"), 4 * MS, ahead_ns=-5 * SECOND)
+    errors = (np.array([stamp.ns for stamp in stamps]) - true_ns)[100:]
+    assert errors.min() >= DELAY_NS and errors.max() < DELAY_NS + 100 * US
+    assert all(stamp.uncertainty_ns > error for stamp, error in zip(stamps[100:], errors, strict=True))
+
+
+def ptp(tai_utc_offset_s=37):
+    reading = ClockReading(HOST_EPOCH_NS + tai_utc_offset_s * SECOND, HOST_EPOCH_NS, 60 * US)
+    return PtpTime(tai_utc_offset_s, "exposure_start", 60 * US, CameraTime(reading, "exposure_start"))
+
+
+def test_ptp_time_takes_the_leap_seconds_off():
+    stamps, true_ns = run(ptp(), 4 * MS, ahead_ns=37 * SECOND)
+    assert [stamp.ns for stamp in stamps] == true_ns.tolist()
+    assert {stamp.clock for stamp in stamps} == {"PTP"}
+
+
+def test_ptp_time_that_goes_wrong_is_replaced_and_counted_once():
+    source = ptp()
+    stamps, true_ns = run(source, 4 * MS, ahead_ns=37 * SECOND, jump_at=200, jump_ns=-37 * SECOND)
+    assert source.jumps == 1
+    assert {stamp.clock for stamp in stamps[:200]} == {"PTP"}
+    assert all("camera" in stamp.clock for stamp in stamps[200:])
+    assert np.abs(np.array([stamp.ns for stamp in stamps]) - true_ns).max() < 1 * MS
+
+
+def test_ptp_time_is_believed_while_frames_are_held_up():
+    source, exposure_ns = ptp(), 4 * MS
+    taken_ns = HOST_EPOCH_NS + np.arange(1000) * PERIOD_NS
+    arrival_ns = taken_ns + exposure_ns + DELAY_NS
+    arrival_ns[300:600] = arrival_ns[600]  # the computer was busy for 3 s
+    stamps = [
+        source.stamp(FrameTimes(int(taken) + 37 * SECOND, int(arrival), exposure_ns))
+        for taken, arrival in zip(taken_ns, arrival_ns, strict=True)
+    ]
+    assert {stamp.clock for stamp in stamps} == {"PTP"} and source.jumps == 0
+    assert [stamp.ns for stamp in stamps] == (taken_ns + exposure_ns // 2).tolist()
+
+
+# --- which source ------------------------------------------------------------------------------------------------
+
+
+def reading_ahead(seconds):
+    return ClockReading(HOST_EPOCH_NS + round(seconds * SECOND), HOST_EPOCH_NS, 60 * US)
+
+
+def choose(wanted, reading, status, offset_s=37):
+    return choose_time_source(wanted, reading, status, offset_s, "exposure_start", "camera X")
+
+
+@pytest.mark.parametrize(
+    "wanted, ahead_s, status, chosen",
+    [
+        ("auto", 37.0, "Slave", "PTP"),
+        ("auto", 37.04, "Master", "PTP"),
+        ("auto", 37.0, "Listening", "camera"),
+        ("auto", 5.0, None, "camera"),
+        ("camera", 37.0, "Slave", "camera"),
+        ("arrival", 37.0, "Slave", "host"),
+        ("ptp", 37.0, "Slave", "PTP"),
+    ],
+)
+def test_best_trustworthy_source_is_chosen(wanted, ahead_s, status, chosen):
+    source, warning = choose(wanted, reading_ahead(ahead_s), status)
+    assert source.name.startswith(chosen) and warning == ""
+
+
+@pytest.mark.parametrize(
+    "reading, status, reason",
+    [
+        (reading_ahead(0.0), "Slave", r"0\.000 s ahead.*not 37"),
+        (reading_ahead(38.0), "Slave", r"38\.000 s ahead"),
+        (None, "Slave", "cannot be read"),
+    ],
+)
+def test_ptp_that_does_not_fit_the_host_is_left_or_refused(reading, status, reason):
+    source, warning = choose("auto", reading, status)
+    assert source.name.startswith("camera") and "PTP is not used" in warning
+    with pytest.raises(InputError, match=f"{reason}.*stamp_source"):
+        choose("ptp", reading, status)

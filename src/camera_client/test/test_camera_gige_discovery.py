@@ -1,0 +1,184 @@
+"""Finding a camera: by address on loopback; by serial and name in a network of its own, made for the test."""
+
+import os
+import pathlib
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from camera_client.frame_source import SourceUnavailable
+from camera_client.gige import discovery
+from camera_client.gige.discovery import Wanted, at_address, chosen_interfaces, find_camera
+from camera_client.gige.network import enlarge_receive_buffer, interfaces
+from capture_rig.errors import InputError
+from gige_vision.discovery import DeviceRecord
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
+from virtual_studio.gige import free_addresses
+
+PATIENCE_S = 20.0  # only ever used up by a failing test
+NETWORK_SCRIPT = pathlib.Path(__file__).with_name("discovery_network.py")
+
+
+def answering(listener, *packets):
+    """Answer the next command with these packets."""
+
+    def answer():
+        command, peer = listener.recvfrom(2048)
+        for packet in packets:
+            listener.sendto(packet, peer)
+        heard.append(command)
+
+    heard = []
+    thread = threading.Thread(target=answer, daemon=True)
+    thread.start()
+    return thread, heard
+
+
+def acknowledge(**record):
+    return AcknowledgePacket(0x0003, DeviceRecord(**record).encode(), 1).encode()
+
+
+@pytest.fixture
+def listener():
+    [address] = free_addresses(1)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind((address, PORT))
+        yield sock
+
+
+def test_camera_that_answers_is_found_and_our_own_address_with_it(listener):
+    address = listener.getsockname()[0]
+    thread, heard = answering(listener, acknowledge(address=address, serial="S7", user_id="left"))
+    found = at_address(address)
+    thread.join(PATIENCE_S)
+    assert (found.device.serial, found.device.user_id) == ("S7", "left")
+    assert found.host.startswith("127.")
+    command = CommandPacket.decode(heard[0])
+    assert command.command == 0x0002 and command.wants_answer
+
+
+def test_mute_and_absent_cameras_are_unavailable_and_nobody_else_is_asked(listener):
+    address = listener.getsockname()[0]
+    with pytest.raises(SourceUnavailable, match=rf"no GigE Vision camera answers at {address} \(nothing answered\)"):
+        at_address(address)
+    listener.setblocking(False)
+    assert [listener.recv(2048) for _ in range(discovery.ATTEMPTS)] == [discovery.DISCOVERY.encode()] * 3
+    [absent] = free_addresses(1)
+    with pytest.raises(SourceUnavailable, match=rf"{absent} \(Connection refused\).*ping"):
+        at_address(absent)
+
+
+def test_answer_that_is_no_discovery_record_is_no_camera(listener):
+    address = listener.getsockname()[0]
+    short = AcknowledgePacket(0x0003, b"short", 1).encode()
+    other = AcknowledgePacket(0x0081, bytes(0xF8), 1).encode()
+    thread, _ = answering(listener, b"x", short, other)
+    with pytest.raises(SourceUnavailable, match="nothing answered"):
+        at_address(address)
+    thread.join(PATIENCE_S)
+
+
+@pytest.mark.parametrize("address", ["cam01", "300.1.1.1", "224.0.0.1", "0.0.0.0", "192.168.1.255"])
+def test_address_that_is_not_one_device_is_refused(address):
+    with pytest.raises(InputError, match=r"aravis\.address") as raised:
+        find_camera(Wanted(address=address))
+    assert not isinstance(raised.value, SourceUnavailable)
+
+
+def test_camera_must_be_chosen():
+    with pytest.raises(InputError, match=r"aravis\.address, aravis\.serial or aravis\.user_id"):
+        find_camera(Wanted())
+
+
+def test_search_without_an_interface_is_refused_with_those_there_are():
+    with pytest.raises(InputError, match=r"needs an interface.*lo \(127\.0\.0\.1/8\)"):
+        find_camera(Wanted(serial="S7"))
+    with pytest.raises(InputError, match=r"no interface 'eth77'.*lo \(127\.0\.0\.1/8\)"):
+        find_camera(Wanted(serial="S7", interface="eth77"))
+
+
+def test_interfaces_are_chosen_by_name_or_own_address():
+    loopback = next(link for link in interfaces() if link.name == "lo")
+    for names in ("lo", "127.0.0.1", " lo, 127.0.0.1"):
+        assert chosen_interfaces(names) == (loopback,)
+
+
+# --- searching, in a network namespace ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """What find_camera() said in a network of two interfaces, with cameras on one of them; see discovery_network.py."""
+    if shutil.which("unshare") is None or shutil.which("ip") is None:
+        pytest.skip("unshare or ip is not installed: no network of its own for this test")
+    unshare = ["unshare", "--user", "--map-root-user", "--net"]
+    probe = ["sh", "-c", "ip link add probe0 type veth peer name probe1"]
+    if subprocess.run([*unshare, *probe], capture_output=True).returncode:
+        pytest.skip("this system lets us make no network namespace with a pair of interfaces")
+    run = subprocess.run([*unshare, sys.executable, str(NETWORK_SCRIPT)], capture_output=True, text=True,
+                         timeout=6 * PATIENCE_S, env=os.environ)  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    return dict(line.split("\t", 1) for line in run.stdout.splitlines())
+
+
+def test_camera_is_found_by_serial_on_the_interface_named(searched):
+    assert searched["serial"] == "10.1.0.2 from 10.1.0.1"
+
+
+def test_camera_is_found_by_user_id(searched):
+    assert searched["user_id"] == "10.1.0.3 from 10.1.0.1"
+
+
+def test_serial_that_nobody_has_is_unavailable_and_those_who_answered_are_named(searched):
+    assert searched["absent"].startswith("SourceUnavailable: camera serial S99: does not answer on here (10.1.0.1/24)")
+    assert "serial S2" in searched["absent"] and "serial S3" in searched["absent"]
+
+
+def test_name_that_two_cameras_have_is_refused(searched):
+    assert searched["ambiguous"].startswith("InputError: camera user id twin: is not one camera but 2")
+
+
+def test_camera_in_another_subnet_is_refused_with_the_remedy(searched):
+    assert "its own address 192.168.77.5/255.255.255.0 is in another subnet" in searched["subnet"]
+    assert "a free address in 10.1.0.0/24" in searched["subnet"]
+
+
+def test_other_interfaces_hear_nothing_of_a_search(searched):
+    assert searched["other interface"] == "0"
+    assert int(searched["other interface when named"]) > 0
+    assert searched["wrong interface"].startswith("SourceUnavailable: camera serial S2: does not answer on other")
+
+
+def test_search_may_go_over_several_interfaces(searched):
+    assert searched["both interfaces"] == "10.1.0.2 from 10.1.0.1"
+
+
+# --- receiving ---------------------------------------------------------------------------------------------------
+
+
+def test_receive_buffer_of_the_right_socket_is_enlarged():
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        stream.bind(("127.0.0.1", 0))
+        other.bind(("127.0.0.1", 0))
+        before = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        assert enlarge_receive_buffer(stream.getsockname()[1], 100_000) == ""
+        assert stream.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == 200_000  # Linux reports twice
+        assert other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) == before
+
+
+def test_receive_buffer_that_the_system_caps_is_warned_of_with_the_remedy():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream:
+        stream.bind(("127.0.0.1", 0))
+        warning = enlarge_receive_buffer(stream.getsockname()[1], 1 << 30)
+    assert "sysctl -w net.core.rmem_max=1073741824" in warning
+
+
+def test_socket_that_is_not_there_is_warned_of():
+    assert "not found" in enlarge_receive_buffer(1, 100_000)

@@ -1,0 +1,198 @@
+"""Setting features, against a device made of Python: what is sent, and what a refusal says."""
+
+import math
+
+import pytest
+
+from camera_client.gige.errors import DeviceRefusal
+from camera_client.gige.feature_names import ALIASES, spellings
+from camera_client.gige.features import Features, Kind
+from camera_client.gige.synchronisation import enable_ptp, ptp_status
+from capture_rig.errors import InputError
+
+
+class Device:
+    """Features by name: kind, value, limits, step, choices; and quirks of real cameras."""
+
+    def __init__(self, **features):
+        self.features = features
+        self.log = []
+        self.locked, self.rounding = set(), {}
+
+    def kind(self, name):
+        return self.features[name]["kind"] if name in self.features else None
+
+    def read(self, name):
+        return self.features[name]["value"]
+
+    def write(self, name, value):
+        if name in self.locked:
+            raise DeviceRefusal("access denied (0x8006)")
+        self.log.append((name, value))
+        self.features[name]["value"] = self.rounding.get(name, lambda v: v)(value)
+
+    def execute(self, name):
+        if name in self.locked:
+            raise DeviceRefusal("busy (0x8007)")
+        self.log.append(name)
+
+    def limits(self, name):
+        return self.features[name].get("limits")
+
+    def step(self, name):
+        return self.features[name].get("step")
+
+    def choices(self, name):
+        return self.features[name]["choices"]
+
+
+def feature(kind, value=None, **more):
+    return {"kind": kind, "value": value, **more}
+
+
+@pytest.fixture
+def device():
+    return Device(
+        ExposureTimeAbs=feature(Kind.FLOAT, 1000.0, limits=(20.0, 1e6)),
+        Width=feature(Kind.INTEGER, 640, limits=(16, 1280), step=16),
+        GevSCDA=feature(Kind.INTEGER, 0),
+        PixelFormat=feature(Kind.ENUMERATION, "Mono8", choices=("Mono8", "Mono12")),
+        ReverseX=feature(Kind.BOOLEAN, False),
+        DeviceUserID=feature(Kind.STRING, ""),
+        UserSetLoad=feature(Kind.COMMAND),
+    )
+
+
+@pytest.fixture
+def features(device):
+    return Features(device, "camera X")
+
+
+def test_lines_are_applied_in_order_each_as_its_kind(device, features):
+    lines = ["ReverseX = yes", "UserSetLoad!", "Width=0x140", "PixelFormat=Mono12", "DeviceUserID=a=b"]
+    lines.append("ExposureTime=5e3")
+    applied = features.apply(lines, "aravis.features")
+    assert device.log == [
+        ("ReverseX", True), "UserSetLoad", ("Width", 320), ("PixelFormat", "Mono12"), ("DeviceUserID", "a=b"),
+        ("ExposureTimeAbs", 5000.0),
+    ]  # fmt: skip
+    assert [entry.got for entry in applied] == [True, 320, "Mono12", "a=b", 5000.0]
+
+
+def test_old_name_is_used_where_the_camera_has_no_new_one(device, features):
+    assert features.set("ExposureTime", 300, "k").name == "ExposureTimeAbs"
+    device.features["ExposureTime"] = feature(Kind.FLOAT, 1.0)
+    assert features.set("ExposureTime", 300, "k").name == "ExposureTime"
+    assert features.set("ExposureTimeAbs", 300, "k").name == "ExposureTimeAbs"
+
+
+def test_integers_are_put_on_the_grid_and_floats_may_be_rounded_by_the_camera(device, features):
+    assert features.set("Width", 650, "k").got == 656
+    device.rounding["ExposureTimeAbs"] = lambda value: round(value / 33) * 33.0
+    assert features.set("ExposureTime", 5000.0, "k").got == 5016.0
+
+
+def test_value_that_the_camera_does_not_keep_is_an_error(device, features):
+    device.rounding["ExposureTimeAbs"] = lambda value: min(value, 2000.0)
+    with pytest.raises(InputError, match=r"camera X: took ExposureTimeAbs = 2000.0 instead of 5000.0. "
+                                         r"Allowed: 20 to 1e\+06. Set k to"):  # fmt: skip
+        features.set("ExposureTime", 5000.0, "k")
+
+
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("ExposureTime", 5.0, r"cannot take ExposureTimeAbs = 5.0. Allowed: 20 to 1e\+06"),
+        ("Width", 2000, "Allowed: 16 to 1280 in steps of 16"),
+        ("PixelFormat", "RGB8", "Allowed: Mono8, Mono12"),
+        ("Width", "wide", "Width = 'wide' is no integer"),
+        ("Width", 1.5, "is no integer"),
+        ("ExposureTime", math.nan, "is no float"),
+        ("ReverseX", "maybe", "is no boolean"),
+        ("Nothing", 1, "has no feature Nothing, which k needs"),
+        ("PtpEnable", 1, "has no feature PtpEnable or GevIEEE1588, which k needs"),
+    ],
+)
+def test_impossible_value_is_refused_before_it_is_sent(device, features, name, value, message):
+    with pytest.raises(InputError, match=message):
+        features.set(name, value, "k")
+    assert device.log == []
+
+
+def test_feature_that_can_only_be_written_is_believed(device, features):
+    def refuse(name):
+        raise DeviceRefusal("write only")
+
+    device.read = refuse
+    assert features.set("GevSCDA", 7, "k").got == 7
+    assert device.log == [("GevSCDA", 7)]
+
+
+def test_what_is_so_already_is_not_written(device, features):
+    device.locked.add("PixelFormat")
+    features.ensure("PixelFormat", "Mono8", "k")
+    features.ensure("Nothing", 1, "k")
+    assert device.log == []
+    with pytest.raises(InputError, match="refuses PixelFormat"):
+        features.ensure("PixelFormat", "Mono12", "k")
+
+
+def test_locked_feature_is_refused_with_the_device_s_own_words(device, features):
+    device.locked |= {"Width", "UserSetLoad"}
+    with pytest.raises(InputError, match=r"refuses Width = 320 \(access denied \(0x8006\)\).*Change k"):
+        features.set("Width", 320, "k")
+    with pytest.raises(InputError, match="refuses UserSetLoad! "):
+        features.apply(["UserSetLoad!"], "k")
+
+
+@pytest.mark.parametrize(
+    "kind, choices, written",
+    [
+        (Kind.BOOLEAN, (), True), (Kind.INTEGER, (), 1), (Kind.ENUMERATION, ("Off", "On"), "On"),
+        (Kind.ENUMERATION, ("False", "True"), "True"),
+    ],
+)  # fmt: skip
+def test_switch_finds_the_camera_s_word_for_on(kind, choices, written):
+    device = Device(PtpEnable=feature(kind, None, choices=choices))
+    Features(device, "X").switch("PtpEnable", True, "k")
+    assert device.log == [("PtpEnable", written)]
+
+
+def test_every_alias_belongs_to_one_family():
+    names = [name for family in ALIASES for name in family]
+    assert len(names) == len(set(names))
+    assert spellings("GevIEEE1588") == ("GevIEEE1588", "PtpEnable")
+    assert spellings("Unheard") == ("Unheard",)
+
+
+class PtpDevice(Device):
+    """Reaches Slave when its status was asked for ``after`` times."""
+
+    def __init__(self, after):
+        super().__init__(
+            GevIEEE1588=feature(Kind.BOOLEAN, False),
+            GevIEEE1588Status=feature(Kind.ENUMERATION, "Disabled", choices=()),
+            GevIEEE1588DataSetLatch=feature(Kind.COMMAND),
+        )  # fmt: skip
+        self.after = after
+
+    def read(self, name):
+        if name == "GevIEEE1588Status" and self.features["GevIEEE1588"]["value"]:
+            self.after -= 1
+            return "Slave" if self.after < 0 else "Listening"
+        return super().read(name)
+
+
+def test_ptp_is_awaited_until_it_is_in_step():
+    slept = []
+    device = PtpDevice(after=4)
+    assert ptp_status(Features(device, "X")) is None
+    assert enable_ptp(Features(device, "X"), 10.0, lambda: sum(slept), slept.append) == "Slave"
+    assert len(slept) == 4 and device.log.count("GevIEEE1588DataSetLatch") == 6
+
+
+def test_ptp_that_never_comes_is_given_up():
+    slept = []
+    assert enable_ptp(Features(PtpDevice(after=10**6), "X"), 2.0, lambda: sum(slept), slept.append) == "Listening"
+    assert sum(slept) == pytest.approx(2.0, abs=0.1)
+    assert enable_ptp(Features(Device(), "X"), 2.0) is None

@@ -1,0 +1,124 @@
+"""Pixel formats against a bit-by-bit oracle and the formulas of the standards."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camera_client.gige.pixel_formats import (
+    FORMATS,
+    choose_format,
+    find_format,
+    image_bytes,
+    image_shape,
+    standard_name,
+    to_image,
+)
+
+SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
+
+
+def row_of_bits(values, bits):
+    """Mono10p, Mono12p: one long number, the first pixel in its lowest bits, as little-endian bytes."""
+    number = sum(int(value) << bits * i for i, value in enumerate(values))
+    return number.to_bytes(-(-bits * len(values) // 8), "little")
+
+
+def gige_packed(values, bits):
+    """Mono10Packed, Mono12Packed of GigE Vision 1.x: upper 8 bits, lower bits of both, upper 8 bits."""
+    low, data = bits - 8, bytearray()
+    for i, value in enumerate(values):
+        if i % 2 == 0:
+            data += bytes([value >> low, value % (1 << low)])
+        else:
+            data[-1] |= value % (1 << low) << 4
+            data.append(value >> low)
+    return bytes(data)
+
+
+def two_bytes(values, bits):
+    return b"".join(int(value).to_bytes(2, "little") for value in values)
+
+
+@pytest.mark.parametrize(
+    "name, bits, encode",
+    [
+        ("Mono10", 10, two_bytes), ("Mono12", 12, two_bytes),
+        ("Mono10p", 10, row_of_bits), ("Mono12p", 12, row_of_bits),
+        ("Mono10Packed", 10, gige_packed), ("Mono12Packed", 12, gige_packed),
+    ],
+)  # fmt: skip
+@settings(deadline=None, max_examples=50)
+@given(shape=SHAPES, seed=st.integers(0, 2**32 - 1))
+def test_deep_mono_keeps_the_upper_eight_bits(name, bits, encode, shape, seed):
+    height, width = shape
+    values = np.random.default_rng(seed).integers(0, 1 << bits, height * width)
+    data = encode([int(value) for value in values], bits)
+    assert len(data) == image_bytes(name, width, height)
+    image = to_image(data, name, width, height)
+    assert image.dtype == np.uint8
+    np.testing.assert_array_equal(image, (values >> (bits - 8)).reshape(height, width))
+
+
+@pytest.mark.parametrize("name, order", [("YUV422_8", "yuyv"), ("YUV422_8_UYVY", "uyvy"), ("YUV422Packed", "uyvy")])
+def test_yuv_gives_the_colours_of_bt_601_at_full_range(name, order):
+    rng = np.random.default_rng(3)
+    y = rng.uniform(80, 170, (6, 8))
+    u, v = (np.repeat(rng.uniform(100, 156, (6, 4)), 2, axis=1) for _ in range(2))
+    y, u, v = (np.rint(plane).astype(np.uint8) for plane in (y, u, v))
+    chroma = np.where(np.arange(8) % 2 == 0, u, v)
+    pair = (y, chroma) if order == "yuyv" else (chroma, y)
+    data = np.stack(pair, axis=2).tobytes()
+    y, u, v = (plane.astype(float) for plane in (y, u, v))
+    red, blue = y + 1.402 * (v - 128), y + 1.772 * (u - 128)
+    green = (y - 0.299 * red - 0.114 * blue) / 0.587
+    expected = np.stack([blue, green, red], axis=2).clip(0, 255)
+    assert np.abs(to_image(data, name, 8, 6) - expected).max() <= 1.5
+
+
+@pytest.mark.parametrize("name, pixel", [("BGR8", [10, 20, 30]), ("RGB8", [30, 20, 10]), ("RGB8Packed", [30, 20, 10])])
+def test_three_bytes_a_pixel_come_out_in_bgr(name, pixel):
+    image = to_image(bytes([10, 20, 30] * 12), name, 4, 3)
+    assert image.shape == image_shape(name, 4, 3) and image[0, 0].tolist() == pixel
+
+
+@pytest.mark.parametrize(
+    "name, red_at", [("BayerRG8", (0, 0)), ("BayerGR8", (0, 1)), ("BayerGB8", (1, 0)), ("BayerBG8", (1, 1))]
+)
+def test_bayer_finds_red_where_the_name_says(name, red_at):
+    raw = np.zeros((8, 8), np.uint8)
+    raw[red_at[0] :: 2, red_at[1] :: 2] = 200
+    blue, green, red = to_image(raw.tobytes(), name, 8, 8)[3:5, 3:5].reshape(-1, 3).mean(axis=0)
+    assert red > 190 and blue < 10 and green < 10
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_image_has_memory_of_its_own_and_more_bytes_do_no_harm(name):
+    data = np.full(image_bytes(name, 8, 4) + 100, 100, np.uint8)
+    image = to_image(data, name, 8, 4)
+    before = image.copy()
+    data[:] = 0
+    np.testing.assert_array_equal(image, before)
+    assert image.shape == image_shape(name, 8, 4) and image.flags.c_contiguous
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_too_few_bytes_are_no_image(name):
+    with pytest.raises(ValueError, match="too few"):
+        to_image(bytes(image_bytes(name, 8, 4) - 1), name, 8, 4)
+
+
+def test_choice_follows_the_channels_wanted_and_the_fewest_bytes():
+    offered = ["Mono8", "Mono12", "BayerGB8", "RGB8Packed"]
+    assert choose_format(offered, "auto") == "BayerGB8"
+    assert choose_format(offered, "mono") == "Mono8"
+    assert choose_format(["RGB8Packed", "Mono12", "Mono12p"], "colour") == "RGB8Packed"
+    assert choose_format(["RGB8Packed", "Mono12", "Mono12p"], "mono") == "Mono12p"
+    assert choose_format(["Mono8"], "colour") is None
+    assert choose_format(["Coord3D_C16"], "auto") is None
+
+
+def test_old_names_are_found_as_the_camera_spells_them():
+    assert find_format("RGB8", ["Mono8", "RGB8Packed"]) == "RGB8Packed"
+    assert find_format("RGB8", ["Mono8"]) is None
+    assert standard_name("YUV422Packed") == "YUV422_8_UYVY"

@@ -1,0 +1,122 @@
+"""What a camera client says of itself: the gravest trouble first, and figures that add up."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from camera_client.account import FrameAccount
+from camera_client.camera_chain import Seen
+from camera_client.frame_checks import REMEDIES
+from camera_client.frame_source import Frame
+from camera_client.grab_loop import GrabState
+from camera_client.link import Downtime, Link, LinkState, Outage
+from camera_client.reports import CameraState, Level, RecentAccount, judge, link_values, seen_values, source_values
+from camera_client.silhouette import Silhouette
+
+STREAMING = Link(LinkState.STREAMING)
+RUNNING = {"grab": GrabState.RUNNING, "link": STREAMING}
+
+
+def mask(*flags):
+    return Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, flags, 0.125)
+
+
+@pytest.mark.parametrize(
+    "state, level, text",
+    [
+        ({}, Level.OK, "active"),
+        ({"grab": GrabState.WAITING}, Level.OK, "waiting for a consumer"),
+        ({"grab": GrabState.ENDED, "frames": 7}, Level.OK, "end of footage after 7 frames"),
+        ({"grab": GrabState.FAILED, "failure": "file: gone."}, Level.ERROR, "file: gone."),
+        ({"link": Link(LinkState.CONNECTING)}, Level.ERROR, "no camera: not connected yet (connecting)"),
+        ({"link": Link(LinkState.WAITING, "off", next_try_s=1.5, down_s=9.6)}, Level.ERROR,
+         "no camera: off (next attempt in 1.5 s, nothing for 10 s)"),
+        ({"link": Link(LinkState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)}, Level.ERROR,
+         "the camera cannot be used as it is set: lacks Mono12"),
+        ({"link": Link(LinkState.STALLED, "nothing came for 0.5 s")}, Level.ERROR, "stalled: nothing came for 0.5 s"),
+        ({"link": Link(LinkState.CONTROL_LOST, "taken")}, Level.ERROR, "control lost: taken; connecting anew"),
+        ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
+        ({"recent": FrameAccount(100, 97, 1, 2)}, Level.WARN, "3 of the last 100 frames were lost or incomplete"),
+        ({"has_background": False}, Level.WARN, "no background: call ~/learn_background"),
+        ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
+    ],
+)  # fmt: skip
+def test_level_and_text_follow_the_state(state, level, text):
+    got = judge(CameraState(**{**RUNNING, **state}))
+    assert got[0] is level and got[1].startswith(text)
+
+
+def test_gravest_trouble_is_told_alone():
+    everything = {
+        "frame_flags": ("dark",), "recent": FrameAccount(9, 1, 8), "has_background": False, "mask_flags": ("full",),
+    }  # fmt: skip
+    away = Link(LinkState.WAITING, "off")
+    assert judge(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
+    assert judge(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
+
+
+def test_frames_missing_in_footage_do_not_blame_the_network():
+    assert judge(CameraState(GrabState.RUNNING, link=None, recent=FrameAccount(9, 8, 1)))[0] is Level.OK
+
+
+def test_flags_of_the_newest_frame_and_mask_are_taken_over():
+    seen = Seen(canvas=None, flags=("lights",), silhouette=mask("full"))
+    state = CameraState(GrabState.RUNNING).with_seen(seen)
+    assert (state.frame_flags, state.mask_flags) == (("lights",), ("full",))
+
+
+def test_recent_losses_are_forgotten_after_the_window():
+    recent, total = RecentAccount(window_s=3.0), FrameAccount()
+    lost = []
+    for second in range(10):
+        for k in range(10):
+            if not (second == 2 and k in (3, 4)):
+                total.add(second * 10 + k)
+        lost.append(recent.look(float(second), total).lost)
+    assert lost == [0, 0, 2, 2, 2, 0, 0, 0, 0, 0]
+    window = recent.look(9.5, total)
+    assert window.expected == window.delivered + window.incomplete + window.lost
+
+
+def source(link=None):
+    account = FrameAccount(10, 7, 1, 2, 3)
+    return SimpleNamespace(link=link, account=account, counters={"stalls": 4}, details={"camera_serial": "S"})
+
+
+def test_figures_of_a_live_source_are_there_before_anything_happened():
+    values = source_values(source(Link(LinkState.STREAMING, downtime_s=1.234)))
+    assert values["expected"] == values["delivered"] + values["incomplete"] + values["lost"] == 10
+    assert (values["repeated"], values["stalls"], values["reconnects"], values["downtime_s"]) == (3, 4, 0, 1.23)
+    assert values["camera_serial"] == "S" and values["link"] == "streaming"
+
+
+def test_figures_of_footage_tell_nothing_of_a_connection():
+    assert not {"reconnects", "link", "downtime_s"} & set(source_values(source()))
+
+
+def test_last_outage_is_told_in_seconds():
+    values = link_values(Link(LinkState.STREAMING, last_outage=Outage(0.51, 3.25, 0.14)))
+    assert (values["last_outage_noticed_s"], values["last_outage_s"], values["last_restart_s"]) == (0.51, 3.25, 0.14)
+
+
+def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
+    frame = Frame(np.zeros((2, 2), np.uint8), 5, 1, "ptp", uncertainty_ns=1500)
+    values = seen_values(frame, Seen(None, (), mask(), gain=1.2))
+    assert values == {
+        "stamp_source": "ptp", "stamp_uncertainty_us": 1.5, "mask_fraction": 0.25, "candidate_fraction": 0.125,
+        "light_gain": 1.2,
+    }  # fmt: skip
+
+
+def test_downtime_adds_up_outages_and_counts_the_present_one():
+    downtime = Downtime()
+    downtime.begin(since_s=10.0, now_s=10.5)
+    downtime.begin(since_s=11.0, now_s=11.5)  # goes on
+    assert downtime.present_s(12.0) == 2.0
+    downtime.end(13.0, attempted_s=12.75)
+    assert downtime.last == Outage(noticed_s=0.5, length_s=3.0, restart_s=0.25)
+    downtime.begin(20.0, 20.5)
+    assert downtime.sum_s(21.0) == 4.0
+    downtime.end(22.0)  # suspended: nobody waits any more
+    assert downtime.sum_s(99.0) == 5.0 and downtime.last.length_s == 3.0

@@ -1,0 +1,400 @@
+"""Supervision of a camera that stalls, dies, refuses and comes back; a clock that only the test moves."""
+
+import threading
+from itertools import count
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camera_client.errand import Errand
+from camera_client.frame_source import Frame, FrameSource, SourceUnavailable
+from camera_client.link import LinkState
+from camera_client.settings import SupervisionSettings
+from camera_client.supervised_source import SupervisedSource
+from capture_rig.errors import InputError
+
+PATIENCE_S = 20.0  # only ever used up by a failing test
+STEP_S = 0.01
+OFF, WRONG = SourceUnavailable("does not answer", where="camera"), InputError("lacks Mono12", where="camera")
+
+
+class World:
+    """One camera, its power switch, and the time; every connection to it is a FakeSource."""
+
+    def __init__(self):
+        self.now_s, self.fault, self.start_fault = 0.0, None, None
+        self.silent = self.control_taken = self.starved = False
+        self.made, self.shape = [], (2, 3)
+
+    def make(self):
+        self.made.append(FakeSource(self))
+        return self.made[-1]
+
+    def wait(self, seconds):
+        self.now_s += seconds
+
+    def supervised(self, **options):
+        options.setdefault("settings", SupervisionSettings())
+        return SupervisedSource(self.make, clock=lambda: self.now_s, wait=self.wait, **options)
+
+
+class FakeSource(FrameSource):
+    def __init__(self, world):
+        super().__init__()
+        self.world, self.calls, self.taken, self.next_ids = world, [], False, count(1)
+        self.hold = threading.Event()  # while clear, starting, stopping and closing block as on a dead device
+        self.hold.set()
+
+    def connect(self):
+        self.calls.append("connect")
+        if self.world.fault is not None:
+            raise self.world.fault
+
+    def start(self):
+        self.calls.append("start")
+        self.hold.wait(PATIENCE_S)
+        if self.world.start_fault is not None:
+            raise self.world.start_fault
+        self.account.restart()
+
+    def read(self, timeout_s):
+        if self.world.fault is not None or self.world.silent:
+            self.world.now_s += 5.0 if self.world.starved else timeout_s
+            self.taken = self.taken or self.world.control_taken
+            return None
+        self.world.now_s += STEP_S
+        frame_id = next(self.next_ids)
+        self.account.add(frame_id)
+        self.count("packets", 10)
+        return Frame(np.zeros(self.world.shape, np.uint8), round(self.world.now_s * 1e9), frame_id, "test")
+
+    def stop(self):
+        self.calls.append("stop")
+        self.hold.wait(PATIENCE_S)
+
+    def close(self):
+        self.calls.append("close")
+        self.hold.wait(PATIENCE_S)
+        self.calls.append("closed")
+
+    @property
+    def lost(self):
+        return self.taken
+
+    shape = property(lambda self: self.world.shape)
+    description = "a fake camera"
+    details = property(lambda self: {"camera_serial": "F1"})
+
+
+@pytest.fixture
+def world():
+    world = World()
+    yield world
+    for source in world.made:
+        source.hold.set()
+
+
+def until(source, done, reads=10_000):
+    frames = []
+    for _ in range(reads):
+        frame = source.read(0.2)
+        frames += [] if frame is None else [frame]
+        if done(source, frames):
+            return frames
+    raise AssertionError(f"did not come about: {source.link}")
+
+
+def frames_of(source, wanted):
+    return until(source, lambda _, frames: len(frames) == wanted)
+
+
+def test_camera_that_is_there_streams_from_the_first_read(world):
+    with world.supervised() as source:
+        assert source.link.state is LinkState.CONNECTED and source.shape == (2, 3)
+        source.start()
+        assert [frame.frame_id for frame in frames_of(source, 3)] == [1, 2, 3]
+        assert source.link.state is LinkState.STREAMING and not source.lost
+        assert source.link.downtime_s == 0.0 and source.counters == {"packets": 30}
+        assert source.details == {"camera_serial": "F1"}
+
+
+def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(world):
+    world.fault = OFF
+    source = world.supervised()
+    source.connect()
+    assert source.link.state is LinkState.WAITING and "does not answer" in source.link.reason
+    assert source.shape == ()
+    source.start()
+    tries = []
+    for _ in range(200):
+        before = len(world.made)
+        source.read(0.2)
+        if len(world.made) > before:
+            tries.append(world.now_s)
+    pauses = np.diff(tries)
+    assert pauses[:4] == pytest.approx([0.5, 1.0, 2.0, 2.0])  # the first pause, 0.25 s, followed connect()
+    assert pauses.max() == pytest.approx(2.0)
+    world.fault = None
+    frames_of(source, 1)
+    assert source.link.state is LinkState.STREAMING and source.shape == (2, 3)
+    assert source.link.downtime_s == pytest.approx(world.now_s, abs=1e-6)
+
+
+def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 50)
+        last_s = world.now_s
+        world.fault = OFF
+        until(source, lambda s, _: s.link.state is LinkState.WAITING)
+        assert world.now_s - last_s == pytest.approx(0.5)
+        assert source.counters["stalls"] == 1
+        until(source, lambda s, _: world.now_s - last_s > 5.0)
+        world.fault, back_s = None, world.now_s
+        frames_of(source, 1)
+        link = source.link
+        assert link.last_outage.length_s == pytest.approx(world.now_s - last_s)
+        assert link.last_outage.noticed_s == pytest.approx(0.5)
+        assert world.now_s - back_s <= 2.0 + STEP_S  # at most the longest pause
+        assert link.last_outage.restart_s == pytest.approx(STEP_S)
+        assert source.counters["reconnects"] == 1
+        assert link.downtime_s == pytest.approx(link.last_outage.length_s) and link.down_s == 0.0
+
+
+def test_stalled_camera_that_still_answers_is_connected_anew_at_once(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 5)
+        world.silent = True
+        until(source, lambda s, _: s.link.state is LinkState.STALLED)
+        world.silent = False
+        before_s = world.now_s
+        frames_of(source, 1)
+        assert world.now_s - before_s == pytest.approx(STEP_S)
+        assert world.made[0].calls[-1] == "closed" and len(world.made) == 2
+
+
+def test_process_that_did_not_get_to_run_does_not_blame_the_camera(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 1)
+        world.silent = world.starved = True
+        for _ in range(2):
+            source.read(0.2)  # takes 5 s each
+        world.silent = world.starved = False
+        frames_of(source, 1)
+        assert world.now_s > 10.0 and len(world.made) == 1 and "stalls" not in source.counters
+
+
+def test_control_loss_is_told_from_a_stall(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 1)
+        world.silent = world.control_taken = True
+        until(source, lambda s, _: s.link.state is LinkState.CONTROL_LOST)
+        assert "control" in source.link.reason and source.counters == {"packets": 10, "control_losses": 1}
+        world.silent = world.control_taken = False
+        frames_of(source, 1)
+
+
+def test_stall_limit_is_that_of_the_connected_source(world):
+    with world.supervised(stall_timeout_s=lambda source: float("inf")) as source:
+        source.start()
+        frames_of(source, 1)
+        world.silent = True
+        for _ in range(1000):
+            source.read(0.2)
+        assert source.link.state is LinkState.STREAMING and world.now_s > 199.0
+
+
+def test_incomplete_frames_are_a_sign_of_life(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 1)
+        world.silent = True
+        for frame_id in range(2, 40):
+            world.made[0].account.add(frame_id, complete=False)
+            source.read(0.2)
+        assert source.link.state is LinkState.STREAMING
+        assert source.account.incomplete == 38
+
+
+def test_settings_that_the_camera_refuses_fail_connect(world):
+    world.fault = WRONG
+    with pytest.raises(InputError, match="Mono12"):
+        world.supervised().connect()
+
+
+def test_connection_that_is_not_accepted_is_closed_and_fails_connect(world):
+    def accept(source):
+        raise InputError("gives images of 3 x 2 pixels")
+
+    with pytest.raises(InputError, match="3 x 2"):
+        world.supervised(accept=accept).connect()
+    assert world.made[0].calls[-1] == "closed"
+
+
+def test_refusal_at_a_reconnection_is_shown_and_retried_at_the_slowest_pace(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 1)
+        world.fault = WRONG
+        until(source, lambda s, _: s.link.refused)
+        assert "Mono12" in source.link.reason and source.link.next_try_s == pytest.approx(2.0)
+        world.fault = None
+        frames_of(source, 1)
+        assert source.link.reason == "" and not source.link.refused
+
+
+def test_camera_that_connects_but_never_delivers_is_not_stormed(world):
+    world.silent = True
+    with world.supervised() as source:
+        source.start()
+        for _ in range(200):
+            source.read(0.2)
+        assert len(world.made) < world.now_s / 2.4 + 4  # half a second of silence, then the longest pause
+        world.silent = False
+        frames_of(source, 1)
+
+
+def test_camera_that_connects_but_does_not_start_is_tried_again(world):
+    with world.supervised() as source:
+        world.start_fault = OFF
+        source.start()
+        for _ in range(50):
+            source.read(0.2)
+        assert source.link.state is LinkState.WAITING and "does not answer" in source.link.reason
+        assert all("closed" in made.calls for made in world.made[:-1])
+        world.start_fault = None
+        frames_of(source, 1)
+
+
+def test_refusal_to_start_fails_the_start(world):
+    with world.supervised() as source:
+        world.start_fault = WRONG
+        with pytest.raises(InputError, match="Mono12"):
+            source.start()
+        world.start_fault = None
+        source.start()
+        frames_of(source, 1)
+
+
+def test_error_of_the_driver_does_not_give_the_camera_up(world):
+    world.fault = OFF
+    source = world.supervised()
+    source.connect()
+    source.start()
+    world.fault = RuntimeError("a defect of the driver")
+    until(source, lambda s, _: "defect" in s.link.reason)
+    world.fault = None
+    frames_of(source, 1)
+
+
+def test_dead_camera_blocks_neither_stop_nor_close(world):
+    source = world.supervised()
+    source.connect()
+    source.start()
+    frames_of(source, 1)
+    world.made[0].hold.clear()
+    source.stop()  # gives up waiting after half a second
+    assert "did not answer" in source.link.reason
+    source.close()
+    assert "closed" not in world.made[0].calls
+    world.made[0].hold.set()
+    for errand in source._errands:
+        assert errand.wait(PATIENCE_S)
+    assert world.made[0].calls[-1] == "closed"
+
+
+def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(world):
+    source = world.supervised()
+    source.connect()
+    source.start()
+    frames_of(source, 1)
+    world.made[0].hold.clear()
+    world.silent = True
+    until(source, lambda s, _: s.lost)
+    world.silent = False
+    frames_of(source, 1)
+    assert len(world.made) == 2 and "closed" not in world.made[0].calls
+
+
+def test_camera_that_was_lost_while_suspended_is_connected_anew(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 1)
+        source.stop()
+        assert source.link.state is LinkState.CONNECTED
+        world.made[0].taken = True
+        source.start()
+        frames_of(source, 1)
+        assert len(world.made) == 2 and source.counters["control_losses"] == 1
+
+
+def test_suspension_is_no_downtime_and_keeps_the_connection(world):
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 3)
+        source.stop()
+        world.now_s += 100.0
+        source.start()
+        frames_of(source, 3)
+        assert len(world.made) == 1 and source.link.downtime_s == 0.0
+        with pytest.raises(InputError, match="not started"):
+            source.stop()
+            source.read(0.0)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.lists(st.tuples(st.integers(1, 30), st.booleans()), min_size=1, max_size=5))
+def test_accounts_and_counters_add_up_over_reconnections(runs):
+    world = World()
+    delivered = 0
+    with world.supervised() as source:
+        source.start()
+        for wanted, loses_some in runs:
+            frames = frames_of(source, wanted)
+            delivered += len(frames)
+            if loses_some:
+                for _ in range(3):
+                    next(world.made[-1].next_ids)
+            delivered += len(frames_of(source, 1))
+            world.silent = True
+            until(source, lambda s, _: s.lost)
+            world.silent = False
+        total = source.account
+        assert total.delivered == delivered
+        assert total.lost == 3 * sum(loses_some for _, loses_some in runs)
+        assert total.expected == total.delivered + total.incomplete + total.lost
+        assert source.counters["packets"] == 10 * delivered
+        assert source.counters["stalls"] == len(runs)
+
+
+def test_abandoned_errand_disposes_of_its_late_result():
+    go, disposed = threading.Event(), []
+    errand = Errand(lambda: go.wait(PATIENCE_S) and "result", disposed.append)
+    assert not errand.wait(0)
+    errand.abandon()
+    go.set()
+    assert errand.wait(PATIENCE_S) and disposed == ["result"]
+
+
+def test_errand_abandoned_after_its_end_disposes_of_the_result():
+    disposed = []
+    errand = Errand(lambda: "result", disposed.append)
+    assert errand.result() == "result" and disposed == []
+    errand.abandon()
+    assert errand.wait(PATIENCE_S) and disposed == ["result"]
+
+
+def test_errand_raises_what_its_call_raised_and_has_nothing_to_dispose_of():
+    def fail():
+        raise InputError("no")
+
+    errand = Errand(fail, dispose=lambda result: pytest.fail("there is no result"))
+    with pytest.raises(InputError, match="no"):
+        errand.result()
+    errand.abandon()
+    assert errand.wait(PATIENCE_S)

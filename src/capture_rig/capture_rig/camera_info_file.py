@@ -1,0 +1,128 @@
+"""The camera_info YAML of ROS (camera_calibration, camera_info_manager): one camera's intrinsics, read and written.
+
+Matrices are written as rows, cols and data. Of a single camera, the rectification matrix is the identity; the
+projection matrix belongs to the rectified image, which here is the undistorted canvas with K itself: it is checked for
+its size, but not used.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from .camera import CameraModel
+from .errors import InputError
+from .lens import Array
+from .rig import camera_from_mapping
+from .yaml_file import read_mapping
+
+MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
+KEYS = ("image_width", "image_height", "camera_name", "distortion_model", "distortion_coefficients", *MATRICES)
+RECTIFIED = 1e-6  # a rectification matrix may depart from the identity by so much
+_REMEDY = "Give a camera_info YAML, as camera_calibration writes it, or leave camera_info_file empty."
+
+
+def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
+    """``camera`` with the intrinsics of the camera_info YAML at ``path``; its pose stays.
+
+    Raises InputError with file, key, value and remedy: no such file, another camera's name or image size, a matrix
+    that is none.
+    """
+    where = str(path)
+    document = read_mapping(Path(path), _REMEDY)
+    missing = [key for key in KEYS if key not in document]
+    if missing:
+        raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=_REMEDY)
+    if document["camera_name"] != camera.name:
+        raise InputError(f"camera_name = {document['camera_name']!r} is not this camera, '{camera.name}'", where=where,
+                         remedy="Name the file of this camera.")  # fmt: skip
+    matrices = {key: _matrix(document, key, shape, where) for key, shape in MATRICES.items()}
+    return with_intrinsics(
+        camera, document["image_width"], document["image_height"], matrices["camera_matrix"].tolist(),
+        document["distortion_model"], _coefficients(document, where), matrices["rectification_matrix"].tolist(), where,
+    )  # fmt: skip
+
+
+def with_intrinsics(
+    camera: CameraModel, width: Any, height: Any, K: Any, distortion_model: Any, D: Any, R: Any, where: str
+) -> CameraModel:
+    """``camera`` with other intrinsics, checked as a rig file's are; ``R`` is the rectification, which must be none.
+
+    ``K``, ``R`` are 3 x 3 nested lists, ``D`` a list. Raises InputError naming ``where``.
+    """
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"is for images of {width} x {height} pixels, those of {camera.name} have {camera.width} x {camera.height}",
+            where=where,
+            remedy="Calibrate at the size that the camera delivers, or set the camera's region.",
+        )
+    if not np.allclose(R, np.eye(3), atol=RECTIFIED):
+        raise InputError("rectification_matrix is not the identity", where=where,
+                         remedy="A stereo calibration cannot be used; calibrate each camera by itself.")  # fmt: skip
+    model = "plumb_bob" if distortion_model == "" and not np.any(D) else distortion_model
+    entry = {
+        "image_width": width,
+        "image_height": height,
+        "camera_matrix": K,
+        "distortion_model": model,
+        "distortion": D or [0.0] * 5,
+        "R_camera_world": camera.R_camera_world.tolist(),
+        "t_camera_world": camera.t_camera_world.tolist(),
+    }
+    read = camera_from_mapping(camera.name, entry, where)
+    return replace(camera, K=read.K, distortion_model=read.distortion_model, D=read.D)
+
+
+def save_camera_info(path: str | Path, camera: CameraModel) -> None:
+    """Write the intrinsics of ``camera``, all or nothing. Raises InputError when the file cannot be written."""
+    projection = np.hstack([camera.K, np.zeros((3, 1))])
+    document = {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": camera.name,
+        "camera_matrix": _matrix_document(camera.K),
+        "distortion_model": camera.distortion_model,
+        "distortion_coefficients": _matrix_document(camera.D[None]),
+        "rectification_matrix": _matrix_document(np.eye(3)),
+        "projection_matrix": _matrix_document(projection),
+    }
+    path = Path(path)
+    try:
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            yaml.safe_dump(document, file, sort_keys=False, default_flow_style=None, width=120)
+        os.replace(file.name, path)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", where=str(path),
+                         remedy="Name a file in a folder that exists and may be written.") from None  # fmt: skip
+
+
+def _matrix_document(values: Array) -> dict[str, Any]:
+    rows, cols = values.shape
+    return {"rows": rows, "cols": cols, "data": values.ravel().tolist()}
+
+
+def _matrix(document: Mapping[str, Any], key: str, shape: tuple[int, int], where: str) -> Array:
+    entry = document[key]
+    try:
+        if (entry["rows"], entry["cols"]) == shape:
+            return np.array(entry["data"], float).reshape(shape)
+    except (TypeError, KeyError, ValueError):
+        pass
+    raise InputError(f"{key} = {entry!r} is not a matrix of {shape[0]} x {shape[1]} numbers", where=where,
+                     remedy=f"Write it as rows: {shape[0]}, cols: {shape[1]}, data: [...].")  # fmt: skip
+
+
+def _coefficients(document: Mapping[str, Any], where: str) -> list[float]:
+    entry = document["distortion_coefficients"]
+    data = entry.get("data") if isinstance(entry, Mapping) else None
+    if not isinstance(data, list) or entry.get("rows") != 1 or entry.get("cols") != len(data):
+        raise InputError(f"distortion_coefficients = {entry!r} is not a matrix of one row", where=where,
+                         remedy="Write it as rows: 1, cols: 5, data: [k1, k2, p1, p2, k3].")  # fmt: skip
+    return data

@@ -1,0 +1,183 @@
+"""What the doctor concludes from the facts of a made-up machine."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from camera_client.settings import AravisSettings, CameraClientSettings
+from capture_rig.camera import CameraModel
+from sagoma_tools.doctor.camera_checks import check_background, check_timing
+from sagoma_tools.doctor.collect import chrony_clock
+from sagoma_tools.doctor.facts import BackgroundFacts, ClockFacts, DeviceFacts, HostFacts, InterfaceFacts, Stream
+from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, warning
+from sagoma_tools.doctor.host_checks import check_host
+from sagoma_tools.doctor.network_checks import (
+    check_bandwidth,
+    check_device,
+    check_interface,
+    check_receive_buffer,
+    stream_bytes_per_s,
+)
+
+LINK = InterfaceFacts("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
+DEVICE = DeviceFacts(
+    "192.168.1.11", name="Maker Model", serial="123", own_address="192.168.1.11", subnet_mask="255.255.255.0",
+    controlled=False, controller="", can_ptp=True, can_resend=True,
+)  # fmt: skip
+HOST = HostFacts(
+    rmem_max=8 << 20, cores=8, load=1.0, available_bytes=8 << 30, governors=("performance",) * 8,
+    clock=ClockFacts("chrony", True, 20e-6), environment={"ROS_DOMAIN_ID": "7"},
+)  # fmt: skip
+CAMERA = CameraModel("cam01", 640, 480, np.eye(3), "plumb_bob", np.zeros(5), np.eye(4))
+SETTINGS = CameraClientSettings(
+    aravis=AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
+)
+GREY_VGA = Stream("cam01", 640 * 480, 100.0)
+
+
+def worst(findings):
+    found = list(findings)
+    assert all(finding.remedy for finding in found if finding.severity >= Severity.WARNING)
+    return max(found, key=lambda finding: finding.severity, default=ok("nothing", ""))
+
+
+def aravis(**changes):
+    return replace(SETTINGS.aravis, **changes)
+
+
+@pytest.mark.parametrize("findings", [
+    check_interface(LINK, DEVICE.address, SETTINGS.aravis),
+    check_device(DEVICE, SETTINGS.aravis, LINK),
+    check_bandwidth([GREY_VGA], LINK, 0),
+    check_receive_buffer(HOST, SETTINGS.aravis),
+    check_host(HOST),
+    check_timing(SETTINGS),
+    check_background(BackgroundFacts("bg.npz", age_s=60.0, shape=(480, 640)), CAMERA, SETTINGS),
+], ids=["interface", "device", "bandwidth", "buffer", "host", "timing", "background"])  # fmt: skip
+def test_nothing_is_found_on_a_camera_pc_as_it_should_be(findings):
+    assert worst(findings).severity is Severity.OK
+
+
+@pytest.mark.parametrize(
+    "link, settings, severity, remedy",
+    [
+        (None, {}, Severity.ERROR, "ip route get 192.168.1.11"),
+        (replace(LINK, up=False), {}, Severity.ERROR, "ip link set enp3s0 up"),
+        (replace(LINK, mtu=1500), {}, Severity.WARNING, "ip link set enp3s0 mtu 9000"),
+        (replace(LINK, mtu=1500), {"packet_size": 8000}, Severity.ERROR, "mtu 9000"),
+        (replace(LINK, speed_mbit=100), {}, Severity.WARNING, "1000 Mbit/s"),
+        (replace(LINK, speed_mbit=0), {}, Severity.OK, ""),
+        (replace(LINK, mtu=1500, loopback=True), {}, Severity.OK, ""),
+    ],
+)
+def test_interface_that_does_not_serve_is_found_with_its_remedy(link, settings, severity, remedy):
+    finding = worst(check_interface(link, DEVICE.address, aravis(**settings)))
+    assert finding.severity is severity and remedy in finding.remedy
+
+
+@pytest.mark.parametrize(
+    "device, settings, severity, text",
+    [
+        ({"error": "no GigE Vision camera answers at 192.168.1.11"}, {}, Severity.ERROR, "no GigE Vision camera"),
+        ({}, {"serial": "999"}, Severity.ERROR, "has serial '123'"),
+        ({"user_id": "left"}, {"user_id": "right"}, Severity.ERROR, "has user_id 'left'"),
+        ({"own_address": "10.0.0.5"}, {}, Severity.WARNING, "10.0.0.0/24"),
+        ({"controlled": True, "controller": "192.168.1.1"}, {}, Severity.NOTE, "a program on this machine"),
+        ({"controlled": True, "controller": "192.168.1.9"}, {}, Severity.WARNING, "192.168.1.9 controls the camera"),
+        ({"controlled": True, "controller": None}, {}, Severity.WARNING, "another program controls"),
+        ({"controlled": None}, {}, Severity.NOTE, "does not tell"),
+        ({"can_ptp": False}, {"sync": "action"}, Severity.WARNING, "aravis.sync = action needs PTP"),
+        ({"can_ptp": None}, {"stamp_source": "ptp"}, Severity.NOTE, "aravis.stamp_source = ptp needs PTP"),
+        ({}, {"sync": "ptp"}, Severity.OK, ""),
+        ({"can_resend": False}, {}, Severity.WARNING, "cannot send a packet again"),
+    ],
+)
+def test_camera_that_cannot_be_had_or_is_another_one_is_found(device, settings, severity, text):
+    finding = worst(check_device(replace(DEVICE, **device), aravis(**settings), LINK))
+    assert finding.severity is severity and text in finding.what
+
+
+def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
+    # 300 packets of 1024 bytes of image each, and leader and trailer; 36 + 38 bytes of headers and gaps on each
+    assert stream_bytes_per_s(Stream("a", 307_200, 10.0), 1024 + 36) == 10 * (307_200 + 302 * 74)
+
+
+@pytest.mark.parametrize("cameras, severity", [(1, Severity.OK), (3, Severity.WARNING), (4, Severity.ERROR)])
+def test_cameras_that_share_a_link_must_fit_it_together(cameras, severity):
+    finding = worst(check_bandwidth([GREY_VGA] * cameras, LINK, 0))  # 30.99 of 125 MB/s each
+    assert finding.severity is severity and f"take {24.8 * cameras:.0f} % of the 1000 Mbit/s" in finding.what
+
+
+def test_bandwidth_without_a_frame_rate_is_unknown_and_names_the_camera():
+    finding = worst(check_bandwidth([GREY_VGA, replace(GREY_VGA, camera="cam02", frame_rate=0.0)], LINK, 0))
+    assert finding.severity is Severity.NOTE and "cam02" in finding.what
+
+
+def test_small_receive_buffers_are_found_with_the_sysctl_line():
+    finding = worst(check_receive_buffer(replace(HOST, rmem_max=212992), SETTINGS.aravis))
+    assert finding.severity is Severity.WARNING and "sysctl -w net.core.rmem_max=4194304" in finding.remedy
+
+
+@pytest.mark.parametrize(
+    "changes, severity, text",
+    [
+        ({"load": 7.5}, Severity.WARNING, "0.5 of them free"),
+        ({"available_bytes": 100 << 20}, Severity.WARNING, "100 MiB are free"),
+        ({"governors": ("powersave", "performance")}, Severity.NOTE, "powersave"),
+        ({"governors": ()}, Severity.NOTE, "unknown"),
+        ({"clock": ClockFacts("chrony", False)}, Severity.WARNING, "not kept in step"),
+        ({"clock": ClockFacts("chrony", True, -5e-3)}, Severity.WARNING, "5.0 ms off"),
+        ({"clock": ClockFacts(unknown_because="no chronyc")}, Severity.NOTE, "no chronyc"),
+        ({"environment": {"ROS_DOMAIN_ID": "300"}}, Severity.ERROR, "ROS_DOMAIN_ID = '300'"),
+        ({"environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}}, Severity.WARNING, "do not hear"),
+        ({"environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "NEAR"}}, Severity.ERROR, "'NEAR'"),
+        ({"environment": {"ROS_LOCALHOST_ONLY": "1"}}, Severity.WARNING, "ROS_LOCALHOST_ONLY"),
+        ({"environment": {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}}, Severity.NOTE, "rmw_cyclonedds_cpp"),
+        ({"aravis_error": "Aravis is not available"}, Severity.ERROR, "Aravis is not available"),
+    ],
+)
+def test_machine_that_is_not_ready_is_found(changes, severity, text):
+    finding = worst(check_host(replace(HOST, **changes)))
+    assert finding.severity is severity and text in finding.what
+
+
+def test_chrony_tells_whether_and_how_well_the_clock_is_kept():
+    # chronyc -c tracking: reference, its address, stratum, time, offset, ...
+    synchronised = ["A29FC87B", "10.0.0.1", "3", "1763712345.6", "0.000012345", "0.00001", "0.00002"]
+    assert chrony_clock(synchronised) == ClockFacts("chrony", True, 0.000012345)
+    assert chrony_clock(["00000000", "", "0", "0.0", "0.0"]).in_step is False
+
+
+@pytest.mark.parametrize(
+    "facts, severity, text",
+    [
+        (None, Severity.NOTE, "none is named"),
+        (BackgroundFacts("bg.npz", error="bg.npz: cannot be read"), Severity.ERROR, "cannot be read"),
+        (BackgroundFacts("bg.npz", shape=(240, 320)), Severity.ERROR, "320 x 240"),
+        (BackgroundFacts("bg.npz", age_s=86400.0, shape=(480, 640)), Severity.WARNING, "24 h old"),
+        (BackgroundFacts("bg.npz", shape=(480, 640), exposure_us="8000"), Severity.WARNING, "8000 us"),
+        (BackgroundFacts("bg.npz", shape=(480, 640), exposure_us="4001"), Severity.OK, ""),
+    ],
+)
+def test_background_that_does_not_serve_is_found(facts, severity, text):
+    finding = worst(check_background(facts, CAMERA, SETTINGS))
+    assert finding.severity is severity and text in finding.what
+    assert severity is Severity.OK or "/cam01/camera_client/learn_background" in finding.remedy
+
+
+def test_exposure_longer_than_a_frame_is_an_error():
+    finding = worst(check_timing(replace(SETTINGS, aravis=aravis(exposure_us=20_000.0))))
+    assert finding.severity is Severity.ERROR and "at most 16667 us" in finding.what
+
+
+def test_features_left_to_the_camera_are_noted():
+    findings = list(check_timing(replace(SETTINGS, aravis=aravis(gain=-1.0))))
+    assert [finding.what for finding in findings if finding.severity is Severity.NOTE] == [
+        "aravis.gain is left as the camera has it"
+    ]
+
+
+def test_exit_status_follows_the_gravest_finding():
+    findings = [ok("a", ""), note("b", ""), warning("c", "", "do"), error("d", "", "do")]
+    assert [exit_status(findings[:count]) for count in range(5)] == [0, 0, 0, 1, 2]

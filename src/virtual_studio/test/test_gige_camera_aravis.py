@@ -1,0 +1,459 @@
+"""Simulated cameras seen through Aravis, the library that real cameras are opened with."""
+
+import gc
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from gige_client import AravisClient, eventually
+
+from gige_vision.gvcp_payloads import Action
+from gige_vision.pixel_formats import PixelFormat
+from virtual_studio.gige import (
+    CameraSettings,
+    EventLoop,
+    PatternScene,
+    SimulatedCamera,
+    TriggerWire,
+    free_addresses,
+)
+
+MS = 1_000_000
+TAI_MINUS_UTC_NS = 37_000_000_000
+
+
+class Still:
+    """A scene that never changes."""
+
+    def __init__(self, picture):
+        self.picture = picture
+
+    @property
+    def shape(self):
+        return self.picture.shape
+
+    def image(self, instant_ns):
+        return self.picture
+
+
+def noise(*shape):
+    return np.random.default_rng(3).integers(0, 256, shape).astype(np.uint8)
+
+
+def test_every_feature_can_be_read_through_aravis(aravis, address):
+    Aravis = aravis[0]
+    with SimulatedCamera(address, PatternScene(colour=True)) as camera, AravisClient(aravis, address) as client:
+        names = [f.name for f in camera.features if f.name and f.category and not f.chunk]
+        assert len(names) > 60
+        for name in names:
+            node = client.device.get_feature(name)
+            assert node is not None, name
+            if isinstance(node, Aravis.GcCommand):
+                continue
+            if isinstance(node, Aravis.GcFloat):
+                value = client.camera.get_float(name)
+            elif isinstance(node, Aravis.GcEnumeration):
+                value = client.camera.get_string(name)
+                assert value in client.camera.dup_available_enumerations_as_strings(name)
+            elif isinstance(node, Aravis.GcString):
+                value = client.camera.get_string(name)
+            elif isinstance(node, Aravis.GcBoolean):
+                value = client.camera.get_boolean(name)
+            else:
+                value = client.camera.get_integer(name)
+            feature = next(f for f in camera.features if f.name == name)
+            if not feature.volatile and not isinstance(node, Aravis.GcEnumeration) and feature.bits is None:
+                held = camera._parts.registers[feature.key]
+                assert value == held, name
+        assert client.camera.get_vendor_name() == "Sagoma"
+        assert client.camera.get_device_serial_number() == "SIM00001"
+
+
+def test_frames_are_the_scene_s_pixels_with_ids_from_one_in_order(aravis, address):
+    scene = PatternScene()
+    with SimulatedCamera(address, scene, CameraSettings(frame_rate=100.0)), AravisClient(aravis, address) as client:
+        frames = client.start().buffers(20)
+    assert [block for block, _, _ in frames] == list(range(1, 21))
+    for block, _, data in frames:
+        picture = np.frombuffer(data, np.uint8).reshape(480, 640)
+        number, instant_ns = PatternScene.read(picture)
+        assert number == block - 1
+        np.testing.assert_array_equal(picture, scene.picture(number, instant_ns))
+
+
+@pytest.mark.parametrize("packet_size", [0, 1500, 9000, 16000])
+def test_largest_packet_is_negotiated_and_any_size_carries_whole_frames(aravis, address, packet_size):
+    with SimulatedCamera(address, Still(noise(480, 640))), AravisClient(aravis, address, packet_size) as client:
+        if not packet_size:
+            client.camera.gv_set_stream_options(client.Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+            assert 15_990 <= client.camera.gv_auto_packet_size() <= 16_000
+        np.testing.assert_array_equal(client.start().bytes(), noise(480, 640).reshape(-1))
+
+
+def mono_bytes(grey, name):
+    """The format's bytes, pixel by pixel as the GigE Vision standard words them."""
+    flat = [int(value) for value in grey.reshape(-1)]
+    if name == "Mono8":
+        return bytes(flat)
+    depth = 10 if "10" in name else 12
+    deep = [(v << (depth - 8)) | (v >> (16 - depth)) for v in flat]
+    if "Packed" not in name:
+        return b"".join(v.to_bytes(2, "little") for v in deep)
+    low = depth - 8
+    mask = (1 << low) - 1
+    out = bytearray()
+    for a, b in zip(deep[0::2], deep[1::2], strict=True):
+        out += bytes([a >> low, (b & mask) << 4 | (a & mask), b >> low])
+    return bytes(out)
+
+
+@pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono10Packed", "Mono12", "Mono12Packed"])
+def test_mono_formats_arrive_bit_by_bit(aravis, address, name):
+    picture = noise(32, 48)
+    with SimulatedCamera(address, Still(picture)), AravisClient(aravis, address) as client:
+        client.camera.set_pixel_format_from_string(name)
+        buffer = client.start().buffer()
+        assert buffer.get_image_pixel_format() == PixelFormat[name]
+        assert bytes(buffer.get_data()) == mono_bytes(picture, name)
+
+
+def test_colour_formats_arrive_channel_by_channel(aravis, address):
+    picture = noise(32, 48, 3)
+    blue, green, red = (picture[..., i].astype(int) for i in range(3))
+    with SimulatedCamera(address, Still(picture)) as _, AravisClient(aravis, address) as client:
+        seen = {}
+        for name in ("BGR8", "RGB8", "BayerRG8", "YUV422_8"):
+            client.camera.set_pixel_format_from_string(name)
+            client.start()
+            seen[name] = client.bytes()
+            client.camera.stop_acquisition()
+            client.stream = None
+            gc.collect()
+    np.testing.assert_array_equal(seen["BGR8"].reshape(32, 48, 3), picture)
+    np.testing.assert_array_equal(seen["RGB8"].reshape(32, 48, 3), picture[..., ::-1])
+    bayer = seen["BayerRG8"].reshape(32, 48)
+    np.testing.assert_array_equal(bayer[0::2, 0::2], red[0::2, 0::2])
+    np.testing.assert_array_equal(bayer[0::2, 1::2], green[0::2, 1::2])
+    np.testing.assert_array_equal(bayer[1::2, 0::2], green[1::2, 0::2])
+    np.testing.assert_array_equal(bayer[1::2, 1::2], blue[1::2, 1::2])
+    yuyv = seen["YUV422_8"].reshape(32, 24, 4).astype(int)
+    luma = 0.299 * red + 0.587 * green + 0.114 * blue
+    assert np.abs(yuyv[..., [0, 2]].reshape(32, 48) - luma).max() <= 1
+    u = np.clip(128 + 0.564 * (blue - luma), 0, 255).reshape(32, 24, 2).mean(axis=2)
+    v = np.clip(128 + 0.713 * (red - luma), 0, 255).reshape(32, 24, 2).mean(axis=2)
+    assert np.abs(yuyv[..., 1] - u).max() <= 1.6
+    assert np.abs(yuyv[..., 3] - v).max() <= 1.6
+
+
+def test_region_and_binning_cut_and_average_the_sensor(aravis, address):
+    picture = noise(64, 96)
+    with SimulatedCamera(address, Still(picture)), AravisClient(aravis, address) as client:
+        client.camera.set_region(8, 10, 32, 20)
+        np.testing.assert_array_equal(client.start().bytes().reshape(20, 32), picture[10:30, 8:40])
+        client.camera.stop_acquisition()
+        client.stream = None
+        gc.collect()
+        client.camera.set_region(0, 0, 96, 64)
+        client.camera.set_binning(2, 2)
+        assert client.camera.get_region()[2:] != (96, 64)
+        binned = client.start().bytes().reshape(32, 48)
+    means = picture.reshape(32, 2, 48, 2).mean(axis=(1, 3))
+    assert np.abs(binned - means).max() <= 0.5
+
+
+def test_geometry_is_locked_while_frames_are_taken(aravis, address):
+    with SimulatedCamera(address, PatternScene()), AravisClient(aravis, address) as client:
+        client.start().buffer()
+        with pytest.raises(client.GLib.Error, match="access-denied"):
+            client.camera.set_integer("Width", 320)
+        client.camera.stop_acquisition()
+        client.camera.set_integer("Width", 320)
+        assert client.camera.get_integer("Width") == 320
+
+
+def test_exposure_and_gain_change_the_brightness_by_their_factors(aravis, address):
+    with SimulatedCamera(address, Still(np.full((64, 64), 50, np.uint8))), AravisClient(aravis, address) as client:
+        client.start()
+        assert client.bytes()[0] == 50
+        client.camera.set_exposure_time(8000.0)
+        eventually(lambda: client.bytes()[0] == 100)
+        client.camera.set_gain(20 * np.log10(2.0))
+        eventually(lambda: client.bytes()[0] == 200)
+        client.camera.set_exposure_time(2000.0)
+        eventually(lambda: client.bytes()[0] == 50)
+
+
+def test_auto_exposure_steers_to_a_mean_and_owns_the_exposure_time(aravis, address):
+    scene = Still(np.full((64, 64), 20, np.uint8))
+    settings = CameraSettings(auto_functions="Continuous", frame_rate=200)
+    with SimulatedCamera(address, scene, settings), AravisClient(aravis, address) as client:
+        client.start()
+        eventually(lambda: abs(int(client.bytes()[0]) - 110) <= 3)
+        with pytest.raises(client.GLib.Error, match="access-denied"):
+            client.camera.set_exposure_time(2000.0)
+        client.camera.set_string("ExposureAuto", "Off")
+        client.camera.set_string("GainAuto", "Off")
+        client.camera.set_exposure_time(8000.0)
+        eventually(lambda: client.bytes()[0] == 40)
+
+
+def test_frame_rate_spaces_the_stamps(aravis, address):
+    with SimulatedCamera(address, PatternScene(), CameraSettings(drift_ppm=0)), AravisClient(aravis, address) as client:
+        client.camera.set_frame_rate(125.0)
+        frames = client.start().buffers(10)
+    for (a, earlier, _), (b, later, _) in pairwise(frames):
+        assert later - earlier == pytest.approx(8 * MS * (b - a), abs=2)
+
+
+def test_single_frame_mode_sends_one_frame(aravis, address):
+    with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as client:
+        client.camera.set_string("AcquisitionMode", "SingleFrame")
+        client.start().buffer()
+        eventually(lambda: camera.status()["streaming"] is False)
+    assert camera.counters["frames_sent"] == 1
+
+
+def test_lost_packets_are_sent_again_and_frames_are_whole(aravis, address):
+    scene, settings = PatternScene(), CameraSettings(frame_rate=50)
+    with SimulatedCamera(address, scene, settings) as camera, AravisClient(aravis, address) as client:
+        camera.faults.packet_loss = 0.01
+        for _, _, data in client.start().buffers(60):
+            picture = np.frombuffer(data, np.uint8).reshape(480, 640)
+            np.testing.assert_array_equal(picture, scene.picture(*PatternScene.read(picture)))
+    assert camera.counters["packets_dropped"] > 5
+    assert camera.counters["packets_resent"] > 5
+
+
+def test_without_resend_lost_packets_leave_frames_incomplete(aravis, address):
+    with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as client:
+        camera.faults.no_resend, camera.faults.packet_loss = True, 0.2
+        client.start(resend=False)
+        client.stream.set_property("frame-retention", 20_000)
+        eventually(lambda: client.buffer(whole=False).get_status() != client.Aravis.BufferStatus.SUCCESS)
+    assert camera.counters["packets_resent"] == 0
+
+
+def test_extended_block_ids_carry_frames(aravis, address):
+    with SimulatedCamera(address, Still(noise(480, 640))) as camera, AravisClient(aravis, address) as client:
+        client.camera.set_integer("GevSCCFG", 1)
+        np.testing.assert_array_equal(client.start().bytes(), noise(480, 640).reshape(-1))
+    assert camera.counters["frames_sent"] >= 1
+
+
+def test_packet_delay_spreads_a_frame_and_loses_nothing(aravis, address):
+    with SimulatedCamera(address, Still(noise(480, 640))), AravisClient(aravis, address) as client:
+        client.camera.set_integer("GevSCPD", 100_000)
+        for _ in range(3):
+            np.testing.assert_array_equal(client.start().bytes() if client.stream is None else client.bytes(),
+                                          noise(480, 640).reshape(-1))  # fmt: skip
+
+
+def test_software_triggers_take_one_frame_each(aravis, address):
+    with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as client:
+        client.camera.set_trigger("Software")
+        client.start()
+        for expected in (1, 2, 3):
+            client.camera.software_trigger()
+            assert client.buffer().get_frame_id() == expected
+        assert camera.counters["triggers"] == 3
+        assert camera.counters["frames_sent"] == 3
+
+
+def open_all(aravis, cameras, **more):
+    return [AravisClient(aravis, camera.address, **more) for camera in cameras]
+
+
+@pytest.fixture
+def three_cameras():
+    """Three cameras of one loop and one trigger wire."""
+    loop = EventLoop()
+    loop.start()
+    wire = TriggerWire(loop)
+    scene = Still(noise(48, 64))
+    cameras = [
+        SimulatedCamera(
+            address, scene, CameraSettings(seed=i, ptp_settle_s=0.1, drift_ppm=20.0 * i), loop=loop, wire=wire
+        )
+        for i, address in enumerate(free_addresses(3))
+    ]
+    for camera in cameras:
+        camera.start()
+    yield cameras
+    for camera in cameras:
+        camera.close()
+    loop.stop()
+
+
+def enable_ptp(client):
+    client.camera.set_boolean("PtpEnable", True)
+    eventually(lambda: client.camera.get_string("PtpStatus") == "Slave", "PTP status Slave")
+
+
+def utc_stamps(clients):
+    """The stamps of each client's next frame, in PTP time brought back to UTC."""
+    return [client.buffer().get_timestamp() - TAI_MINUS_UTC_NS for client in clients]
+
+
+def test_wire_pulse_triggers_all_cameras_at_one_instant(aravis, three_cameras):
+    clients = open_all(aravis, three_cameras)
+    for client in clients:
+        enable_ptp(client)
+        client.camera.set_trigger("Line1")
+        client.start()
+    for _ in range(3):
+        instant_ns = three_cameras[0].wire.pulse()
+        stamps = utc_stamps(clients)
+        assert max(abs(stamp - instant_ns) for stamp in stamps) <= 200
+    for client in clients:
+        client.__exit__()
+
+
+def test_scheduled_actions_expose_three_cameras_at_the_instant_they_name(aravis, three_cameras):
+    from gige_client import GvcpClient
+
+    clients = open_all(aravis, three_cameras)
+    for client in clients:
+        enable_ptp(client)
+        for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 4)):
+            client.camera.set_integer(key, value)
+        client.camera.set_trigger("Action1")
+        client.start()
+    senders = [GvcpClient(camera.address) for camera in three_cameras]
+    for _ in range(5):
+        instant_ns = time.time_ns() + 300 * MS  # so far ahead that a busy machine is not late with the command
+        for sender in senders:
+            sender.send_packet(Action(1, 2, 4, instant_ns + TAI_MINUS_UTC_NS).command())
+            assert sender.receive().status == 0
+        stamps = utc_stamps(clients)
+        assert max(abs(stamp - instant_ns) for stamp in stamps) <= 200
+        assert max(stamps) - min(stamps) <= 200
+    for client, sender in zip(clients, senders, strict=True):
+        client.__exit__()
+        sender.__exit__()
+
+
+def test_free_running_cameras_expose_in_step_whenever_they_start(aravis, three_cameras):
+    clients = open_all(aravis, three_cameras)
+    seen = []
+    for client in clients:
+        enable_ptp(client)
+        client.camera.set_frame_rate(50.0)
+        client.start()
+        seen.append({round(stamp - TAI_MINUS_UTC_NS, -3) // 1000 for _, stamp, _ in client.buffers(3)})
+    for stamps in seen:
+        assert all(abs((stamp + 10_000) % 20_000 - 10_000) <= 1 for stamp in stamps)  # us, multiples of 20 ms of UTC
+    for client in clients:
+        client.__exit__()
+
+
+def test_sync_free_run_timer_counts_from_its_start_time(aravis, three_cameras):
+    with AravisClient(aravis, three_cameras[0].address) as client:
+        enable_ptp(client)
+        start_ns = time.time_ns() + TAI_MINUS_UTC_NS + 100 * MS + 1_234_567
+        client.camera.set_integer("SyncFreeRunTimerStartTimeLow", start_ns & 0xFFFFFFFF)
+        client.camera.set_integer("SyncFreeRunTimerStartTimeHigh", start_ns >> 32)
+        client.camera.set_float("SyncFreeRunTimerTriggerRate", 40.0)
+        client.camera.execute_command("SyncFreeRunTimerUpdate")
+        client.camera.set_boolean("SyncFreeRunTimerEnable", True)
+        stamps = [stamp for _, stamp, _ in client.start().buffers(5)]
+    assert stamps[0] >= start_ns - 200
+    for stamp in stamps:
+        assert abs((stamp - start_ns + 12_500_000) % 25_000_000 - 12_500_000) <= 200
+
+
+def test_ptp_settles_and_stamps_are_tai_at_the_start_of_the_exposure(aravis, address):
+    scene = PatternScene()
+    settings = CameraSettings(ptp_settle_s=0.2, ptp_offset_ns=100)
+    with SimulatedCamera(address, scene, settings), AravisClient(aravis, address) as client:
+        assert client.camera.get_string("PtpStatus") == "Disabled"
+        client.camera.set_boolean("PtpEnable", True)
+        states = []
+        eventually(lambda: states.append(client.camera.get_string("PtpStatus")) or states[-1] == "Slave")
+        assert "Listening" in states
+        client.camera.execute_command("PtpDataSetLatch")
+        assert abs(client.camera.get_integer("PtpOffsetFromMaster")) <= 100
+        for _, stamp, data in client.start().buffers(3):
+            _, middle_ns = PatternScene.read(np.frombuffer(data, np.uint8).reshape(480, 640))
+            assert stamp - TAI_MINUS_UTC_NS == pytest.approx(middle_ns - 2 * MS, abs=200)  # 4 ms of exposure
+
+
+def test_clock_latch_reads_the_counter_that_stamps_the_frames(aravis, address):
+    with SimulatedCamera(address, PatternScene()), AravisClient(aravis, address) as client:
+        client.camera.execute_command("TimestampLatch")
+        before = client.camera.get_integer("TimestampLatchValue")
+        stamp = client.start().buffer().get_timestamp()
+        client.camera.execute_command("TimestampLatch")
+        after = client.camera.get_integer("TimestampLatchValue")
+    assert before < stamp < after < before + 60_000 * MS
+
+
+def test_chunks_follow_the_image_and_agree_with_the_leader(aravis, address):
+    picture = noise(480, 640)
+    with SimulatedCamera(address, Still(picture)), AravisClient(aravis, address) as client:
+        client.camera.set_exposure_time(5000.0)
+        client.camera.set_chunks("Timestamp,ExposureTime,FrameID")
+        parser = client.camera.create_chunk_parser()
+        assert client.camera.get_payload() > picture.size
+        buffer = client.start().buffer()
+        assert buffer.has_chunks()
+        assert parser.get_integer_value(buffer, "ChunkTimestamp") == buffer.get_timestamp()
+        assert parser.get_integer_value(buffer, "ChunkFrameID") == buffer.get_frame_id()
+        assert parser.get_float_value(buffer, "ChunkExposureTime") == 5000.0
+        lit = np.clip(np.rint(picture.reshape(-1) * 1.25), 0, 255)
+        np.testing.assert_array_equal(np.frombuffer(buffer.get_data(), np.uint8)[: picture.size], lit)
+
+
+def test_older_generation_is_opened_by_its_older_names(aravis, address):
+    settings = CameraSettings(generation="old", ptp_settle_s=0.1)
+    scene = Still(np.full((64, 64), 50, np.uint8))
+    with SimulatedCamera(address, scene, settings), AravisClient(aravis, address) as client:
+        for name in ("ExposureTime", "AcquisitionFrameRate", "Gain", "PtpEnable", "TimestampLatch"):
+            assert not client.camera.is_feature_available(name)
+        client.camera.set_exposure_time(8000.0)
+        assert client.camera.get_float("ExposureTimeAbs") == 8000.0
+        client.camera.set_integer("GainRaw", 60)  # 6.0 dB
+        client.camera.set_frame_rate(50.0)
+        assert client.camera.get_float("AcquisitionFrameRateAbs") == 50.0
+        client.camera.set_boolean("GevIEEE1588", True)
+        eventually(lambda: client.camera.get_string("GevIEEE1588Status") == "Slave")
+        client.camera.execute_command("GevTimestampControlLatch")
+        assert client.camera.get_integer("GevTimestampValue") > TAI_MINUS_UTC_NS
+        assert client.start().bytes()[0] == round(100 * 10 ** (6 / 20))
+
+
+def test_second_controller_is_refused_and_may_look(aravis, address):
+    with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as first:
+        second = AravisClient(aravis, address)
+        assert first.device.is_controller() and not second.device.is_controller()
+        assert second.camera.get_device_serial_number() == "SIM00001"
+        with pytest.raises(second.GLib.Error, match="access-denied"):
+            second.camera.set_exposure_time(1000.0)
+        second.close()
+        assert camera.counters["control_denied"] >= 1
+        first.start().buffer()  # the first one is not disturbed
+
+
+def test_power_cycle_forgets_settings_but_not_the_user_s_name(aravis, address):
+    with SimulatedCamera(address, PatternScene(), CameraSettings(user_id="left")) as camera:
+        with AravisClient(aravis, address) as client:
+            client.camera.set_exposure_time(9000.0)
+            client.camera.set_string("DeviceUserID", "right")
+        camera.power_off()
+        assert not camera.powered
+        camera.power_on()
+        with AravisClient(aravis, address) as client:
+            assert client.device.is_controller()
+            assert client.camera.get_exposure_time() == 4000.0
+            assert client.camera.get_string("DeviceUserID") == "right"
+            assert client.start().buffer().get_frame_id() == 1
+
+
+def test_device_reset_is_a_power_cycle(aravis, address):
+    with SimulatedCamera(address, PatternScene(), CameraSettings(boot_s=0.05)) as camera:
+        with AravisClient(aravis, address) as client:
+            client.camera.set_exposure_time(9000.0)
+            client.camera.execute_command("DeviceReset")
+            eventually(lambda: camera.status().get("controller") == "")
+        with AravisClient(aravis, address) as client:
+            assert client.camera.get_exposure_time() == 4000.0

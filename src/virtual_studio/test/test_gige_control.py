@@ -1,0 +1,231 @@
+"""A simulated camera's control channel, spoken to in bare GVCP."""
+
+from collections import Counter
+from types import SimpleNamespace
+
+import pytest
+from gige_client import CONTROL_PRIVILEGE, GvcpClient, eventually
+
+from capture_rig.errors import InputError
+from gige_vision import bootstrap, gvcp_payloads
+from gige_vision.bootstrap import Capability
+from gige_vision.discovery import DeviceRecord
+from gige_vision.gvcp import Command, Status
+from gige_vision.gvcp_payloads import Action
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+from virtual_studio.gige.camera import feature_table
+from virtual_studio.gige.loop import Timer
+from virtual_studio.gige.privilege import ControlPrivilege
+from virtual_studio.gige.registers import Registers
+
+
+def table():
+    return feature_table(CameraSettings(), "127.0.0.9", 640, 480, colour=False)
+
+
+@pytest.fixture
+def camera(address):
+    with SimulatedCamera(address, PatternScene(), CameraSettings(user_id="left", ptp_settle_s=0.0)) as camera:
+        yield camera
+
+
+@pytest.fixture
+def client(camera):
+    with GvcpClient(camera.address) as client:
+        yield client
+
+
+def address_of(camera, key):
+    return next(f.address for f in camera.features if f.key == key and f.has_register)
+
+
+def test_discovery_tells_who_the_camera_is(camera, client):
+    answer = client.ask(Command.DISCOVERY)
+    record = DeviceRecord.decode(answer.payload)
+    assert (answer.status, answer.acknowledge) == (0, 3)
+    assert (record.address, record.serial, record.user_id) == (camera.address, "SIM00001", "left")
+    assert (record.manufacturer, record.model, record.subnet_mask) == ("Sagoma", "Studio", "255.0.0.0")
+
+
+def test_nobody_writes_without_control(camera, client):
+    assert client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.ACCESS_DENIED
+    assert client.take_control() == Status.SUCCESS
+    assert client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.SUCCESS
+    assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 5000
+
+
+def test_second_application_reads_but_cannot_take_control(camera, client):
+    client.take_control()
+    with GvcpClient(camera.address) as second:
+        assert second.take_control() == Status.ACCESS_DENIED
+        assert second.read(CONTROL_PRIVILEGE) == 2
+        assert second.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.ACCESS_DENIED
+        client.write(CONTROL_PRIVILEGE, 0)
+        assert second.take_control() == Status.SUCCESS
+    assert camera.counters["control_denied"] == 1
+
+
+def test_exclusive_access_keeps_others_from_reading_too(camera, client):
+    client.take_control(exclusive=True)
+    with GvcpClient(camera.address) as second:
+        words = gvcp_payloads.encode_words([CONTROL_PRIVILEGE])
+        assert second.ask(Command.READ_REGISTER, words).status == Status.ACCESS_DENIED
+        assert second.ask(Command.DISCOVERY).status == Status.SUCCESS
+
+
+def test_heartbeat_that_stops_frees_the_camera_and_ends_its_stream(camera, client):
+    client.take_control()
+    client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 300)
+    client.write(bootstrap.STREAM_PORT, 50_000)
+    eventually(lambda: camera.status()["controller"] == "")  # asks the camera's program, not the camera
+    assert camera.counters["heartbeats_lost"] == 1
+    assert client.read(bootstrap.STREAM_PORT) == 0
+
+
+class FakeLoop:
+    """Timers that a test runs when it likes."""
+
+    def __init__(self):
+        self.timers = []
+
+    def call_at(self, when_ns, callback):
+        self.timers.append(Timer(when_ns, callback))
+        return self.timers[-1]
+
+
+def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
+    now = SimpleNamespace(ns=0)
+    clock = SimpleNamespace(monotonic_ns=lambda: now.ns, time_ns=lambda: now.ns)
+    monkeypatch.setattr("virtual_studio.gige.privilege.time", clock)
+    registers, loop, released, peer = Registers(table()), FakeLoop(), [], ("127.0.0.1", 5000)
+    privilege = ControlPrivilege(registers, Counter(), loop, lambda: released.append(now.ns))
+    privilege.request(peer, 2)
+    for ms in (1000, 2500, 4000):
+        now.ns = ms * 1_000_000
+        privilege.hear(peer)
+    privilege.hear(("127.0.0.1", 6000))  # a stranger's command is none
+    for expected_ms in (3000, 7000):  # the timer looks, finds a fresh heartbeat, and looks again when that is old
+        timer = loop.timers[-1]
+        assert timer.when_ns == expected_ms * 1_000_000 and not released
+        now.ns = max(now.ns, timer.when_ns)
+        timer.run()
+    assert released == [7000 * 1_000_000]
+    assert privilege.owner is None
+
+
+def test_unknown_command_is_answered_not_implemented(camera, client):
+    assert client.ask(0x0BAD).status == Status.NOT_IMPLEMENTED
+
+
+def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
+    client.take_control()
+    client.send(Command.WRITE_REGISTER, gvcp_payloads.encode_writes([(bootstrap.HEARTBEAT_TIMEOUT_MS, 7000)]), flags=0)
+    assert client.is_silent()
+    assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 7000
+
+
+def test_garbage_is_counted_and_harms_nobody(camera, client):
+    client._socket.sendto(b"\x42\x01\x00", client._peer)
+    client._socket.sendto(b"not a command at all", client._peer)
+    assert client.ask(Command.DISCOVERY).status == 0
+    assert camera.counters["malformed_commands"] == 2
+
+
+def test_slow_camera_says_pending_first(camera, client):
+    camera.faults.slow_control_ms = 50
+    first = client.ask(Command.DISCOVERY)
+    assert first.acknowledge == 0x89
+    assert gvcp_payloads.decode_words(first.payload)[0] == 550
+    assert client.receive().acknowledge == 3
+
+
+def test_unplugged_camera_is_silent_and_keeps_its_settings(camera, client):
+    client.take_control()
+    client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 60_000)
+    camera.faults.unplugged = True
+    client.send(Command.DISCOVERY)
+    assert client.is_silent()
+    camera.faults.unplugged = False
+    assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 60_000
+    assert client.read(CONTROL_PRIVILEGE) == 2
+
+
+def test_powered_off_camera_leaves_its_address_free(camera):
+    camera.power_off()
+    other = SimulatedCamera(camera.address, PatternScene(), CameraSettings(serial="OTHER"))
+    with other, GvcpClient(other.address) as client:
+        assert DeviceRecord.decode(client.ask(Command.DISCOVERY).payload).serial == "OTHER"
+
+
+def test_address_in_use_is_a_clear_error(camera):
+    with pytest.raises(InputError, match=rf"camera {camera.address}: .*another camera is there.*loopback address"):
+        SimulatedCamera(camera.address, PatternScene()).start()
+
+
+def test_capabilities_tell_whether_packets_are_sent_again(camera, client):
+    assert client.read(bootstrap.GVCP_CAPABILITY) & Capability.PACKET_RESEND
+    camera.faults.no_resend = True
+    assert not client.read(bootstrap.GVCP_CAPABILITY) & Capability.PACKET_RESEND
+    assert client.read(bootstrap.GVCP_CAPABILITY) & Capability.SCHEDULED_ACTION
+
+
+def arm_action(camera, client):
+    client.take_control()
+    for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 6)):
+        assert client.write(address_of(camera, key), value) == 0
+
+
+def test_action_for_others_is_not_answered(camera, client):
+    arm_action(camera, client)
+    for stranger in (Action(9, 2, 6), Action(1, 9, 6), Action(1, 2, 8)):
+        client.send_packet(stranger.command())
+    assert client.is_silent()
+    client.send_packet(Action(1, 2, 2).command(request_id=77))
+    answer = client.receive()
+    assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, 0, 77)
+
+
+def test_scheduled_action_needs_ptp_and_must_not_be_late(camera, client):
+    arm_action(camera, client)
+    client.send_packet(Action(1, 2, 6, time_ns=10).command())
+    assert client.receive().status == Status.NO_REFERENCE_TIME
+    client.write(address_of(camera, "PtpEnable"), 1)
+    client.send_packet(Action(1, 2, 6, time_ns=10).command())
+    assert client.receive().status == Status.ACTION_LATE
+    assert camera.counters["actions_late"] == 1
+
+
+def test_ptp_without_a_grandmaster_keeps_listening(camera, client):
+    client.take_control()
+    camera.faults.ptp_lost = True
+    client.write(address_of(camera, "PtpEnable"), 1)
+    assert client.read(address_of(camera, "PtpStatus")) == 4
+    camera.faults.ptp_lost = False
+    assert client.read(address_of(camera, "PtpStatus")) == 9
+
+
+def test_standard_timestamp_latch_works_by_register(camera, client):
+    def latched():
+        client.write(bootstrap.TIMESTAMP_CONTROL, bootstrap.TIMESTAMP_LATCH)
+        return client.read(bootstrap.TIMESTAMP_HIGH) << 32 | client.read(bootstrap.TIMESTAMP_LOW)
+
+    client.take_control()
+    first, second = latched(), latched()
+    assert 0 < first < second
+    assert client.read(bootstrap.TICK_FREQUENCY_LOW) == 1_000_000_000
+
+
+def test_user_set_load_brings_the_first_values_back_but_keeps_control(camera, client):
+    client.take_control()
+    assert client.write(address_of(camera, "BinningVertical"), 2) == 0
+    assert client.read(address_of(camera, "Height")) == 240
+    assert client.write(address_of(camera, "UserSetLoad"), 1) == 0
+    assert client.read(address_of(camera, "Height")) == 480
+    assert client.read(address_of(camera, "BinningVertical")) == 1
+    assert client.read(CONTROL_PRIVILEGE) == 2
+
+
+def test_free_addresses_are_free_and_all_different():
+    addresses = free_addresses(20)
+    assert len(set(addresses)) == 20
+    assert all(address.startswith("127.") for address in addresses)

@@ -1,0 +1,127 @@
+"""The camera's registers and its GenICam description, which come from one table."""
+
+import io
+import struct
+import xml.etree.ElementTree as ElementTree
+import zipfile
+
+import numpy as np
+import pytest
+
+from gige_vision import bootstrap
+from gige_vision.gvcp import Status
+from virtual_studio.gige.camera import _features
+from virtual_studio.gige.features import Kind
+from virtual_studio.gige.genicam_xml import genicam_xml, zipped
+from virtual_studio.gige.registers import FILE_SPACE, RegisterError, Registers
+from virtual_studio.gige.scenes import PatternScene
+from virtual_studio.gige.settings import OLD, SFNC, CameraSettings
+
+NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
+
+
+def table(generation=SFNC, colour=True):
+    return _features(CameraSettings(generation=generation), "127.0.0.9", PatternScene(colour=colour))
+
+
+def registers():
+    return Registers(table(), b"0123456789abcdef")
+
+
+def status_of(action):
+    with pytest.raises(RegisterError) as refused:
+        action()
+    return refused.value.status
+
+
+@pytest.mark.parametrize("generation", [SFNC, OLD])
+def test_every_name_that_the_description_refers_to_is_described(generation):
+    root = ElementTree.fromstring(genicam_xml(table(generation), "V", "M"))
+    nodes = {node.get("Name"): node for node in root.iter() if node.get("Name") and node.tag != NAMESPACE + "EnumEntry"}
+    references = [node.text for tag in ("pFeature", "pValue", "pMin", "pMax", "pPort", "pSelected")
+                  for node in root.iter(NAMESPACE + tag)]  # fmt: skip
+    assert len(references) > 150
+    assert set(references) <= set(nodes)
+
+
+@pytest.mark.parametrize("generation", [SFNC, OLD])
+def test_described_addresses_and_lengths_are_readable_registers(generation):
+    features = table(generation)
+    memory = Registers(features)
+    root = ElementTree.fromstring(genicam_xml(features, "V", "M"))
+    checked = 0
+    for tag in ("IntReg", "FloatReg", "MaskedIntReg", "StringReg"):
+        for node in root.iter(NAMESPACE + tag):
+            if node.findtext(NAMESPACE + "pPort") != "Device":
+                continue
+            address, length = int(node.findtext(NAMESPACE + "Address"), 16), int(node.findtext(NAMESPACE + "Length"))
+            assert len(memory.read(address, length)) == length, node.get("Name")
+            checked += 1
+    assert checked > 60
+
+
+def test_generations_differ_in_names_and_agree_in_keys():
+    new, old = ({f.key: f.name for f in table(g) if f.name} for g in (SFNC, OLD))
+    assert set(new) == set(old)
+    assert (new["ExposureTime"], old["ExposureTime"]) == ("ExposureTime", "ExposureTimeAbs")
+    assert (new["PtpEnable"], old["PtpEnable"]) == ("PtpEnable", "GevIEEE1588")
+
+
+def test_zipped_description_is_whole_words_and_unpacks_to_the_same():
+    xml = genicam_xml(table(), "V", "M")
+    packed = zipped(xml)
+    assert len(packed) % 4 == 0
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert archive.read(archive.namelist()[0]).decode() == xml
+
+
+def test_values_are_big_endian_at_their_addresses():
+    memory = registers()
+    at = {f.key: f.address for f in table() if f.has_register}
+    assert memory.read(at["Width"], 4) == struct.pack(">I", 640)
+    assert memory.read(at["ExposureTime"], 8) == struct.pack(">d", 4000.0)
+    memory.write(at["ExposureTime"], struct.pack(">d", 1234.5))
+    assert memory.real("ExposureTime") == 1234.5
+
+
+def test_accesses_are_refused_with_the_status_that_says_why():
+    memory = registers()
+    at = {f.key: f.address for f in table() if f.has_register}
+    assert status_of(lambda: memory.read(0x9000, 4)) == Status.INVALID_ADDRESS
+    assert status_of(lambda: memory.read(at["Width"] + 1, 4)) == Status.BAD_ALIGNMENT
+    assert status_of(lambda: memory.read(at["Width"], 3)) == Status.BAD_ALIGNMENT
+    assert status_of(lambda: memory.write(at["SensorWidth"], bytes(4))) == Status.WRITE_PROTECT
+    assert status_of(lambda: memory.write(at["Width"], struct.pack(">I", 642))) == Status.INVALID_PARAMETER
+    assert status_of(lambda: memory.write(at["Width"], struct.pack(">I", 644))) == Status.INVALID_PARAMETER
+    assert status_of(lambda: memory.write(at["PixelFormat"], struct.pack(">I", 7))) == Status.INVALID_PARAMETER
+    assert status_of(lambda: memory.write(at["ExposureTime"], struct.pack(">d", np.nan))) == Status.INVALID_PARAMETER
+    assert status_of(lambda: memory.read(FILE_SPACE + 16, 4)) == Status.INVALID_ADDRESS
+    assert memory.read(FILE_SPACE + 4, 8) == b"456789ab"
+    assert memory.integer("Width") == 640
+
+
+def test_refused_write_of_several_registers_changes_none_of_them():
+    memory = registers()
+    words = struct.pack(">IIII", 50_000, 9000, 7, 0)  # port, packet size, packet delay, and then no register
+    assert status_of(lambda: memory.write(bootstrap.STREAM_PORT, words)) == Status.INVALID_ADDRESS
+    assert memory.integer("GevSCPHostPort") == 0
+    memory.write(bootstrap.STREAM_PORT, words[:12])
+    assert [memory.integer(key) for key in ("GevSCPHostPort", "PacketSizeWord", "GevSCPD")] == [50_000, 9000, 7]
+
+
+def test_hooks_run_after_a_client_s_write_and_before_its_read():
+    memory = registers()
+    at = {f.key: f.address for f in table() if f.has_register}
+    seen = []
+    memory.writes["Width"] = lambda: seen.append(memory.integer("Width"))
+    memory.reads["DeviceTemperature"] = lambda: 36.6
+    memory.write(at["Width"], struct.pack(">I", 320))
+    assert seen == [320]
+    assert struct.unpack(">d", memory.read(at["DeviceTemperature"], 8)) == (36.6,)
+
+
+def test_mono_camera_offers_no_colour_and_colour_camera_no_black_and_white_only():
+    for colour, expected in ((False, False), (True, True)):
+        formats = next(f for f in table(colour=colour) if f.key == "PixelFormat")
+        assert ("BayerRG8" in dict(formats.entries)) is expected
+        assert formats.kind is Kind.ENUMERATION

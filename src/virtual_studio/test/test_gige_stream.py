@@ -1,0 +1,193 @@
+"""Blocks on the wire, received by a bare socket and put together by the standard's rules."""
+
+import ipaddress
+import socket
+from collections import Counter
+
+import numpy as np
+import pytest
+from gige_client import eventually
+
+from gige_vision.gvcp import Status
+from gige_vision.gvcp_payloads import ResendRequest
+from gige_vision.gvsp import Content, ImageLeader, ImageTrailer, PacketHeader
+from virtual_studio.gige.camera import feature_table
+from virtual_studio.gige.faults import Faults
+from virtual_studio.gige.loop import EventLoop
+from virtual_studio.gige.packets import Block, Layout
+from virtual_studio.gige.registers import Registers
+from virtual_studio.gige.settings import CameraSettings
+from virtual_studio.gige.stream import StreamChannel, _stretches
+
+DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
+LEADER, TRAILER = ImageLeader(5, 0x01080001, 100_003, 1), ImageTrailer(1)
+
+
+class Wire:
+    """A stream channel and the socket that it sends to."""
+
+    def __init__(self, packet_size=1500, extended=False, **faults):
+        self.receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+        self.receiver.bind(("127.0.0.1", 0))
+        self.receiver.settimeout(0.3)
+        settings = CameraSettings(max_packet_size=65500, resend_frames=3)
+        self.registers = Registers(feature_table(settings, "127.0.0.1", 640, 480, colour=False))
+        self.loop, self.faults, self.counters = EventLoop(), Faults(**faults), Counter()
+        self.channel = StreamChannel("127.0.0.1", self.registers, settings, self.faults, self.counters, self.loop)
+        self.registers["GevSCDA"] = int(ipaddress.IPv4Address("127.0.0.1"))
+        self.registers["GevSCPHostPort"] = self.receiver.getsockname()[1]
+        self.registers["PacketSizeWord"], self.registers["GevSCCFG"] = packet_size, int(extended)
+        self.loop.start()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *raised):
+        self.loop.stop()
+        self.channel.close()
+        self.receiver.close()
+
+    def send(self, block_id=1, data=DATA):
+        self.loop.call(lambda: self.channel.send(block_id, LEADER, data, TRAILER))
+
+    def packets(self, count=None):
+        """What arrived: (header, body, bytes of the datagram)."""
+        received = []
+        while count is None or len(received) < count:
+            try:
+                datagram = self.receiver.recv(1 << 16)
+            except TimeoutError:
+                break
+            received.append((*PacketHeader.decode(datagram), len(datagram)))
+        return received
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize("packet_size", [576, 1500, 9000, 65500])
+def test_block_is_leader_payload_and_trailer_with_rising_packet_ids(packet_size, extended):
+    with Wire(packet_size, extended) as wire:
+        wire.send(block_id=7)
+        packets = wire.packets(Layout(len(DATA), packet_size, extended).rows + 2)
+    headers = [header for header, _, _ in packets]
+    assert [header.packet_id for header in headers] == list(range(len(packets)))
+    assert {header.block_id for header in headers} == {7}
+    assert {header.extended for header in headers} == {extended}
+    contents = [header.content for header in headers]
+    assert contents == [Content.LEADER, *[Content.PAYLOAD] * (len(packets) - 2), Content.TRAILER]
+    assert ImageLeader.decode(packets[0][1]) == LEADER
+    assert ImageTrailer.decode(packets[-1][1]) == TRAILER
+    assert b"".join(body for _, body, _ in packets[1:-1]) == DATA.tobytes()
+    assert all(size + 28 == packet_size for _, _, size in packets[1:-2])  # IP and UDP headers are counted
+
+
+def test_block_arrives_alike_where_the_system_cannot_cut_sends_into_packets():
+    with Wire(1500) as wire:
+        wire.channel._segments_allowed = False
+        wire.send()
+        packets = wire.packets(Layout(len(DATA), 1500).rows + 2)
+    assert b"".join(body for _, body, _ in packets[1:-1]) == DATA.tobytes()
+
+
+def test_block_arrives_alike_where_the_link_refuses_packets_so_large_in_one_send():
+    class Refusing:
+        """A socket that refuses sends of several packets, as one does whose link carries smaller ones."""
+
+        def __init__(self, real):
+            self.real, self.refused = real, 0
+
+        def sendmsg(self, parts, *more):
+            if len(parts) > 2:
+                self.refused += 1
+                raise OSError
+            return self.real.sendmsg(parts, *more)
+
+        def __getattr__(self, name):
+            return getattr(self.real, name)
+
+    with Wire(1500) as wire:
+        wire.channel._socket = refusing = Refusing(wire.channel._socket)
+        wire.send()
+        wire.send()
+        packets = wire.packets(2 * (Layout(len(DATA), 1500).rows + 2))
+    half = len(packets) // 2
+    for block in (packets[:half], packets[half:]):
+        assert b"".join(body for _, body, _ in block[1:-1]) == DATA.tobytes()
+    assert refusing.refused >= 1
+
+
+def test_packets_that_the_network_lost_never_arrive_and_the_others_are_intact():
+    with Wire(1500, packet_loss=0.3) as wire:
+        wire.send()
+        packets = wire.packets()
+        layout = Layout(len(DATA), 1500)
+        assert len(packets) == layout.rows + 2 - wire.counters["packets_dropped"]
+    assert 5 < wire.counters["packets_dropped"] < 50
+    for header, body, _ in packets:
+        if header.content == Content.PAYLOAD:
+            start = (header.packet_id - 1) * layout.capacity
+            assert body == DATA[start : start + layout.capacity].tobytes()
+
+
+def test_resent_packets_are_the_ones_asked_for_and_marked():
+    with Wire(1500) as wire:
+        wire.send(block_id=1)
+        wire.send(block_id=2, data=DATA[::-1].copy())
+        wire.packets(2 * (Layout(len(DATA), 1500).rows + 2))
+        wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, 3, 5)))
+        packets = wire.packets(3)
+    assert [(h.block_id, h.packet_id, h.status) for h, _, _ in packets] == [(1, n, 0x0100) for n in (3, 4, 5)]
+    assert packets[0][1] == DATA[2 * 1464 : 3 * 1464].tobytes()
+
+
+def test_request_beyond_the_block_s_end_gives_what_there_is():
+    with Wire(9000) as wire:
+        wire.send()
+        last = Layout(len(DATA), 9000).rows + 1
+        wire.packets(last + 1)
+        wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, last - 1, 0xFFFFFF)))
+        packets = wire.packets()
+    assert [header.packet_id for header, _, _ in packets] == [last - 1, last]
+
+
+def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable():
+    with Wire(9000) as wire:
+        for block_id in (1, 2, 3, 4):
+            wire.send(block_id)
+        wire.packets(4 * (Layout(len(DATA), 9000).rows + 2))
+        wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, 2, 3)))
+        packets = wire.packets(2)
+    assert [(h.block_id, h.packet_id, h.status) for h, _, _ in packets] == [
+        (1, 2, Status.PACKET_UNAVAILABLE), (1, 3, Status.PACKET_UNAVAILABLE),
+    ]  # fmt: skip
+    assert wire.counters["resend_missed"] == 1
+
+
+def test_packet_delay_sends_the_same_block_over_time():
+    with Wire(9000) as wire:
+        wire.registers["GevSCPD"] = 2_000_000
+        wire.send()
+        packets = eventually(lambda: wire.packets(Layout(len(DATA), 9000).rows + 2))
+    assert b"".join(body for _, body, _ in packets[1:-1]) == DATA.tobytes()
+
+
+def test_nothing_is_sent_while_nobody_listens():
+    with Wire() as wire:
+        wire.registers["GevSCPHostPort"] = 0
+        wire.send()
+        assert wire.packets() == []
+
+
+def test_largest_sends_hold_whole_packets_only():
+    block = Block(Layout(300_000, 9000))
+    block.fill(1, LEADER, np.zeros(300_000, np.uint8), TRAILER)
+    runs = block.runs(1, block.packets - 1)
+    sizes = [sum(len(part) for part in run) for run in runs]
+    assert sum(sizes) == 300_000 + 8 * (block.packets - 2)
+    assert all(size <= 65507 and size % 8972 == 0 for size in sizes[:-1])
+
+
+def test_stretches_are_the_runs_of_true_values():
+    assert _stretches(np.array([True, True, False, True, False, False, True])) == [(0, 2), (3, 4), (6, 7)]
+    assert _stretches(np.array([False, False])) == []
+    assert _stretches(np.array([True, True])) == [(0, 2)]

@@ -1,0 +1,236 @@
+"""A whole studio: its cameras, its control channel, its command line."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import yaml
+from gige_client import AravisClient, GvcpClient
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
+from gige_vision.discovery import DeviceRecord
+from gige_vision.gvcp import Command
+from virtual_studio.gige import PatternScene, Studio, StudioSettings, free_addresses
+from virtual_studio.gige.addresses import following, is_free
+from virtual_studio.gige.command import request_from
+from virtual_studio.gige.control import ask
+from virtual_studio.gige.rig_files import write_rig_files
+
+
+def first_of_free(count):
+    """The first of so many free addresses in a row."""
+    for _ in range(200):
+        first = free_addresses(1)[0]
+        if int(first.split(".")[3]) + count < 255 and all(is_free(a) for a in following(first, count)):
+            return first
+    pytest.skip("no row of free loopback addresses was found")
+
+
+def settings(cameras=3, **more):
+    return StudioSettings(cameras=cameras, pattern=True, address=first_of_free(cameras), **more)
+
+
+@pytest.fixture
+def studio(tmp_path):
+    with Studio(settings(), tmp_path / "control.sock") as studio:
+        yield studio
+
+
+@pytest.fixture
+def control(studio, tmp_path):
+    return lambda request: ask(request, tmp_path / "control.sock")
+
+
+def test_studio_s_cameras_have_consecutive_addresses_and_the_rig_s_names(studio):
+    records = []
+    for camera in studio.cameras.values():
+        with GvcpClient(camera.address) as client:
+            records.append(DeviceRecord.decode(client.ask(Command.DISCOVERY).payload))
+    assert [record.user_id for record in records] == ["cam01", "cam02", "cam03"]
+    assert [record.serial for record in records] == ["STUDIO001", "STUDIO002", "STUDIO003"]
+    last_bytes = [int(record.address.split(".")[3]) for record in records]
+    assert all(b - a == 1 for a, b in pairwise(last_bytes))
+
+
+def test_cameras_of_a_studio_show_the_same_instants(aravis, studio):
+    clients = [AravisClient(aravis, camera.address).start() for camera in studio.cameras.values()]
+    seen = []
+    for client in clients:
+        pictures = [np.frombuffer(data, np.uint8).reshape(480, 640) for _, _, data in client.buffers(8)]
+        seen.append([PatternScene.read(picture)[1] for picture in pictures])
+    for client in clients:
+        client.__exit__()
+    starts = [instant - 2_000_000 for instants in seen for instant in instants]  # 4 ms of exposure
+    assert all(min(start * 60 % 10**9, -start * 60 % 10**9) <= 60 for start in starts)  # to the ns, times 60
+
+
+def test_faults_are_set_on_the_named_cameras_and_cleared(studio, control):
+    loss = {"packet_loss": 0.25}
+    assert control({"do": "set", "cameras": ["cam02"], "faults": loss}) == {"set": loss}
+    assert [camera.faults.packet_loss for camera in studio.cameras.values()] == [0.0, 0.25, 0.0]
+    control({"do": "set", "faults": {"stall": True}})
+    assert all(camera.faults.stall for camera in studio.cameras.values())
+    control({"do": "clear"})
+    assert all(camera.faults.active() == {} for camera in studio.cameras.values())
+
+
+def test_power_goes_off_and_on_by_request(studio, control):
+    control({"do": "off", "cameras": ["cam03"]})
+    assert [camera.powered for camera in studio.cameras.values()] == [True, True, False]
+    status = control({"do": "status"})
+    assert status["cameras"]["cam03"]["power"] is False
+    control({"do": "on"})
+    assert all(camera.powered for camera in studio.cameras.values())
+
+
+def test_status_tells_who_controls_a_camera(aravis, studio, control):
+    with AravisClient(aravis, studio.cameras["cam01"].address) as client:
+        client.start().buffer()
+        entry = control({"do": "status"})["cameras"]["cam01"]
+        assert entry["controller"].startswith("127.0.0.1:") and entry["streaming"] is True
+        assert entry["user_id"] == "cam01" and entry["counters"]["frames_sent"] >= 1
+        assert set(entry["late_us"]) == {"p50", "p99", "max"}
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ({"do": "dance"}, r"'dance' is nothing a studio does.*status"),
+        ({"do": "set", "cameras": ["cam09"], "faults": {}}, r"no camera cam09.*cam01"),
+        ({"do": "set", "faults": {"stal": True}}, r"no fault 'stal'"),
+        ({"do": "room", "state": "empty"}, r"empty room"),
+        ({"do": "play"}, r"test pattern has no stage"),
+        ({"do": "wire", "rate": -1}, r"rate = -1"),
+    ],
+)
+def test_request_that_makes_no_sense_is_answered_with_the_reason(studio, control, request_, message):
+    with pytest.raises(InputError, match=message):
+        control(request_)
+
+
+def test_line_that_is_no_json_is_answered_and_the_next_one_served(studio, tmp_path):
+    with socket.socket(socket.AF_UNIX) as link:
+        link.connect(str(tmp_path / "control.sock"))
+        lines = link.makefile("rwb")
+        lines.write(b'nonsense\n[1]\n{"do": "status"}\n')
+        lines.flush()
+        assert "not a line of JSON" in json.loads(lines.readline())["error"]
+        assert "JSON object" in json.loads(lines.readline())["error"]
+        assert "cam01" in json.loads(lines.readline())["cameras"]
+
+
+def test_control_socket_is_its_owner_s_alone_and_goes_with_the_studio(tmp_path):
+    path = tmp_path / "control.sock"
+    with Studio(settings(1), path):
+        assert path.stat().st_mode & 0o777 == 0o600
+        with pytest.raises(InputError, match=r"control\.sock.*Another studio"):
+            Studio(settings(1), path).start()
+        assert "cameras" in ask({"do": "status"}, path)
+    assert not path.exists()
+    with pytest.raises(InputError, match=r"no studio answers.*sagoma studio"):
+        ask({"do": "status"}, path)
+
+
+def test_socket_left_by_a_killed_studio_is_taken_over(tmp_path):
+    path = tmp_path / "control.sock"
+    left = socket.socket(socket.AF_UNIX)
+    left.bind(str(path))
+    left.close()
+    with Studio(settings(1), path):
+        assert "cameras" in ask({"do": "status"}, path)
+
+
+def test_taken_address_starts_no_camera_at_all(studio):
+    taken = studio.cameras["cam03"].address
+    first = f"{taken.rsplit('.', 1)[0]}.{int(taken.rsplit('.', 1)[1]) - 2}"
+    with pytest.raises(InputError, match="another camera is there"):
+        Studio(StudioSettings(cameras=3, pattern=True, address=first)).start()
+
+
+def test_written_files_describe_the_studio(studio, tmp_path):
+    folder = write_rig_files(studio, tmp_path / "rig")
+    assert load_rig(folder / "rig.yaml").names == ("cam01", "cam02", "cam03")
+    document = yaml.safe_load((folder / "cameras" / "cam02.yaml").read_text())
+    parameters = document["/cam02/camera_client"]["ros__parameters"]
+    assert parameters["source"] == "aravis"
+    assert parameters["aravis"] == {"address": studio.cameras["cam02"].address, "frame_rate": 60.0}
+
+
+def test_room_s_person_leaves_and_enters_for_all_cameras(tmp_path):
+    with Studio(StudioSettings(cameras=2, address=first_of_free(2)), tmp_path / "s") as studio:
+        assert studio.handle({"do": "room", "state": "empty"}) == {"room": "empty"}
+        assert not studio.stage.occupied
+        answer = studio.handle({"do": "play", "at_ns": 10**18, "loop": False})
+        assert studio.stage.occupied and answer["epoch_ns"] == 10**18
+        assert studio.handle({"do": "status"})["stage"]["epoch_ns"] == 10**18
+
+
+@pytest.mark.parametrize(
+    ("words", "request_"),
+    [
+        ("status", {"do": "status", "cameras": []}),
+        ("set cam03 packet_loss=0.005", {"do": "set", "cameras": ["cam03"], "faults": {"packet_loss": 0.005}}),
+        ("set stall=true", {"do": "set", "cameras": [], "faults": {"stall": True}}),
+        ("off cam02 cam03", {"do": "off", "cameras": ["cam02", "cam03"]}),
+        ("room empty", {"do": "room", "state": "empty"}),
+        ("play once at_ns=5", {"do": "play", "loop": False, "at_ns": 5}),
+        ("wire rate=50", {"do": "wire", "cameras": [], "rate": 50}),
+    ],
+)
+def test_words_of_the_command_line_become_requests(words, request_):
+    assert request_from(words.split()) == request_
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_program_serves_cameras_and_ends_cleanly_on_a_signal(tmp_path, number):
+    path, first = tmp_path / "s.sock", first_of_free(2)
+    command = [sys.executable, "-m", "virtual_studio.gige", "--pattern", "--cameras", "2", "--address", first,
+               "--control", str(path), "--write", str(tmp_path / "rig"), "--fps", "50"]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    try:
+        lines = []
+        while not lines or "ready" not in lines[-1]:
+            line = process.stdout.readline()
+            assert line, "".join(lines)
+            lines.append(line)
+        assert re.search(rf"cam01\s+{re.escape(first)}\s+serial STUDIO001\s+640 x 480 mono", "".join(lines))
+        assert ask({"do": "status"}, path)["cameras"]["cam02"]["frame_rate"] == 50.0
+        process.send_signal(number)
+        assert process.wait(30) == 0
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+    assert not path.exists()
+
+
+def test_program_says_what_is_wrong_in_one_line(tmp_path):
+    command = [sys.executable, "-m", "virtual_studio.gige", "--session", str(tmp_path / "none")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and "is not a folder" in done.stderr
+
+
+def test_addresses_outside_of_loopback_are_refused():
+    for first, count in (("192.168.1.5", 1), ("127.0.0.254", 3), ("here", 1)):
+        with pytest.raises(InputError, match="loopback"):
+            following(first, count)
+
+
+def test_session_studio_serves_its_footage(aravis, shared_data, tmp_path):
+    folder = shared_data("sessions", "zombie_he3")
+    address = first_of_free(3)
+    with Studio(StudioSettings(session=str(folder), address=address, memory_mb=30.0)) as studio:
+        assert "first" in studio.notes[0]
+        with AravisClient(aravis, address) as client:
+            picture = client.start().bytes().reshape(480, 640)
+        frames = studio.cameras["cam01"].scene.frames
+        assert any(np.array_equal(picture, frame) for frame in frames)

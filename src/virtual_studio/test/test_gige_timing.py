@@ -1,0 +1,256 @@
+"""Clocks and instants of exposure: arithmetic, without any camera."""
+
+import socket
+import threading
+import time
+from collections import Counter
+from fractions import Fraction
+from types import SimpleNamespace
+
+import pytest
+from gige_client import eventually
+from hypothesis import given
+from hypothesis import strategies as st
+
+from virtual_studio.gige import CameraSettings, EventLoop, Faults, Stage, TriggerWire
+from virtual_studio.gige.camera import feature_table
+from virtual_studio.gige.clock import CameraClock
+from virtual_studio.gige.exposure import ExposureControl
+from virtual_studio.gige.registers import Registers
+from virtual_studio.gige.timing import Timing, next_multiple
+
+SECOND_NS = 1_000_000_000
+NOW_NS = 1_800_000_000 * SECOND_NS
+TAI_NS = 37 * SECOND_NS
+
+instants = st.integers(NOW_NS, NOW_NS + 10**15)
+rates = st.sampled_from([0.5, 25, 29.97, 30, 59.94, 60, 100, 120, 999.9])
+
+
+@pytest.fixture
+def now(monkeypatch):
+    """A system clock that stands still until it is moved."""
+    clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns)
+    monkeypatch.setattr("virtual_studio.gige.clock.time", clock)
+    return clock
+
+
+@given(instants, rates)
+def test_next_multiple_lies_ahead_by_at_most_a_period_and_on_the_grid(after_ns, rate):
+    period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
+    instant = next_multiple(after_ns, period_ns)
+    assert after_ns < instant <= after_ns + period_ns + 1
+    assert abs(instant / period_ns - round(instant / period_ns)) * period_ns <= Fraction(1, 2)
+
+
+@given(instants, rates)
+def test_every_camera_finds_the_same_multiples_whenever_it_starts(after_ns, rate):
+    period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
+    series = [next_multiple(after_ns, period_ns)]
+    for _ in range(5):
+        series.append(next_multiple(series[-1], period_ns))
+    assert next_multiple(series[2] + 1, period_ns) == series[3]
+    assert next_multiple(series[3] - 1, period_ns) == series[3]
+
+
+def test_free_running_counter_drifts_by_its_ppm(now):
+    clock = CameraClock(CameraSettings(drift_ppm=50.0), Faults())
+    elapsed = clock.stamp(NOW_NS + 1000 * SECOND_NS) - clock.stamp(NOW_NS)
+    assert elapsed == pytest.approx(1000 * SECOND_NS * (1 + 50e-6), abs=2)
+
+
+@given(st.integers(0, 10**13), st.floats(-500, 500))
+def test_clock_s_readings_lead_back_to_their_instants(elapsed_ns, drift_ppm):
+    clock = CameraClock(CameraSettings(drift_ppm=drift_ppm), Faults())
+    instant = time.time_ns() + elapsed_ns
+    assert clock.utc_of(clock.stamp(instant)) == pytest.approx(instant, abs=2)
+
+
+def test_reset_makes_the_counter_begin_at_zero(now):
+    clock = CameraClock(CameraSettings(), Faults())
+    now.ns += 5 * SECOND_NS
+    assert clock.stamp(now.ns) >= 5 * SECOND_NS
+    clock.reset()
+    assert clock.stamp(now.ns) == 0
+
+
+def test_ptp_goes_through_listening_and_uncalibrated_to_slave_and_then_counts_tai(now):
+    clock = CameraClock(CameraSettings(ptp_settle_s=1.0, ptp_offset_ns=50), Faults())
+    assert clock.ptp_state == 3
+    clock.enable_ptp(True)
+    states = []
+    for ms in (100, 300, 500, 900, 1100):
+        now.ns = NOW_NS + ms * 1_000_000
+        states.append(clock.ptp_state)
+    assert states == [4, 4, 8, 8, 9]
+    assert abs(clock.stamp(now.ns) - now.ns - TAI_NS) <= 50
+    clock.enable_ptp(False)
+    assert clock.stamp(now.ns) < 10 * SECOND_NS
+
+
+def test_ptp_falls_back_when_the_grandmaster_goes(now):
+    faults = Faults()
+    clock = CameraClock(CameraSettings(ptp_settle_s=0.0), faults)
+    clock.enable_ptp(True)
+    assert clock.in_step
+    faults.ptp_lost = True
+    assert (clock.ptp_state, clock.in_step) == (4, False)
+
+
+def timing(**values):
+    settings = CameraSettings(ptp_settle_s=0.0, ptp_offset_ns=0)
+    registers = Registers(feature_table(settings, "127.0.0.1", 640, 480, colour=False))
+    clock = CameraClock(settings, Faults())
+    clock.enable_ptp(True)
+    for key, value in values.items():
+        registers[key] = value
+    return Timing(registers, clock, ExposureControl(registers, settings)), registers
+
+
+def test_exposure_longer_than_the_period_slows_the_camera_down():
+    slow, _ = timing(AcquisitionFrameRate=100.0, ExposureTime=25_000.0)
+    assert slow.period_s == Fraction(25, 1000)
+    fast, _ = timing(AcquisitionFrameRate=100.0, ExposureTime=5_000.0)
+    assert fast.period_s == Fraction(10, 1000)
+
+
+def test_periodic_signal_exposes_at_multiples_of_ptp_time_and_its_delay():
+    signal, _ = timing(TriggerMode=1, TriggerSource=3, BslPeriodicSignalPeriod=20_000.0, BslPeriodicSignalDelay=3000.0)
+    assert signal.source == "PeriodicSignal1" and signal.is_periodic
+    start = signal.next_start(NOW_NS)
+    assert (start + TAI_NS - 3_000_000) % 20_000_000 == 0
+    assert NOW_NS < start <= NOW_NS + 20_000_000
+
+
+def test_free_run_timer_takes_effect_when_it_is_updated():
+    timer, registers = timing(SyncFreeRunTimerEnable=1, SyncFreeRunTimerTriggerRate=50.0)
+    begin = NOW_NS + TAI_NS + 123_456_789
+    registers["SyncFreeRunTimerStartTimeHigh"], registers["SyncFreeRunTimerStartTimeLow"] = begin >> 32, begin % 2**32
+    assert (timer.next_start(NOW_NS) * 60) % SECOND_NS < 60  # still free running at 60 Hz
+    registers.writes["SyncFreeRunTimerUpdate"]()
+    assert timer.next_start(NOW_NS) == begin - TAI_NS
+    assert timer.next_start(begin - TAI_NS) == begin - TAI_NS + 20_000_000
+
+
+@given(st.integers(-5, 50), rates)
+def test_stage_shows_each_frame_for_its_period_from_the_epoch_on(frame, rate):
+    stage = Stage(frames=40, fps=rate)
+    epoch_ns = stage.play(NOW_NS, loop=False)
+    period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
+    middle = epoch_ns + round((frame + Fraction(1, 2)) * period_ns)
+    assert stage.frame_at(middle) == min(max(frame, 0), 39)
+    stage.loop = True
+    assert stage.frame_at(middle) == (frame % 40 if frame >= 0 else 0)
+
+
+@pytest.mark.parametrize("rate", [25.0, 59.94, 60.0, 100.0])
+def test_free_running_camera_at_the_stage_s_rate_sees_every_frame_once(rate):
+    stage = Stage(frames=1000, fps=rate)
+    start = stage.play(NOW_NS)
+    period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
+    seen, instant = [], start - 1
+    for _ in range(500):
+        instant = next_multiple(instant, period_ns)
+        seen.append(stage.frame_at(instant + 2_000_000))  # the middle of 4 ms of exposure
+    assert seen == list(range(500))
+
+
+def test_person_comes_and_goes_at_one_instant_for_all():
+    stage = Stage(10, 60.0)
+    before = time.time_ns()
+    stage.occupy(False)
+    assert stage.occupied_at(before)
+    assert not stage.occupied_at(time.time_ns() + SECOND_NS)
+
+
+def test_held_stage_stays_at_its_first_frame():
+    stage = Stage(10, 60.0)
+    stage.hold()
+    assert {stage.frame_at(NOW_NS + k * 50_000_000) for k in range(20)} == {0}
+    stage.play(NOW_NS)
+    assert stage.frame_at(NOW_NS + 100_000_000) == 6
+
+
+@pytest.fixture
+def loop():
+    loop = EventLoop()
+    loop.start()
+    yield loop
+    loop.stop()
+
+
+def test_timers_run_in_the_order_of_their_times_and_cancelled_ones_never(loop):
+    order, done = [], threading.Event()
+    now_ns = time.time_ns()
+
+    def arrange():
+        loop.call_at(now_ns + 30_000_000, lambda: order.append("late"))
+        loop.call_at(now_ns + 10_000_000, lambda: order.append("early"))
+        loop.call_at(now_ns + 20_000_000, lambda: order.append("cancelled")).cancel()
+        loop.call_at(now_ns + 40_000_000, done.set)
+
+    loop.call(arrange)
+    assert done.wait(30)
+    assert order == ["early", "late"]
+
+
+def test_timer_never_runs_before_its_time(loop):
+    early, done = [], threading.Event()
+
+    def check(when_ns, left):
+        early.append(max(when_ns - time.time_ns(), 0))
+        if left:
+            after_ns = time.time_ns() + 1_300_000 * left
+            loop.call_at(after_ns, lambda: check(after_ns, left - 1))
+        else:
+            done.set()
+
+    loop.call(lambda: check(time.time_ns(), 12))
+    assert done.wait(30)
+    assert max(early) == 0
+
+
+def test_error_in_one_callback_hurts_nobody_else(loop, caplog):
+    done = threading.Event()
+
+    def fail():
+        raise ValueError("broken camera")
+
+    loop.call(lambda: (loop.call_at(0, fail), loop.call_at(1, done.set)))
+    assert done.wait(30)
+    assert "broken camera" in caplog.text
+    with pytest.raises(ValueError, match="broken camera"):
+        loop.call(fail)
+
+
+def test_pulse_generator_pulses_at_whole_multiples_of_its_period(loop):
+    wire, pulses = TriggerWire(loop), Counter()
+    wire.listen(lambda instant_ns: pulses.update([instant_ns]))
+    wire.run(200.0)
+    eventually(lambda: len(pulses) >= 5)
+    wire.stop()
+    assert all(instant_ns % 5_000_000 == 0 for instant_ns in pulses)
+    assert set(pulses.values()) == {1}
+
+
+def test_reader_removed_by_an_earlier_one_is_not_called_any_more(loop):
+    pairs = [socket.socketpair() for _ in range(2)]
+    called = []
+
+    def take(number):
+        called.append(number)
+        for _, receiver in pairs:
+            loop.remove_reader(receiver)
+            receiver.close()
+
+    def arrange():
+        for number, (sender, receiver) in enumerate(pairs):
+            sender.send(b"!")
+            loop.add_reader(receiver, lambda n=number: take(n))
+
+    loop.call(arrange)  # both can be read when the loop looks the next time
+    eventually(lambda: called)
+    loop.call(lambda: None)
+    assert len(called) == 1
+    for sender, _ in pairs:
+        sender.close()

@@ -1,0 +1,259 @@
+"""A studio: the cameras of a rig, all in one process, looking at one stage, exposing in step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig
+from capture_rig.session import load_session
+from capture_rig.settings import build_settings, setting
+
+from ..rig import ring
+from .addresses import following
+from .camera import SimulatedCamera
+from .control import ControlServer, Request
+from .loop import EventLoop
+from .room_scene import RoomScene
+from .scenes import CameraScene, PatternScene
+from .session_scene import load_session_scene
+from .settings import CameraSettings
+from .stage import Stage
+from .trigger_wire import TriggerWire
+
+
+@dataclass(frozen=True)
+class StudioSettings:
+    """A studio and what it shows. Without a session the built-in person moves in the built-in room, rendered live."""
+
+    session: str = setting("", "Session folder whose footage the cameras see")
+    cameras: int = setting(5, "Cameras of the built-in rig, the last one on the ceiling", low=1, high=32)
+    pattern: bool = setting(False, "Show a test pattern instead, which carries frame number and time")
+    address: str = setting("127.0.1.1", "Loopback address of the first camera; the others follow")
+    frame_rate: float = setting(0.0, "Frame rate at power-on; 0: the session's, else 60", unit="Hz", low=0, high=1000)
+    motion: str = setting("tour", "What the built-in person does", choices=("tour", "walk", "t_pose_only"))
+    render_hz: float = setting(20.0, "At most so many live renderings", unit="Hz", low=0.1, high=1000)
+    memory_mb: float = setting(800.0, "Memory for a session's pictures", unit="MB", low=1)
+    camera: CameraSettings = setting(CameraSettings, "Every camera; serial and user id are given by the studio")
+
+
+@dataclass(frozen=True, eq=False)
+class _Show:
+    """What the cameras see: their views by name, the stage behind them, what to start and to end with it."""
+
+    rig: Rig
+    views: Mapping[str, CameraScene]
+    stage: Stage | None = None
+    can_be_empty: bool = False
+    notes: tuple[str, ...] = ()
+    start: Callable[[], None] = lambda: None
+    close: Callable[[], None] = lambda: None
+    counters: Mapping[str, int] | None = None
+
+
+class Studio:
+    """N simulated cameras in one process and one thread; start() and close(), or a context manager.
+
+    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``stage`` what they see.
+    Raises InputError for a session that cannot be read, or an address that is taken.
+    """
+
+    def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:
+        self.settings = settings or StudioSettings()
+        self._show = _show(self.settings)
+        self._control_path = Path(control) if control else None
+        self._control: ControlServer | None = None
+        self.loop = EventLoop("studio")
+        self.wire = TriggerWire(self.loop)
+        names = self._show.rig.names
+        addresses = following(self.settings.address, len(names))
+        self.cameras = {
+            name: SimulatedCamera(address, self._show.views[name], self._camera_settings(number, name),
+                                  loop=self.loop, wire=self.wire)
+            for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
+        }  # fmt: skip
+
+    @property
+    def rig(self) -> Rig:
+        return self._show.rig
+
+    @property
+    def stage(self) -> Stage | None:
+        """The stage, which can be emptied and played from the start; None for the test pattern."""
+        return self._show.stage
+
+    @property
+    def can_be_empty(self) -> bool:
+        return self._show.can_be_empty
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know about what is shown."""
+        return self._show.notes
+
+    @property
+    def frame_rate(self) -> float:
+        """Frame rate of the cameras at power-on, Hz."""
+        if self.settings.frame_rate:
+            return self.settings.frame_rate
+        return self.stage.fps if self.stage is not None and self.settings.session else 60.0
+
+    def start(self) -> Studio:
+        """Every camera on, or none."""
+        self.loop.start()
+        try:
+            self._show.start()
+            for camera in self.cameras.values():
+                camera.start()
+            if self._control_path is not None:
+                self._control = ControlServer(self._control_path, self.loop, self.handle)
+        except InputError:
+            self.close()
+            raise
+        return self
+
+    def close(self) -> None:
+        """Every camera off."""
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        for camera in self.cameras.values():
+            camera.close()
+        self._show.close()
+        self.loop.stop()
+
+    def handle(self, request: Request) -> Request:
+        """Answer one request of the control channel. Raises InputError for one that makes no sense."""
+        verbs = {"status": self._status, "set": self._set, "clear": self._clear, "off": self._power, "on": self._power,
+                 "room": self._room, "play": self._play, "hold": self._hold, "pulse": self._pulse,
+                 "wire": self._wire}  # fmt: skip
+        verb = request.get("do")
+        if verb not in verbs:
+            raise InputError(f"'{verb}' is nothing a studio does", where="studio",
+                             remedy=f"It does {', '.join(verbs)}.")  # fmt: skip
+        return verbs[verb](request)
+
+    def __enter__(self) -> Studio:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _camera_settings(self, number: int, name: str) -> CameraSettings:
+        given = self.settings.camera
+        changes: dict[str, Any] = {
+            "serial": f"STUDIO{number:03d}", "user_id": name, "seed": given.seed + number,
+            "frame_rate": self.frame_rate, "drift_ppm": given.drift_ppm + 3.0 * number,
+        }  # fmt: skip
+        return build_settings(CameraSettings, {**_plain(given), **changes}, f"camera {name}")
+
+    def _chosen(self, request: Request) -> list[SimulatedCamera]:
+        """The cameras that a request names; all, where it names none."""
+        names = request.get("cameras") or list(self.cameras)
+        unknown = [name for name in names if name not in self.cameras]
+        if unknown:
+            raise InputError(f"there is no camera {', '.join(map(str, unknown))}", where="studio",
+                             remedy=f"Known cameras: {', '.join(self.cameras)}.")  # fmt: skip
+        return [self.cameras[name] for name in names]
+
+    def _status(self, request: Request) -> Request:
+        stage = self.stage
+        state: Request = {"cameras": {name: camera.status() for name, camera in self.cameras.items()}}
+        if stage is not None:
+            state["stage"] = {"occupied": stage.occupied, "epoch_ns": stage.epoch_ns, "frames": stage.frames,
+                              "fps": stage.fps, "loop": stage.loop}  # fmt: skip
+        return state | ({"room": dict(self._show.counters)} if self._show.counters is not None else {})
+
+    def _set(self, request: Request) -> Request:
+        changes = request.get("faults")
+        if not isinstance(changes, dict):
+            raise InputError("no faults are named", where="studio", remedy="Such as packet_loss=0.005.")
+        for camera in self._chosen(request):
+            camera.faults.update(changes, f"camera {camera.address}")
+        return {"set": changes}
+
+    def _clear(self, request: Request) -> Request:
+        for camera in self._chosen(request):
+            camera.faults.clear()
+        return {"cleared": True}
+
+    def _power(self, request: Request) -> Request:
+        for camera in self._chosen(request):
+            if request["do"] == "on":
+                camera.power_on()
+            else:
+                camera.power_off()
+        return {"power": request["do"]}
+
+    def _room(self, request: Request) -> Request:
+        if request.get("state") not in ("empty", "occupied"):
+            raise InputError(f"the room cannot be {request.get('state')!r}", where="studio",
+                             remedy="It can be empty or occupied.")  # fmt: skip
+        occupied = request["state"] == "occupied"
+        if not occupied and not self.can_be_empty:
+            raise InputError("nobody knows what the empty room looks like", where="studio",
+                             remedy="Use a session with a background for every camera.")  # fmt: skip
+        self._playing_stage().occupy(occupied)
+        return {"room": request["state"]}
+
+    def _play(self, request: Request) -> Request:
+        stage = self._playing_stage()
+        epoch_ns = stage.play(request.get("at_ns"), bool(request.get("loop", True)))
+        if not stage.occupied:
+            stage.occupy(True)
+        return {"epoch_ns": epoch_ns, "frames": stage.frames, "fps": stage.fps}
+
+    def _hold(self, request: Request) -> Request:
+        self._playing_stage().hold()
+        return {"held": True}
+
+    def _pulse(self, request: Request) -> Request:
+        return {"instant_ns": self.wire.pulse()}
+
+    def _wire(self, request: Request) -> Request:
+        rate = request.get("rate", 0)
+        if not isinstance(rate, int | float) or not 0 <= rate <= 1000:
+            raise InputError(f"rate = {rate!r} Hz", where="studio", remedy="Give 0 (no pulses) to 1000.")
+        if rate:
+            self.wire.run(rate)
+        else:
+            self.wire.stop()
+        return {"rate": rate}
+
+    def _playing_stage(self) -> Stage:
+        if self.stage is None:
+            raise InputError("a test pattern has no stage", where="studio", remedy="Show a session or the room.")
+        return self.stage
+
+
+def _show(settings: StudioSettings) -> _Show:
+    if settings.pattern:
+        rig = ring(settings.cameras - 1, ceiling=True) if settings.cameras > 1 else ring(1, ceiling=False)
+        return _Show(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
+    return _session_show(settings) if settings.session else _room_show(settings)
+
+
+def _session_show(settings: StudioSettings) -> _Show:
+    session = load_session(settings.session)
+    scene = load_session_scene(session, settings.memory_mb)
+    played, total = scene.stage.frames, scene.total_frames
+    cut = f"only the first {played} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
+    notes = () if played >= total else (cut,)
+    return _Show(session.rig, scene.views, scene.stage, scene.can_be_empty, notes)
+
+
+def _room_show(settings: StudioSettings) -> _Show:
+    rig = ring(settings.cameras - 1, ceiling=True) if settings.cameras > 1 else ring(1, ceiling=False)
+    scene = RoomScene(rig, settings.motion, most_hz=settings.render_hz)
+    note = f"rendered live, at most {settings.render_hz:g} times a second: pictures in between are repeated"
+    return _Show(rig, scene.views, scene.stage, True, (note,), scene.start, scene.close, scene.counters)
+
+
+def _plain(settings: CameraSettings) -> dict[str, Any]:
+    return dict(vars(replace(settings)))

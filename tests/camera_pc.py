@@ -1,0 +1,212 @@
+"""Camera PCs for the drills: simulated cameras, camera clients as processes, and an ear on what they publish."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import CompressedImage
+
+from capture_rig.camera import CameraModel
+from capture_rig.rig import Rig, Volume, save_rig
+from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_ros.stamps import to_ns
+from sagoma_tools.ros_link import RosLink
+from virtual_studio.gige import CameraSettings, SimulatedCamera, free_addresses
+
+WIDTH, HEIGHT, FPS = 320, 240, 30.0
+PATIENCE_S = 60.0  # only ever used up by a failing test
+GRACE_S = 10.0  # for a process to end before it is killed
+PACKET_DELAY_NS = 200_000  # spreads a frame over some 10 ms, so that a camera can be switched off in its middle
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class Room:
+    """A textured room, with somebody in it unless empty; the camera's noise makes frames differ."""
+
+    def __init__(self, empty: bool = False) -> None:
+        rng = np.random.default_rng(5)
+        self._image = cv2.GaussianBlur(rng.uniform(70, 190, (HEIGHT, WIDTH)), (0, 0), 2.0).astype(np.uint8)
+        if not empty:
+            self._image[40:200, 130:190] = 245
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return HEIGHT, WIDTH
+
+    def image(self, instant_ns: int) -> np.ndarray:
+        return self._image
+
+
+def rig_of(names: list[str]) -> Rig:
+    """Cameras on a circle of 3 m, looking at its centre from 1.2 m above the floor."""
+    cameras = []
+    K = np.array([[250.0, 0, WIDTH / 2 - 0.5], [0, 250.0, HEIGHT / 2 - 0.5], [0, 0, 1]])
+    for k, name in enumerate(names):
+        angle = 2 * np.pi * k / max(len(names), 3)
+        centre = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.2])
+        forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+        down = np.array([0.0, 0.0, -1.0])
+        T = np.eye(4)
+        T[:3, :3] = [np.cross(down, forward), down, forward]
+        T[:3, 3] = -T[:3, :3] @ centre
+        cameras.append(CameraModel(name, WIDTH, HEIGHT, K, "plumb_bob", np.zeros(5), T))
+    return Rig(tuple(cameras), Volume(np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.2])))
+
+
+class Ear:
+    """Everything that the nodes say; waits for events."""
+
+    def __init__(self) -> None:
+        self._link = RosLink("drill_ear")
+        self._changed = threading.Condition()
+        self.said: dict[str, DiagnosticStatus] = {}
+        self.stamps_ns: dict[str, list[int]] = defaultdict(list)
+        self.heard_s: dict[str, float] = {}
+        self._link.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULT)
+
+    def listen(self, camera: str) -> None:
+        self._link.node.create_subscription(
+            CompressedImage, f"/{camera}/silhouette/compressed", lambda message: self._on_mask(camera, message),
+            SILHOUETTE_RELIABLE_SUBSCRIBER,
+        )  # fmt: skip
+
+    @property
+    def node(self):
+        return self._link.node
+
+    def masks(self, camera: str) -> int:
+        return len(self.stamps_ns[camera])
+
+    def until(self, done, what: str) -> None:
+        """Wait until ``done()``, which is asked after each message."""
+        with self._changed:
+            happened = self._changed.wait_for(done, PATIENCE_S)
+            said = {name: status.message for name, status in self.said.items()}
+        assert happened, f"did not happen: {what}; last said: {said}"
+
+    def level(self, node: str) -> tuple[bytes, str]:
+        status = self.said.get(node)
+        return (b"", "") if status is None else (status.level, status.message)
+
+    def values(self, node: str) -> dict[str, str]:
+        return {pair.key: pair.value for pair in self.said[node].values}
+
+    def number(self, node: str, key: str) -> float:
+        return float(self.values(node).get(key, "nan")) if node in self.said else float("nan")
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        with self._changed:
+            for status in message.status:
+                self.said[status.name] = status
+            self._changed.notify_all()
+
+    def _on_mask(self, camera: str, message: CompressedImage) -> None:
+        with self._changed:
+            self.stamps_ns[camera].append(to_ns(message.header.stamp))
+            self.heard_s[camera] = time.monotonic()
+            self._changed.notify_all()
+
+
+class CameraPC:
+    """One simulated camera and the camera client that serves it, a process of its own."""
+
+    def __init__(self, name: str, folder: Path, ear: Ear, rig: Path, **parameters: object) -> None:
+        self.name, self.folder, self.ear = name, folder, ear
+        self.node = f"/{name}/camera_client"
+        self.address = free_addresses(1)[0]
+        self.camera = SimulatedCamera(
+            self.address, Room(), CameraSettings(serial=f"S-{name}", frame_rate=FPS, noise=1.5, seed=len(name))
+        ).start()
+        background = folder / "background.png"
+        cv2.imwrite(str(background), Room(empty=True).image(0))
+        self.parameters = {
+            "autostart": True,
+            "rig_file": str(rig),
+            "camera_name": name,
+            "source": "aravis",
+            "background": str(background),
+            "aravis": {
+                "address": self.address,
+                "pixel_format": "Mono8",
+                "frame_rate": FPS,
+                "exposure_us": 4000.0,
+                "packet_size": 1500,
+                "packet_delay_ns": PACKET_DELAY_NS,
+                "frame_retention_ms": 200.0,  # busy machines are late with the packets of a frame
+            },
+            **parameters,
+        }
+        self._processes: list[subprocess.Popen] = []
+        ear.listen(name)
+
+    def start_client(self, namespace: str = "") -> subprocess.Popen:
+        """Start a camera client; more than one may want the camera."""
+        namespace = namespace or self.name
+        path = self.folder / f"{namespace}_{len(self._processes)}.yaml"
+        path.write_text(yaml.safe_dump({f"/{namespace}/camera_client": {"ros__parameters": self.parameters}}))
+        command = [sys.executable, "-m", "camera_client.camera_node", "--ros-args", "-r", f"__ns:=/{namespace}",
+                   "--params-file", str(path)]  # fmt: skip
+        log = path.with_suffix(".log").open("wb")
+        self._processes.append(subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=os.environ))
+        log.close()
+        return self._processes[-1]
+
+    def until_streaming(self) -> None:
+        """Five more masks, and the client content."""
+        seen = self.ear.masks(self.name)
+        self.ear.until(lambda: self.ear.masks(self.name) >= seen + 5, f"masks of {self.name}")
+
+    def until_well(self) -> None:
+        """No fault, masks coming, and no other complaint than of frames that a busy machine loses."""
+        self.camera.faults.clear()
+        self.camera.power_on()
+        self.until_streaming()
+        self.ear.until(lambda: self.ear.level(self.node)[0] == OK or "lost or inc" in self.ear.level(self.node)[1],
+                       f"{self.node} is well")  # fmt: skip
+
+    def until_said(self, level: bytes, text: str, node: str = "") -> None:
+        def said() -> bool:
+            got = self.ear.level(node or self.node)
+            return got[0] == level and text in got[1]
+
+        self.ear.until(said, f"{level!r} {text!r} of {node or self.node}")
+
+    def until_number(self, key: str, above: float) -> float:
+        self.ear.until(lambda: self.ear.number(self.node, key) > above, f"{key} > {above}")
+        return self.ear.number(self.node, key)
+
+    def close(self) -> None:
+        end(*self._processes)
+        self.camera.close()
+
+
+def end(*processes: subprocess.Popen) -> None:
+    """SIGTERM to all that still run, and SIGKILL to those that do not heed it."""
+    for process in processes:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+    for process in processes:
+        try:
+            process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def save_rig_of(names: list[str], path: Path) -> Path:
+    save_rig(rig_of(names), path)
+    return path

@@ -1,0 +1,313 @@
+"""What goes wrong on a camera PC in a day, one drill each: simulated GigE Vision cameras, real camera clients.
+
+The figures that the drills measure are printed (pytest -s).
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # camera_pc: what the drills share
+
+from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, Ear, end, save_rig_of
+
+from camera_client.aravis_source import AravisSource, import_aravis
+from camera_client.frame_source import SourceUnavailable
+from camera_client.settings import AravisSettings
+from capture_rig.errors import InputError
+from sagoma_bringup.graph import CAMERA_NODE
+from sagoma_tools.lifecycle_client import LifecycleClient, State, Transition
+from virtual_studio.gige import free_addresses
+
+HULL = "/hull_server"
+DEAD_CAMERA_S = 2.4  # one access to a dead camera blocks longer
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cameras_possible():
+    try:
+        import_aravis()
+        free_addresses(1)
+    except InputError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def ear():
+    ear = Ear()
+    yield ear
+    ear.close()
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    return save_rig_of(["cam01", "cam02", "cam03"], tmp_path_factory.mktemp("rig") / "rig.yaml")
+
+
+@pytest.fixture(scope="module")
+def lasting(ear, rig, tmp_path_factory):
+    """A camera PC that goes through one fault after the other without being started again."""
+    pc = CameraPC("cam01", tmp_path_factory.mktemp("cam01"), ear, rig)
+    pc.start_client()
+    yield pc
+    pc.close()
+
+
+@pytest.fixture
+def pc(lasting):
+    """The lasting camera PC, well at the beginning, and with no fault at the end."""
+    lasting.until_well()
+    yield lasting
+    lasting.camera.faults.clear()
+
+
+@pytest.fixture
+def fresh(ear, rig, tmp_path):
+    """Camera PCs of a test's own."""
+    made = []
+
+    def make(name, **parameters):
+        folder = tmp_path / name
+        folder.mkdir()
+        made.append(CameraPC(name, folder, ear, rig, **parameters))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def measured(what, value, unit="s"):
+    print(f"\n    {what}: {value:.3f} {unit}")
+
+
+def sum_rule_holds(values):
+    expected, *parts = (int(values[key]) for key in ("expected", "delivered", "incomplete", "lost"))
+    return expected == sum(parts)
+
+
+def outage_of(pc, cut, before):
+    """Run ``cut``, wait for the first mask after it; from the camera's return to it, in seconds."""
+    seen = pc.ear.masks(pc.name)
+    returned_s = cut()
+    pc.ear.until(lambda: pc.ear.masks(pc.name) > seen and pc.ear.heard_s[pc.name] > returned_s, "masks again")
+    first_s = pc.ear.heard_s[pc.name] - returned_s
+    pc.until_number("reconnects", before)
+    return first_s
+
+
+def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(fresh):
+    pc = fresh("cam02")
+    pc.camera.power_off()
+    pc.start_client()
+    pc.until_said(ERROR, "no camera: ")
+    assert pc.address in pc.ear.level(pc.node)[1]
+    pc.camera.power_on()
+    on_s = time.monotonic()
+    pc.until_streaming()
+    measured("first masks after a late power-on", pc.ear.heard_s["cam02"] - on_s)
+    pc.until_well()
+    assert sum_rule_holds(pc.ear.values(pc.node))
+
+
+def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_comes_back(pc):
+    incomplete, reconnects = pc.until_number("incomplete", -1), pc.until_number("reconnects", -1)
+    sent = pc.camera.counters["frames_sent"]
+    while pc.camera.counters["frames_sent"] == sent:
+        pass
+    pc.camera.power_off()
+    pc.until_said(ERROR, "no camera")
+    pc.camera.power_on()
+    pc.until_number("reconnects", reconnects)
+    assert pc.until_number("incomplete", incomplete) > incomplete
+    assert sum_rule_holds(pc.ear.values(pc.node))
+
+
+def test_power_cycle_is_survived_and_timed(pc):
+    reconnects, downtime_s = pc.until_number("reconnects", -1), pc.until_number("downtime_s", -1)
+
+    def cut():
+        pc.camera.power_off()
+        pc.until_said(ERROR, "no camera")
+        pc.camera.power_on()
+        return time.monotonic()
+
+    first_s = outage_of(pc, cut, reconnects)
+    values = pc.ear.values(pc.node)
+    measured("from power back to the first mask", first_s)
+    measured("noticed after the last frame", float(values["last_outage_noticed_s"]))
+    measured("whole outage, last frame to first frame", float(values["last_outage_s"]))
+    measured("from the attempt that succeeded to the first frame", float(values["last_restart_s"]))
+    assert float(values["last_outage_noticed_s"]) >= 0.5
+    assert float(values["downtime_s"]) - downtime_s == pytest.approx(float(values["last_outage_s"]), abs=0.1)
+    assert sum_rule_holds(values)
+
+
+@pytest.mark.slow
+def test_cable_out_for_a_moment_is_survived(pc):
+    reconnects = pc.until_number("reconnects", -1)
+
+    def cut():
+        pc.camera.faults.unplugged = True
+        pc.until_said(ERROR, "")
+        pc.camera.faults.unplugged = False
+        return time.monotonic()
+
+    measured("from cable back to the first mask", outage_of(pc, cut, reconnects))
+
+
+def test_stalled_camera_is_connected_anew(pc):
+    stalls = pc.until_number("stalls", -1)
+    pc.camera.faults.stall = True
+    pc.until_number("stalls", stalls)
+    pc.camera.faults.stall = False
+    pc.until_streaming()
+
+
+def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(pc):
+    with pytest.raises(SourceUnavailable, match=rf"{pc.address}.*controlled by another program.*Stop that program"):
+        AravisSource(AravisSettings(address=pc.address)).connect()
+    other = pc.start_client("rival")
+    pc.until_said(ERROR, "controlled by another program", node=f"/rival/{CAMERA_NODE}")
+    pc.until_streaming()
+    other.send_signal(signal.SIGTERM)
+    assert other.wait(PATIENCE_S) == 0
+    assert pc.ear.values(pc.node)["control_losses"] == "0"
+
+
+def test_frozen_image_is_noticed(pc):
+    pc.camera.faults.frozen = True
+    pc.until_said(WARN, "frozen: ")
+    assert pc.until_number("frozen_frames", 0) > 0
+
+
+def test_stamp_jump_is_counted_and_stamps_stay_true(pc):
+    jumps = pc.until_number("stamp_jumps", -1)
+    pc.camera.faults.stamp_jump_ns = 3_600_000_000_000
+    pc.until_number("stamp_jumps", jumps)
+    seen = pc.ear.masks(pc.name)
+    pc.until_streaming()
+    off_s = [time.time() - stamp_ns * 1e-9 for stamp_ns in pc.ear.stamps_ns[pc.name][seen:]]
+    assert max(map(abs, off_s)) < 5.0  # an hour without the correction
+
+
+def test_lens_cap_is_noticed(pc):
+    pc.camera.faults.lens_cap = True
+    pc.until_said(WARN, "dark: ")
+    assert "lens cap" in pc.ear.level(pc.node)[1]
+
+
+def test_lights_that_go_off_or_change_are_noticed(pc):
+    pc.camera.faults.lights_off = True
+    pc.until_said(WARN, "switch the light")
+    pc.camera.faults.clear()
+    pc.camera.faults.light = 0.6
+    pc.until_said(WARN, "lights: ")
+    assert pc.until_number("lights_frames", 0) > 0
+
+
+def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
+    wrong = pc.until_number("wrong_format", -1)
+    pc.camera.faults.wrong_format = True
+    pc.until_number("wrong_format", wrong + FPS)
+    pc.until_said(WARN, "lost or incomplete")
+    values = pc.ear.values(pc.node)
+    assert sum_rule_holds(values) and int(values.get("failed_frames", 0)) == 0
+    pc.until_well()
+
+
+@pytest.mark.parametrize(
+    "resend", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["with_resend", "without_resend"]
+)
+def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, resend):
+    before = {key: int(value) for key, value in pc.ear.values(pc.node).items() if value.isdigit()}
+    sent, sent_again = pc.camera.counters["frames_sent"], pc.camera.counters["packets_resent"]
+    pc.camera.faults.no_resend = not resend
+    pc.camera.faults.packet_loss = 0.5
+    pc.until_number("expected", before["expected"] + 3 * FPS)
+    pc.until_said(WARN, "lost or incomplete")
+    pc.camera.faults.packet_loss = 0.0
+    values = pc.ear.values(pc.node)
+    assert sum_rule_holds(values)
+    bad = int(values["incomplete"]) + int(values["lost"]) - before["incomplete"] - before["lost"]
+    expected = int(values["expected"]) - before["expected"]
+    assert 0 < bad <= expected <= pc.camera.counters["frames_sent"] - sent + FPS
+    how = f"at 50 % packet loss, {pc.camera.counters['packets_resent'] - sent_again} packets sent again"
+    measured(f"frames lost or incomplete {how}", 100 * bad / expected, "%")
+    pc.until_well()
+    assert values["reconnects"] == str(before["reconnects"])  # packets of broken frames are a sign of life
+
+
+def test_sigterm_releases_control_so_that_the_camera_can_be_opened_at_once(fresh):
+    pc = fresh("cam02")
+    client = pc.start_client()
+    pc.until_streaming()
+    client.send_signal(signal.SIGTERM)
+    assert client.wait(PATIENCE_S) == 0
+    with AravisSource(AravisSettings(address=pc.address)) as source:  # held, it would be refused for 3 s
+        assert source.shape
+
+
+def test_client_killed_by_force_gets_its_camera_back_after_the_heartbeat(fresh):
+    pc = fresh("cam02")
+    client = pc.start_client()
+    pc.until_streaming()
+    os.kill(client.pid, signal.SIGKILL)
+    client.wait(PATIENCE_S)
+    killed_s, seen = time.monotonic(), pc.ear.masks("cam02")
+    pc.start_client()
+    pc.ear.until(lambda: pc.ear.masks("cam02") > seen, "masks of the second client")
+    measured("from kill -9 to masks of the next client", pc.ear.heard_s["cam02"] - killed_s)
+
+
+@pytest.mark.slow
+def test_client_ends_cleanly_while_its_camera_is_dead(fresh):
+    pc = fresh("cam02")
+    client = pc.start_client()
+    pc.until_streaming()
+    pc.camera.power_off()
+    pc.until_said(ERROR, "no camera")
+    asked_s = time.monotonic()
+    client.send_signal(signal.SIGTERM)
+    assert client.wait(PATIENCE_S) == 0
+    measured("end of a client whose camera is dead", time.monotonic() - asked_s)
+
+
+def test_services_of_a_client_whose_camera_just_died_answer(pc):
+    client = LifecycleClient(pc.ear.node)
+    pc.camera.faults.unplugged = True  # every access to it blocks for seconds from now on
+    for what, transition in (("deactivate", Transition.DEACTIVATE), ("cleanup", Transition.CLEANUP)):
+        asked_s = time.monotonic()
+        assert client.change({pc.node: transition}, timeout_s=DEAD_CAMERA_S).ok
+        measured(f"{what} while the camera is dead", time.monotonic() - asked_s)
+    pc.camera.faults.clear()
+    assert client.bring([[pc.node]], State.ACTIVE).ok
+    pc.until_well()
+
+
+def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, fresh, rig, ear, tmp_path):
+    others = [fresh("cam02"), fresh("cam03")]
+    for other in others:
+        other.start_client()
+    command = [sys.executable, "-m", "hull_server.hull_node", "--ros-args", "-p", f"rig_file:={rig}", "-p",
+               "autostart:=true", "-p", "backend:=cpu", "-p", "voxel_size_m:=0.05"]  # fmt: skip
+    with (tmp_path / "hull.log").open("wb") as log:
+        hull = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        for one in (pc, *others):
+            one.until_well()
+        ear.until(lambda: ear.number(HULL, "sets_complete") > 0, "hulls of all cameras")
+        pc.camera.power_off()
+        pc.until_said(ERROR, "no camera")
+        counts = [ear.masks(other.name) for other in others]
+        results = ear.number(HULL, "results")
+        ear.until(lambda: ear.number(HULL, "results") > results + 10, "hulls without cam01")
+        assert all(ear.masks(other.name) > count for other, count in zip(others, counts, strict=True))
+        assert "cam01" in ear.level(HULL)[1]
+    finally:
+        end(hull)

@@ -1,0 +1,59 @@
+"""The whole graph on simulated GigE cameras: Aravis, backgrounds learned live, tracking, and a bag with its clock."""
+
+from pathlib import Path
+
+import pytest
+
+from capture_rig.errors import InputError
+from sagoma_tools.bags import read_messages
+from sagoma_tools.demo import judged
+from sagoma_tools.live_run import LiveRun, run_live
+from sagoma_tools.playing import play_of_bag
+from sagoma_tools.stages import StudioStage
+from sagoma_tools.studio_process import StudioProcess
+from sagoma_tools.topics import PREDICTION_TOPIC
+
+CAMERA_FPS = 10.0
+PATIENT = {"hull_server.deadline_s": 2.0}  # a machine that runs all tests may be slow; cameras do send every frame
+
+
+@pytest.fixture(scope="module")
+def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
+    folder = tmp_path_factory.mktemp("studio_graph")
+    return run_live(StudioStage(built_in_session, folder / "studio", CAMERA_FPS), folder, settings=PATIENT)
+
+
+def test_backgrounds_are_learned_from_the_empty_room_by_every_client(live):
+    cameras = [name for name in live.diagnostics if name.endswith("/camera_client")]
+    assert len(cameras) == 5
+    assert all("100 frames" in live.diagnostics[name]["background"] for name in cameras)
+
+
+def test_frames_of_every_camera_are_accounted_for(live):
+    for name in (n for n in live.diagnostics if n.endswith("/camera_client")):
+        values = {key: int(live.diagnostics[name][key]) for key in ("expected", "delivered", "incomplete", "lost")}
+        assert values["expected"] == values["delivered"] + values["incomplete"] + values["lost"]
+        assert values["delivered"] > 100
+
+
+def test_cameras_that_run_free_expose_in_step(live):
+    assert live.spread_ms < 0.5e3 / CAMERA_FPS
+    assert live.sets >= 0.9 * live.play.frames / live.session.fps * CAMERA_FPS
+
+
+def test_the_body_seen_by_simulated_cameras_follows_the_truth(live):
+    scores = judged(live)
+    assert len(live.track.frames) >= 10
+    assert scores.mean_mm < 100.0
+
+
+def test_the_bag_knows_when_the_session_was_played(live):
+    assert play_of_bag(live.bag, live.session) == live.play
+    stamps = [message.stamp_ns for message in read_messages(live.bag, PREDICTION_TOPIC.__eq__)]
+    assert any(stamp in live.play for stamp in stamps) and min(stamps) < live.play.epoch_ns
+
+
+def test_studio_that_cannot_start_says_why(tmp_path):
+    studio = StudioProcess(tmp_path / "studio", "--session", str(tmp_path / "nothing"))
+    with pytest.raises(InputError, match=r"the studio did not start .*nothing"):
+        studio.start()
