@@ -5,12 +5,12 @@
     python bench/camera.py --fps 60 80 100 120                # until the machine no longer keeps up
     python bench/camera.py --fps 60 --loss 0 0.0005 0.005     # with packets lost on the way
 
-Every run is the real thing: one process serves the cameras (GigE Vision over loopback, a moving body in a room with
-shadow and noise, 640 x 480 Mono8), each camera has a client process that learns the empty room, subtracts it,
-undistorts and publishes, and one subscriber takes every silhouette, as the hull server would. Counts are the clients'
-own (expected = delivered + incomplete + lost). Latency runs from the capture stamp (mid-exposure, PTP time of the
-simulated cameras, so the same clock) to the subscriber; `published` is the client's own, up to the publication.
-cpu_per_client is in shares of one core. The last line is JSON: the first run's figures, and all runs under "runs".
+Every run is the real thing: one process serves the cameras (GigE Vision over loopback, 640 x 480 Mono8, a moving body
+in a room with noise and flicker and, with --shadow, strong shadows on the floor), each camera has a client process that
+learns the empty room, subtracts it, undistorts and publishes, and one subscriber takes every silhouette, as the hull
+server would. Counts are the clients' own (expected = delivered + incomplete + lost). Latency runs from the capture
+stamp (mid-exposure, PTP time of the simulated cameras, so the same clock) to the subscriber; `published` is the
+client's own, up to the publication. cpu_per_client is in shares of one core. The last line is JSON: the first run's figures, and all runs under "runs".
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from rich.table import Table
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.errors import InputError
+from capture_rig.session import load_session
 from sagoma_bringup.graph import ALL_CAMERAS, build_graph, select
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_tools.backgrounds import learn_backgrounds
@@ -109,8 +110,15 @@ class Ear:
             self._ages_ns.append(age_ns)
 
 
-def measure(session: Path, folder: Path, cameras: int, fps: float, loss: float, seconds: float) -> Run:
+def built_in_session(folder: Path, args: argparse.Namespace) -> Path:
+    """The studio's person in its room, a T-pose and some movement, with sensor noise and flicker."""
+    rig, body = ring(args.cameras - 1, True), Body.from_stature(1.75)
+    return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, shadow=args.shadow)
+
+
+def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float) -> Run:
     """One run: studio, clients, ear; the clients' counts from SETTLE_S after the play has begun."""
+    cameras = len(load_session(session).rig.names)
     arguments = ("--session", str(session), "--fps", f"{fps:g}", "--empty", "--address", free_first_address(cameras))
     with StudioProcess(folder / "studio", *arguments) as studio:
         settings = {f"{ALL_CAMERAS}.aravis.sync": "ptp"}
@@ -211,16 +219,17 @@ def main() -> int:
     parser.add_argument("--fps", type=float, nargs="+", default=[60.0])
     parser.add_argument("--loss", type=float, nargs="+", default=[0.0], help="share of the packets lost on the way")
     parser.add_argument("--seconds", type=float, default=60.0, help="length of a run")
+    parser.add_argument("--shadow", action="store_true", help="strong shadows on the floor: the hardest scene")
+    parser.add_argument("--session", help="what the cameras see (default: the built-in person, rendered now)")
     args = parser.parse_args()
     seconds = 15.0 if args.quick else args.seconds
     console, runs = Console(width=190), list[Run]()
     folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_camera_"))
     try:
-        session = write_session(folder / "session", ring(args.cameras - 1, True), Body.from_stature(1.75),
-                                fps=PLAY_FPS, seconds=PLAY_S)  # fmt: skip
+        session = Path(args.session) if args.session else built_in_session(folder / "session", args)
         for fps in args.fps:
             for loss in args.loss:
-                runs.append(measure(session, folder / f"{fps:g}_{loss:g}", args.cameras, fps, loss, seconds))
+                runs.append(measure(session, folder / f"{fps:g}_{loss:g}", fps, loss, seconds))
                 print(f"{fps:g} Hz, packet loss {loss:g}: done", file=sys.stderr)
             if not runs[-1].kept_up and args.loss == [0.0]:
                 break

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
+from capture_rig.camera import CameraModel
 from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
+from sagoma_ros.stamps import to_stamp
 
 from .background_model import BackgroundModel
 from .camera_chain import Seen
@@ -30,6 +32,7 @@ class CameraTopics:
         self._means = create(Image, "background/mean", LATCHED)
         self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if settings.publish_raw else None
         self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
+        self._info: tuple[CameraModel, CameraInfo] | None = None
         self._preview_period_s, self._last_preview_s = 1 / settings.preview_rate, -np.inf
 
     @property
@@ -44,13 +47,21 @@ class CameraTopics:
 
     def publish_silhouette(self, frame: Frame, seen: Seen, silhouette: Silhouette) -> None:
         """The silhouette and its camera_info under one stamp; now and then a preview."""
-        self._infos.publish(camera_info_message(seen.canvas, frame.stamp_ns, self._frame_id))
+        self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
         self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
         now_s = time.monotonic()
         if self._previews is not None and now_s - self._last_preview_s >= self._preview_period_s:
             self._last_preview_s = now_s
             outlined = outline(frame.image, silhouette.image_mask)
             self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
+
+    def _info_of(self, canvas: CameraModel, stamp_ns: int) -> CameraInfo:
+        """Made once a canvas: setting its arrays costs more than publishing it."""
+        if self._info is None or self._info[0] is not canvas:
+            self._info = (canvas, camera_info_message(canvas, stamp_ns, self._frame_id))
+        message = self._info[1]
+        message.header.stamp = to_stamp(stamp_ns)
+        return message
 
     def publish_background(self, model: BackgroundModel) -> None:
         """The mean of the background in use."""

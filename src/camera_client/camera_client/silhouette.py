@@ -158,10 +158,9 @@ class SilhouettePipeline:
         """Back to the whole image, and onto the canvas."""
         image_mask = np.zeros(self._shape[:2], np.uint8)
         image_mask[box.slices] = levels
-        marked = box if box.empty else Box.around(levels).outside(box)
         anything, person = int(np.count_nonzero(levels)), int(np.count_nonzero(levels == FOREGROUND))
         fraction = person / image_mask.size
-        canvas = self._undistorter.undistort(image_mask, marked)
+        canvas = self._undistorter.undistort(image_mask, box)
         return Silhouette(canvas, image_mask, fraction, self._flags(fraction), (anything - person) / image_mask.size)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from .frame_source import Mask
 from .regions import Box
 
 CELL_PX = 16
+BAND_PX = 4 * CELL_PX  # arms make a person wide, but only in few rows
 
 
 class BoxUndistorter:
@@ -29,15 +30,21 @@ class BoxUndistorter:
     def undistort(self, mask: Mask, box: Box) -> Mask:
         """``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
         canvas = np.zeros(self._nearest.shape[:2], np.uint8)
-        if box.empty:
-            return canvas
+        for top in range(box.top // BAND_PX * BAND_PX, box.bottom, BAND_PX):
+            band = Box(max(top, box.top), box.left, min(top + BAND_PX, box.bottom), box.right)
+            marked = Box.around(mask[band.slices])
+            if not marked.empty:
+                self._look_up(mask, marked.outside(band), canvas)
+        return canvas
+
+    def _look_up(self, mask: Mask, box: Box, canvas: Mask) -> None:
+        """Fill that part of the canvas which looks into ``box``."""
         cells = tuple(slice(s.start // CELL_PX, -(-s.stop // CELL_PX)) for s in box.slices)
         (top, left), (bottom, right) = self._low[cells].min(axis=(0, 1)), self._high[cells].max(axis=(0, 1))
         if top < bottom:
             part = slice(top, bottom), slice(left, right)
             canvas[part] = cv2.remap(mask, self._nearest[part], np.empty(0, np.uint16), cv2.INTER_NEAREST,
                                      borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # fmt: skip
-        return canvas
 
 
 def _canvas_of_cells(nearest: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -13,28 +13,23 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 
+from . import mask_png
 from .stamps import to_stamp
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_DEPTH_AND_COLOUR = slice(24, 26)  # of the header chunk, which always comes first
 MONO_PNG = ([1, 0], [2, 0], [4, 0], [8, 0])
-_PNG_OPTIONS = [cv2.IMWRITE_PNG_BILEVEL, 1, cv2.IMWRITE_PNG_COMPRESSION, 1]
-_PNG_OPTIONS_THREE_LEVELS = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-if hasattr(cv2, "IMWRITE_PNG_FILTER"):  # three times faster where OpenCV lets us choose
-    _PNG_OPTIONS_THREE_LEVELS += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
 
 
 def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
     """Mask (h, w) uint8 as a PNG of 2 to 4 KB that rviz, Foxglove and image_transport show.
 
-    0 is background, 127 a shadow candidate, everything else foreground (``capture_rig.mask_levels``). The PNG is
-    bilevel, and 8 bits deep when there are candidates.
+    0 is background, 127 a shadow candidate, everything else foreground (``capture_rig.mask_levels``). The PNG has one
+    bit a pixel, and two when there are candidates.
     """
-    if not cv2.countNonZero(cv2.inRange(mask, SHADOW_CANDIDATE, SHADOW_CANDIDATE)):
-        return _compressed(".png", mask, _PNG_OPTIONS, SILHOUETTE_FORMAT, stamp_ns, frame_id)
-    levels = cv2.LUT(mask, _levels(SHADOW_CANDIDATE))
-    return _compressed(".png", levels, _PNG_OPTIONS_THREE_LEVELS, SILHOUETTE_FORMAT, stamp_ns, frame_id)
+    message = CompressedImage(format=SILHOUETTE_FORMAT, data=array.array("B", mask_png.encode(mask)))
+    message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
+    return message
 
 
 def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
@@ -51,9 +46,23 @@ def decode_silhouette(
     Raises InputError when it is no grey PNG, cannot be decoded, or has another size than the camera's canvas.
     """
     data = np.frombuffer(message.data, np.uint8)
-    if data[:8].tobytes() != PNG_SIGNATURE:
+    if data[:8].tobytes() != mask_png.SIGNATURE:
         raise InputError(f"format '{message.format}' is not a PNG silhouette", where=where,
                          remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")  # fmt: skip
+    mask = mask_png.decode(data.tobytes(), candidates)
+    if mask is None:
+        mask = _decode_other(data, where, candidates)
+    if mask.shape != (height, width):
+        raise InputError(
+            f"the silhouette is {mask.shape[1]} x {mask.shape[0]} pixels, the undistorted canvas {width} x {height}",
+            where=where,
+            remedy="Give camera client and hull server the same rig file.",
+        )
+    return mask
+
+
+def _decode_other(data: np.ndarray, where: str, candidates: int) -> np.ndarray:
+    """A mask that another program encoded."""
     mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
     if mask is None:
         raise InputError("the PNG cannot be decoded", where=where, remedy="The message is damaged; check the network.")
@@ -61,12 +70,6 @@ def decode_silhouette(
     if depth_and_colour not in MONO_PNG:
         raise InputError(f"the PNG is not mono8: its bit depth and colour type are {depth_and_colour}", where=where,
                          remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")  # fmt: skip
-    if mask.shape != (height, width):
-        raise InputError(
-            f"the silhouette is {mask.shape[1]} x {mask.shape[0]} pixels, the undistorted canvas {width} x {height}",
-            where=where,
-            remedy="Give camera client and hull server the same rig file.",
-        )
     return cv2.LUT(mask, _levels(candidates))
 
 

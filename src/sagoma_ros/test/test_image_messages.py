@@ -7,11 +7,14 @@ import array
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
+from sagoma_ros import mask_png
 from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message, silhouette_message
 from sagoma_ros.stamps import to_ns
 
@@ -60,11 +63,25 @@ def test_silhouette_is_a_png_of_one_bit_a_pixel_and_a_few_kilobytes() -> None:
     assert len(data) < 4096
 
 
-def test_every_value_but_zero_and_candidates_is_foreground_on_both_sides() -> None:
+def test_mask_of_another_program_is_foreground_wherever_it_is_neither_zero_nor_a_candidate() -> None:
     grey = np.arange(HEIGHT * WIDTH, dtype=np.uint64).reshape(HEIGHT, WIDTH).astype(np.uint8)
     expected = np.where((grey == 0) | (grey == SHADOW_CANDIDATE), 0, 255)
-    assert np.array_equal(decode_silhouette(silhouette_message(grey, 0, ""), WIDTH, HEIGHT, TOPIC), expected)
     assert np.array_equal(decode_silhouette(encoded(grey), WIDTH, HEIGHT, TOPIC), expected)
+
+
+@given(st.integers(1, 41), st.integers(1, 9), st.integers(0, 2**32), st.sampled_from([0, 127, 255]), st.booleans())
+def test_masks_of_any_width_come_back_and_other_programs_see_them(width, height, seed, candidates, doubt) -> None:
+    levels = np.array([BACKGROUND, FOREGROUND, SHADOW_CANDIDATE] if doubt else [BACKGROUND, FOREGROUND], np.uint8)
+    mask = np.random.default_rng(seed).choice(levels, (height, width))
+    data = mask_png.encode(mask)
+    assert np.array_equal(mask_png.decode(data, candidates), np.where(mask == SHADOW_CANDIDATE, candidates, mask))
+    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(shown, np.where(mask == SHADOW_CANDIDATE, 85, mask))
+
+
+def test_png_that_another_program_wrote_is_left_to_the_general_decoder() -> None:
+    assert mask_png.decode(bytes(encoded(body_mask()).data)) is None
+    assert mask_png.decode(mask_png.encode(body_mask())[:-20]) is None
 
 
 @pytest.mark.parametrize("level", [BACKGROUND, SHADOW_CANDIDATE, FOREGROUND])
@@ -72,7 +89,8 @@ def test_shadow_candidates_come_back_as_the_reader_wants_them(level: int) -> Non
     mask = body_mask()
     mask[90:, 60:140] = SHADOW_CANDIDATE
     message = silhouette_message(mask, STAMP, "cam01_optical")
-    assert np.array_equal(cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED), mask)
+    shown = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_UNCHANGED)  # two bits: 0, 85, 170, 255
+    assert np.array_equal(shown, np.where(mask == SHADOW_CANDIDATE, 85, mask))
     read = decode_silhouette(message, WIDTH, HEIGHT, TOPIC, candidates=level)
     assert np.array_equal(read, np.where(mask == SHADOW_CANDIDATE, level, mask))
     without = np.where(mask == SHADOW_CANDIDATE, 0, mask)
