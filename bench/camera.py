@@ -10,7 +10,8 @@ in a room with noise and flicker and, with --shadow, strong shadows on the floor
 learns the empty room, subtracts it, undistorts and publishes, and one subscriber takes every silhouette, as the hull
 server would. Counts are the clients' own (expected = delivered + incomplete + lost). Latency runs from the capture
 stamp (mid-exposure, PTP time of the simulated cameras, so the same clock) to the subscriber; `published` is the
-client's own, up to the publication. cpu_per_client is in shares of one core. The last line is JSON: the first run's figures, and all runs under "runs".
+client's own, up to the publication. cpu_per_client is in shares of one core. The last line is JSON: the first run's
+figures, and all runs under "runs".
 """
 
 from __future__ import annotations

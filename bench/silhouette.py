@@ -266,6 +266,7 @@ def wire(clip: Clip) -> dict[str, float]:
 
 def tinted(clip: Clip) -> Clip:
     """A mono clip as a colour one."""
+
     def colour(image: np.ndarray) -> np.ndarray:
         return cv2.convertScaleAbs(cv2.merge([image] * 3) * TINT)
 

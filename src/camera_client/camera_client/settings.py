@@ -111,9 +111,7 @@ class LightDriftSettings:
         "none", "none: the background stays as learned; slow: it follows lamps that warm up, the sun, dust",
         choices=("none", "slow"),
     )  # fmt: skip
-    max_gain: float = setting(
-        0.5, "The whole image may become brighter or darker by at most this share", low=0, high=4
-    )
+    max_gain: float = setting(0.5, "The whole image may become brighter or darker by at most this share", low=0, high=4)
     max_local: float = setting(
         12.0, "On top of it a single pixel may move by at most this much", unit="grey levels", low=0, high=255
     )

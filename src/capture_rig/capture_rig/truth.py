@@ -7,7 +7,7 @@ feet (ankles), left before right.
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +49,12 @@ class Truth:
     angles: Array | None
     wrist_fraction: float
     source: Path
+
+    def of_frames(self, frames: np.ndarray) -> Truth:
+        """The rows of these video frames alone."""
+        rows = np.isin(self.frames, frames)
+        angles = None if self.angles is None else self.angles[rows]
+        return replace(self, frames=self.frames[rows], points_world=self.points_world[rows], angles=angles)
 
     def stick_figure_points(self) -> Array:
         """(F, 15, 3) the reference with hand tips: wrists are extended along the forearm where it ends there."""

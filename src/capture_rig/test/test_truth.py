@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from capture_rig.errors import InputError
-from capture_rig.truth import ANGLE_COUNT, POSE_NETWORK, RENDERED, WRIST_FRACTION, load_truth
+from capture_rig.truth import ANGLE_COUNT, POSE_NETWORK, RENDERED, WRIST_FRACTION, Truth, load_truth
 
 ANGLES = [f"angle{k}_rad" for k in range(ANGLE_COUNT)]
 
@@ -131,3 +131,12 @@ def test_frame_that_is_no_whole_number_is_refused(tmp_path: Path, frame: str) ->
     columns = columns_of(RENDERED)
     with pytest.raises(InputError, match=r"column 'frame' holds something else than whole numbers"):
         load_truth(write(tmp_path / "truth.csv", columns, [[frame, *numbers(columns)[1:]]]))
+
+
+def test_rows_of_chosen_frames_are_kept_with_their_angles() -> None:
+    frames = np.array([2, 4, 6, 9])
+    points = np.arange(4.0)[:, None, None] * np.ones((15, 3))
+    truth = Truth(frames, points, np.arange(4.0)[:, None] * np.ones(18), 1.0, Path("truth.csv"))
+    chosen = truth.of_frames(np.array([1, 4, 9, 10]))
+    assert chosen.frames.tolist() == [4, 9]
+    assert chosen.points_world[:, 0, 0].tolist() == [1.0, 3.0] and chosen.angles[:, 0].tolist() == [1.0, 3.0]

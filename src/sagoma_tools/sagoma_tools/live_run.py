@@ -35,6 +35,7 @@ class LiveRun:
     """What one live run of the graph left behind.
 
     play : when which frame of the session was seen.
+    seen : (N,) the session's frames that a camera looked at.
     sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
     incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
     usage : memory and processor time by node, at the end of the run.
@@ -45,6 +46,7 @@ class LiveRun:
     session: Session
     bag: Path
     play: Play
+    seen: np.ndarray
     sets: int
     answered: int
     sets_per_s: float
@@ -140,6 +142,7 @@ def _read_back(stage: Stage, bag: Path, watch: Watch) -> LiveRun:
         session=session,
         bag=bag,
         play=play,
+        seen=np.unique([play.frame_of(stamp) for sent in stamps.values() for stamp in sent if stamp in play]),
         sets=max(sum(stamp in play for stamp in sent) for sent in stamps.values()),
         answered=len(answers),
         sets_per_s=(len(answers) - 1) / max(1e-9 * (answers[-1] - answers[0]), 1e-9) if answers else 0.0,
