@@ -221,24 +221,24 @@ def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
     pc.until_well()
 
 
-@pytest.mark.parametrize(
-    "resend", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["with_resend", "without_resend"]
-)
+@pytest.mark.parametrize("resend", [True, False], ids=["with_resend", "without_resend"])
 def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, resend):
     before = {key: int(value) for key, value in pc.ear.values(pc.node).items() if value.isdigit()}
     sent, sent_again = pc.camera.counters["frames_sent"], pc.camera.counters["packets_resent"]
     pc.camera.faults.no_resend = not resend
     pc.camera.faults.packet_loss = 0.5
     pc.until_number("expected", before["expected"] + 3 * FPS)
-    pc.until_said(WARN, "lost or incomplete")
+    if not resend:  # a calm machine asks again and again until nearly every frame is whole
+        pc.until_said(WARN, "lost or incomplete")
     pc.camera.faults.packet_loss = 0.0
     values = pc.ear.values(pc.node)
     assert sum_rule_holds(values)
     bad = int(values["incomplete"]) + int(values["lost"]) - before["incomplete"] - before["lost"]
     expected = int(values["expected"]) - before["expected"]
-    assert 0 < bad <= expected <= pc.camera.counters["frames_sent"] - sent + FPS
-    how = f"at 50 % packet loss, {pc.camera.counters['packets_resent'] - sent_again} packets sent again"
-    measured(f"frames lost or incomplete {how}", 100 * bad / expected, "%")
+    resent = pc.camera.counters["packets_resent"] - sent_again
+    assert (resent > FPS and bad < expected / 2) if resend else (resent == 0 and bad > expected / 2)
+    assert bad <= expected <= pc.camera.counters["frames_sent"] - sent + FPS
+    measured(f"frames lost or incomplete at 50 % packet loss, {resent} packets sent again", 100 * bad / expected, "%")
     pc.until_well()
     assert values["reconnects"] == str(before["reconnects"])  # packets of broken frames are a sign of life
 

@@ -14,8 +14,8 @@ import pytest
 PATIENCE_S = 60.0  # for the process to end; a hang, not slowness, is what this catches
 
 NODE = textwrap.dedent("""
-    import signal
     import sys
+    import time
     from dataclasses import dataclass
 
     from capture_rig.errors import InputError
@@ -58,7 +58,8 @@ NODE = textwrap.dedent("""
             if self.turns == 3 and self.get_parameter("turned_interrupt").value:
                 say("waiting")
                 try:
-                    signal.sigwait({signal.SIGUSR1})
+                    while True:
+                        time.sleep(0.01)  # the signal may interrupt another thread: Python sees it between two of these
                 except KeyboardInterrupt:
                     raise RuntimeError("as a conversion in C++ would") from None
 
