@@ -28,8 +28,8 @@ test-all: setup
 	$(PYTHON) -m pytest -m "slow or not slow"
 
 lint: setup
-	$(PYTHON) -m ruff check .
-	$(PYTHON) -m mypy $(wildcard src/*/*/__init__.py)
+	$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .
+	MYPYPATH=$(subst $() ,:,$(wildcard src/*)) $(PYTHON) -m mypy $(addprefix -p ,$(notdir $(wildcard src/*)))
 
 colcon: setup
 	cd ros_ws && COLCON_DEFAULTS_FILE=$$PWD/colcon_defaults.yaml ../$(VENV)/bin/colcon build

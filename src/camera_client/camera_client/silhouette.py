@@ -117,7 +117,7 @@ class SilhouettePipeline:
         shadow = self._shadow.shadow(self._as_learned(image), raw, box)
         person = self._keep_person(cv2.subtract(raw, shadow))
         if self._settings.shadow == "mark":
-            return self._silhouette(cv2.max(person, cv2.min(shadow, SHADOW_CANDIDATE)), box)
+            return self._silhouette(np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE))), box)
         return self._silhouette(person, box)
 
     def _as_learned(self, image: Image) -> Image:

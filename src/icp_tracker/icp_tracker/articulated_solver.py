@@ -154,9 +154,7 @@ def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings)
     return state.pose(), iterations, moved
 
 
-def with_trust_in_hull(
-    weights: Weights, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings
-) -> Weights:
+def with_trust_in_hull(weights: Weights, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Weights:
     """The weights with the surface voxels trusted as far as the hull is tight.
 
     A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not flesh. Its excess
@@ -233,9 +231,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     )
 
 
-def _visible(
-    counts: np.ndarray, state: State, body: Body, data: Data, settings: ArticulatedSettings
-) -> np.ndarray:
+def _visible(counts: np.ndarray, state: State, body: Body, data: Data, settings: ArticulatedSettings) -> np.ndarray:
     """(15,) bool: the points whose sticks have centerline points, or hull surface where their flesh is."""
     seen = visible_points(counts, settings.support_points)
     if len(data.voxels) == 0:

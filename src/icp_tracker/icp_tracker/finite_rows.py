@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Sequence
+from collections.abc import Collection
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 
 
-def only_finite(cloud: PointCloud2, names: Sequence[str]) -> tuple[PointCloud2, int]:
+def only_finite(cloud: PointCloud2, names: Collection[str]) -> tuple[PointCloud2, int]:
     """The cloud without the points that have a NaN or infinity in one of the float32 fields ``names``.
 
     Returns the cloud itself when all is well (or when its layout is not plain enough to judge: the reader that follows

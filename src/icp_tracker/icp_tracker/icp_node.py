@@ -163,7 +163,7 @@ class IcpNode(SagomaNode):
     def _centerline(self, message: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
         where = self.resolve_topic_name("hull/centerline")
         try:
-            cloud, dropped = only_finite(message, CENTERLINE.names)
+            cloud, dropped = only_finite(message, CENTERLINE.names or ())
             table = from_cloud(cloud, CENTERLINE, where)
         except InputError as error:  # the set still gets its answer, so that nobody waits for it
             self._refuse("bad_centerlines", error)
@@ -180,7 +180,7 @@ class IcpNode(SagomaNode):
             self.health.count("sets_without_voxels")
             return None
         try:
-            cloud, dropped = only_finite(message, VOXELS.names)
+            cloud, dropped = only_finite(message, VOXELS.names or ())
             table = from_cloud(cloud, VOXELS, self.resolve_topic_name("hull/voxels"))
         except InputError as error:
             self._refuse("bad_voxels", error)

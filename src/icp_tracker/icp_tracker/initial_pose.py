@@ -13,9 +13,9 @@ import yaml
 from capture_rig.errors import InputError
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
-from stick_figure.kernels import rotation_exp, rotation_log
 from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
+from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
@@ -75,21 +75,19 @@ def load_initial_pose(path: str | Path) -> tuple[Pose, Body | None]:
     if "heading" in document and "torso_rotation" in document:
         raise InputError("heading and torso_rotation are both given", where=str(path), remedy="Keep one of them.")
     if "torso_rotation" in document:
-        rotation_vector = _numbers(document["torso_rotation"], "torso_rotation", 3, str(path))
+        torso_rotation = _numbers(document["torso_rotation"], "torso_rotation", 3, str(path))
     else:
-        rotation_vector = np.array([0.0, 0.0, _numbers([document.get("heading", 0.0)], "heading", 1, str(path))[0]])
-    pose = Pose.from_angles(position, rotation_matrix(rotation_vector), _angles(document.get("angles"), str(path)))
+        torso_rotation = np.array([0.0, 0.0, _numbers([document.get("heading", 0.0)], "heading", 1, str(path))[0]])
+    pose = Pose.from_angles(position, rotation_matrix(torso_rotation), _angles(document.get("angles"), str(path)))
     return pose, load_body(path.parent / str(document["body"])) if document.get("body") else None
 
 
 def save_initial_pose(pose: Pose, path: str | Path, body: Body | None = None) -> None:
     """Write a pose so that :func:`load_initial_pose` reads it back; a body goes into a file of its own beside it."""
     path = Path(path)
-    rotation_vector = np.empty(3)
-    rotation_log(pose.R_world_torso, rotation_vector)
     document: dict[str, Any] = {
         "torso_position": [float(v) for v in pose.position_world],
-        "torso_rotation": [float(v) for v in rotation_vector],
+        "torso_rotation": rotation_vector(pose.R_world_torso).tolist(),
         "angles": {name: float(v) for name, v in zip(ANGLE_NAMES, pose.angles(), strict=True)},
     }
     if body is not None:
@@ -115,13 +113,6 @@ def pose_from_reference(
     body = body or Body.from_points(points_world)
     points = _filled(np.asarray(frames), points_world, int(rows[0]), where)
     return KnownPose(inverse(body, points), body)
-
-
-def rotation_matrix(rotation_vector: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation of a rotation vector (3,), rad."""
-    R = np.empty((3, 3))
-    rotation_exp(*rotation_vector, R)
-    return R
 
 
 def _filled(frames: np.ndarray, points_world: np.ndarray, row: int, where: str) -> np.ndarray:

@@ -144,9 +144,7 @@ def _with_feet(voxels: np.ndarray, height: np.ndarray, arms: TPose, settings: TP
     return replace(arms, forward=forward, centre=flat[trunk].mean(0))
 
 
-def _toe_lead(
-    flat: np.ndarray, feet: np.ndarray, shins: np.ndarray, forward: np.ndarray, stature: float
-) -> float:
+def _toe_lead(flat: np.ndarray, feet: np.ndarray, shins: np.ndarray, forward: np.ndarray, stature: float) -> float:
     """How far the feet lead their shins along ``forward``, metres, mean of both legs.
 
     Only voxels within a foot's length and breadth of a shin count: what else lies on the floor is shadow.

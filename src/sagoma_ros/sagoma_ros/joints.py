@@ -10,8 +10,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from capture_rig.errors import InputError
-from stick_figure.kernels import rotation_exp, rotation_log
 from stick_figure.pose import Pose
+from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import JOINTS, TANGENT_NAMES, TORSO_POSITION, TORSO_ROTATION
 
 from .stamps import to_ns, to_stamp
@@ -45,9 +45,7 @@ def prediction_message(pose: Pose | None, velocity: np.ndarray, stamp_ns: int, f
     """
     if pose is None:
         return joint_state_message([], np.empty(0), np.empty(0), stamp_ns, frame_id)
-    rotation_vector = np.empty(3)
-    rotation_log(pose.R_world_torso, rotation_vector)
-    position = np.concatenate([pose.position_world, rotation_vector, pose.angles()])
+    position = np.concatenate([pose.position_world, rotation_vector(pose.R_world_torso), pose.angles()])
     return joint_state_message(TANGENT_NAMES, position, np.asarray(velocity), stamp_ns, frame_id)
 
 
@@ -63,8 +61,7 @@ def read_prediction(message: JointState, where: str) -> Prediction:
     position, velocity = np.array(message.position), np.array(message.velocity)
     if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
         raise InputError("the prediction holds numbers that are not finite", where=where, remedy="Check its publisher.")
-    R_world_torso = np.empty((3, 3))
-    rotation_exp(*position[TORSO_ROTATION], R_world_torso)
+    R_world_torso = rotation_matrix(position[TORSO_ROTATION])
     pose = Pose.from_angles(position[TORSO_POSITION], R_world_torso, position[JOINTS])
     return Prediction(stamp_ns, pose, velocity)
 

@@ -168,9 +168,7 @@ def stick_ends(G, t0, lengths, origins, A, B):
         length = -lengths[j] if (j == 4 or j == 5 or j >= 8) else lengths[j]
         for i in range(3):
             if j < 6:
-                A[j, i] = t0[i] + (
-                    G[0, i, 0] * origins[j, 0] + G[0, i, 1] * origins[j, 1] + G[0, i, 2] * origins[j, 2]
-                )
+                A[j, i] = t0[i] + (G[0, i, 0] * origins[j, 0] + G[0, i, 1] * origins[j, 1] + G[0, i, 2] * origins[j, 2])
             else:
                 A[j, i] = B[j - 4, i]
             B[j, i] = A[j, i] + G[j, i, axis] * length

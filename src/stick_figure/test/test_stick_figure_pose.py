@@ -171,9 +171,7 @@ def test_canonicalised_hinge_moves_the_points_with_the_same_velocity():
     mask = kernels.canonicalise_hinges(RJ, hinges, turned_velocity, 0.15)
     assert mask == 0b0101
     right = Pose(wrong.position_world, wrong.R_world_torso, RJ, hinges)
-    np.testing.assert_allclose(
-        jacobian(BODY, right) @ turned_velocity, jacobian(BODY, wrong) @ velocity, atol=1e-13
-    )
+    np.testing.assert_allclose(jacobian(BODY, right) @ turned_velocity, jacobian(BODY, wrong) @ velocity, atol=1e-13)
 
 
 def test_point_jacobian_of_inner_points_matches_differences():
@@ -201,9 +199,7 @@ def test_stick_of_each_point_carries_it():
     rng = np.random.default_rng(12)
     first, second = random_pose(rng), random_pose(rng)
     for point, stick in enumerate(POINT_STICK):
-        distances = [
-            np.linalg.norm(forward(BODY, p)[point] - sticks(BODY, p)[stick], axis=1) for p in (first, second)
-        ]
+        distances = [np.linalg.norm(forward(BODY, p)[point] - sticks(BODY, p)[stick], axis=1) for p in (first, second)]
         np.testing.assert_allclose(*distances, atol=1e-14)
 
 

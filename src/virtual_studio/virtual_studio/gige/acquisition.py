@@ -118,9 +118,7 @@ class Acquisition:
         exposure_ns = self._exposure.exposure_ns
         self._busy_until_ns = start_ns + exposure_ns
         self._timers = [timer for timer in self._timers if timer.when_ns > time.time_ns() - LONGEST_BACKLOG_NS]
-        self._timers.append(
-            self._loop.call_at(start_ns + exposure_ns, lambda: self._read_out(start_ns, exposure_ns))
-        )
+        self._timers.append(self._loop.call_at(start_ns + exposure_ns, lambda: self._read_out(start_ns, exposure_ns)))
 
     def _read_out(self, start_ns: int, exposure_ns: int) -> None:
         """The exposure is over: send the frame, and begin the next one."""

@@ -69,7 +69,7 @@ FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
 
 
 def _checked(name: str, value: Any, where: str) -> Any:
-    kinds = {field.name: type(field.default) for field in dataclasses.fields(Faults)}
+    kinds: dict[str, type] = {field.name: type(field.default) for field in dataclasses.fields(Faults)}
     if name not in kinds:
         raise InputError(f"there is no fault '{name}'", where=where, remedy=f"Known faults: {', '.join(kinds)}.")
     kind = kinds[name]

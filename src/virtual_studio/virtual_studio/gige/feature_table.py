@@ -52,9 +52,7 @@ OLD_NAMES = {
 }
 
 
-def feature_table(
-    settings: CameraSettings, address: str, width: int, height: int, colour: bool
-) -> tuple[Feature, ...]:
+def feature_table(settings: CameraSettings, address: str, width: int, height: int, colour: bool) -> tuple[Feature, ...]:
     """Every feature and register of a camera with a sensor of width x height pixels."""
     features = [
         *_bootstrap(settings, address), *_device(settings), *_image(settings, width, height, colour),
@@ -227,13 +225,12 @@ def _chunks() -> list[Feature]:
 
 
 def _transport(s: CameraSettings) -> list[Feature]:
-    where = "TransportLayerControl"
-    word = {"address": bootstrap.STREAM_PACKET_SIZE}
+    where, packet_size = "TransportLayerControl", bootstrap.STREAM_PACKET_SIZE
     return [
         integer("PayloadSize", where, 0, writable=False, volatile=True, unit="B"),
-        integer("GevSCPSPacketSize", where, bits=(0, 15), low=576, high=s.max_packet_size, step=4, **word),
-        boolean("GevSCPSDoNotFragment", where, bits=(30, 30), **word),
-        command("GevSCPSFireTestPacket", where, bits=(31, 31), **word),
+        integer("GevSCPSPacketSize", where, bits=(0, 15), low=576, high=s.max_packet_size, step=4, address=packet_size),
+        boolean("GevSCPSDoNotFragment", where, bits=(30, 30), address=packet_size),
+        command("GevSCPSFireTestPacket", where, bits=(31, 31), address=packet_size),
         integer("GevSCPD", where, address=bootstrap.STREAM_PACKET_DELAY, low=0, high=10_000_000, unit="ticks"),
         integer("GevSCPHostPort", where, address=bootstrap.STREAM_PORT, low=0, high=0xFFFF_FFFF),
         integer("GevSCDA", where, address=bootstrap.STREAM_DESTINATION, low=0, high=0xFFFF_FFFF),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import socket
 import time
 from collections import Counter
@@ -47,7 +48,7 @@ class GvcpServer:
         if broadcast:
             self._sockets.append(_bound(BROADCAST))
         for each in self._sockets:
-            loop.add_reader(each, lambda s=each: self._receive(s))
+            loop.add_reader(each, functools.partial(self._receive, each))
 
     def close(self) -> None:
         for each in self._sockets:

@@ -60,7 +60,7 @@ class Block:
         self.block_id = 0
         headers = [PacketHeader(Content.PAYLOAD, 0, row + 1, extended=layout.extended) for row in range(layout.rows)]
         self._headers = np.frombuffer(b"".join(h.encode() for h in headers), np.uint8).reshape(layout.rows, -1).copy()
-        self._header_views = [memoryview(row).cast("B") for row in self._headers]
+        self._header_views = [memoryview(row.data).cast("B") for row in self._headers]
         self._image = memoryview(b"")
         self._leader = self._trailer = b""
 
@@ -74,7 +74,7 @@ class Block:
         id_bytes = np.frombuffer(struct.pack(">Q" if layout.extended else ">H", block_id), np.uint8)
         first = 8 if layout.extended else 2
         self._headers[:, first : first + len(id_bytes)] = id_bytes
-        self._image = memoryview(data).cast("B")
+        self._image = memoryview(data.data).cast("B")
         self._leader = self._header(Content.LEADER, 0) + leader.encode()
         self._trailer = self._header(Content.TRAILER, layout.rows + 1) + trailer.encode()
 

@@ -39,7 +39,7 @@ def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
 
 def _deepened(grey: Image, depth: int) -> NDArray[np.uint16]:
     wide = grey.reshape(-1).astype(np.uint16)
-    return (wide << (depth - 8)) | (wide >> (16 - depth))
+    return np.asarray((wide << (depth - 8)) | (wide >> (16 - depth)), np.uint16)
 
 
 def _packed(values: NDArray[np.uint16], depth: int) -> Bytes:

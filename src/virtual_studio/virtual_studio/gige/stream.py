@@ -171,9 +171,7 @@ class StreamChannel:
             if packet is None:
                 return
             self._transmit(packet, destination)
-        self._loop.call_at(
-            time.time_ns() + burst * delay_ns, lambda: self._send_slowly(packets, delay_ns, destination)
-        )
+        self._loop.call_at(time.time_ns() + burst * delay_ns, lambda: self._send_slowly(packets, delay_ns, destination))
 
     def _packet_size_written(self) -> None:
         word = self._registers.integer("PacketSizeWord")
