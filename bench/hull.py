@@ -1,18 +1,22 @@
-"""Times the hull server's core, silhouettes in to centerline points out, against plain NumPy and the thesis's sweep.
+"""Times the hull server's core, silhouettes in to centerline points out, against other ways to carve.
 
-    python bench/hull.py --quick      # under a minute
-    python bench/hull.py              # all backends, 8 poses
+    python bench/hull.py --quick                 # under a minute
+    python bench/hull.py [--plot FILE.png]       # 5 and 8 cameras, 40 to 5 mm, all methods, and how the cost grows
 
-All times are medians in ms of one run on one machine; the ratios compare methods that ran in the same process, in
-turns. The scene is the virtual studio's: a body in several poses, exact silhouettes, 640 x 480 cameras with lens
-distortion, a volume of 2.5 x 2.5 x 2.2 m. The last line is JSON:
+All methods take turns on the same frames in one process; a cell is the median of its times in ms, "x" its ratio to
+ours on the CPU. A method that would take longer than --limit seconds a frame is left out of the finer grids. The scene
+is the virtual studio's: a body in several poses, exact silhouettes, 640 x 480 cameras with lens distortion, a volume of
+2.5 x 2.5 x 2.2 m. Ours goes all the way to filtered points; the others stop at occupied voxels.
 
-numpy_ratio : plain NumPy carving (every voxel, every camera, no slicing) over silhouettes -> points, 5 cameras, 20 mm.
-sweep_ratio : the thesis's method (a textured quad a slice, read back, three sweeps, OpenCV components) over
-    silhouettes -> points, 5 cameras, 20 mm; null where there is no OpenGL.
-points_20mm_8cam_ms, points_10mm_5cam_ms : silhouettes -> filtered centerline points with the backend that auto takes.
+It needs neither ROS nor a window: numpy, scipy, opencv-python-headless, PyYAML and numba; PyOpenGL for OpenGL, open3d
+for its row, matplotlib for --plot. The last line is JSON:
+
+numpy_ratio, open3d_ratio, sweep_ratio : time of the method over ours, 5 cameras, 20 mm; null where it cannot run.
+points_20mm_8cam_ms, points_10mm_5cam_ms : silhouettes -> filtered points with the backend that auto takes.
+gl_10mm_5cam_ms : the same with OpenGL compute, on whatever device there is; null without OpenGL 4.3.
 voxel_disagreement : share of the occupied voxels on which the worst backend differs from NumPy in float64.
 rss_10mm_mb : resident memory of a fresh process that carves at 10 mm with 8 cameras.
+exponent (not with --quick): time grows as (1 / voxel size) to this power, 20 to 5 mm; 2 is surface, 3 is volume.
 """
 
 from __future__ import annotations
@@ -20,149 +24,204 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parent.parent
+sys.path += [str(package) for package in sorted((ROOT / "src").iterdir())]  # runs where nothing is installed
 
 import cv2
 import numpy as np
+from hull_rivals import RIVALS, PlainNumpy
+from hull_scene import VOLUME, Masks, scene
 
-from capture_rig import FrameSet, InputError, Rig, Volume
+from capture_rig import FrameSet, InputError
 from hull_server.backends import CarveBackend, make_backend
 from hull_server.centerline import find_centerline
 from hull_server.grid import VoxelGrid
 from hull_server.pipeline import HullPipeline
 from hull_server.settings import BlobSettings, HullSettings
 from hull_server.slicer import slice_blobs
-from hull_server.sweep_gl import SweepCarver
-from hull_server.views import Masks, RigViews, min_seeing
-from stick_figure.body import Body
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import tour
-from virtual_studio.render import VirtualCamera
-from virtual_studio.rig import ring
+from hull_server.views import RigViews, min_seeing
 
-VOLUME = Volume(np.array([-1.25, -1.25, 0.0]), np.array([1.25, 1.25, 2.2]))
-STATURE_M, TOUR_S, TOUR_FPS = 1.75, 12.0, 10.0
 MEMORY_OPTION = "--memory-of-one-process"
+OURS = {"ours, cpu": "cpu", "ours, OpenGL": "gl"}
+BASE = "ours, cpu"
+COST_OF_FINER = 3.0  # a method's time grows at most with the number of voxels
 
 
-@cache
-def scene(cameras: int, poses: int) -> tuple[Rig, list[dict[str, np.ndarray]]]:
-    """A ring of cameras and one above, and the canvas silhouettes of a moving body."""
-    rig = Rig(ring(cameras - 1).cameras, VOLUME)
-    eyes = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
-    body = Body.from_stature(STATURE_M)
-    motion = tour(body, TOUR_S, TOUR_FPS)
-    frames = []
-    for index in np.linspace(0, len(motion.poses) - 1, poses).astype(int):
-        capsules = VolumetricBody(body).place(motion.poses[index])
-        seen = {name: eye.see(capsules, None)[1] for name, eye in eyes.items()}
-        frames.append({c.name: c.undistorted_view().undistort_mask(seen[c.name]) for c in rig.cameras})
-    return rig, frames
+@dataclass
+class Entry:
+    """One method on one configuration: its times so far, seconds."""
+
+    work: Callable[[Masks], int]
+    close: Callable[[], None] = lambda: None
+    times_s: list[float] = field(default_factory=list)
+
+    @property
+    def median_ms(self) -> float:
+        return 1e3 * float(np.median(self.times_s))
 
 
-def points(backend: CarveBackend, grid: VoxelGrid, masks: Masks) -> int:
-    """What is timed: silhouettes to filtered centerline points."""
-    volume = backend.carve(masks, min_seeing(len(masks)))
-    return len(find_centerline(slice_blobs(volume), grid, BlobSettings()))
+def points_of(backend: CarveBackend, grid: VoxelGrid) -> Callable[[Masks], int]:
+    """What is timed of ours: silhouettes to filtered centerline points."""
+
+    def work(masks: Masks) -> int:
+        volume = backend.carve(masks, min_seeing(len(masks)))
+        return len(find_centerline(slice_blobs(volume), grid, BlobSettings()))
+
+    return work
 
 
-def plain_numpy(views: RigViews, grid: VoxelGrid, masks: Masks) -> np.ndarray:
-    """The rule as one would first write it: every voxel centre, camera by camera, in float64. (nx, ny, nz) bool."""
-    centres = grid.centres_world(np.indices(grid.shape).reshape(3, -1).T)
-    occupied, seeing = np.ones(len(centres), bool), np.zeros(len(centres), np.uint8)
-    for index, name in enumerate(views.names):
-        P, (width, height) = views.P[index], views.sizes[index]
-        homogeneous = centres @ P[:, :3].T + P[:, 3]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u, v = np.floor(homogeneous[:, :2] / homogeneous[:, 2:] + 0.5).T
-        inside = np.flatnonzero((homogeneous[:, 2] > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height))
-        row, column = v[inside].astype(int), u[inside].astype(int)
-        seen = views.seen[index, row, column] > 0
-        seeing[inside] += seen
-        occupied[inside] &= ~seen | (masks[name][row, column] > 0)
-    return (occupied & (seeing >= min_seeing(len(masks)))).reshape(grid.shape)
+def entries(views: RigViews, grid: VoxelGrid, wanted: list[str]) -> Iterator[tuple[str, Entry]]:
+    """The wanted methods that this machine offers; those that it does not are named on the way."""
+    for name in wanted:
+        try:
+            if name in OURS:
+                backend = make_backend(OURS[name], views, grid).backend
+                yield name, Entry(points_of(backend, grid), backend.close)
+            else:
+                yield name, Entry(RIVALS[name](views, grid))
+        except (InputError, ImportError, AttributeError) as error:
+            print(f"  without {name}: {error}")
 
 
-def thesis_sweep(sweep: SweepCarver, masks: Masks) -> int:
-    """The thesis's whole method (3.1.3, 3.2): three sweeps, each slice read back and searched for components."""
-    found = 0
-    for axis in range(3):
-        for image in sweep.sweep(masks, min_seeing(len(masks)), axis):
-            if cv2.countNonZero(image):
-                found += cv2.connectedComponentsWithStats(image, connectivity=8)[0] - 1
+def take_turns(methods: dict[str, Entry], frames: list[Masks], budget_s: float) -> None:
+    """Run the methods in turns, frame by frame, each for about ``budget_s`` but at least twice, ours 200 times."""
+    for entry in methods.values():
+        entry.work(frames[0])
+    for turn in range(200):
+        for name, entry in methods.items():
+            if name != BASE and len(entry.times_s) >= 2 and sum(entry.times_s) > budget_s:
+                continue
+            begin = time.perf_counter()
+            entry.work(frames[turn % len(frames)])
+            entry.times_s.append(time.perf_counter() - begin)
+
+
+def measure(cameras: int, voxel_mm: int, wanted: list[str], poses: int, budget_s: float) -> dict[str, float]:
+    """Median ms of each method on one configuration."""
+    rig, frames = scene(cameras, poses)
+    views, grid = RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, voxel_mm / 1e3)
+    methods = dict(entries(views, grid, wanted))
+    take_turns(methods, frames, budget_s)
+    for entry in methods.values():
+        entry.close()
+    return {name: entry.median_ms for name, entry in methods.items()}
+
+
+def table(configurations: list[tuple[int, int]], poses: int, budget_s: float, limit_s: float) -> dict:
+    """Print the table; return {(cameras, voxel_mm): {method: median ms}}."""
+    names, found = [*OURS, *RIVALS], {}
+    print(f"{'cameras':>7} {'voxel':>6} " + " ".join(f"{name:>24}" for name in names))
+    last: dict[int, tuple[int, dict[str, float]]] = {}
+    for cameras, voxel_mm in configurations:
+        coarser_mm, coarser = last.get(cameras, (voxel_mm, {}))
+        growth = (coarser_mm / voxel_mm) ** COST_OF_FINER
+        wanted = [n for n in names if n in OURS or coarser.get(n, 0.0 if not coarser else 1e9) * growth < 1e3 * limit_s]
+        row = found[cameras, voxel_mm] = measure(cameras, voxel_mm, wanted, poses, budget_s)
+        cells = [f"{row[n]:12.2f} {row[n] / row[BASE]:9.1f} x" if n in row else f"{'-':>24}" for n in names]
+        print(f"{cameras:>7} {voxel_mm:>3} mm " + " ".join(cells), flush=True)
+        last[cameras] = voxel_mm, row
     return found
 
 
-def median_ms(work: Callable[[Masks], object], frames: list, rounds: int) -> float:
-    """Median over all frames and rounds, after one frame that is not counted."""
-    work(frames[0])
-    times = []
-    for masks in frames * rounds:
-        begin = time.perf_counter()
-        work(masks)
-        times.append(time.perf_counter() - begin)
-    return 1e3 * float(np.median(times))
-
-
-def available(kinds: tuple[str, ...], views: RigViews, grid: VoxelGrid) -> dict[str, CarveBackend]:
-    """The backends that this machine offers, by name; those that it does not are named on the way."""
-    backends = {}
-    for kind in kinds:
+def disagreement(poses: int) -> float:
+    """The worst backend's share of wrong voxels against float64, 5 cameras, 20 mm; each is printed."""
+    rig, frames = scene(5, poses)
+    views, grid = RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.02)
+    reference, wrong = PlainNumpy(views, grid), dict.fromkeys(("cpu", "gl", "sweep"), 0)
+    occupied, backends = 0, {}
+    for kind in wrong:
         try:
             backends[kind] = make_backend(kind, views, grid).backend
         except InputError as error:
-            print(f"  {kind}: {error}")
-    return backends
-
-
-def time_points(quick: bool) -> dict[str, float]:
-    """Print the table of silhouettes -> points; return the figures of the backend that auto takes."""
-    figures = {}
-    print(f"{'cameras':>7} {'voxel':>6} {'backend':>8} {'ms':>9}  device")
-    for cameras, voxel_mm in ((5, 20), (8, 20), (5, 10), (8, 10)):
-        rig, frames = scene(cameras, 4 if quick else 8)
-        views, grid = RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, voxel_mm / 1e3)
-        kinds = ("auto", "gl") if quick else ("auto", "gl", "sweep")
-        for kind, backend in available(kinds, views, grid).items():
-            rounds = {"cpu": 25, "gl": 5, "sweep": 1}[backend.name]
-            ms = median_ms(lambda masks, b=backend, g=grid: points(b, g, masks), frames, rounds)  # type: ignore[misc]
-            print(f"{cameras:>7} {voxel_mm:>3} mm {backend.name:>8} {ms:>9.2f}  {backend.device}")
-            if kind == "auto":
-                figures[f"points_{voxel_mm}mm_{cameras}cam_ms"] = round(ms, 3)
-            backend.close()
-    return figures
-
-
-def compare(quick: bool) -> dict[str, float | None]:
-    """Ratios to plain NumPy and to the thesis's sweep, and the disagreement, all on 5 cameras at 20 mm."""
-    rig, frames = scene(5, 4 if quick else 8)
-    views, grid = RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.02)
-    backends = available(("auto", "cpu", "gl", "sweep"), views, grid)
-    auto, sweep = backends["auto"], backends.get("sweep")
-    before = median_ms(lambda masks: points(auto, grid, masks), frames, 20)
-    numpy_ms = median_ms(lambda masks: plain_numpy(views, grid, masks), frames[:2], 1)
-    ours = (before + median_ms(lambda masks: points(auto, grid, masks), frames, 20)) / 2
-    ratios: dict[str, float | None] = {"numpy_ratio": round(numpy_ms / ours, 1), "sweep_ratio": None}
-    print(f"plain NumPy {numpy_ms:.0f} ms, ours {ours:.2f} ms")
-    if isinstance(sweep, SweepCarver):
-        sweep_ms = median_ms(lambda masks: thesis_sweep(sweep, masks), frames[:2], 2)
-        print(f"the thesis's sweep, three axes, {sweep_ms:.0f} ms on {sweep.device}")
-        ratios["sweep_ratio"] = round(sweep_ms / ours, 1)
-    worst = 0.0
-    for masks in frames[:2] if quick else frames:
-        expected = plain_numpy(views, grid, masks)
+            print(f"  without {kind}: {error}")
+    for masks in frames:
+        expected = reference.carve(masks)
+        occupied += int(expected.sum())
         for kind, backend in backends.items():
-            wrong = float((backend.carve(masks, min_seeing(5)).to_dense() != expected).sum() / expected.sum())
-            print(f"{kind} differs from float64 on {wrong:.1e} of {expected.sum()} voxels")
-            worst = max(worst, wrong)
-    return ratios | {"voxel_disagreement": worst}
+            wrong[kind] += int((backend.carve(masks, min_seeing(5)).to_dense() != expected).sum())
+    for kind in backends:
+        print(f"{kind} differs from float64 in {wrong[kind]} of {occupied} occupied voxels")
+    return max(wrong.values()) / occupied
+
+
+def growth(budget_s: float) -> dict[str, float]:
+    """How ours on the CPU grows with voxels, cameras and bodies: printed; the exponent of the voxel size returned."""
+    sizes_mm = np.array([20, 15, 10, 7, 5])
+    ms = [measure(5, int(size), [BASE], 6, budget_s)[BASE] for size in sizes_mm]
+    exponent = -float(np.polyfit(np.log(sizes_mm), np.log(ms), 1)[0])
+    print("voxels:  " + ", ".join(f"{s} mm {t:.2f} ms" for s, t in zip(sizes_mm, ms, strict=True)))
+    print(f"         time ~ (1 / voxel size)^{exponent:.2f}; the number of voxels has 3, the body's surface 2")
+    by_cameras = {n: measure(n, 15, [BASE], 6, budget_s)[BASE] for n in (3, 4, 5, 6, 8, 10, 12)}
+    print("cameras: " + ", ".join(f"{n} {t:.2f} ms" for n, t in by_cameras.items()) + " (15 mm)")
+    print("bodies:  " + ", ".join(f"{n} {t:.2f} ms" for n, t in by_bodies().items()) + " (15 mm, 8 cameras)")
+    return {"exponent": round(exponent, 2)}
+
+
+def by_bodies() -> dict[int, float]:
+    """Median ms with one, two and three bodies in the volume."""
+    found = {}
+    for bodies in (1, 2, 3):
+        rig, frames = scene(8, 6, bodies)
+        views, grid = RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.015)
+        methods = dict(entries(views, grid, [BASE]))
+        take_turns(methods, frames, 0.0)
+        found[bodies] = methods[BASE].median_ms
+    return found
+
+
+def plot(found: dict, path: Path) -> None:
+    """Time over voxel size, a line a method, 5 cameras."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7.5, 5), layout="constrained")
+    for name in [*OURS, *RIVALS]:
+        cells = sorted((mm, row[name]) for (cameras, mm), row in found.items() if cameras == 5 and name in row)
+        axes.loglog(*zip(*cells, strict=True), "o-" if name in OURS else "s--", label=name)
+    ticks = sorted({mm for _, mm in found})
+    axes.set(xticks=ticks, xticklabels=[str(t) for t in ticks], xlabel="voxel, mm", ylabel="one frame set, ms",
+             title="silhouettes of 5 cameras to points (ours) or voxels (the others)")  # fmt: skip
+    axes.axhline(10, color="grey", lw=0.8)
+    axes.text(ticks[-1], 10.5, "100 frame sets a second", ha="right", color="grey", fontsize=8)
+    axes.minorticks_off()
+    axes.invert_xaxis()
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.savefig(path, dpi=110)
+    print(f"drew {path}")
+
+
+def machine() -> str:
+    """What this ran on, in a line."""
+    cpu = [
+        line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line
+    ]
+    versions = ", ".join(f"{m.__name__} {m.__version__}" for m in (np, cv2))
+    return (
+        f"{os.cpu_count()} x {cpu[0] if cpu else platform.processor()}; Python {platform.python_version()}, {versions}"
+    )
+
+
+def device() -> str:
+    """The OpenGL device, for people."""
+    rig, _ = scene(5, 2)
+    try:
+        backend = make_backend("gl", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1)).backend
+    except InputError as error:
+        return f"none ({error})"
+    backend.close()
+    return backend.device
 
 
 def memory_of_one_process() -> None:
@@ -175,20 +234,59 @@ def memory_of_one_process() -> None:
     print(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
 
 
+def figures_of(found: dict, auto: str) -> dict[str, float | None]:
+    """The figures of the last line that come from the table."""
+    row = found[5, 20]
+    ratios = {
+        "numpy_ratio": "plain NumPy",
+        "open3d_ratio": "Open3D carve_silhouette",
+        "sweep_ratio": "the thesis's sweep",
+    }
+    figures: dict[str, float | None] = {
+        key: round(row[name] / row[auto], 1) if name in row else None for key, name in ratios.items()
+    }
+    gl_ms = found[5, 10].get("ours, OpenGL")
+    figures["gl_10mm_5cam_ms"] = None if gl_ms is None else round(gl_ms, 3)
+    for cameras, voxel_mm in ((8, 20), (5, 10)):
+        figures[f"points_{voxel_mm}mm_{cameras}cam_ms"] = round(found[cameras, voxel_mm][auto], 3)
+    return figures
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="fewer poses, without the sweep's own rows")
+    parser.add_argument("--quick", action="store_true", help="three configurations and the exactness, nothing else")
+    parser.add_argument("--plot", type=Path, help="draw the table to this file")
+    parser.add_argument("--limit", type=float, default=20.0, help="seconds a frame that a method may take")
     parser.add_argument(MEMORY_OPTION, action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     if arguments.memory_of_one_process:
         memory_of_one_process()
         return
-    figures = time_points(arguments.quick) | compare(arguments.quick)
+    print(f"{machine()}\nOpenGL: {device()}")
+    if arguments.quick:
+        found = table([(5, 20), (5, 10), (8, 20)], poses=4, budget_s=1.5, limit_s=2.0)
+    else:
+        sizes_mm = (40, 25, 20, 15, 10, 5)
+        found = table([(n, mm) for n in (5, 8) for mm in sizes_mm], poses=8, budget_s=6.0, limit_s=arguments.limit)
+    auto = "ours, OpenGL" if auto_is_gl() else BASE
+    figures = figures_of(found, auto) | {"voxel_disagreement": disagreement(2 if arguments.quick else 8)}
+    if not arguments.quick:
+        figures |= growth(budget_s=1.0)
+    if arguments.plot:
+        plot(found, arguments.plot)
     output = subprocess.run([sys.executable, __file__, MEMORY_OPTION], check=True, capture_output=True, text=True)
     figures["rss_10mm_mb"] = round(float(output.stdout.split()[-1]), 1)
     print(f"resident memory at 10 mm with 8 cameras: {figures['rss_10mm_mb']} MB")
     print(json.dumps(figures))
+
+
+def auto_is_gl() -> bool:
+    """Whether auto takes OpenGL here: only on hardware."""
+    rig, _ = scene(5, 2)
+    backend = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1)).backend
+    backend.close()
+    return backend.name == "gl"
 
 
 if __name__ == "__main__":

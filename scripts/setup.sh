@@ -40,8 +40,22 @@ pip_install() { "$venv/bin/python" -m pip install --quiet --disable-pip-version-
 
 fingerprint() { cat requirements*.txt scripts/setup.sh src/*/setup.py | sha256sum | cut -d' ' -f1; echo "$PWD"; have_system_ros && echo system-ros || echo wheels; }
 
+sources() { find src -name '*.py' -not -path '*/test/*' | LC_ALL=C sort | xargs cat | sha256sum; }
+
+# numba keeps compiled kernels, and does not notice when a function that they call changes in another file
+compile_kernels() {
+    [ "$(cat "$venv/.sagoma-kernels" 2>/dev/null)" = "$(sources)" ] && return
+    find src -path '*/__pycache__/*' \( -name '*.nbi' -o -name '*.nbc' \) -delete
+    say "compiling the numerical kernels"
+    "$venv/bin/python" -m sagoma_tools.warm_up
+    sources >"$venv/.sagoma-kernels"
+}
+
 stamp="$venv/.sagoma-setup"
-if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$(fingerprint)" ]; then exit 0; fi
+if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "$(fingerprint)" ]; then
+    compile_kernels
+    exit 0
+fi
 
 install_system_packages
 say "making $venv ($("$python" --version))"
@@ -55,6 +69,5 @@ fi
 editable=()
 for package in src/*/; do editable+=(-e "$package"); done
 pip_install --use-pep517 --no-build-isolation --no-deps "${editable[@]}"
-say "compiling the numerical kernels (once)"
-"$venv/bin/python" -m sagoma_tools.warm_up
+compile_kernels
 fingerprint >"$stamp"

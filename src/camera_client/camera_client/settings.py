@@ -185,7 +185,7 @@ class SilhouetteSettings:
 
     median_px: int = setting(5, "Side of the median filter", unit="px", choices=(1, 3, 5, 7))
     shadow: str = setting(
-        "mark", "Shadows found: mark them as candidates (level 127), remove them, or keep them in the person",
+        "mark", "Shadows: mark them, and what might be one, for the hull server to judge; remove them; or keep them",
         choices=("mark", "remove", "keep"),
     )  # fmt: skip
     closing: float = setting(
@@ -195,6 +195,10 @@ class SilhouetteSettings:
     near: float = setting(
         0.12, "Components are kept within this gap of the largest one (or of one kept)", unit="share of height",
         low=0, high=10,
+    )  # fmt: skip
+    rim: float = setting(
+        0.3, "Pixels of the outline go that differ from the background by less than this share of what those beside "
+        "them do; 0 keeps all", low=0, high=0.9,
     )  # fmt: skip
     max_hole: float = setting(1e-3, "Holes smaller than this are filled", unit="share of height^2", low=0, high=1)
     empty_below: float = setting(2e-4, "A mask with a smaller share of foreground is flagged empty", low=0, high=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,10 +16,12 @@ from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from .background_model import BackgroundModel, check_shape, shape_text
 from .colour_shadow import ColourShadow
 from .components import keep_person, majority, majority_count
+from .darkness import ALIGNMENT_PX, Darkness
 from .floor_shadow import FloorShadow
 from .frame_source import Image, Mask
 from .light_drift import LightDrift
 from .regions import BLOCK_PX, Box, Surroundings
+from .rim import trim_rim
 from .settings import BackgroundSettings, SilhouetteSettings
 from .undistortion import BoxUndistorter
 
@@ -49,10 +52,10 @@ class NoShadow:
 class Silhouette:
     """What a camera sees of the person.
 
-    ``mask`` (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, 127 maybe only a shadow (see
-    ``capture_rig.mask_levels``); ``image_mask`` (H, W) the same in the camera's own pixels; ``foreground_fraction`` and
-    ``candidate_fraction`` the shares of the image that are 255 and 127; ``flags`` may hold "empty" or "full": such a
-    mask is what was seen, and probably not a person.
+    ``mask`` (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, up to 127 most likely a shadow, between
+    them person or shadow (see ``capture_rig.mask_levels``); ``image_mask`` (H, W) in the camera's own pixels, of 255, 0
+    and 127 only; ``foreground_fraction`` and ``candidate_fraction`` the shares of the image that are 255 and 127 there;
+    ``flags`` may hold "empty" or "full": such a mask is what was seen, and probably not a person.
     """
 
     mask: Mask
@@ -90,9 +93,13 @@ class SilhouettePipeline:
         if background_settings.drift.mode == "slow":
             self._drift = LightDrift(background, self._limits, background_settings)
         self._shadow = _shadow_test(camera, background, settings, background_settings.sigma_floor)
+        self._darkness = Darkness(camera, background) if settings.shadow == "mark" else None
+        self._mean = np.rint(background.mean).clip(0, 255).astype(np.uint8)
+        self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         min_area_px = settings.min_area * camera.height**2
         self._surroundings = Surroundings(self._shape, min_area_px, majority_count(settings.median_px))
         self._undistorter = BoxUndistorter(camera.undistorted_view())
+        self._levels = np.zeros(self._shape[:2], np.uint8)
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
@@ -114,11 +121,15 @@ class SilhouettePipeline:
             self._drift.follow(image, self._surroundings.buffer, self._surroundings.busy, stamp_ns)
         if box.empty:
             return self._silhouette(np.zeros((0, 0), np.uint8), box)
-        shadow = self._shadow.shadow(self._as_learned(image), raw, box)
+        image = self._as_learned(image)
+        shadow = self._shadow.shadow(image, raw, box)
         person = self._keep_person(cv2.subtract(raw, shadow))
-        if self._settings.shadow == "mark":
-            return self._silhouette(np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE))), box)
-        return self._silhouette(person, box)
+        if self._settings.rim > 0:
+            person = trim_rim(person, image[box.slices], self._mean[box.slices], self._settings.rim)
+        if self._darkness is None:
+            return self._silhouette(person, box)
+        levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
+        return self._silhouette(levels, box, self._darkness.mark(image, person, shadow, box))
 
     def _as_learned(self, image: Image) -> Image:
         """As bright as it would be under the light that the background was learned in."""
@@ -143,7 +154,7 @@ class SilhouettePipeline:
         survivors = busy.grown(BLOCK_PX, self._shape)
         seen = survivors.grown(side // 2, self._shape)
         filtered = majority(cv2.bitwise_not(within[seen.slices]), side)
-        box = survivors.grown(self._margin_px, self._shape, self._shadow.alignment_px)
+        box = survivors.grown(self._margin_px, self._shape, self._alignment_px)
         mask = np.zeros((box.bottom - box.top, box.right - box.left), np.uint8)
         mask[survivors.within(box).slices] = filtered[survivors.within(seen).slices]
         return box, mask
@@ -154,13 +165,18 @@ class SilhouettePipeline:
         area = height * height
         return keep_person(mask, s.min_area * area, s.near * height, s.max_hole * area)
 
-    def _silhouette(self, levels: Mask, box: Box) -> Silhouette:
-        """Back to the whole image, and onto the canvas."""
+    def _silhouette(self, levels: Mask, box: Box, canvas_levels: Mask | None = None) -> Silhouette:
+        """Back to the whole image, and onto the canvas, there with ``canvas_levels`` if any."""
         image_mask = np.zeros(self._shape[:2], np.uint8)
         image_mask[box.slices] = levels
+        source = image_mask
+        if canvas_levels is not None:
+            source = self._levels
+            source[box.slices] = canvas_levels
         anything, person = int(np.count_nonzero(levels)), int(np.count_nonzero(levels == FOREGROUND))
         fraction = person / image_mask.size
-        canvas = self._undistorter.undistort(image_mask, box)
+        canvas = self._undistorter.undistort(source, box)
+        self._levels[box.slices] = 0  # as it was
         return Silhouette(canvas, image_mask, fraction, self._flags(fraction), (anything - person) / image_mask.size)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from camera_client.background_model import BackgroundLearner, BackgroundModel, Provenance
 from camera_client.components import keep_person, majority, majority_count
 from camera_client.regions import BLOCK_PX, Box, Surroundings
+from camera_client.rim import trim_rim
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouette import SilhouettePipeline
 from camera_client.undistortion import BoxUndistorter
@@ -80,6 +81,7 @@ def whole_image(pipeline, image, settings):
     height = len(image)
     area = height**2
     person = keep_person(person, settings.min_area * area, settings.near * height, settings.max_hole * area)
+    person = trim_rim(person, image, pipeline._mean, settings.rim)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
 
 

@@ -19,7 +19,7 @@ from camera_client.settings import (
 )
 from camera_client.silhouette import EMPTY, FULL, SilhouettePipeline
 from capture_rig.errors import InputError
-from capture_rig.mask_levels import SHADOW_CANDIDATE
+from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
 
 
@@ -56,11 +56,11 @@ def test_mask_is_undistorted_onto_the_padded_canvas(scene):
     silhouette = pipeline.run(scene.with_person(scene.empty(1, seed=7)[0]))
     canvas = camera.undistorted_view().camera
     assert silhouette.mask.shape == (canvas.height, canvas.width) != silhouette.image_mask.shape
-    assert set(np.unique(silhouette.mask)) == {0, 255}
+    assert set(np.unique(silhouette.mask)) <= set(LEVELS) and set(np.unique(silhouette.person)) == {0, 255}
     # a world point behind the middle of the head, through both camera models
     ray = camera.rays_world(np.array([[80.0, 20.0]]))[0]
     u, v = np.rint(canvas.project(camera.centre_world + 3 * ray)).astype(int)
-    assert silhouette.mask[v, u] == 255
+    assert silhouette.person[v, u] == 255
 
 
 def test_empty_scene_is_flagged_empty(scene):
@@ -204,7 +204,7 @@ def test_textured_clothes_as_dark_as_a_shadow_are_no_shadow(scene):
 # --- real and rendered footage ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("session, least_iou", [("walk_ring5top", 0.80), ("charleston_ring5top", 0.83)])
+@pytest.mark.parametrize("session, least_iou", [("walk_ring5top", 0.81), ("charleston_ring5top", 0.84)])
 def test_rendered_session_is_segmented_with_high_recall(shared_data, session, least_iou):
     folder = shared_data("sessions", session)
     scores = []
@@ -220,7 +220,7 @@ def test_rendered_session_is_segmented_with_high_recall(shared_data, session, le
                 scores.append((iou(found, truth), recall(found, truth)))
     ious, recalls = np.array(scores).T
     assert ious.mean() > least_iou  # without the shadow test 0.70 and 0.60
-    assert recalls.mean() > 0.97 and recalls.min() > 0.9
+    assert recalls.mean() > 0.96 and recalls.min() > 0.9  # the untrimmed outline finds 0.01 more, a pixel too wide
 
 
 def test_real_footage_keeps_every_joint_of_the_reference_in_the_masks(shared_data):

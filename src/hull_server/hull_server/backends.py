@@ -3,35 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from capture_rig import InputError
 
-from .bricks import BrickVolume
+from .carve_backend import CarveBackend
 from .carve_cpu import CpuCarver
 from .egl import NoGraphics
 from .grid import VoxelGrid
-from .views import Masks, RigViews
+from .views import RigViews
 
 BACKENDS = ("auto", "gl", "sweep", "cpu")
-
-
-class CarveBackend(Protocol):
-    """Carves the silhouettes of one frame set after another; all backends obey the rule of hull_server.views.
-
-    name : gl, sweep or cpu. device : what it runs on, for people.
-    """
-
-    name: str
-    device: str
-
-    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """The hull of one canvas mask a camera (nonzero = foreground); cameras that are absent have no say."""
-        ...
-
-    def close(self) -> None:
-        """Release what the backend holds; it cannot be used afterwards."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -2,95 +2,55 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-import numpy.typing as npt
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
 
-from .bricks import BrickVolume
-
-Words = npt.NDArray[np.uint64]
-
-ROW_AXES = {0: (1, 2), 1: (0, 2), 2: (0, 1)}  # slice axis: (axis along a row's bits, axis across the rows)
-
-# de Bruijn sequence: the product with an isolated bit has a different upper 6 bits for each position
-_DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
-_POSITION = np.zeros(64, np.int64)
-_POSITION[[int(_DE_BRUIJN) * (1 << n) % (1 << 64) >> 58 for n in range(64)]] = np.arange(64)
 _U1 = np.uint64(1)
 
 
-def pack_rows(volume: BrickVolume, axis: int) -> tuple[Words, tuple[int, int, int]]:
-    """The hull's bounding box as (slices, rows, words) of bits, for slices across ``axis``, and its low voxel.
+@intrinsic
+def _count_ones(_typing_context: Any, word: types.Integer) -> Any:
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.ctpop(args[0])
 
-    Bit b of word w is voxel 64 w + b along the row. The box consists of whole bricks.
-    """
-    corners = volume.brick_corners() // 8
-    low, high = corners.min(axis=0), corners.max(axis=0) + 1
-    along, across = ROW_AXES[axis]
-    size = 8 * (high - low)
-    words = np.zeros((size[axis], size[across], -(-size[along] // 64)), np.uint64)
-    _scatter(corners - low, volume.leaves, axis, words)
-    return words, (int(8 * low[0]), int(8 * low[1]), int(8 * low[2]))
+    return types.int64(types.uint64), generate
 
 
-@njit(cache=True, nogil=True)
-def _scatter(corners, leaves, axis, words):  # type: ignore[no-untyped-def]
-    for brick in range(leaves.shape[0]):
-        bx, by, bz = corners[brick, 0], corners[brick, 1], corners[brick, 2]
-        along = by if axis == 0 else bx
-        shift = np.uint64(along % 8 * 8)
-        for z in range(8):
-            layer = leaves[brick, z]
-            if axis == 0:
-                layer = transpose8(layer)
-            for row in range(8):
-                byte = (layer >> np.uint64(8 * row) & np.uint64(255)) << shift
-                if axis == 0:
-                    words[8 * bx + row, 8 * bz + z, along // 8] |= byte
-                elif axis == 1:
-                    words[8 * by + row, 8 * bz + z, along // 8] |= byte
-                else:
-                    words[8 * bz + z, 8 * by + row, along // 8] |= byte
+@intrinsic
+def _count_trailing_zeros(_typing_context: Any, word: types.Integer) -> Any:
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
 
-
-@njit(cache=True, nogil=True)
-def erode(words):  # type: ignore[no-untyped-def]
-    """Each slice without the voxels that have an empty neighbour (of four) in it; beyond the box is empty."""
-    eroded = np.empty_like(words)
-    slices, rows, width = words.shape
-    for s in range(slices):
-        for r in range(rows):
-            for w in range(width):
-                word = sides(words, s, r, w)
-                above = words[s, r - 1, w] if r > 0 else np.uint64(0)
-                below = words[s, r + 1, w] if r + 1 < rows else np.uint64(0)
-                eroded[s, r, w] = word & above & below
-    return eroded
-
-
-@njit(cache=True, nogil=True)
-def sides(words, s, r, w):  # type: ignore[no-untyped-def]
-    """The voxels of a word whose neighbours along the row are both occupied."""
-    word = words[s, r, w]
-    before = words[s, r, w - 1] >> np.uint64(63) if w > 0 else np.uint64(0)
-    after = words[s, r, w + 1] << np.uint64(63) if w + 1 < words.shape[2] else np.uint64(0)
-    return word & (word << _U1 | before) & (word >> _U1 | after)
+    return types.int64(types.uint64), generate
 
 
 @njit(cache=True, nogil=True)
 def popcount(word):  # type: ignore[no-untyped-def]
-    """Number of set bits (Warren, Hacker's Delight, 5-1)."""
-    word -= word >> _U1 & np.uint64(0x5555555555555555)
-    word = (word & np.uint64(0x3333333333333333)) + (word >> np.uint64(2) & np.uint64(0x3333333333333333))
-    word = word + (word >> np.uint64(4)) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64(word * np.uint64(0x0101010101010101) >> np.uint64(56))
+    """Number of set bits."""
+    return _count_ones(word)  # type: ignore[call-arg]
 
 
 @njit(cache=True, nogil=True)
 def lowest_bit(word):  # type: ignore[no-untyped-def]
-    """Position of the lowest set bit of a nonzero word."""
-    isolated = word & (~word + _U1)
-    return _POSITION[isolated * _DE_BRUIJN >> np.uint64(58)]
+    """Position of the lowest set bit of a word; 64 for zero."""
+    return _count_trailing_zeros(word)  # type: ignore[call-arg]
+
+
+@njit(cache=True, nogil=True)
+def select_bit(word, rank):  # type: ignore[no-untyped-def]
+    """Position of the set bit that ``rank`` others lie below."""
+    position = 0
+    for half in (32, 16, 8):
+        below = popcount(word & ((_U1 << np.uint64(half)) - _U1))
+        if rank >= below:
+            rank, position, word = rank - below, position + half, word >> np.uint64(half)
+    for _ in range(rank):
+        word &= word - _U1
+    return position + lowest_bit(word)
 
 
 @njit(cache=True, nogil=True)
@@ -102,3 +62,75 @@ def transpose8(word):  # type: ignore[no-untyped-def]
     word ^= swap ^ swap << np.uint64(14)
     swap = (word ^ word >> np.uint64(28)) & np.uint64(0x00000000F0F0F0F0)
     return word ^ swap ^ swap << np.uint64(28)
+
+
+@njit(cache=True, nogil=True)
+def brick_box(index, bricks_x, bricks_y):  # type: ignore[no-untyped-def]
+    """The box of bricks that holds all of them: low x, y, z and high x, y, z (exclusive); zeros for none."""
+    if index.size == 0:
+        return 0, 0, 0, 0, 0, 0
+    low_x, low_y, low_z, high_x, high_y, high_z = bricks_x, bricks_y, 1 << 30, 0, 0, 0
+    for brick in range(index.size):
+        flat = np.int64(index[brick])
+        x, y, z = flat % bricks_x, flat // bricks_x % bricks_y, flat // (bricks_x * bricks_y)
+        low_x, high_x = min(low_x, x), max(high_x, x + 1)
+        low_y, high_y = min(low_y, y), max(high_y, y + 1)
+        low_z, high_z = min(low_z, z), max(high_z, z + 1)
+    return low_x, low_y, low_z, high_x, high_y, high_z
+
+
+@njit(cache=True, nogil=True)
+def pack_rows(index, leaves, bricks_x, bricks_y, box):  # type: ignore[no-untyped-def]
+    """The voxels in a box of bricks as bits: rows along x (z, y, words) and rows along y (z, x, words).
+
+    Bit b of word w is voxel 64 w + b along the row, counted from the box's low corner. A brick's rows are bytes of
+    these words, written as such: machines are little-endian.
+    """
+    low_x, low_y, low_z, high_x, high_y, high_z = box
+    nx, ny, nz = 8 * (high_x - low_x), 8 * (high_y - low_y), 8 * (high_z - low_z)
+    along_x = np.zeros((nz, ny, (nx + 63) // 64), np.uint64)
+    along_y = np.zeros((nz, nx, (ny + 63) // 64), np.uint64)
+    bytes_x, bytes_y = along_x.view(np.uint8), along_y.view(np.uint8)
+    for brick in range(index.size):
+        flat = np.int64(index[brick])
+        x, y = flat % bricks_x - low_x, flat // bricks_x % bricks_y - low_y
+        z = 8 * (flat // (bricks_x * bricks_y) - low_z)
+        for k in range(8):
+            layer = leaves[brick, k]
+            if layer == 0:
+                continue
+            turned = transpose8(layer)
+            for row in range(8):
+                bytes_x[z + k, 8 * y + row, x] = layer & np.uint64(255)
+                bytes_y[z + k, 8 * x + row, y] = turned & np.uint64(255)
+                layer >>= np.uint64(8)
+                turned >>= np.uint64(8)
+    return along_x, along_y
+
+
+@njit(cache=True, nogil=True)
+def erode(words, across_layers):  # type: ignore[no-untyped-def]
+    """Rows (layers, rows, words) without the voxels that have an empty neighbour, of four, in their slice.
+
+    The slice holds the neighbouring row of the same layer, or with ``across_layers`` the same row of the next layer.
+    Beyond the box is empty.
+    """
+    eroded = np.zeros_like(words)
+    layers, rows, width = words.shape
+    layer_step, row_step = (1, 0) if across_layers else (0, 1)
+    for s in range(layer_step, layers - layer_step):
+        for r in range(row_step, rows - row_step):
+            for w in range(width):
+                if words[s, r, w] != 0:
+                    before, after = words[s - layer_step, r - row_step, w], words[s + layer_step, r + row_step, w]
+                    eroded[s, r, w] = sides(words, s, r, w) & before & after
+    return eroded
+
+
+@njit(cache=True, nogil=True, inline="always")
+def sides(words, s, r, w):  # type: ignore[no-untyped-def]
+    """The voxels of a word whose neighbours along the row are both occupied."""
+    word = words[s, r, w]
+    before = words[s, r, w - 1] >> np.uint64(63) if w > 0 else np.uint64(0)
+    after = words[s, r, w + 1] << np.uint64(63) if w + 1 < words.shape[2] else np.uint64(0)
+    return word & (word << _U1 | before) & (word >> _U1 | after)

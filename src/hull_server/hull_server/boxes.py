@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from .grid import VoxelGrid
+from .kernel import kernel
 from .views import RigViews
 
 UNSEEN, SEEN, PARTLY_SEEN = 0, 1, 2  # none, all, perhaps some of a block's voxel centres are seen by a camera
@@ -18,10 +18,10 @@ MARGIN_PX = 1e-6  # rounding of a projected coordinate is a thousand times small
 
 
 class BlockBoxes(NamedTuple):
-    """For every block of a regular subdivision and every camera, the pixels on which its voxel centres lie.
+    """For every camera and every block of a regular subdivision, the pixels on which its voxel centres lie.
 
-    pixels : (blocks, N, 4) int16, u and v from (inclusive), u and v to (exclusive), clipped to the canvas.
-    sight : (blocks, N) uint8, UNSEEN, SEEN or PARTLY_SEEN. A box is conservative: no voxel lies outside it.
+    pixels : (N, blocks, 4) int16, u and v from (inclusive), u and v to (exclusive), clipped to the canvas.
+    sight : (N, blocks) uint8, UNSEEN, SEEN or PARTLY_SEEN. A box is conservative: no voxel lies outside it.
     """
 
     pixels: npt.NDArray[np.int16]
@@ -45,46 +45,64 @@ def summed_area(images: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
 def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDArray[np.int32]) -> BlockBoxes:
     """The boxes of all blocks of ``edge`` voxels a side, x fastest; ``seen_table`` is summed_area(views.seen)."""
     blocks = [-(-count // edge) for count in grid.shape]
-    cameras = len(views.names)
-    pixels = np.empty((int(np.prod(blocks)), cameras, 4), np.int16)
+    pixels = np.empty((len(views.names), int(np.prod(blocks)), 4), np.int16)
     sight = np.empty(pixels.shape[:2], np.uint8)
     projections, shape = pixel_projections(views, grid), np.array(grid.shape, np.int64)
     _fill_boxes(projections, views.sizes, seen_table, shape, edge, pixels, sight)
     return BlockBoxes(pixels, sight)
 
 
-@njit(cache=True, nogil=True)
-def _fill_boxes(projections, sizes, seen_table, shape, edge, pixels, sight):  # type: ignore[no-untyped-def]
+def rows_within_reach(boxes: BlockBoxes, shape: tuple[int, int, int]) -> npt.NDArray[np.int64]:
+    """(N, H, 2) the part of each row of the canvases (N, H, W) on which voxels can lie: from and to, in 8 pixels."""
+    reach = np.zeros((shape[0], shape[1], 2), np.int64)
+    reach[:, :, 0] = shape[2] // 8
+    _fill_reach(boxes.pixels, reach)
+    reach[reach[:, :, 1] == 0] = 0
+    return reach
+
+
+@kernel
+def _fill_reach(pixels, reach):  # type: ignore[no-untyped-def]
+    for camera in range(pixels.shape[0]):
+        for block in range(pixels.shape[1]):
+            first, last = pixels[camera, block, 0] // 8, (pixels[camera, block, 2] + 7) // 8
+            if last > first:
+                for v in range(pixels[camera, block, 1], pixels[camera, block, 3]):
+                    reach[camera, v, 0] = min(reach[camera, v, 0], first)
+                    reach[camera, v, 1] = max(reach[camera, v, 1], last)
+
+
+@kernel
+def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, sight):  # type: ignore[no-untyped-def]
     nx, ny, nz = (shape[0] + edge - 1) // edge, (shape[1] + edge - 1) // edge, (shape[2] + edge - 1) // edge
-    for block in range(nx * ny * nz):
-        i, j, k = block % nx * edge, block // nx % ny * edge, block // (nx * ny) * edge
-        low = (i, j, k)
-        high = (min(i + edge, shape[0]) - 1, min(j + edge, shape[1]) - 1, min(k + edge, shape[2]) - 1)
-        for camera in range(projections.shape[0]):
-            u0, v0, u1, v1, inside = project_block(projections, camera, low, high, sizes)
-            pixels[block, camera, 0], pixels[block, camera, 1] = u0, v0
-            pixels[block, camera, 2], pixels[block, camera, 3] = u1, v1
-            sight[block, camera] = judge_sight(seen_table, camera, u0, v0, u1, v1, inside)
+    for camera in range(projections.shape[0]):
+        for block in range(nx * ny * nz):
+            i, j, k = block % nx * edge, block // nx % ny * edge, block // (nx * ny) * edge
+            high = (min(i + edge, shape[0]) - 1, min(j + edge, shape[1]) - 1, min(k + edge, shape[2]) - 1)
+            u0, v0, u1, v1, inside = _project_block(projections[camera], (i, j, k), high, sizes[camera])
+            pixels[camera, block, 0], pixels[camera, block, 1] = u0, v0
+            pixels[camera, block, 2], pixels[camera, block, 3] = u1, v1
+            sight[camera, block] = _judge_sight(seen_tables, camera, u0, v0, u1, v1, inside)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def project_block(projections, camera, low, high, sizes):  # type: ignore[no-untyped-def]
+@kernel
+def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
     """The clipped pixel box of the voxels from ``low`` to ``high`` (inclusive), and whether nothing was clipped.
 
     A projection maps the convex hull of the eight corner centres to the convex hull of their images as long as all
     are in front of the camera; a block across the camera's plane gets the whole canvas.
     """
-    P, width, height = projections, float(sizes[camera, 0]), float(sizes[camera, 1])
+    width, height = float(size[0]), float(size[1])
     x0, y0, z0 = float(low[0]), float(low[1]), float(low[2])
     dx, dy, dz = float(high[0]) - x0, float(high[1]) - y0, float(high[2]) - z0
     low_u, low_v, high_u, high_v, nearest, farthest = 1e30, 1e30, -1e30, -1e30, 1e30, -1e30
     for corner in range(8):
         x, y, z = x0 + (corner & 1) * dx, y0 + (corner >> 1 & 1) * dy, z0 + (corner >> 2) * dz
-        w = P[camera, 2, 0] * x + P[camera, 2, 1] * y + P[camera, 2, 2] * z + P[camera, 2, 3]
+        w = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
         nearest, farthest = min(nearest, w), max(farthest, w)
         inverse = 1.0 / w
-        u = (P[camera, 0, 0] * x + P[camera, 0, 1] * y + P[camera, 0, 2] * z + P[camera, 0, 3]) * inverse
-        v = (P[camera, 1, 0] * x + P[camera, 1, 1] * y + P[camera, 1, 2] * z + P[camera, 1, 3]) * inverse
+        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * inverse
+        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * inverse
         low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
     if farthest <= 0:
         return 0, 0, 0, 0, False
@@ -97,13 +115,28 @@ def project_block(projections, camera, low, high, sizes):  # type: ignore[no-unt
     return u0, v0, u1, v1, inside
 
 
-@njit(cache=True, nogil=True)
-def judge_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
+@kernel
+def _judge_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
     """Whether a camera sees none, all, or perhaps some of the voxels whose pixel box this is."""
-    if u1 <= u0 or v1 <= v0:
-        return UNSEEN
-    seen = seen_tables[camera, v1, u1] - seen_tables[camera, v0, u1]
-    seen += seen_tables[camera, v0, u0] - seen_tables[camera, v1, u0]
+    seen = seen_in(seen_tables, camera, u0, v0, u1, v1)
     if seen == 0:
         return UNSEEN
     return SEEN if inside and seen == (u1 - u0) * (v1 - v0) else PARTLY_SEEN
+
+
+@kernel
+def seen_in(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
+    """Pixels of a pixel box that a camera sees."""
+    if u1 <= u0 or v1 <= v0:
+        return 0
+    return tables[camera, v1, u1] - tables[camera, v0, u1] - tables[camera, v1, u0] + tables[camera, v0, u0]
+
+
+@kernel
+def foreground_in(boxes, tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
+    """Foreground pixels in a pixel box; ``tables`` count those of the foreground ``boxes``, from their corners."""
+    left, top = boxes[camera, 0], boxes[camera, 1]
+    width, height = boxes[camera, 2] - left, boxes[camera, 3] - top
+    a0, a1 = min(max(u0 - left, 0), width), min(max(u1 - left, 0), width)
+    b0, b1 = (width + 1) * min(max(v0 - top, 0), height), (width + 1) * min(max(v1 - top, 0), height)
+    return tables[camera, b1 + a1] - tables[camera, b0 + a1] - tables[camera, b1 + a0] + tables[camera, b0 + a0]

@@ -1,10 +1,14 @@
 """The OpenGL backend: the hierarchical carve in compute shaders (OpenGL 4.3), as exact as the CPU's.
 
-Silhouettes travel bit-packed; tiles of 8 x 8 pixels tell which bricks can hold anything; only those are tested voxel
-by voxel, and only they are read back. The driver appends bricks in any order: they are sorted afterwards.
+A frame set is one upload, five dispatches and one read-back of the bricks found. There are two sets of buffers: while
+the device carves one frame set, the host prepares the next and takes home the last (double buffering of uploads and
+read-backs, which the thesis leaves as future work).
 """
 
 from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,115 +16,164 @@ from capture_rig import InputError
 
 from .boxes import UNSEEN, block_boxes, pixel_projections, summed_area
 from .bricks import BrickVolume
-from .carve_shaders import BRICKS, HEADER, LEAVES, PROJECT, TILES
-from .egl import GlContext
+from .carve_shaders import HEADER, KERNELS
+from .egl import GlContext, NoGraphics
+from .gl_buffers import LIST_BYTES, BufferSet
 from .gl_objects import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
+from .gl_precision import single_precision
+from .gl_upload import FrameUpload
 from .grid import BRICK_EDGE, VoxelGrid
 from .views import Masks, RigViews
 
-TILE_PX = 8
-MAX_TILES = 4095  # tile coordinates are packed into 12 bits
-BRICK_LIST_HEAD = 4  # words: size of the indirect dispatch, number of bricks
+SETS = 2  # frame sets that may be under way at once
+GROUP = 64  # invocations of a work group
+GROUPS_IN_ROW = 32768  # work groups along x; every driver allows 65535
+COARSE_EDGE = 32
+BLOCKS_PER_BRICK = 8
+COARSE_BYTES, BLOCK_BYTES, DOUBT_BYTES = 16, 16, 8  # of the lists' entries; doubts are listed per half of a block
+BOX_BYTES = 8
+
+
+class Ticket:
+    """A frame set under way: exchange it for its hull with :meth:`GlCarver.collect`."""
+
+    def __init__(self, buffers: BufferSet) -> None:
+        self.buffers = buffers
+        self.volume: BrickVolume | None = None
 
 
 class GlCarver:
-    """Carves in compute shaders. Any thread may call :meth:`carve`, one at a time.
+    """Carves in compute shaders. Any thread may call any method: the context serves one at a time, the others wait.
 
-    Raises NoGraphics when there is no such context, InputError when the rig is beyond the shaders' limits.
+    Raises NoGraphics when there is no such context, InputError when the rig or the grid is beyond its limits.
     """
 
     name = "gl"
 
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
-        cameras, height, width = views.seen.shape
-        if cameras > MAX_GL_CAMERAS or max(height, width) > MAX_TILES * TILE_PX:
-            raise InputError(f"{cameras} cameras of {width} x {height} pixels are too much for the GL backend",
-                             where="backend", remedy="Choose backend 'cpu'.")  # fmt: skip
+        if len(views.names) > MAX_GL_CAMERAS:
+            raise InputError(f"{len(views.names)} cameras are too many for the GL backend", where="backend",
+                             remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.")  # fmt: skip
         self.views, self.grid = views, grid
-        self._packed = np.zeros((cameras, height, width // 8), np.uint8)
-        self._foreground = np.zeros_like(views.seen)
+        self._upload, self._filling = FrameUpload(views), threading.Lock()
         self._context = GlContext(hardware)
         self.device = self._context.renderer
-        with self._context.current():
-            self._compile(cameras, height, width)
-            self._allocate(cameras, height, width)
+        try:
+            with self._context.current():
+                self._compile()
+                self._allocate()
+        except (NoGraphics, InputError):
+            self.close()
+            raise
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
         """As :meth:`hull_server.carve_cpu.CpuCarver.carve`."""
+        return self.collect(self.submit(masks, min_seeing))
+
+    def submit(self, masks: Masks, min_seeing: int) -> Ticket:
+        """Send the silhouettes of one frame set to the device; do not wait. The masks may be reused at once.
+
+        Tickets may be collected in any order, or never. A third frame set first waits for the oldest of the two
+        under way, whose hull its ticket then holds. Raises InputError as :meth:`carve` does.
+        """
         present = self.views.present(masks)
-        self.views.foreground(masks, present, self._foreground)
-        self._packed[present] = np.packbits(self._foreground[present] != 0, axis=-1, bitorder="little")
-        with self._context.current():
-            self._buffers["foreground"].write(self._packed)
-            self._buffers["bricks"].write(np.array([0, 1, 1, 0], np.uint32))
-            self._dispatch(sum(1 << int(camera) for camera in present), min_seeing)
-            index, leaves = self._read_back()
-        return self._sorted(index, leaves)
+        with self._filling:  # meanwhile others may collect
+            words = self._upload.fill(masks, present, min_seeing)
+            with self._context.current():
+                buffers = self._sets.pop(0)
+                self._sets.append(buffers)
+                if buffers in self._under_way:
+                    self._bring_home(self._under_way[buffers])
+                buffers.frame.write(words)
+                for _ in self._carve_step_by_step(buffers):
+                    pass
+                buffers.send_home()
+                ticket = self._under_way[buffers] = Ticket(buffers)
+                if buffers.has_arrived():  # a software renderer: its collector need not wait for the context
+                    self._bring_home(ticket)
+        return ticket
+
+    def collect(self, ticket: Ticket) -> BrickVolume:
+        """The hull of a submitted frame set, when the device has finished it."""
+        if ticket.volume is None:
+            with self._context.current():
+                if ticket.volume is None:  # no other thread has brought it home in the meantime
+                    self._bring_home(ticket)
+        assert ticket.volume is not None
+        return ticket.volume
 
     def close(self) -> None:
         """Release the context and everything in it."""
         self._context.close()
 
-    def _compile(self, cameras: int, height: int, width: int) -> None:
-        self._tiles = (-(-width // TILE_PX), -(-height // TILE_PX))
-        header = HEADER.format(cameras=cameras, width=width, height=height, tile=TILE_PX,
-                               tiles_x=self._tiles[0], tiles_y=self._tiles[1])  # fmt: skip
-        self._programs = [make_program(compute=header + body) for body in (TILES, BRICKS, PROJECT + LEAVES)]
-        for program in self._programs:
+    def _compile(self) -> None:
+        cameras, height, width = self.views.seen.shape
+        nx, ny, nz = (-(-count // COARSE_EDGE) for count in self.grid.shape)
+        self._coarse_blocks = nx * ny * nz
+        rows, centre, border = single_precision(self.views, self.grid)
+        header = HEADER.format(cameras=cameras, width=width, height=height, labels=self._upload.labels_start,
+                               grid=self.grid.shape, bricks=self.grid.brick_shape, coarse=(nx, ny, nz),
+                               centre=tuple(map(int, centre)), border=border, groups=GROUPS_IN_ROW)  # fmt: skip
+        self._programs = {name: make_program(compute=header + kernel) for name, kernel in KERNELS.items()}
+        for program in self._programs.values():
             GL.glUseProgram(program)
-            GL.glUniform3i(GL.glGetUniformLocation(program, "grid"), *self.grid.shape)
-            GL.glUniform3i(GL.glGetUniformLocation(program, "bricks"), *self.grid.brick_shape)
+            GL.glUniform4fv(GL.glGetUniformLocation(program, "projection"), 3 * cameras, rows)
 
-    def _allocate(self, cameras: int, height: int, width: int) -> None:
-        bricks, projections = self.grid.brick_count, pixel_projections(self.views, self.grid)
-        self._buffers = {  # in the order of their bindings
-            "foreground": StorageBuffer(self._packed.nbytes),
-            "seen": StorageBuffer(np.packbits(self.views.seen != 0, axis=-1, bitorder="little")),
-            "projections": StorageBuffer(projections.astype(np.float32)),
-            "tiles": StorageBuffer(4 * cameras * self._tiles[0] * self._tiles[1]),
-            "boxes": StorageBuffer(self._tile_boxes()),
-            "bricks": StorageBuffer(4 * (BRICK_LIST_HEAD + bricks)),
-            "leaves": StorageBuffer(8 * BRICK_EDGE * bricks),
-            "exact": StorageBuffer(projections),
+    def _allocate(self) -> None:
+        blocks = BLOCKS_PER_BRICK * self.grid.brick_count
+        self._check_limits(max(BLOCK_BYTES * blocks, BOX_BYTES * len(self.views.names) * self.grid.brick_count))
+        contents: dict[int, np.ndarray | int] = {
+            0: pixel_projections(self.views, self.grid),
+            1: np.concatenate([self._boxes(COARSE_EDGE), self._boxes(BRICK_EDGE)], axis=None),
+            4: COARSE_BYTES * self._coarse_blocks,
+            6: BLOCK_BYTES * blocks,
+            7: DOUBT_BYTES * blocks,
         }
+        for binding, content in contents.items():
+            StorageBuffer(content).bind(binding)
+        self._sets = [BufferSet(self._upload.words.nbytes, self.grid.brick_count) for _ in range(SETS)]
+        self._under_way: dict[BufferSet, Ticket] = {}
 
-    def _tile_boxes(self) -> np.ndarray:
-        """(bricks, N, 2) uint32: first and last tile in u, and what is seen; first and last tile in v."""
-        boxes = block_boxes(self.views, self.grid, BRICK_EDGE, summed_area(self.views.seen))
-        pixels = boxes.pixels.astype(np.int64)
-        first = pixels[..., :2] // TILE_PX
-        last = (pixels[..., 2:] - 1).clip(0) // TILE_PX
-        words = (first | last << 12).astype(np.uint32)
-        words[..., 0] |= boxes.sight.astype(np.uint32) << 24
-        words[boxes.sight == UNSEEN] = 0
+    def _check_limits(self, table_bytes: int) -> None:
+        """Raise InputError when the largest table or the upload is beyond what the driver can address."""
+        shape, words = " x ".join(map(str, self.grid.shape)), self._upload.words.size
+        most_bytes = int(GL.glGetIntegerv(GL.GL_MAX_SHADER_STORAGE_BLOCK_SIZE))
+        most_words = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_BUFFER_SIZE))
+        if table_bytes > most_bytes:
+            raise InputError(f"{shape} voxels need tables of {table_bytes} bytes; {self.device} allows {most_bytes}",
+                             where="voxel_size_m",
+                             remedy="Use larger voxels or a smaller volume, or choose backend 'cpu'.")  # fmt: skip
+        if words > most_words:
+            raise InputError(f"all silhouettes together need {words} words; {self.device} allows {most_words}",
+                             where="backend", remedy="Scale the images down, or choose backend 'cpu'.")  # fmt: skip
+
+    def _boxes(self, edge: int) -> np.ndarray:
+        """(N, blocks, 2) uint32: u, v from, in 15 bits each, and sight in the two bits above; u, v to."""
+        boxes = block_boxes(self.views, self.grid, edge, summed_area(self.views.seen))
+        pixels = boxes.pixels.astype(np.uint32)
+        pixels[boxes.sight == UNSEEN] = 0
+        words = pixels[..., 0::2] | pixels[..., 1::2] << 15
+        words[..., 0] |= boxes.sight.astype(np.uint32) << 30
         return words
 
-    def _dispatch(self, present: int, min_seeing: int) -> None:
-        tiles, bricks, leaves = self._programs
-        for binding, buffer in enumerate(self._buffers.values()):
-            buffer.bind(binding)
-        for program in (bricks, leaves):
+    def _carve_step_by_step(self, buffers: BufferSet) -> Iterator[str]:
+        """Queue one kernel after the other, each to do what the list of the one before holds; yields their names."""
+        buffers.bind(lists=2, frame=3, bricks=5)
+        for number, (name, program) in enumerate(self._programs.items()):
             GL.glUseProgram(program)
-            GL.glUniform1ui(GL.glGetUniformLocation(program, "present"), present)
-            GL.glUniform1i(GL.glGetUniformLocation(program, "min_seeing"), min_seeing)
-        GL.glUseProgram(tiles)
-        GL.glDispatchCompute(-(-self._tiles[0] // 8), -(-self._tiles[1] // 8), len(self.views.names))
-        GL.glMemoryBarrier(GL.GL_SHADER_STORAGE_BARRIER_BIT)
-        GL.glUseProgram(bricks)
-        GL.glDispatchCompute(-(-self.grid.brick_count // 64), 1, 1)
-        GL.glMemoryBarrier(GL.GL_SHADER_STORAGE_BARRIER_BIT | GL.GL_COMMAND_BARRIER_BIT)
-        GL.glUseProgram(leaves)
-        GL.glBindBuffer(GL.GL_DISPATCH_INDIRECT_BUFFER, self._buffers["bricks"].name)
-        GL.glDispatchComputeIndirect(0)
+            if number == 0:
+                GL.glDispatchCompute(-(-self._coarse_blocks // GROUP), 1, 1)
+            else:
+                GL.glDispatchComputeIndirect(LIST_BYTES * (number - 1))
+            GL.glMemoryBarrier(GL.GL_SHADER_STORAGE_BARRIER_BIT | GL.GL_COMMAND_BARRIER_BIT)
+            yield name
         GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
 
-    def _read_back(self) -> tuple[np.ndarray, np.ndarray]:
-        found = int(self._buffers["bricks"].read(np.uint32, BRICK_LIST_HEAD)[3])
-        index = self._buffers["bricks"].read(np.uint32, BRICK_LIST_HEAD + found)[BRICK_LIST_HEAD:]
-        return index, self._buffers["leaves"].read(np.uint64, BRICK_EDGE * found).reshape(found, BRICK_EDGE)
-
-    def _sorted(self, index: np.ndarray, leaves: np.ndarray) -> BrickVolume:
-        """In brick order, without the bricks in which no voxel survived."""
-        order = np.argsort(index)
-        order = order[leaves[order].any(axis=1)]
-        return BrickVolume(self.grid, index[order], leaves[order])
+    def _bring_home(self, ticket: Ticket) -> None:
+        """Give a ticket its volume: in brick order, without the bricks in which no voxel survived."""
+        bricks = ticket.buffers.arrived()
+        del self._under_way[ticket.buffers]
+        order = np.argsort(bricks["index"])
+        leaves = bricks["leaves"][order]
+        kept = leaves.any(axis=1)
+        ticket.volume = BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])

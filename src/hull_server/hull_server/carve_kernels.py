@@ -3,53 +3,90 @@
 For a camera and a block there are three outcomes: it sees every voxel of the block and none is foreground (the block
 is empty); it sees every voxel and all are foreground, or it sees none at all (settled: no need to look again inside
 the block); anything else (undecided: look again, closer). A camera settled as foreground counts as seeing.
+
+Sets of cameras are words whose bit s stands for camera ``scene.present[s]``.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from typing import NamedTuple
 
-from .boxes import SEEN, UNSEEN, BlockBoxes, judge_sight, project_block
+import numpy as np
+import numpy.typing as npt
+
+from .boxes import SEEN, UNSEEN, BlockBoxes, foreground_in
+from .carve_octants import EVERY_OCTANT, judge_octants, octants_inside
 from .carve_scene import Scene
 from .carve_votes import count_votes, inside_word, store_block
+from .kernel import kernel
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
 
 
-@njit(cache=True, nogil=True)
-def carve(scene: Scene, coarse: BlockBoxes, bricks: BlockBoxes, index, leaves):  # type: ignore[no-untyped-def]
-    """Write the occupied bricks to ``index`` (k,) and ``leaves`` (k, 8), in no particular order; return k."""
-    shape = scene.shape
-    nx, ny, nz = (shape[0] + 31) // 32, (shape[1] + 31) // 32, (shape[2] + 31) // 32
+class Work(NamedTuple):
+    """Scratch memory.
+
+    verdicts (coarse blocks, 2): how many cameras are settled about a block (or EMPTY), and the set of the undecided.
+    corners (128,), octant_box (40,), pixels (64,): see hull_server.carve_octants and hull_server.carve_votes.
+    possible, settled (8,): of each octant of a brick, how many cameras may be, and are, settled as foreground.
+    mixed (N,): the octants about which a camera is undecided, as bits.
+    """
+
+    verdicts: npt.NDArray[np.int64]
+    corners: npt.NDArray[np.float32]
+    octant_box: npt.NDArray[np.int32]
+    pixels: npt.NDArray[np.int32]
+    possible: npt.NDArray[np.int64]
+    settled: npt.NDArray[np.int64]
+    mixed: npt.NDArray[np.int64]
+
+    @classmethod
+    def make(cls, cameras: int, coarse_blocks: int) -> Work:
+        return cls(
+            verdicts=np.empty((coarse_blocks, 2), np.int64),
+            corners=np.empty(128, np.float32),
+            octant_box=np.empty(40, np.int32),
+            pixels=np.empty(64, np.int32),
+            possible=np.empty(8, np.int64),
+            settled=np.empty(8, np.int64),
+            mixed=np.empty(cameras, np.int64),
+        )
+
+
+@kernel
+def carve(scene: Scene, coarse: BlockBoxes, bricks: BlockBoxes, index, leaves, work: Work):  # type: ignore[no-untyped-def]
+    """Write the occupied bricks to ``index`` (k,), ascending, and ``leaves`` (k, 8); return k."""
     everyone = (1 << scene.present.size) - 1
-    pixels = np.empty(64, np.int32)
+    for block in range(work.verdicts.shape[0]):
+        work.verdicts[block, 0], work.verdicts[block, 1], _ = _judge(scene, coarse, block, 0, everyone)
     found = 0
-    for block in range(nx * ny * nz):
-        settled, undecided, _ = _judge(scene, coarse, block, 0, everyone)
-        if settled != EMPTY:
-            corner = (block % nx * 4, block // nx % ny * 4, block // (nx * ny) * 4)
-            found = _carve_coarse_block(scene, bricks, corner, settled, undecided, index, leaves, found, pixels)
+    for z in range((scene.shape[2] + 7) // 8):
+        for y in range((scene.shape[1] + 7) // 8):
+            found = _carve_row(scene, bricks, y, z, index, leaves, found, work)
     return found
 
 
-@njit(cache=True, nogil=True)
-def _carve_coarse_block(scene, bricks, corner, settled, undecided, index, leaves, found, pixels):  # type: ignore[no-untyped-def]
-    """Carve the up to 4 x 4 x 4 bricks from brick ``corner``; return the number of bricks found so far."""
-    nx, ny, nz = (scene.shape[0] + 7) // 8, (scene.shape[1] + 7) // 8, (scene.shape[2] + 7) // 8
-    for z in range(corner[2], min(corner[2] + 4, nz)):
-        for y in range(corner[1], min(corner[1] + 4, ny)):
-            for x in range(corner[0], min(corner[0] + 4, nx)):
-                brick = (z * ny + y) * nx + x
-                verdict = _judge(scene, bricks, brick, settled, undecided)
-                if verdict[0] != EMPTY and _carve_brick(scene, (x * 8, y * 8, z * 8), verdict, leaves[found], pixels):
-                    index[found] = brick
-                    found += 1
+@kernel
+def _carve_row(scene, bricks, y, z, index, leaves, found, work):  # type: ignore[no-untyped-def]
+    """Carve a row of bricks along x; return the number of bricks found so far."""
+    nx, ny = (scene.shape[0] + 7) // 8, (scene.shape[1] + 7) // 8
+    coarse_nx, coarse_ny = (nx + 3) // 4, (ny + 3) // 4
+    for coarse_x in range(coarse_nx):
+        block = (z // 4 * coarse_ny + y // 4) * coarse_nx + coarse_x
+        settled, undecided = work.verdicts[block, 0], work.verdicts[block, 1]
+        if settled == EMPTY:
+            continue
+        for x in range(4 * coarse_x, min(4 * coarse_x + 4, nx)):
+            brick = (z * ny + y) * nx + x
+            verdict = _judge(scene, bricks, brick, settled, undecided)
+            if verdict[0] != EMPTY and _carve_brick(scene, (8 * x, 8 * y, 8 * z), verdict, leaves[found], work):
+                index[found] = brick
+                found += 1
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _judge(scene, boxes, block, settled, undecided):  # type: ignore[no-untyped-def]
     """Judge a block by the cameras still undecided about the block around it.
 
@@ -60,14 +97,14 @@ def _judge(scene, boxes, block, settled, undecided):  # type: ignore[no-untyped-
     for slot in range(scene.present.size):
         if undecided >> slot & 1:
             camera, bit = scene.present[slot], 1 << slot
-            sight = boxes.sight[block, camera]
-            u0, v0 = boxes.pixels[block, camera, 0], boxes.pixels[block, camera, 1]
-            u1, v1 = boxes.pixels[block, camera, 2], boxes.pixels[block, camera, 3]
-            filled = _foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
+            sight = boxes.sight[camera, block]
+            u0, v0 = np.int64(boxes.pixels[camera, block, 0]), np.int64(boxes.pixels[camera, block, 1])
+            u1, v1 = np.int64(boxes.pixels[camera, block, 2]), np.int64(boxes.pixels[camera, block, 3])
+            filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
             if sight == SEEN and filled == 0:
                 return EMPTY, 0, 0
             possible += filled > 0
-            all_foreground = sight == SEEN and filled == (int(u1) - u0) * (int(v1) - v0)
+            all_foreground = sight == SEEN and filled == (u1 - u0) * (v1 - v0)
             settled += all_foreground
             undecided &= ~(bit * (all_foreground or sight == UNSEEN))
             partly_blind |= bit * (sight != SEEN)
@@ -76,63 +113,45 @@ def _judge(scene, boxes, block, settled, undecided):  # type: ignore[no-untyped-
     return settled, undecided, partly_blind
 
 
-@njit(cache=True, nogil=True)
-def _judge_fine(scene, low, high, verdict):  # type: ignore[no-untyped-def]
-    """As _judge, for the few voxels from ``low`` to ``high`` (inclusive), whose boxes are computed on the spot.
-
-    ``verdict`` is that of the brick around them: what it sees whole, it sees whole here.
-    """
-    settled, undecided, partly_blind = verdict
-    possible = settled
-    for slot in range(scene.present.size):
-        if undecided >> slot & 1:
-            camera, bit = scene.present[slot], 1 << slot
-            u0, v0, u1, v1, inside = project_block(scene.projections, camera, low, high, scene.sizes)
-            sight = SEEN
-            if partly_blind & bit:
-                sight = judge_sight(scene.seen_table, camera, u0, v0, u1, v1, inside)
-            filled = _foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-            if sight == SEEN and filled == 0:
-                return EMPTY, 0
-            possible += filled > 0
-            all_foreground = sight == SEEN and filled == (u1 - u0) * (v1 - v0)
-            settled += all_foreground
-            undecided &= ~(bit * (all_foreground or sight == UNSEEN))
-    if possible < scene.min_seeing:
-        return EMPTY, 0
-    return settled, undecided
-
-
-@njit(cache=True, nogil=True)
-def _foreground_in(boxes, tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
-    """Foreground pixels of a camera in a pixel box."""
-    left, top = boxes[camera, 0], boxes[camera, 1]
-    a0, b0 = max(u0, left) - left, max(v0, top) - top
-    a1, b1 = min(u1, boxes[camera, 2]) - left, min(v1, boxes[camera, 3]) - top
-    if a1 <= a0 or b1 <= b0:
-        return 0
-    return tables[camera, b1, a1] - tables[camera, b0, a1] - tables[camera, b1, a0] + tables[camera, b0, a0]
-
-
-@njit(cache=True, nogil=True)
-def _carve_brick(scene, corner, verdict, leaf, pixels):  # type: ignore[no-untyped-def]
+@kernel
+def _carve_brick(scene, corner, verdict, leaf, work):  # type: ignore[no-untyped-def]
     """Carve the brick at voxel ``corner`` into its eight words; return whether any voxel is occupied."""
+    _, _, partly_blind = verdict
+    octants = octants_inside(corner, scene.shape) & _judge_octants(scene, corner, verdict, work)
     leaf[:] = 0
     occupied = False
     for octant in range(8):
-        di, dj, dk = (octant & 1) * 4, (octant >> 1 & 1) * 4, (octant >> 2) * 4
-        low = (corner[0] + di, corner[1] + dj, corner[2] + dk)
-        high = (min(low[0] + 4, scene.shape[0]) - 1, min(low[1] + 4, scene.shape[1]) - 1,
-                min(low[2] + 4, scene.shape[2]) - 1)  # fmt: skip
-        if high[0] < low[0] or high[1] < low[1] or high[2] < low[2]:
-            continue
-        settled, undecided, _ = verdict
-        if undecided != 0:
-            settled, undecided = _judge_fine(scene, low, high, verdict)
-        if settled != EMPTY:
-            word = inside_word(low, high)
-            if undecided != 0:
-                word = count_votes(scene, low, word, settled, undecided, pixels)
+        if octants >> octant & 1 and work.possible[octant] >= scene.min_seeing:
+            low = (corner[0] + (octant & 1) * 4, corner[1] + (octant >> 1 & 1) * 4, corner[2] + (octant >> 2) * 4)
+            inside, settled = inside_word(low, scene.shape), work.settled[octant]
+            word = count_votes(scene, low, octant, inside, settled, work.mixed, partly_blind, work)
             occupied |= word != 0
-            store_block(word, di, dj, dk, leaf)
+            store_block(word, octant, leaf)
     return occupied
+
+
+@kernel
+def _judge_octants(scene, corner, verdict, work):  # type: ignore[no-untyped-def]
+    """Judge the octants of a brick by the cameras undecided about it; return the bits of those that are not empty.
+
+    Writes for each octant the number of cameras settled as foreground and of those that may be, and for each camera
+    the octants about which it remains undecided.
+    """
+    settled, undecided, partly_blind = verdict
+    work.possible[:] = settled
+    work.settled[:] = settled
+    left = EVERY_OCTANT
+    for slot in range(scene.present.size):
+        work.mixed[slot] = 0
+        if undecided >> slot & 1:
+            some, whole, seen, unseen = judge_octants(
+                scene, scene.present[slot], corner, not partly_blind >> slot & 1, work
+            )
+            left &= ~(seen & ~some)
+            if left == 0:
+                return left
+            for octant in range(8):
+                work.possible[octant] += some >> octant & 1
+                work.settled[octant] += whole >> octant & 1
+            work.mixed[slot] = EVERY_OCTANT & ~(whole | unseen)
+    return left

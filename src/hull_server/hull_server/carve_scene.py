@@ -1,4 +1,4 @@
-"""What the CPU carve reads: the calibration and the labelled silhouettes of one frame set, as plain arrays."""
+"""What the CPU carve reads: the calibration's tables, and the silhouettes of one frame set, labelled and summed."""
 
 from __future__ import annotations
 
@@ -6,22 +6,31 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from .kernel import kernel
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # what a camera says of a pixel
+
+LOW_BYTES = np.uint64(0x7F7F7F7F7F7F7F7F)
+ONE_BYTES = np.uint64(0x0101010101010101)
 
 
 class Scene(NamedTuple):
     """What one carve reads: the calibration (fixed) and the silhouettes of one frame set.
 
     projections (N, 3, 4): voxel index to pixel. sizes (N, 2): canvases. seen_table (N, H + 1, W + 1).
-    labels (N, H * W + 1): BACKGROUND, FOREGROUND or BLIND for every pixel, and BLIND for all that lies outside.
+    voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see hull_server.carve_votes and hull_server.carve_octants.
+    labels (N, H * W + 8): BACKGROUND, FOREGROUND or BLIND for every pixel, and BLIND for all that lies outside.
     stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
-    foreground_table (N, H + 1, W + 1): summed areas of the foreground inside that box, from its corner.
-    present (n,): cameras of this frame set. min_seeing: cameras that must see a voxel. shape (3,): the grid.
+    foreground_table (N, (H + 1) * (W + 1)): summed areas of the foreground inside that box, from its corner, row after
+    row without gaps (which takes a fraction of the memory pages that a canvas would).
+    present (n,): cameras of this frame set, in the order in which they are asked; the result does not depend on it.
+    min_seeing: cameras that must see a voxel. shape (3,): the grid.
     """
 
     projections: npt.NDArray[np.float64]
+    voxel_steps: npt.NDArray[np.float64]
+    octant_steps: npt.NDArray[np.float32]
     sizes: npt.NDArray[np.int64]
     seen_table: npt.NDArray[np.int32]
     labels: npt.NDArray[np.uint8]
@@ -33,20 +42,116 @@ class Scene(NamedTuple):
     shape: npt.NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
-def foreground_bounds(words):  # type: ignore[no-untyped-def]
-    """u, v from and to of all nonzero pixels of an image given as (h, w / 8) words; u to the multiple of 8."""
-    columns = np.zeros(words.shape[1], np.uint64)
-    top, bottom = words.shape[0], 0
-    for row in range(words.shape[0]):
-        any_word = np.uint64(0)
-        for column in range(words.shape[1]):
-            any_word |= words[row, column]
-        if any_word != 0:
-            top, bottom = min(top, row), row + 1
-            for column in range(words.shape[1]):
-                columns[column] |= words[row, column]
-    used = np.flatnonzero(columns)
-    if used.size == 0:
-        return 0, 0, 0, 0
-    return 8 * used[0], top, 8 * (used[-1] + 1), bottom
+class Tabulator:
+    """Labels and summed areas of the silhouettes of one frame set after another.
+
+    seen (N, H, W) uint8, nonzero where a camera sees; reach (N, H, 2): words of each row on which voxels can lie:
+    foreground elsewhere does not matter. labels, box, table : see Scene; of the last silhouette of each camera.
+    """
+
+    def __init__(self, seen: npt.NDArray[np.uint8], reach: npt.NDArray[np.int64]) -> None:
+        cameras, height, width = seen.shape
+        seen_words = np.minimum(seen, 1).view(np.uint64)  # 1 in every byte that is seen
+        self.labels = np.full((cameras, height * width + 8), BLIND, np.uint8)  # a word more, for all that is outside
+        self.labels[:, :-8][seen.reshape(cameras, -1) > 0] = BACKGROUND
+        label_words = self.labels.view(np.uint64)[:, :-1].reshape(seen_words.shape)
+        self.table = np.zeros((cameras, (height + 1) * (width + 1)), np.int32)
+        self.box = np.zeros((cameras, 4), np.int64)
+        ones, sums = np.empty(width // 8, np.uint64), np.empty(width, np.int32)
+        scratch = ones, ones.view(np.uint8), sums
+        self._of_camera = [
+            (reach[c], seen_words[c], label_words[c], self.table[c], self.box[c], *scratch) for c in range(cameras)
+        ]
+
+    def tabulate(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
+        """Take in a camera's silhouette (h, w); return the number of its foreground pixels."""
+        return int(_tabulate(np.ascontiguousarray(mask).view(np.uint64), *self._of_camera[camera]))
+
+
+@kernel
+def _tabulate(mask_words, reach, seen_words, label_words, table, box, ones, one_bytes, sums):  # type: ignore[no-untyped-def]
+    """Labels and summed areas of one silhouette, touching only a box that holds its foreground.
+
+    mask_words (h, w / 8), seen_words and label_words (H, W / 8): images of bytes, eight pixels to a word. label_words
+    and box (4,) come with what the frame before left in them. ones (W / 8,), sums (W,): scratch; one_bytes (W,) are
+    the bytes of ``ones``.
+    """
+    left, top, right, bottom = _foreground_bounds(mask_words, reach)
+    _forget(label_words, seen_words, box, left, top, right, bottom)
+    box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom
+    width = 8 * (right - left)
+    for u in range(width):
+        sums[u] = 0
+    for u in range(width + 1):
+        table[u] = 0
+    for row in range(bottom - top):
+        v = top + row
+        _label_row(mask_words[v, left:right], seen_words[v, left:right], label_words[v, left:right], ones)
+        _sum_row(one_bytes, sums, table[(row + 1) * (width + 1) : (row + 2) * (width + 1)])
+    return table[(bottom - top) * (width + 1) + width]
+
+
+@kernel
+def _label_row(mask_words, seen_words, label_words, ones):  # type: ignore[no-untyped-def]
+    """Label part of a row; ``ones`` gets 1 in every byte that is foreground."""
+    for word in range(mask_words.size):
+        pixels, seen = mask_words[word], seen_words[word]
+        nonzero = ((pixels & LOW_BYTES) + LOW_BYTES | pixels) >> np.uint64(7)  # in the lowest bit of each byte
+        ones[word] = nonzero & seen
+        label_words[word] = _label(seen) | ones[word]  # FOREGROUND is 1
+
+
+@kernel
+def _sum_row(row, sums, areas):  # type: ignore[no-untyped-def]
+    """Add a row of pixels to the sums of their columns, and write the summed areas down to it."""
+    for u in range(areas.size - 1):
+        sums[u] += row[u]
+    total = np.int32(0)
+    areas[0] = 0
+    for u in range(areas.size - 1):
+        total += sums[u]
+        areas[u + 1] = total
+
+
+@kernel
+def _forget(label_words, seen_words, box, left, top, right, bottom):  # type: ignore[no-untyped-def]
+    """Label the foreground box of the frame before as if empty, but for what is about to be labelled anew."""
+    first, last = box[0] // 8, box[2] // 8
+    for v in range(box[1], box[3]):
+        if v < top or v >= bottom:
+            _clear(label_words[v, first:last], seen_words[v, first:last])
+        else:
+            _clear(label_words[v, first : min(left, last)], seen_words[v, first : min(left, last)])
+            _clear(label_words[v, max(right, first) : last], seen_words[v, max(right, first) : last])
+
+
+@kernel
+def _clear(label_words, seen_words):  # type: ignore[no-untyped-def]
+    for word in range(label_words.size):
+        label_words[word] = _label(seen_words[word])
+
+
+@kernel
+def _label(seen):  # type: ignore[no-untyped-def]
+    """BACKGROUND (0) in every byte that is seen, BLIND in the others."""
+    return (~seen & ONE_BYTES) << np.uint64(BLIND - 1)
+
+
+@kernel
+def _foreground_bounds(words, reach):  # type: ignore[no-untyped-def]
+    """From and to, in words and rows, of all that is nonzero within reach."""
+    left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
+    for v in range(words.shape[0]):
+        row = words[v, reach[v, 0] : reach[v, 1]]
+        filled = np.uint64(0)
+        for word in range(row.size):
+            filled |= row[word]
+        if filled != 0:
+            top, bottom = min(top, v), v + 1
+            first, last = 0, row.size
+            while row[first] == 0:
+                first += 1
+            while row[last - 1] == 0:
+                last -= 1
+            left, right = min(left, reach[v, 0] + first), max(right, reach[v, 0] + last)
+    return (left, top, right, bottom) if bottom else (0, 0, 0, 0)

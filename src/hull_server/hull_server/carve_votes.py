@@ -2,49 +2,68 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numba import njit
+import numpy.typing as npt
+
+from .carve_scene import BLIND, FOREGROUND
+from .kernel import kernel
 
 BLOCK_EDGE = 4
-ROW_BITS, ALL_BITS = np.uint64(0xF), np.uint64(0xFFFFFFFFFFFFFFFF)
+ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-@njit(cache=True, nogil=True)
-def inside_word(low, high):  # type: ignore[no-untyped-def]
-    """The bits of a block of 4^3 voxels (bit = 16 z + 4 y + x) from ``low`` to ``high``, which may cut it short."""
-    row = (np.uint64(1) << np.uint64(high[0] - low[0] + 1)) - np.uint64(1)
+def voxel_steps(projections: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(N, 3, 64) what each voxel of a block adds to the homogeneous pixel of the block's first voxel."""
+    bit = np.arange(64)
+    return np.ascontiguousarray(projections[:, :, :3] @ np.stack([bit & 3, bit >> 2 & 3, bit >> 4]).astype(float))
+
+
+@kernel
+def inside_word(low, shape):  # type: ignore[no-untyped-def]
+    """The bits of the block of 4^3 voxels at voxel ``low`` that lie inside the grid."""
+    nx, ny, nz = min(shape[0] - low[0], 4), min(shape[1] - low[1], 4), min(shape[2] - low[2], 4)
+    if nx == 4 and ny == 4 and nz == 4:
+        return ALL_BITS
+    row = (np.uint64(1) << np.uint64(nx)) - np.uint64(1)
     word = np.uint64(0)
-    for z in range(high[2] - low[2] + 1):
-        for y in range(high[1] - low[1] + 1):
+    for z in range(nz):
+        for y in range(ny):
             word |= row << np.uint64(16 * z + 4 * y)
     return word
 
 
-@njit(cache=True, nogil=True)
-def store_block(word, di, dj, dk, leaf):  # type: ignore[no-untyped-def]
-    """Write a block of 4^3 voxels into its brick, whose words are layers with bit = 8 y + x."""
+@kernel
+def store_block(word, octant, leaf):  # type: ignore[no-untyped-def]
+    """Write a block of 4^3 voxels into its octant of a brick, whose words are layers with bit = 8 y + x."""
+    shift = np.uint64((octant & 1) * 4 + (octant >> 1 & 1) * 32)
     for z in range(4):
-        for y in range(4):
-            row = word >> np.uint64(16 * z + 4 * y) & ROW_BITS
-            leaf[dk + z] |= row << np.uint64(8 * (dj + y) + di)
+        rows = word >> np.uint64(16 * z) & np.uint64(0xFFFF)
+        rows = (rows | rows << np.uint64(8)) & np.uint64(0x00FF00FF)
+        rows = (rows | rows << np.uint64(4)) & np.uint64(0x0F0F0F0F)
+        leaf[(octant >> 2) * 4 + z] |= rows << shift
 
 
-@njit(cache=True, nogil=True)
-def count_votes(scene, low, candidates, settled, undecided, pixels):  # type: ignore[no-untyped-def]
+@kernel
+def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, work):  # type: ignore[no-untyped-def]
     """The rule itself: the candidates that no undecided camera vetoes and that enough cameras see.
 
-    Votes are counted for all 64 voxels at once, in binary: the bits of a voxel's count are its bits in ``ones``,
-    ``twos``, ``fours`` and so on.
+    The block is the given octant of a brick, at voxel ``low``. Undecided are the cameras with the octant's bit in
+    ``mixed`` (n,). Votes are counted for all 64 voxels at once, in binary: the bits of a voxel's count are its bits
+    in ``ones``, ``twos``, ``fours`` and so on.
     """
     ones, twos, fours, eights, more = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
     for slot in range(scene.present.size):
-        if undecided >> slot & 1:
+        if mixed[slot] >> octant & 1:
             camera = scene.present[slot]
-            _pixels_of_block(scene.projections, camera, low, scene.sizes, scene.stride, scene.labels, pixels)
-            foreground, blind = _look(scene.labels, camera, pixels)
+            _find_pixels(scene, camera, low, work.pixels)
+            foreground, blind = _look(scene.labels, camera, work.pixels, FOREGROUND), np.uint64(0)
+            if partly_blind >> slot & 1:
+                blind = _look(scene.labels, camera, work.pixels, BLIND)
             candidates &= foreground | blind
             if candidates == 0:
-                return candidates
+                break
             carry, ones = ones & foreground, ones ^ foreground
             carry, twos = twos & carry, twos ^ carry
             carry, fours = fours & carry, fours ^ carry
@@ -53,7 +72,7 @@ def count_votes(scene, low, candidates, settled, undecided, pixels):  # type: ig
     return candidates & _at_least(scene.min_seeing - settled, ones, twos, fours, eights, more)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyped-def]
     """The voxels whose binary count is at least ``wanted``."""
     above, equal = more, ALL_BITS
@@ -69,31 +88,28 @@ def _at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyp
     return above | equal
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _pixels_of_block(projections, camera, low, sizes, stride, labels, pixels):  # type: ignore[no-untyped-def]
-    """The flat pixel (64,) on which each voxel of a block of 4^3 lies; the last, blind one where there is none."""
-    p00, p01, p02 = projections[camera, 0, 0], projections[camera, 0, 1], projections[camera, 0, 2]
-    p10, p11, p12 = projections[camera, 1, 0], projections[camera, 1, 1], projections[camera, 1, 2]
-    p20, p21, p22 = projections[camera, 2, 0], projections[camera, 2, 1], projections[camera, 2, 2]
-    p03, p13, p23 = projections[camera, 0, 3], projections[camera, 1, 3], projections[camera, 2, 3]
-    width, height = float(sizes[camera, 0]), float(sizes[camera, 1])
-    row_length, outside = np.int32(stride), np.int32(labels.shape[1] - 1)
-    x0, y0, z0 = float(low[0]), float(low[1]), float(low[2])
-    for voxel in range(64):  # no branch inside: the compiler does eight voxels at a time
-        x, y, z = x0 + float(voxel & 3), y0 + float(voxel >> 2 & 3), z0 + float(voxel >> 4)
-        w = p20 * x + p21 * y + p22 * z + p23
+@kernel
+def _find_pixels(scene, camera, low, pixels):  # type: ignore[no-untyped-def]
+    """The flat pixel (64,) on which each voxel of a block of 4^3 lies; one beyond the canvas where there is none."""
+    P, steps = scene.projections[camera], scene.voxel_steps[camera]
+    x, y, z = float(low[0]), float(low[1]), float(low[2])
+    u0 = P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]
+    v0 = P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]
+    w0 = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+    width, height = float(scene.sizes[camera, 0]), float(scene.sizes[camera, 1])
+    stride, outside = float(scene.stride), np.int32(scene.labels.shape[1] - 1)
+    for voxel in range(64):  # no branch inside: the compiler does several voxels at a time
+        w = w0 + steps[2, voxel]
         inverse = 1.0 / w
-        u, v = (p00 * x + p01 * y + p02 * z + p03) * inverse, (p10 * x + p11 * y + p12 * z + p13) * inverse
+        u, v = (u0 + steps[0, voxel]) * inverse, (v0 + steps[1, voxel]) * inverse
         on_canvas = (w > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        pixels[voxel] = np.int32(np.int32(v) * row_length + np.int32(u)) if on_canvas else outside
+        pixels[voxel] = np.int32(math.floor(v) * stride + math.floor(u)) if on_canvas else outside
 
 
-@njit(cache=True, nogil=True)
-def _look(labels, camera, pixels):  # type: ignore[no-untyped-def]
-    """What a camera says of 64 voxels: (bits with foreground, bits to which it is blind)."""
-    foreground, blind = np.uint64(0), np.uint64(0)
-    for voxel in range(64):
-        label = np.uint64(labels[camera, np.uint32(pixels[voxel])])
-        foreground |= (label & np.uint64(1)) << np.uint64(voxel)
-        blind |= (label >> np.uint64(1)) << np.uint64(voxel)
-    return foreground, blind
+@kernel
+def _look(labels, camera, pixels, label):  # type: ignore[no-untyped-def]
+    """The voxels (one word) whose pixel has a label."""
+    word = np.uint64(0)
+    for voxel in range(63, -1, -1):
+        word += word + ((labels[camera, np.uint32(pixels[voxel])] >> np.uint64(label >> 1)) & np.uint64(1))
+    return word

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 
 import numpy as np
+import numpy.typing as npt
 
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
@@ -32,19 +33,30 @@ def make_program(**sources: str) -> int:
 
 
 class StorageBuffer:
-    """A shader storage buffer of a fixed size. Transfers go through mapping, which every 4.3 driver does well."""
+    """A shader storage buffer of a fixed size. Transfers go through mapping, which every 4.3 driver does well.
 
-    def __init__(self, size: int | np.ndarray) -> None:
+    size : bytes, or an array, which it then holds. usage : what it is for, a hint on which memory suits it.
+    Raises NoGraphics when the driver has no room for it.
+    """
+
+    def __init__(self, size: int | np.ndarray, usage: int = GL.GL_DYNAMIC_COPY) -> None:
         data = size if isinstance(size, np.ndarray) else None
         self.nbytes = max(16, data.nbytes if data is not None else int(size))
         self.name = int(GL.glGenBuffers(1))
         GL.glBindBuffer(GL.GL_SHADER_STORAGE_BUFFER, self.name)
-        GL.glBufferData(GL.GL_SHADER_STORAGE_BUFFER, self.nbytes, None, GL.GL_DYNAMIC_COPY)
+        try:
+            GL.glBufferData(GL.GL_SHADER_STORAGE_BUFFER, self.nbytes, None, usage)
+        except GL.GLError as error:
+            raise NoGraphics(f"the driver has no room for {self.nbytes} bytes (OpenGL error {error.err})") from None
         if data is not None:
             self.write(data)
 
     def bind(self, binding: int) -> None:
         GL.glBindBufferBase(GL.GL_SHADER_STORAGE_BUFFER, binding, self.name)
+
+    def bind_part(self, binding: int, offset: int, nbytes: int) -> None:
+        """Bind bytes ``offset`` (a multiple of 256) to ``offset + nbytes`` only."""
+        GL.glBindBufferRange(GL.GL_SHADER_STORAGE_BUFFER, binding, self.name, offset, nbytes)
 
     def write(self, data: np.ndarray) -> None:
         """Copy a contiguous array to the buffer's beginning."""
@@ -53,7 +65,7 @@ class StorageBuffer:
         ctypes.memmove(address, data.ctypes.data, data.nbytes)
         GL.glUnmapBuffer(GL.GL_SHADER_STORAGE_BUFFER)
 
-    def read(self, dtype: type, count: int) -> np.ndarray:
+    def read(self, dtype: npt.DTypeLike, count: int) -> np.ndarray:
         """The first ``count`` items, copied."""
         data: np.ndarray = np.empty(count, dtype)
         if count:

@@ -16,16 +16,18 @@ INTRINSICS_TOLERANCE_PX = 1e-3
 
 
 def centerline_cloud(result: HullResult, frame_id: str) -> PointCloud2:
-    """The centerline points with sigma, axis, area, elongation and fill."""
+    """The centerline points with sigma, axis, area, elongation, fill, and the number of the body they belong to."""
     line = result.centerline
-    columns = (*line.points_world.T, line.sigma, line.axis, line.area_m2, line.elongation, line.fill)
+    body = result.bodies.number_of_part[line.part]
+    columns = (*line.points_world.T, line.sigma, line.axis, line.area_m2, line.elongation, line.fill, body)
     return _cloud(columns, CENTERLINE, result.stamp_ns, frame_id)
 
 
 def voxel_cloud(result: HullResult, frame_id: str) -> PointCloud2:
-    """The decimated voxels; surface is 1 on the hull's surface, 0 inside."""
+    """The decimated voxels; surface is 1 on the hull's surface, 0 inside; body is a number."""
     samples = result.voxels
-    return _cloud((*samples.points_world.T, samples.surface), VOXELS, result.stamp_ns, frame_id)
+    body = result.bodies.number_of_part[samples.part]
+    return _cloud((*samples.points_world.T, samples.surface, body), VOXELS, result.stamp_ns, frame_id)
 
 
 def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
@@ -39,6 +41,12 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
         "voxels": str(result.volume.count),
         "litres": f"{result.volume.litres:.2f}",
         "points": str(len(result.centerline)),
+        "bodies": str(len(result.bodies)),
+        "bodies_numbers": _row(result.bodies.number, "d"),
+        "bodies_litres": _row(result.bodies.litres, ".1f"),
+        "bodies_at": "; ".join(_row(place, ".2f") for place in result.bodies.centroid_world),
+        "left_out": ",".join(result.verdict.left_out),
+        "suspects": ",".join(result.verdict.suspects),
     }
     stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
     texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
@@ -57,6 +65,9 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
         troubles.append(f"nothing in time from {', '.join(result.missing)}")
     if result.blank:
         troubles.append(f"empty silhouette from {', '.join(result.blank)}")
+    troubles += [result.verdict.reasons[camera] for camera in (*result.verdict.left_out, *result.verdict.suspects)]
+    if result.verdict.warning:
+        troubles.append(result.verdict.warning)
     if len(result.cameras) < result.min_seeing:
         troubles.append(f"a hull needs {result.min_seeing} cameras")
     if result.empty:
@@ -76,6 +87,10 @@ def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
         given, wanted = (f"fx {M[0, 0]:.3f} fy {M[1, 1]:.3f} cx {M[0, 2]:.3f} cy {M[1, 2]:.3f}" for M in (K, canvas.K))
         return f"K with {given}, but the rig says {wanted}"
     return ""
+
+
+def _row(values: np.ndarray, spec: str) -> str:
+    return ",".join(format(value, spec) for value in values.tolist())
 
 
 def _cloud(columns: tuple, layout: np.dtype, stamp_ns: int, frame_id: str) -> PointCloud2:

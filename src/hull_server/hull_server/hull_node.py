@@ -11,6 +11,7 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 
 from capture_rig import CameraModel, FrameSet, FrameSetCollector, InputError, load_rig
+from capture_rig.mask_levels import SHADOW_CANDIDATE
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette
 from sagoma_ros.main import run_node
@@ -20,7 +21,8 @@ from sagoma_ros.stamps import to_ns
 from sagoma_ros.worker import Worker
 
 from .hull_messages import calibration_mismatch, centerline_cloud, frame_set_message, summarise, voxel_cloud
-from .pipeline import HullPipeline, Mask
+from .mesh_desk import MeshDesk
+from .pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .settings import NodeSettings
 
 POLL_PERIOD_S = (0.002, 0.05)  # shortest and longest; a fifth of the deadline between them
@@ -32,11 +34,20 @@ COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
 
 
 @dataclass(frozen=True)
-class Job:
-    """A closed frame set on its way to the carver, and when it was closed, by the ROS clock."""
+class ClosedSet:
+    """A frame set on its way to the carver, and when it was closed, by the ROS clock."""
 
     frame_set: FrameSet[Mask]
     closed_ns: int
+
+
+@dataclass(frozen=True)
+class CarvedSet:
+    """A frame set on its way to the slicer, and when it was closed and its carve begun, by the ROS clock."""
+
+    closed: ClosedSet
+    begun_ns: int
+    under_way: SetUnderWay
 
 
 class HullNode(SagomaNode):
@@ -48,10 +59,13 @@ class HullNode(SagomaNode):
         super().__init__("hull_server", **options)
         self._pipeline: HullPipeline | None = None
         self._collector: FrameSetCollector[Mask] | None = None  # None unless active
-        self._worker: Worker[Job] | None = None
+        self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
+        self._slicer: Worker[CarvedSet] | None = None  # ... while the other finishes and publishes this one
+        self._mesh: MeshDesk | None = None
         self._canvases: dict[str, CameraModel] = {}
         self._refused: dict[str, str] = {}  # camera: why
         self._heard_ns: dict[str, int] = {}
+        self._left_out: tuple[str, ...] = ()
         self._handles: list = []
 
     def configure(self) -> None:
@@ -67,13 +81,15 @@ class HullNode(SagomaNode):
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
         self.health.set("backend", f"{self._pipeline.backend.name} ({self._pipeline.backend.device})")
         self._advertise()
+        self._mesh = MeshDesk(self, self.settings.mesh)
         self._subscribe()
 
     def activate(self) -> None:
         """Start collecting."""
         settings: NodeSettings = self.settings
-        self._worker = Worker("carver", self._carve, settings.queue_depth,
-                              on_drop=partial(self.health.count, "sets_dropped"), on_error=self.report)  # fmt: skip
+        dropped = partial(self.health.count, "sets_dropped")
+        self._slicer = Worker("slicer", self._finish, 1, on_drop=dropped, on_error=self.report)
+        self._carver = Worker("carver", self._begin, settings.queue_depth, on_drop=dropped, on_error=self.report)
         self._heard_ns = dict.fromkeys(self._canvases, monotonic_ns())
         self._collector = FrameSetCollector(
             self._canvases,
@@ -85,15 +101,19 @@ class HullNode(SagomaNode):
     def deactivate(self) -> None:
         """Stop collecting; the sets already closed are finished, those still open are dropped."""
         self._collector = None
-        if self._worker is not None:
-            self._worker.close(finish=True)
-            self._worker = None
+        for worker in (self._carver, self._slicer):
+            if worker is not None:
+                worker.close(finish=True)
+        self._carver = self._slicer = None
 
     def cleanup(self) -> None:
         """Release subscriptions, publishers and the backend."""
         for destroy, handle in self._handles:
             destroy(handle)
         self._handles = []
+        if self._mesh is not None:
+            self._mesh.close()
+            self._mesh = None
         if self._pipeline is not None:
             self._pipeline.close()
             self._pipeline = None
@@ -130,7 +150,7 @@ class HullNode(SagomaNode):
             return
         canvas = self._canvases[camera]
         try:
-            mask = decode_silhouette(message, canvas.width, canvas.height, topic)
+            mask = decode_silhouette(message, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
         except InputError as error:
             self.health.count("bad_images")
             self.health.set("last_bad_image", error)
@@ -168,31 +188,50 @@ class HullNode(SagomaNode):
 
     def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
         for frame_set in closed:
-            if self._worker is not None:
-                self._worker.put(Job(frame_set, self.get_clock().now().nanoseconds))
+            if self._carver is not None:
+                self._carver.put(ClosedSet(frame_set, self.get_clock().now().nanoseconds))
 
-    def _carve(self, job: Job) -> None:
-        """One frame set, on the worker's thread: convert, call, publish."""
-        assert self._pipeline is not None
-        frame_set, frame_id = job.frame_set, self.settings.frame_id
-        started_ns = self.get_clock().now().nanoseconds
-        result = self._pipeline.run(frame_set)
+    def _begin(self, closed: ClosedSet) -> None:
+        """On the carver's thread: send one frame set on its way."""
+        assert self._pipeline is not None and self._slicer is not None
+        begun_ns = self.get_clock().now().nanoseconds
+        self._slicer.put_when_there_is_room(CarvedSet(closed, begun_ns, self._pipeline.begin(closed.frame_set)))
+
+    def _finish(self, carved: CarvedSet) -> None:
+        """On the slicer's thread: finish it, convert, publish."""
+        assert self._pipeline is not None and self._mesh is not None
+        frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
+        result = self._pipeline.finish(carved.under_way)
+        self._mesh.keep(result)
         self._centerline.publish(centerline_cloud(result, frame_id))
         self._voxels.publish(voxel_cloud(result, frame_id))
         published_ns = self.get_clock().now().nanoseconds
         times_ms = {
             "spread_ms": frame_set.spread_ns / 1e6,
-            "received_ms": (job.closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
-            "queued_ms": (started_ns - job.closed_ns) / 1e6,
-            "hull_ms": (published_ns - started_ns) / 1e6,
+            "received_ms": (carved.closed.closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
+            "queued_ms": (carved.begun_ns - carved.closed.closed_ns) / 1e6,
+            "hull_ms": (published_ns - carved.begun_ns) / 1e6,
             "published_ms": (published_ns - frame_set.stamp_ns) / 1e6,  # capture to published
         }
         self._frame_set.publish(frame_set_message(result, times_ms))
+        self._report(result)
+        self.health.tick(frame_set.stamp_ns)
+
+    def _report(self, result: HullResult) -> None:
+        """To the diagnostics, and to the log when it is news."""
         if result.empty:
             self.health.count("sets_empty")
+        verdict = result.verdict
+        self.health.set("left_out", ",".join(verdict.left_out))
+        for key, shares in (("denied", verdict.denied), ("misfit", verdict.misfit)):
+            self.health.set(key, " ".join(f"{camera}={share:.3f}" for camera, share in shares.items()))
+        for camera in {*verdict.left_out} - {*self._left_out}:
+            self.get_logger().warning(f"left out: {verdict.reasons[camera]}")
+        for camera in {*self._left_out} - {*verdict.left_out}:
+            self.get_logger().info(f"taken back: {camera} agrees with the others again")
+        self._left_out = verdict.left_out
         if not self._refused:
             self.health.status(*summarise(result))
-        self.health.tick(frame_set.stamp_ns)
 
 
 def main(args: list[str] | None = None) -> int:

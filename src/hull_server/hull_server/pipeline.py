@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,13 +13,17 @@ import numpy.typing as npt
 from capture_rig import FrameSet, Rig
 
 from .backends import make_backend
+from .bodies import Bodies, BodyTracker
 from .bricks import BrickVolume
 from .centerline import Centerline, find_centerline
+from .dissent import DissentWatch
+from .dissent_verdict import Verdict
+from .doubt import DoubtResolver
 from .grid import VoxelGrid
 from .settings import HullSettings
-from .slicer import slice_blobs
+from .slicer import slice_hull
 from .views import RigViews, min_seeing
-from .voxels import VoxelSamples, sample_voxels
+from .voxels import VoxelSamples, sample_runs
 
 Mask = npt.NDArray[np.uint8]
 
@@ -28,7 +33,8 @@ class HullResult:
     """The hull of one frame set.
 
     stamp_ns : capture stamp of the set. cameras, missing : cameras that had a say, and those that delivered nothing.
-    blank : cameras whose silhouette is empty; they empty the hull wherever they see.
+    blank : cameras whose silhouette is empty; they empty the hull wherever they see. verdict : cameras that contradict
+    the others; those left out had no say. bodies : the parts of the hull large enough to be somebody, numbered.
     min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
     """
 
@@ -36,9 +42,11 @@ class HullResult:
     volume: BrickVolume
     centerline: Centerline
     voxels: VoxelSamples
+    bodies: Bodies
     cameras: tuple[str, ...]
     missing: tuple[str, ...]
     blank: tuple[str, ...]
+    verdict: Verdict
     min_seeing: int
     backend: str
     stage_ms: dict[str, float]
@@ -48,8 +56,24 @@ class HullResult:
         return len(self.volume.index) == 0
 
 
+@dataclass(frozen=True, eq=False)
+class SetUnderWay:
+    """A frame set whose carve has begun: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
+
+    frame_set: FrameSet[Mask]
+    cameras: tuple[str, ...]
+    blank: tuple[str, ...]
+    verdict: Verdict
+    min_seeing: int
+    ticket: Any
+    stage_ms: dict[str, float]
+
+
 class HullPipeline:
-    """The hull server's core (thesis chapter 3). Not for two threads at a time."""
+    """The hull server's core (thesis chapter 3), in two halves, so that two threads can overlap two frame sets.
+
+    ``begin`` is for one thread at a time, ``finish`` for one (other or same) thread at a time, in the same order.
+    """
 
     def __init__(self, rig: Rig, settings: HullSettings) -> None:
         """Compute what depends on the calibration only; InputError for a rig or a setting that cannot be used."""
@@ -58,37 +82,61 @@ class HullPipeline:
         self.grid = VoxelGrid.covering(rig.volume, settings.voxel_size_m)
         choice = make_backend(settings.backend, self.views, self.grid)
         self.backend, self.backend_reason = choice.backend, choice.reason
+        self._dissent = DissentWatch(rig, self.views, settings.dissent, settings.min_seeing)
+        self._doubt = DoubtResolver(self.views, rig.volume, settings.doubt)
+        self._bodies = BodyTracker(settings.body)
 
     def run(self, frame_set: FrameSet[Mask]) -> HullResult:
-        """The hull of the frame set's canvas masks (h, w) uint8, 255 = foreground, 0 where unseen.
+        """The hull of the frame set's canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, 0 where unseen.
 
         An empty silhouette, or too few cameras, gives an empty hull. InputError for a mask of the wrong size.
         """
-        masks = frame_set.frames
-        watch = _StageWatch()
+        return self.finish(self.begin(frame_set))
+
+    def begin(self, frame_set: FrameSet[Mask]) -> SetUnderWay:
+        """What needs all silhouettes: whom to believe, what is shadow; then the carve is sent on its way."""
+        watch, frames = _StageWatch(), frame_set.frames
+        # cameras that contradict all others have no say
+        verdict = self._dissent.judge(frames, frame_set.stamp_ns)
+        believed = {name: mask for name, mask in frames.items() if name not in verdict.left_out}
+        seeing = min_seeing(len(believed), self.settings.min_seeing)
+        watch.lap("judge")
+        # dark pixels become person, or floor in shadow
+        masks = self._doubt.resolve(believed, seeing).masks
+        watch.lap("resolve")
         # voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
-        seeing = min_seeing(len(masks), self.settings.min_seeing)
-        volume = self.backend.carve(masks, seeing)
+        ticket = self.backend.submit(masks, seeing)
         watch.lap("carve")
+        blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
+        return SetUnderWay(frame_set, tuple(masks), blank, verdict, seeing, ticket, watch.laps_ms)
+
+    def finish(self, under_way: SetUnderWay) -> HullResult:
+        """Wait for the carve, then slice, filter and sample."""
+        frame_set, blob, watch = under_way.frame_set, self.settings.blob, _StageWatch()
+        volume = self.backend.collect(under_way.ticket)
+        watch.lap("collect")
         # connected components of all slices along x, y and z (3.2)
-        blobs = slice_blobs(volume, self.settings.blob.erosion_voxels)
+        slices = slice_hull(volume, blob.erosion_voxels, blob.growth_step_m)
         watch.lap("slice")
-        # centroids of the blobs that are large, round and convex enough (3.2)
-        centerline = find_centerline(blobs, self.grid, self.settings.blob)
+        # centroids of the blobs that look like a limb or trunk cut across (3.2)
+        centerline = find_centerline(slices.blobs, self.grid, blob)
         watch.lap("filter")
-        voxels = sample_voxels(volume, self.settings.max_voxels)
+        bodies = self._bodies.step(frame_set.stamp_ns, slices.runs, self.grid)
+        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels)
         watch.lap("sample")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
             volume=volume,
             centerline=centerline,
             voxels=voxels,
-            cameras=tuple(masks),
+            bodies=bodies,
+            cameras=under_way.cameras,
             missing=frame_set.missing,
-            blank=tuple(name for name, mask in masks.items() if not cv2.countNonZero(mask)),
-            min_seeing=seeing,
+            blank=under_way.blank,
+            verdict=under_way.verdict,
+            min_seeing=under_way.min_seeing,
             backend=self.backend.name,
-            stage_ms=watch.laps_ms,
+            stage_ms=under_way.stage_ms | watch.laps_ms,
         )
 
     def warm_up(self) -> None:

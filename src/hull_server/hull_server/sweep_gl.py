@@ -16,8 +16,9 @@ from capture_rig import InputError
 
 from .boxes import pixel_projections
 from .bricks import BrickVolume
-from .carve_shaders import PROJECT
-from .egl import GlContext
+from .carve_backend import Immediate
+from .carve_shaders import PROJECT_EXACTLY
+from .egl import GlContext, NoGraphics
 from .gl_objects import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
 from .grid import VoxelGrid
 from .views import Masks, RigViews
@@ -53,7 +54,7 @@ void main() {
     int seeing = 0;
     for (int camera = 0; camera < CAMERAS && product > 0.0; camera++) {
         ivec2 pixel;                                 // projective texture coordinates of this voxel
-        if ((present >> camera & 1u) == 0u || !project(camera, at, pixel)) continue;
+        if ((present >> camera & 1u) == 0u || !project_exactly(camera, at, pixel)) continue;
         vec2 texel = texelFetch(silhouettes, ivec3(pixel, camera), 0).rg;
         product *= texel.g > 0.5 ? texel.r : 1.0;    // MODULATE, where the camera sees
         seeing += texel.g > 0.5 ? 1 : 0;
@@ -63,7 +64,7 @@ void main() {
 """
 
 
-class SweepCarver:
+class SweepCarver(Immediate):
     """Carves by sweeping a plane along z. Any thread may call :meth:`carve`, one at a time.
 
     Raises NoGraphics when there is no OpenGL 4.3 context, InputError for more than 32 cameras.
@@ -79,11 +80,15 @@ class SweepCarver:
         self._foreground = np.zeros_like(views.seen)
         self._context = GlContext(hardware)
         self.device = self._context.renderer
-        with self._context.current():
-            self._program = make_program(vertex=VERTEX, fragment=self._fragment_source())
-            self._make_textures()
-            self._make_target()
-            self._set_calibration()
+        try:
+            with self._context.current():
+                self._program = make_program(vertex=VERTEX, fragment=self._fragment_source())
+                self._make_textures()
+                self._make_target()
+                self._set_calibration()
+        except NoGraphics:
+            self.close()
+            raise
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
         """As :meth:`hull_server.carve_cpu.CpuCarver.carve`."""
@@ -119,7 +124,7 @@ class SweepCarver:
     def _fragment_source(self) -> str:
         cameras, height, width = self.views.seen.shape
         sizes = f"#define CAMERAS {cameras}\n#define WIDTH {width}\n#define HEIGHT {height}\n"
-        return "#version 430\n" + sizes + PROJECT + FRAGMENT
+        return "#version 430\n" + sizes + PROJECT_EXACTLY + FRAGMENT
 
     def _at(self, uniform: str) -> int:
         return GL.glGetUniformLocation(self._program, uniform)
@@ -147,9 +152,7 @@ class SweepCarver:
 
     def _set_calibration(self) -> None:
         """The projections, and everything else that stays."""
-        projections = pixel_projections(self.views, self.grid)
-        StorageBuffer(projections.astype(np.float32)).bind(2)
-        StorageBuffer(projections).bind(7)
+        StorageBuffer(pixel_projections(self.views, self.grid)).bind(0)
         GL.glUseProgram(self._program)
         GL.glUniform1i(self._at("silhouettes"), 0)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,11 @@ class RigViews:
     P: npt.NDArray[np.float64]
     sizes: npt.NDArray[np.int64]
     seen: npt.NDArray[np.uint8]
+
+    @cached_property
+    def number(self) -> dict[str, int]:
+        """Each camera's place in all arrays."""
+        return {name: index for index, name in enumerate(self.names)}
 
     @classmethod
     def from_rig(cls, rig: Rig) -> RigViews:
@@ -64,9 +70,9 @@ class RigViews:
         Raises InputError for a camera that is not in the rig, or a mask that is not (h, w) uint8 of its canvas.
         """
         for name, mask in masks.items():
-            if name not in self.names:
+            if name not in self.number:
                 raise InputError(f"there is no camera '{name}' in the rig", remedy=f"Known: {', '.join(self.names)}.")
-            width, height = self.sizes[self.names.index(name)]
+            width, height = self.sizes[self.number[name]]
             if mask.shape != (height, width) or mask.dtype != np.uint8:
                 raise InputError(
                     f"the mask is {mask.shape} {mask.dtype}, not ({height}, {width}) uint8",

@@ -10,10 +10,12 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from hull_scenes import capsule_person, ring_rig, silhouettes
+from plyfile import PlyData
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
+from std_srvs.srv import Trigger
 
 from capture_rig import FrameSet, load_rig, save_rig
 from hull_server import hull_node
@@ -312,26 +314,80 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     bench.diagnostics_with(sets_empty="1")
 
 
-def test_node_drops_the_oldest_set_when_the_carver_cannot_keep_up(make_bench, scene):
+@pytest.mark.parametrize(("stage", "answered"), [("begin", [0, 5]), ("finish", [0, 1, 2, 5])])
+def test_node_drops_the_oldest_set_when_a_stage_cannot_keep_up(make_bench, scene, stage, answered):
+    """One set waits for the carver; when slicing is slow, one more waits for the slicer, and one for room there."""
     _, rig, masks = scene
     bench = make_bench(queue_depth=1).start(rig)
-    carving, released, run = threading.Event(), threading.Event(), bench.node._pipeline.run
+    busy, released, work = threading.Event(), threading.Event(), getattr(bench.node._pipeline, stage)
 
-    def slow_run(frame_set):
-        carving.set()
+    def slow_work(item):
+        busy.set()
         assert released.wait(PATIENCE_S)
-        return run(frame_set)
+        return work(item)
 
-    bench.node._pipeline.run = slow_run
+    setattr(bench.node._pipeline, stage, slow_work)
     bench.send(masks, 0)
-    bench.until(carving.is_set)
-    for k in (1, 2, 3):
+    bench.until(busy.is_set)
+    for k in range(1, 6):
         bench.send(masks, k)
-    bench.diagnostics_with(sets_complete="4", sets_dropped="2")
+        bench.diagnostics_with(sets_complete=str(k + 1))
+        if stage == "finish" and k <= 2:  # that the carver has taken it
+            bench.until(lambda: not bench.node._carver.waiting)
+    bench.diagnostics_with(sets_dropped=str(6 - len(answered)))
     released.set()
-    bench.answers(2)
+    bench.answers(len(answered))
     stamps = [to_ns(message.header.stamp) for message in bench.heard["hull/frame_set"]]
-    assert stamps == [stamp(0), stamp(3)]
+    assert stamps == [stamp(k) for k in answered]
+
+
+def test_node_counts_people_and_says_whose_each_point_is(make_bench, scene):
+    rig, rig_file = ring_rig(7), scene[0].with_name("seven.yaml")
+    save_rig(rig, rig_file)
+    places = ((-0.45, -0.4), (0.5, 0.45))
+    people = [capsule_person(0.3, *place) for place in places]
+    bench = make_bench(rig_file=str(rig_file), voxel_size_m=0.03).start(load_rig(rig_file))
+    bench.send(silhouettes(rig, [limb for person in people for limb in person]), 0)
+    (values,) = bench.answers(1)
+    assert values["bodies"] == "2" and sorted(values["bodies_numbers"].split(",")) == ["0", "1"]
+    centres = {
+        number: [float(v) for v in place.split(",")]
+        for number, place in zip(values["bodies_numbers"].split(","), values["bodies_at"].split("; "), strict=True)
+    }
+    for topic, layout in (("hull/centerline", CENTERLINE), ("hull/voxels", VOXELS)):
+        cloud = from_cloud(bench.heard[topic][0], layout, "test")
+        for number, (x, y, _) in centres.items():
+            mine = xyz(cloud[cloud["body"] == float(number)])
+            nearest = min(places, key=lambda place: np.hypot(place[0] - x, place[1] - y))
+            assert len(mine) > 20 and np.hypot(*(mine[:, :2].mean(axis=0) - nearest)) < 0.25
+    assert len({min(places, key=lambda p: np.hypot(p[0] - x, p[1] - y)) for x, y, _ in centres.values()}) == 2
+
+
+def test_node_leaves_out_a_covered_camera_by_name_and_takes_it_back(make_bench, scene):
+    rig = ring_rig(6)
+    rig_file = scene[0].with_name("six.yaml")
+    save_rig(rig, rig_file)
+    masks = silhouettes(rig, capsule_person(0.3))
+    covered = masks | {"cam04": np.zeros_like(masks["cam04"])}
+    bench = make_bench(rig_file=str(rig_file), **{"dissent.recover_s": 0.5, "dissent.period_s": 0.05}).start(
+        load_rig(rig_file)
+    )
+    shown = []
+
+    def send_until(wanted, masks_of_camera):
+        while not shown or shown[-1]["left_out"] != wanted:
+            assert len(shown) < 200
+            bench.send(masks_of_camera, len(shown))
+            shown.append(bench.answers(len(shown) + 1)[-1])
+
+    bench.send(masks, 0)
+    shown.append(bench.answers(1)[-1])
+    whole = float(shown[0]["litres"])
+    send_until("cam04", covered)
+    assert float(shown[-1]["litres"]) > 0.95 * whole and "cam04" not in shown[-1]["cameras"].split(",")
+    assert "cam04" in bench.heard["hull/frame_set"][-1].status[0].message
+    send_until("", masks)
+    assert "cam04" in shown[-1]["cameras"].split(",")
 
 
 def test_node_ignores_silhouettes_while_suspended_and_resumes(bench, scene):
@@ -365,3 +421,39 @@ def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, te
     bench.until(lambda: bench.peer.count_publishers("/diagnostics"))
     status = bench.diagnostics_with()
     assert text in status.message and status.level == b"\x02"
+
+
+def save_mesh(bench):
+    client = bench.peer.create_client(Trigger, "hull_server/save_mesh")
+    bench.until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    bench.until(future.done)
+    return future.result()
+
+
+def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
+    _, rig, masks = scene
+    bench = make_bench(**{"mesh.folder": str(tmp_path), "mesh.smoothing_voxels": 0.0}).start(rig)
+    bench.send(masks, 0)
+    bench.send(masks, 1)
+    values = bench.answers(2)[1]
+    answer = save_mesh(bench)
+    assert answer.success
+    vertices = PlyData.read(str(tmp_path / f"hull_{stamp(1)}.ply"))["vertex"]
+    assert f"{tmp_path}/hull_{stamp(1)}.ply" in answer.message
+    line = xyz(from_cloud(bench.heard["hull/centerline"][1], CENTERLINE, "test"))
+    for axis, name in enumerate("xyz"):  # the centerline runs inside the mesh
+        assert vertices[name].min() < line[:, axis].min() and line[:, axis].max() < vertices[name].max()
+    said_litres = float(answer.message.split(",")[-1].removesuffix("litres"))
+    assert said_litres == pytest.approx(float(values["litres"]), rel=0.1)
+
+
+@pytest.mark.parametrize(("sets", "why"), [(0, "no frame set"), (1, "the hull is empty")])
+def test_save_mesh_without_a_hull_says_why(make_bench, scene, tmp_path, sets, why):
+    _, rig, masks = scene
+    bench = make_bench(**{"mesh.folder": str(tmp_path)}).start(rig)
+    for k in range(sets):
+        bench.send({name: np.zeros_like(mask) for name, mask in masks.items()}, k)
+        bench.answers(k + 1)
+    answer = save_mesh(bench)
+    assert not answer.success and why in answer.message and not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Blobs of all slices against OpenCV's components and plain moments, slice by slice; centerline filters; samples."""
+"""Blobs of all slices against OpenCV's components and plain moments, slice by slice; samples; word tricks."""
 
 import cv2
 import numpy as np
@@ -7,15 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from hull_server.bits import lowest_bit, popcount, transpose8
+from hull_server.bits import lowest_bit, popcount, select_bit, transpose8
 from hull_server.bricks import BrickVolume
-from hull_server.centerline import find_centerline, point_sigma
 from hull_server.grid import VoxelGrid
-from hull_server.settings import BlobSettings
-from hull_server.slicer import BlobTable, slice_blobs
+from hull_server.slicer import BlobTable, slice_blobs, slice_hull
 from hull_server.voxels import sample_voxels
-
-EVERYTHING = BlobSettings(min_area_m2=0.0, max_elongation=1e9, min_fill=0.0)
 
 
 def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:
@@ -102,8 +98,62 @@ def test_erosion_equals_scipy_erosion_of_each_slice(times):
 
 
 def test_blobs_of_an_empty_volume_are_none():
-    blobs = slice_blobs(volume_of(np.zeros((9, 9, 9), bool)))
-    assert len(blobs) == 0 and len(find_centerline(blobs, volume_of(np.zeros((9, 9, 9), bool)).grid, EVERYTHING)) == 0
+    slices = slice_hull(volume_of(np.zeros((9, 9, 9), bool)))
+    assert len(slices.blobs) == len(slices.runs.starts) == 0
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    shape=st.tuples(st.integers(1, 90), st.integers(1, 20), st.integers(1, 20)),
+    share=st.sampled_from([0.3, 0.6, 0.97]),
+    step=st.integers(1, 3),
+    seed=st.integers(0, 99),
+)
+def test_growth_equals_that_of_labelled_slices(shape, share, step, seed):
+    """The blob under the rounded centroid, ``step`` slices to either side, found in images of labels."""
+    dense = np.random.default_rng(seed).random(shape) < share
+    blobs = slice_blobs(volume_of(dense), step_m=step * 0.02)
+    labels = [label_slices(dense, axis) for axis in range(3)]
+    for axis, area, centroid, growth in zip(blobs.axis, blobs.area, blobs.centroid, blobs.growth, strict=True):
+        place = np.floor(centroid + 0.5).astype(int)
+        areas = []
+        for move in (-step, step):
+            place[axis] = round(centroid[axis]) + move
+            inside = 0 <= place[axis] < dense.shape[axis]
+            found = labels[axis][tuple(place)] if inside else 0
+            areas.append((labels[axis].take(place[axis], axis=axis) == found).sum() if found else np.inf)
+        assert growth == pytest.approx(max(areas) / area)
+
+
+def label_slices(dense: np.ndarray, axis: int) -> np.ndarray:
+    """Labels of 8-connected components, slice by slice, 0 where empty."""
+    slices = [cv2.connectedComponents(np.ascontiguousarray(s, np.uint8))[1] for s in np.moveaxis(dense, axis, 0)]
+    return np.stack(slices, axis=axis)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(
+    shape=st.tuples(st.integers(1, 70), st.integers(1, 20), st.integers(1, 20)),
+    share=st.sampled_from([0.03, 0.1, 0.3]),
+    seed=st.integers(0, 99),
+)
+def test_parts_equal_scipy_components(shape, share, seed):
+    dense = np.random.default_rng(seed).random(shape) < share
+    volume = volume_of(dense)
+    near = np.abs(np.indices((3, 3, 3)) - 1)
+    expected, count = ndimage.label(dense, (near[1] == 0) | (near[2] == 0))  # in a slice across y or z
+    samples = sample_voxels(volume, dense.size)
+    assert len(samples) == dense.sum()
+    voxels = np.round((samples.points_world - volume.grid.origin) / 0.02 - 0.5).astype(int)
+    pairs = set(zip(expected[tuple(voxels.T)].tolist(), samples.part.tolist(), strict=True))
+    assert len(pairs) == count == len({part for _, part in pairs})
+    label_of_part = {part: label for label, part in pairs}
+    blobs = slice_blobs(volume)
+    for axis in range(3):  # the label of any voxel of a blob's slice at its part is one of that part
+        for part, centroid, area in zip(*(c[blobs.axis == axis] for c in (blobs.part, blobs.centroid, blobs.area)),
+                                        strict=True):  # fmt: skip
+            if area == 1:
+                assert expected[tuple(np.round(centroid).astype(int))] == label_of_part[part]
 
 
 def ellipse_volume(a: float, b: float, turn: float) -> np.ndarray:
@@ -129,41 +179,6 @@ def test_fill_of_a_square_is_that_of_theory_and_of_an_l_shape_much_less():
     fills = [slice_blobs(volume_of(dense)).fill()[-1] for dense in (square, l_shape)]
     assert fills[0] == pytest.approx(3 / np.pi, abs=1e-9)
     assert fills[1] < 0.6
-
-
-def test_centerline_of_an_upright_cylinder_is_its_axis():
-    x, y = np.meshgrid(np.arange(40), np.arange(40), indexing="ij")
-    dense = np.repeat(((x - 19.5) ** 2 + (y - 21.5) ** 2 <= 49)[:, :, None], 60, axis=2)
-    volume = volume_of(dense)
-    line = find_centerline(slice_blobs(volume), volume.grid, BlobSettings())
-    upright = line.axis == 2
-    assert upright.sum() == 60
-    axis_world = volume.grid.centres_world([[19.5, 21.5, k] for k in range(60)])
-    np.testing.assert_allclose(line.points_world[upright], axis_world, atol=1e-9)
-    assert line.area_m2[upright] == pytest.approx(np.pi * 0.14**2, rel=0.03)  # radius 7 voxels of 20 mm
-    assert (line.sigma[upright] < 0.004).all()
-    assert not (line.axis != 2).any()  # cut lengthwise it is longer than twice its width
-
-
-def test_centerline_filters_drop_small_long_and_concave_blobs():
-    dense = np.zeros((120, 60, 1), bool)
-    dense[0:10, 0:10] = True  # a limb: 400 cm2
-    dense[20:22, 0:2] = True  # 16 cm2: too small
-    dense[30:32, 0:3] = True  # 24 cm2: large enough, 1.5 long
-    dense[40:70, 0:10] = True  # three times as long as wide
-    dense[80:110, 0:4] = dense[80:84, 0:30] = True  # an L
-    volume = volume_of(dense)
-    blobs = slice_blobs(volume)
-    columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance)
-    flat = BlobTable(*(column[blobs.axis == 2] for column in columns))
-    line = find_centerline(flat, volume.grid, BlobSettings())
-    np.testing.assert_allclose(line.points_world, volume.grid.centres_world([[4.5, 4.5, 0], [30.5, 1, 0]]), atol=1e-9)
-    assert len(find_centerline(flat, volume.grid, EVERYTHING)) == 5
-
-
-def test_point_sigma_grows_with_elongation_and_missing_fill():
-    sigma_mm = 1e3 * point_sigma(np.array([1.0, 2.0, 1.0]), np.array([1.0, 1.0, 0.87]))
-    np.testing.assert_allclose(sigma_mm, [3.0, 12.0, 18.0])
 
 
 def ball(radius: float = 11.0) -> np.ndarray:
@@ -216,5 +231,6 @@ def test_word_tricks_equal_their_definitions(word):
     bits = np.unpackbits(np.array([word], "<u8").view(np.uint8), bitorder="little")
     assert popcount(np.uint64(word)) == bits.sum()
     assert lowest_bit(np.uint64(word)) == np.flatnonzero(bits)[0]
+    assert [select_bit(np.uint64(word), n) for n in range(bits.sum())] == np.flatnonzero(bits).tolist()
     transposed = np.packbits(bits.reshape(8, 8).T, bitorder="little").view("<u8")[0]
     assert transpose8(np.uint64(word)) == transposed

@@ -29,6 +29,7 @@ from stick_figure.body_file import format_body
 from .filter_feedback import FilterFeedback
 from .finite_rows import only_finite
 from .mailbox import Mailbox
+from .one_body import BodyNumbers
 from .pose_source import InitialPoseSettings, make_pose_source
 from .tracker import TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
 from .voxel_cloud import VoxelCloud
@@ -145,49 +146,54 @@ class IcpNode(SagomaNode):
         if stamp_ns <= self._last_stamp_ns:
             self.health.count("backward_stamps")
             return
-        points, sigma = self._centerline(message)
-        voxels = self._voxels_of(stamp_ns)
+        points, sigma, points_body = self._centerline(message)
+        voxels, voxels_body = self._voxels_of(stamp_ns)
         prediction = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:
                 return
             self._last_stamp_ns = stamp_ns
             began = time.perf_counter()
-            result = self._tracker.step(stamp_ns, points, sigma, voxels, prediction)
+            result = self._tracker.step(
+                stamp_ns, points, sigma, voxels, prediction, BodyNumbers(points_body, voxels_body)
+            )
             body = self._tracker.body
             self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
         self._feedback.asked(stamp_ns)
         self._publish_body(body)
         self._publish(result, message.header.frame_id)
 
-    def _centerline(self, message: PointCloud2) -> tuple[np.ndarray, np.ndarray]:
+    def _centerline(self, message: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points, their sigma, and the body each belongs to."""
         where = self.resolve_topic_name("hull/centerline")
         try:
             cloud, dropped = only_finite(message, CENTERLINE.names or ())
             table = from_cloud(cloud, CENTERLINE, where)
         except InputError as error:  # the set still gets its answer, so that nobody waits for it
             self._refuse("bad_centerlines", error)
-            return np.empty((0, 3)), np.empty(0)
+            return np.empty((0, 3)), np.empty(0), np.empty(0)
         if dropped:
             self.health.count("dropped_points", dropped)
-        return xyz(table), table["sigma"].astype(np.float64)
+        return xyz(table), table["sigma"].astype(np.float64), table["body"]
 
-    def _voxels_of(self, stamp_ns: int) -> VoxelCloud | None:
+    def _voxels_of(self, stamp_ns: int) -> tuple[VoxelCloud | None, np.ndarray]:
+        """The set's voxels, if they are wanted and there, and the body each belongs to."""
+        nothing = None, np.empty(0)
         if self._tracker is None or not self._tracker.needs_voxels:
-            return None
+            return nothing
         message = self._voxels.take(stamp_ns)
         if message is None:
             self.health.count("sets_without_voxels")
-            return None
+            return nothing
         try:
             cloud, dropped = only_finite(message, VOXELS.names or ())
             table = from_cloud(cloud, VOXELS, self.resolve_topic_name("hull/voxels"))
         except InputError as error:
             self._refuse("bad_voxels", error)
-            return None
+            return nothing
         if dropped:
             self.health.count("dropped_voxels", dropped)
-        return VoxelCloud.checked(xyz(table), table["surface"] > 0.5)
+        return VoxelCloud.checked(xyz(table), table["surface"] > 0.5), table["body"]
 
     def _publish_body(self, body: Body | None) -> None:
         """The body as latched YAML, before the first points that were fitted with it: the filter takes the same."""

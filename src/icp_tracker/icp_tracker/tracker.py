@@ -16,6 +16,7 @@ from .articulated_solver import ArticulatedSettings, assess, fit_articulated, ma
 from .fit_result import FitResult, unknown_covariance
 from .hierarchical_icp import HierarchicalSettings, fit_hierarchical
 from .initial_pose import KnownPose, PoseSource
+from .one_body import BodyNumbers, of_one_body
 from .voxel_cloud import NO_VOXELS, VoxelCloud
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
@@ -109,12 +110,23 @@ class IcpTracker:
         sigma_m: np.ndarray | float = 0.0,
         voxels: VoxelCloud | None = None,
         prediction: Predicted | None = None,
+        numbers: BodyNumbers | None = None,
     ) -> IcpResult:
-        """Fit one frame set: centerline ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and hull voxels."""
-        points, sigma, dropped = _finite(points_world, sigma_m)
+        """Fit one frame set: centerline ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and hull voxels.
+
+        ``numbers`` says whose they are when there may be several people; one is followed.
+        """
+        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
+        sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
         if self._pose is None or self._body is None:
+            if numbers is not None:
+                points, sigma, voxels = of_one_body(points, sigma, voxels, numbers, None)
+            points, sigma, dropped = _finite(points, sigma)
             return self._acquire(stamp_ns, points, sigma, voxels, dropped)
         start, started_from = self._start(stamp_ns, self._pose, prediction)
+        if numbers is not None:
+            points, sigma, voxels = of_one_body(points, sigma, voxels, numbers, forward(self._body, start))
+        points, sigma, dropped = _finite(points, sigma)
         if len(points) < self._settings.min_points:
             self._pose = start
             reason = f"{len(points)} centerline points, {self._settings.min_points} needed"
@@ -173,10 +185,8 @@ def warm_up(settings: TrackerSettings) -> None:
     tracker.step(0, points, 0.01, VoxelCloud.checked(points, np.ones(len(points))))
 
 
-def _finite(points_world: np.ndarray, sigma_m: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Points and sigmas (n,) that are finite numbers, and how many were not."""
-    points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
-    sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
+def _finite(points: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """Points (n, 3) and sigmas (n,) that are finite numbers, and how many were not."""
     good = np.isfinite(points).all(axis=1) & np.isfinite(sigma)
     return np.ascontiguousarray(points[good]), np.ascontiguousarray(sigma[good]), int((~good).sum())
 

@@ -7,6 +7,7 @@ import pytest
 
 from icp_tracker.articulated_solver import ArticulatedSettings
 from icp_tracker.initial_pose import InitialPose, KnownPose
+from icp_tracker.one_body import BodyNumbers
 from icp_tracker.t_pose import TPoseSettings, TPoseSource
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from icp_tracker.voxel_cloud import VoxelCloud
@@ -172,3 +173,32 @@ def test_two_runs_give_the_same_bytes(body, motion):
         return b"".join(r.reference_points_world.tobytes() + r.covariance.tobytes() for r in results)
 
     assert run() == run()
+
+
+def test_second_person_does_not_draw_the_figure_off_even_when_the_numbers_change_hands(body, motion):
+    poses, clouds = motion
+    alone, accompanied = (IcpTracker(KnownPose(poses[0], body), SETTINGS) for _ in range(2))
+    for k, cloud in enumerate(clouds[:40]):
+        other = cloud[::-1] + np.array([0.8, 0.0, 0.0])  # another body, half a metre from arm to arm
+        ours, theirs = (0, 1) if k < 20 else (1, 0)
+        numbers = np.concatenate([np.full(len(other), theirs), np.full(len(cloud), ours)])
+        both = VoxelCloud(np.concatenate([other, cloud]), np.ones(2 * len(cloud), bool))
+        result = accompanied.step(stamp(k), both.points_world, 0.01, both, numbers=BodyNumbers(numbers, numbers))
+        expected = alone.step(stamp(k), cloud, 0.01, VoxelCloud(cloud, np.ones(len(cloud), bool)))
+        np.testing.assert_array_equal(result.reference_points_world, expected.reference_points_world)
+
+
+def test_first_pose_is_looked_for_on_the_body_that_came_first(motion):
+    seen = []
+
+    class Recorder:
+        needs_voxels = True
+
+        def look(self, points_world, voxels_world):
+            seen.append((points_world, voxels_world))
+            return InitialPose(reason="no")
+
+    cloud = motion[1][0]
+    both, numbers = np.concatenate([cloud + 2.0, cloud]), np.repeat([1, 0], len(cloud))
+    IcpTracker(Recorder()).step(0, both, 0.01, VoxelCloud(both, numbers == 0), numbers=BodyNumbers(numbers, numbers))
+    assert all(np.array_equal(part, cloud) for part in seen[0])

@@ -16,8 +16,9 @@ def _layout(*names: str) -> np.dtype:
     return np.dtype([(name, np.float32) for name in names])
 
 
-CENTERLINE = _layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill")
-VOXELS = _layout("x", "y", "z", "surface")
+CENTERLINE = _layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill", "body")
+VOXELS = _layout("x", "y", "z", "surface", "body")
+ONE_BODY = {"body": 0.0}  # what a cloud without this field means: all of it is the same body
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 REFERENCE_POINTS = _layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
 UPPER_TRIANGLE = np.triu_indices(3)
@@ -47,16 +48,21 @@ def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
 def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     """The fields of ``layout`` of a cloud as a structured array (n,), whatever order and types they came in.
 
+    A cloud without the field ``body`` is of one body, number 0.
+
     Raises InputError when a field is missing, the size does not fit, or a number is not finite.
     """
     fields = {field.name: field for field in cloud.fields}
-    missing = [name for name in layout.names or () if name not in fields]
+    wanted = [name for name in layout.names or () if name in fields or name not in ONE_BODY]
+    missing = [name for name in wanted if name not in fields]
     if missing:
         raise InputError(f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})", where=where,
                          remedy=f"Publish the fields {', '.join(layout.names or ())}.")  # fmt: skip
-    wire = _wire_layout(cloud, [fields[name] for name in layout.names or ()], where)
+    wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, [fields[name] for name in wanted], where))
+    points = np.empty(len(wire), layout)
     with np.errstate(over="ignore"):  # a double too big for float32 is refused below
-        points = np.frombuffer(_rows(cloud, where), wire).astype(layout)
+        for name in layout.names or ():
+            points[name] = wire[name] if name in fields else ONE_BODY[name]
     if not np.isfinite(points.view(np.float32)).all():
         raise InputError("the cloud holds numbers that are not finite", where=where,
                          remedy="Drop such points before publishing.")  # fmt: skip

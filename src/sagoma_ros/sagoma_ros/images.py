@@ -1,4 +1,4 @@
-"""Silhouettes as PNG of two or three levels, images and camera_info (REP-104) to and from messages."""
+"""Silhouettes as PNG of few levels, images and camera_info (REP-104) to and from messages."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ MONO_PNG = ([1, 0], [2, 0], [4, 0], [8, 0])
 
 
 def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
-    """Mask (h, w) uint8 as a PNG of 2 to 4 KB that rviz, Foxglove and image_transport show.
+    """Mask (h, w) uint8 as a PNG of 2 to 5 KB that rviz, Foxglove and image_transport show.
 
-    0 is background, 127 a shadow candidate, everything else foreground (``capture_rig.mask_levels``). The PNG has one
-    bit a pixel, and two when there are candidates.
+    The levels are those of ``capture_rig.mask_levels``. The PNG has one bit a pixel; two with shadow candidates, four
+    with degrees of darkness.
     """
     message = CompressedImage(format=SILHOUETTE_FORMAT, data=array.array("B", mask_png.encode(mask)))
     message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
@@ -42,7 +42,8 @@ def decode_silhouette(
 ) -> np.ndarray:
     """The mask (height, width) uint8, 0 or 255, of a silhouette message.
 
-    ``candidates`` is the level that shadow candidates get: BACKGROUND, FOREGROUND, or SHADOW_CANDIDATE to keep them.
+    ``candidates`` is the level that shadow candidates get: BACKGROUND, FOREGROUND, or SHADOW_CANDIDATE to keep them and
+    all degrees of darkness as they were sent.
     Raises InputError when it is no grey PNG, cannot be decoded, or has another size than the camera's canvas.
     """
     data = np.frombuffer(message.data, np.uint8)

@@ -1,4 +1,4 @@
-"""Masks of two or three levels as PNG of one or two bits a pixel, several times faster than a general encoder.
+"""Masks of two, three or sixteen levels as PNG of one, two or four bits a pixel, faster than a general encoder.
 
 The files are plain PNG (ISO/IEC 15948): grey, no row filters, run-length deflate. Whatever other program wrote a mask
 is left to OpenCV: :func:`decode` knows only its own kind.
@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import struct
 import zlib
+from functools import cache
 
+import cv2
 import numpy as np
 
-from capture_rig.mask_levels import BACKGROUND, FOREGROUND
+from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = struct.Struct(">IIBBBBB")  # width, height, bit depth, colour type, compression, filter, interlace
@@ -20,13 +22,19 @@ _PIXELS = 4  # of two bits in a byte, the first one highest; unpacked, they are 
 _TWO_HIGHEST_BITS = np.uint32(0xC0C0C0C0)  # of each of those bytes: 00 background, 01 candidate, 11 foreground
 _GATHER = np.uint32(1 << 24 | 1 << 14 | 1 << 4)  # brings those of the first three bytes together in the highest one
 _ONES = np.uint32(0x01010101)
+_NEEDS_FOUR_BITS = np.isin(np.arange(256), sorted(set(LEVELS) - {BACKGROUND, SHADOW_CANDIDATE, FOREGROUND})).view(
+    np.uint8
+)
 
 
 def encode(mask: np.ndarray) -> bytes:
-    """Mask (h, w) uint8 of the levels 0 background, 127 shadow candidate, 255 foreground; its two highest bits count.
+    """Mask (h, w) uint8 of the levels of ``capture_rig.mask_levels``; of any other its two highest bits count.
 
-    One bit a pixel when there is no candidate.
+    One bit a pixel when there are background and foreground only, two with shadow candidates of level 127, four with
+    degrees of darkness.
     """
+    if cv2.countNonZero(cv2.LUT(mask, _NEEDS_FOUR_BITS)):
+        return _png(mask.shape, 4, _four_bits(mask))
     packed = _two_bits(mask)
     if not (packed & 0x55 & ~(packed >> 1)).any():
         return _png(mask.shape, 1, np.packbits(mask, axis=1))
@@ -34,7 +42,10 @@ def encode(mask: np.ndarray) -> bytes:
 
 
 def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
-    """Mask (h, w) uint8 of 0, 255 and, for shadow candidates, ``candidates``; None unless :func:`encode` wrote it."""
+    """Mask (h, w) uint8 of 0, 255 and, for shadow candidates, ``candidates``; None unless :func:`encode` wrote it.
+
+    With ``candidates`` SHADOW_CANDIDATE all levels come back as they were sent; otherwise dark pixels are foreground.
+    """
     try:
         chunks = _chunks(data)
         width, height, depth, *kind = _HEADER.unpack(chunks[b"IHDR"])
@@ -42,7 +53,7 @@ def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
         size = height * (1 + row_bytes)
         unpacker = zlib.decompressobj()
         rows = np.frombuffer(unpacker.decompress(chunks[b"IDAT"], size), np.uint8)
-        sound = unpacker.eof and tuple(kind) == _GREY_AS_WE_WRITE_IT and depth in (1, 2) and rows.size == size
+        sound = unpacker.eof and tuple(kind) == _GREY_AS_WE_WRITE_IT and depth in (1, 2, 4) and rows.size == size
     except (KeyError, ValueError, struct.error, zlib.error):
         return None
     if not sound or (rows := rows.reshape(height, 1 + row_bytes))[:, 0].any():
@@ -50,7 +61,34 @@ def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
     if depth == 1:
         bits = np.unpackbits(rows[:, 1:], axis=1, count=width)
         return np.negative(bits, out=bits)  # 0 - 1 is 255
-    return np.ascontiguousarray(_unpacked(rows[:, 1:], candidates)[:, :width])
+    levels = _unpacked(rows[:, 1:], candidates) if depth == 2 else _pairs(candidates)[rows[:, 1:]].view(np.uint8)
+    return np.ascontiguousarray(levels[:, :width])
+
+
+def _four_bits(mask: np.ndarray) -> np.ndarray:
+    """(h, ceil(w / 2)) uint8: the places of each pixel's level among the sixteen."""
+    padded = np.pad(mask, ((0, 0), (0, 1))) if mask.shape[1] % 2 else np.ascontiguousarray(mask)
+    two = cv2.LUT(padded, _places()).view("<u2")
+    return (two << np.uint16(4) | two >> np.uint16(8)).astype(np.uint8)
+
+
+@cache
+def _places() -> np.ndarray:
+    """The place (256,) of each level among the sixteen; a level that is none of them counts by its two highest bits."""
+    places = np.repeat(np.array([0, 5, 15, 15], np.uint8), 64)
+    places[list(LEVELS)] = range(len(LEVELS))
+    return places
+
+
+@cache
+def _pairs(candidates: int) -> np.ndarray:
+    """The two levels (256,), as the bytes of a uint16, that each byte of four-bit pixels stands for."""
+    levels = np.array(LEVELS, np.uint16)
+    if candidates != SHADOW_CANDIDATE:
+        levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
+        levels[levels > SHADOW_CANDIDATE] = FOREGROUND
+    byte = np.arange(256)
+    return (levels[byte >> 4] | levels[byte & 15] << np.uint16(8)).astype("<u2")
 
 
 def _two_bits(mask: np.ndarray) -> np.ndarray:

@@ -35,6 +35,11 @@ class Worker(Generic[T]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
+    @property
+    def waiting(self) -> int:
+        """Items that wait, without the one being worked on."""
+        return len(self._items)
+
     def put(self, item: T) -> None:
         """Queue an item; never blocks. After :meth:`close` it is dropped."""
         with self._changed:
@@ -43,9 +48,15 @@ class Worker(Generic[T]):
             dropping = not self._open or len(self._items) > self._depth
             if self._open and dropping:
                 self._items.popleft()
-            self._changed.notify()
+            self._changed.notify_all()
         if dropping:
             self._on_drop()
+
+    def put_when_there_is_room(self, item: T) -> None:
+        """Queue an item; wait while ``depth`` items wait already: for a stage that must not overtake the next one."""
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._items) < self._depth or not self._open)
+        self.put(item)
 
     def close(self, *, finish: bool = False, timeout_s: float = 5.0) -> bool:
         """Stop the thread, after the waiting items when ``finish``; True when it ended within ``timeout_s``."""
@@ -54,7 +65,7 @@ class Worker(Generic[T]):
             left = 0 if finish else len(self._items)
             if not finish:
                 self._items.clear()
-            self._changed.notify()
+            self._changed.notify_all()
         for _ in range(left):
             self._on_drop()
         if threading.current_thread() is self._thread:
@@ -69,6 +80,7 @@ class Worker(Generic[T]):
                 if not self._items:
                     return
                 item = self._items.popleft()
+                self._changed.notify_all()
             try:
                 self._function(item)
             except Exception as error:

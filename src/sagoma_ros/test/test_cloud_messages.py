@@ -81,13 +81,13 @@ def test_foreign_order_types_padding_and_extra_fields_are_read() -> None:
     cloud = foreign_cloud([(1, 0.5, 7, -3, 0.25), (0, 1.5, 7, 4, 1e3)], "<BxxxfIhxxd", fields)
     points = from_cloud(cloud, VOXELS, TOPIC)
     assert points.dtype == VOXELS
-    assert points.tolist() == [(0.25, -3.0, 0.5, 1.0), (1000.0, 4.0, 1.5, 0.0)]
+    assert points.tolist() == [(0.25, -3.0, 0.5, 1.0, 0.0), (1000.0, 4.0, 1.5, 0.0, 0.0)]
 
 
 def test_big_endian_cloud_is_read() -> None:
     fields = [(name, 4 * index, PointField.FLOAT32) for index, name in enumerate(("x", "y", "z", "surface"))]
     points = from_cloud(foreign_cloud([(1.0, -2.0, 3.5, 1.0)], ">4f", fields), VOXELS, TOPIC)
-    assert points.tolist() == [(1.0, -2.0, 3.5, 1.0)]
+    assert points.tolist() == [(1.0, -2.0, 3.5, 1.0, 0.0)]
 
 
 def test_organised_cloud_with_padded_rows_is_read() -> None:
@@ -101,13 +101,13 @@ def test_organised_cloud_with_padded_rows_is_read() -> None:
 def test_not_finite_number_in_a_field_that_is_not_ours_does_not_matter() -> None:
     fields = [(name, 4 * index, PointField.FLOAT32) for index, name in enumerate(("x", "y", "z", "surface", "normal"))]
     cloud = foreign_cloud([(1, 2, 3, 1, float("nan"))], "<5f", fields)
-    assert from_cloud(cloud, VOXELS, TOPIC).tolist() == [(1, 2, 3, 1)]
+    assert from_cloud(cloud, VOXELS, TOPIC).tolist() == [(1, 2, 3, 1, 0)]
 
 
 def test_missing_field_names_it_and_those_present() -> None:
     cloud = good_cloud()
     cloud.fields = [field for field in cloud.fields if field.name != "surface"]
-    assert "no field 'surface' (it has: x, y, z)" in refusal(cloud)
+    assert "no field 'surface' (it has: x, y, z, body)" in refusal(cloud)
 
 
 def test_cloud_without_fields_is_refused() -> None:
@@ -130,16 +130,16 @@ def test_data_of_another_size_than_stated_is_refused_with_both_sizes() -> None:
     cloud = good_cloud()
     cloud.data = cloud.data[:-1]
     text = refusal(cloud)
-    assert "1 x 3 points of 16 bytes" in text and "47 bytes" in text
+    assert "1 x 3 points of 20 bytes" in text and "59 bytes" in text
 
 
 def test_rows_shorter_than_their_points_are_refused() -> None:
     cloud = good_cloud()
-    cloud.height, cloud.width, cloud.row_step = 3, 2, 16
+    cloud.height, cloud.width, cloud.row_step = 3, 2, 20
     assert "3 x 2 points" in refusal(cloud)
 
 
-@pytest.mark.parametrize(("key", "value"), [("offset", 14), ("datatype", 0), ("datatype", 9)])
+@pytest.mark.parametrize(("key", "value"), [("offset", 18), ("datatype", 0), ("datatype", 9)])
 def test_field_that_cannot_lie_in_a_point_is_refused_by_name(key: str, value: int) -> None:
     cloud = good_cloud()
     setattr(cloud.fields[2], key, value)
@@ -165,3 +165,15 @@ def test_reference_points_keep_covariance_and_visibility() -> None:
     assert again[1] == pytest.approx(covariance, rel=1e-6)
     assert np.array_equal(again[1], again[1].transpose(0, 2, 1))
     assert np.array_equal(again[2], visible)
+
+
+def test_cloud_without_bodies_is_of_one_body():
+    points = random_points(CENTERLINE, 4)
+    points["body"] = 2.0
+    assert np.array_equal(from_cloud(to_cloud(points, STAMP, "map"), CENTERLINE, TOPIC)["body"], np.full(4, 2.0))
+    names = [name for name in CENTERLINE.names if name != "body"]
+    old = np.ascontiguousarray(np.stack([points[name] for name in names], axis=1)).view(
+        np.dtype([(name, np.float32) for name in names])
+    )
+    read = from_cloud(to_cloud(old.reshape(-1), STAMP, "map"), CENTERLINE, TOPIC)
+    assert (read["body"] == 0).all() and np.array_equal(read["sigma"], points["sigma"])

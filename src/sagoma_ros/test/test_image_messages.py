@@ -13,7 +13,7 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
 from sagoma_ros import mask_png
 from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message, silhouette_message
 from sagoma_ros.stamps import to_ns
@@ -77,6 +77,20 @@ def test_masks_of_any_width_come_back_and_other_programs_see_them(width, height,
     assert np.array_equal(mask_png.decode(data, candidates), np.where(mask == SHADOW_CANDIDATE, candidates, mask))
     shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(shown, np.where(mask == SHADOW_CANDIDATE, 85, mask))
+
+
+@given(st.integers(2, 41), st.integers(1, 9), st.integers(0, 2**32))
+def test_degrees_of_darkness_come_back_in_four_bits_or_as_the_camera_judged_them(width, height, seed) -> None:
+    mask = np.random.default_rng(seed).choice(np.array(LEVELS, np.uint8), (height, width))
+    mask[0, :2] = LEVELS[1], LEVELS[-2]
+    data = mask_png.encode(mask)
+    assert data[24] == 4  # bits a pixel
+    assert np.array_equal(mask_png.decode(data, SHADOW_CANDIDATE), mask)
+    for candidates in (BACKGROUND, FOREGROUND):
+        expected = np.where(np.isin(mask, CANDIDATE_LEVELS), candidates, np.where(mask > 0, 255, 0))
+        assert np.array_equal(mask_png.decode(data, candidates), expected)
+    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)  # sixteen greys, in the same order
+    assert np.array_equal(shown, 17 * np.searchsorted(LEVELS, mask))
 
 
 def test_png_that_another_program_wrote_is_left_to_the_general_decoder() -> None:

@@ -126,3 +126,37 @@ def test_worker_can_close_itself() -> None:
     bench.go.set()
     assert bench.worker.close(timeout_s=PATIENCE_S)
     assert closed[:1] == [True]
+
+
+def test_patient_put_drops_nothing_and_keeps_to_the_depth() -> None:
+    bench = Bench(depth=2)
+    bench.block()
+    most = 0
+
+    def feed() -> None:
+        nonlocal most
+        for item in range(1, 30):
+            bench.worker.put_when_there_is_room(item)
+            most = max(most, bench.worker.waiting)
+
+    feeder = threading.Thread(target=feed)
+    feeder.start()
+    bench.go.set()
+    feeder.join(PATIENCE_S)
+    bench.finish()
+    assert bench.done == list(range(30)) and bench.dropped == 0 and most <= 2
+
+
+def test_patient_put_does_not_outlast_the_worker() -> None:
+    bench = Bench(depth=1)
+    bench.block()
+    bench.worker.put(1)
+    feeder = threading.Thread(target=lambda: bench.worker.put_when_there_is_room(2))
+    feeder.start()
+    closer = threading.Thread(target=bench.worker.close)
+    closer.start()
+    feeder.join(PATIENCE_S)
+    assert not feeder.is_alive() and bench.dropped == 2  # 1 by closing, 2 because it came too late
+    bench.go.set()
+    closer.join(PATIENCE_S)
+    assert bench.done == [0]

@@ -108,7 +108,7 @@ def track_session(
 
 
 def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Masks]:
-    """Canvas masks of every camera, frame after frame, segmented as the camera client does."""
+    """Canvas masks of every camera (levels of ``capture_rig.mask_levels``), segmented as the camera client does."""
     pipelines: dict[str, SilhouettePipeline] = {}
     for images in _images(session.videos):
         for name, image in images.items():
@@ -116,7 +116,7 @@ def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Ma
                 background = read_background(session.backgrounds[name], image.shape, settings.background_model)
                 camera = session.rig.camera(name)
                 pipelines[name] = SilhouettePipeline(camera, background, settings.silhouette, settings.background_model)
-        yield {name: pipelines[name].run(image).person for name, image in images.items()}
+        yield {name: pipelines[name].run(image).mask for name, image in images.items()}
 
 
 def exact_silhouettes(session: Session) -> Iterator[Masks]:

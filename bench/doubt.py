@@ -1,0 +1,238 @@
+"""Scores what all cameras together make of floor shadows: silhouettes and hulls against exact ones, row by row.
+
+    python bench/doubt.py --quick      # about a minute: a few frames of each session
+    python bench/doubt.py
+    python bench/doubt.py --picture docs/images/doubt.jpg [--session FOLDER]
+
+Sessions: the built-in studio, and the rendered ones of ../shared/data/sessions where they are. Each row segments the
+same footage and carves at 20 mm; hulls are compared with the hull of the exact silhouettes, voxel by voxel, and again
+below 25 cm ("feet"). miss and extra are shares of the exact hull's voxels. Rows:
+
+candidates background : every camera for itself, outline untrimmed: what was before.
+candidates person : the same, shadow candidates kept.
+outline trimmed : every camera for itself, outline at half contrast.
+all cameras judge : the default.
+exact shadows : our masks (trimmed) without anything that is no body: what no judgement can surpass.
+
+The last line is JSON: feet_iou, feet_miss, feet_extra, hull_iou, mask_iou of the default row and their ``_before``;
+resolve_per_carve : cost of the judgement as a share of the carve's, in the same run; png_bytes : a message.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+
+from camera_client.background_files import read_background
+from camera_client.footage_reader import open_footage
+from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.silhouette import SilhouettePipeline
+from capture_rig import Rig
+from capture_rig.session import Session, load_session
+from hull_server.backends import make_backend
+from hull_server.doubt import DoubtResolver, person
+from hull_server.grid import VoxelGrid
+from hull_server.settings import DoubtSettings
+from hull_server.views import RigViews, min_seeing
+from sagoma_ros.mask_png import encode
+from stick_figure.body import Body
+from virtual_studio.rig import ring
+from virtual_studio.session import write_session
+
+SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+VOXEL_M, FEET_M = 0.02, 0.25
+DEFAULT, BEFORE = "all cameras judge", "candidates background"
+Masks = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One instant: images, untrimmed levels, levels, and exact masks (or none), by camera, masks on the canvas."""
+
+    images: Masks
+    untrimmed: Masks
+    levels: Masks
+    exact: Masks | None
+
+
+class Scorer:
+    """Carves and compares."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.views, self.grid = RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, VOXEL_M)
+        self.seeing = min_seeing(len(rig.names))
+        self.resolver = DoubtResolver(self.views, rig.volume, DoubtSettings())
+        self._backend = make_backend("cpu", self.views, self.grid).backend
+        self._feet = int(np.ceil((FEET_M - self.grid.origin[2]) / VOXEL_M - 0.5))
+        self.seconds: dict[str, list[float]] = {"carve": [], "resolve": []}
+
+    def hull(self, masks: Masks) -> np.ndarray:
+        begin = time.thread_time()
+        volume = self._backend.carve(masks, self.seeing)
+        self.seconds["carve"].append(time.thread_time() - begin)
+        return volume.to_dense()
+
+    def resolve(self, levels: Masks) -> Masks:
+        begin = time.thread_time()
+        masks = self.resolver.resolve(levels, self.seeing).masks
+        self.seconds["resolve"].append(time.thread_time() - begin)
+        return masks
+
+    def counts(self, truth: np.ndarray, found: np.ndarray) -> list[int]:
+        """Voxels in both, missing, extra; and again below FEET_M."""
+        parts = [truth & found, truth & ~found, found & ~truth]
+        return [int(p.sum()) for p in parts] + [int(p[..., : self._feet].sum()) for p in parts]
+
+    def rows(self) -> dict[str, Callable[[Frame], Masks]]:
+        return {
+            BEFORE: lambda f: {n: person(m) for n, m in f.untrimmed.items()},
+            "candidates person": lambda f: {n: np.where(m > 0, np.uint8(255), m) for n, m in f.untrimmed.items()},
+            "outline trimmed": lambda f: {n: person(m) for n, m in f.levels.items()},
+            DEFAULT: lambda f: self.resolve(f.levels),
+            "exact shadows": lambda f: {n: cv2.bitwise_and(np.where(m > 0, np.uint8(255), m), cv2.dilate(
+                f.exact[n], np.ones((3, 3), np.uint8))) for n, m in f.levels.items()} if f.exact else {},
+        }  # fmt: skip
+
+
+def frames(session: Session, every: int) -> Iterator[Frame]:
+    """Every n-th frame, segmented with and without the trimmed outline."""
+    chains: dict[tuple[str, float], SilhouettePipeline] = {}
+    cameras = session.rig.cameras
+    channels = "mono" if session.masks else "colour"  # the rendered sessions are grey, the real footage is not
+    readers = {c.name: open_footage(session.videos[c.name], channels) for c in cameras}
+    exact = {c.name: open_footage(session.masks[c.name], "mono") for c in cameras} if session.masks else {}
+    for k in range(10**6):
+        images = {name: reader.read() for name, reader in readers.items()}
+        truth = {name: reader.read() for name, reader in exact.items()}
+        if any(image is None for image in (*images.values(), *truth.values())):
+            break
+        if k % every != every // 2:
+            continue
+        levels: dict[float, Masks] = {0.0: {}, SilhouetteSettings().rim: {}}
+        for camera in cameras:
+            for rim, masks in levels.items():
+                if (camera.name, rim) not in chains:
+                    shape = images[camera.name].shape
+                    background = read_background(session.backgrounds[camera.name], shape, BackgroundSettings())
+                    chains[camera.name, rim] = SilhouettePipeline(camera, background, SilhouetteSettings(rim=rim))
+                masks[camera.name] = chains[camera.name, rim].run(images[camera.name]).mask
+        canvas = {c.name: c.undistorted_view() for c in cameras}
+        shown = {n: np.where(m > 127, np.uint8(255), np.uint8(0)) for n, m in truth.items()}
+        yield Frame(images, *levels.values(), {n: canvas[n].undistort_mask(m) for n, m in shown.items()} or None)
+    for reader in (*readers.values(), *exact.values()):
+        reader.close()
+
+
+def mask_scores(found: Masks, exact: Masks) -> np.ndarray:
+    """Mean IoU, precision and recall of the cameras."""
+    rows = []
+    for name, mask in found.items():
+        both = np.count_nonzero(cv2.bitwise_and(mask, exact[name]))
+        either = np.count_nonzero(cv2.bitwise_or(mask, exact[name]))
+        rows.append([both / max(either, 1), both / max(np.count_nonzero(mask), 1),
+                     both / max(np.count_nonzero(exact[name]), 1)])  # fmt: skip
+    return np.mean(rows, axis=0)
+
+
+def score(name: str, session: Session, every: int) -> tuple[dict[str, dict[str, float]], Scorer, list[int]]:
+    """Print the rows of one session; figures by row, the scorer with its times, and message sizes."""
+    scorer, sizes = Scorer(session.rig), []
+    counts: dict[str, list[list[int]]] = {row: [] for row in scorer.rows()}
+    masks: dict[str, list[np.ndarray]] = {row: [] for row in scorer.rows()}
+    for frame in frames(session, every):
+        assert frame.exact is not None
+        truth = scorer.hull(frame.exact)
+        sizes += [len(encode(mask)) for mask in frame.levels.values()]
+        for row, make in scorer.rows().items():
+            found = make(frame)
+            counts[row].append(scorer.counts(truth, scorer.hull(found)))
+            masks[row].append(mask_scores(found, frame.exact))
+    figures = {}
+    for row in scorer.rows():
+        iou, precision, recall = np.mean(masks[row], axis=0)
+        both, miss, extra, feet, feet_miss, feet_extra = np.sum(counts[row], axis=0)
+        figures[row] = {
+            "mask_iou": iou, "precision": precision, "recall": recall, "hull_iou": both / (both + miss + extra),
+            "hull_miss": miss / (both + miss), "hull_extra": extra / (both + miss),
+            "feet_iou": feet / (feet + feet_miss + feet_extra), "feet_miss": feet_miss / (feet + feet_miss),
+            "feet_extra": feet_extra / (feet + feet_miss),
+        }  # fmt: skip
+        print(f"{name:<20} {row:<22}" + "".join(f"{value:>10.3f}" for value in figures[row].values()), flush=True)
+    return figures, scorer, sizes
+
+
+def picture(session: Session, path: Path, index: int) -> None:
+    """Levels above (orange candidate, white sure, green to red dark), verdict below (green removed, red added)."""
+    scorer = Scorer(session.rig)
+    frame = next(f for k, f in enumerate(frames(session, 15)) if k == index)
+    binary, tiles = scorer.resolve(frame.levels), []
+    for name, levels in frame.levels.items():
+        image = frame.images[name]
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        grey = session.rig.camera(name).undistorted_view().undistort_image(grey)
+        above = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        below = above.copy()
+        dark = (levels > 127) & (levels < 255)
+        above[(levels > 0) & (levels <= 127)], above[levels == 255] = (0, 160, 255), (255, 255, 255)
+        degree = (levels[dark].astype(int) - 135) * 2
+        above[dark] = np.stack([0 * degree, degree, 255 - degree], axis=1)
+        below[binary[name] > 0] = (200, 200, 200)
+        below[(binary[name] == 0) & (levels > 127)] = (0, 200, 0)
+        below[(binary[name] > 0) & (levels <= 127)] = (0, 0, 255)
+        tiles.append(np.vstack([_feet(panel, levels) for panel in (above, below)]))
+    if not cv2.imwrite(str(path), np.hstack(tiles[:4])):
+        raise SystemExit(f"{path} cannot be written")
+
+
+def _feet(panel: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """The lower part of the person, twice as large."""
+    rows, columns = np.nonzero(levels > 127)
+    bottom, middle = min(rows.max() + 20, len(panel)), int(np.median(columns))
+    top, left = max(bottom - 170, 0), min(max(middle - 120, 0), panel.shape[1] - 240)
+    part = panel[top : top + 170, left : left + 240]
+    return cv2.resize(part, (480, 340), interpolation=cv2.INTER_NEAREST)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="fewer frames")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="only draw a picture")
+    parser.add_argument("--session", type=Path, metavar="FOLDER", help="the picture's session")
+    parser.add_argument("--frame", type=int, default=4, help="the picture's frame, in fifteenths")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    if arguments.picture:
+        picture(load_session(arguments.session), arguments.picture, arguments.frame)
+        return
+    result: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory(prefix="sagoma_bench_") as folder:
+        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12, seed=1)
+        sessions = {"studio": (Path(folder) / "studio", 24 if arguments.quick else 6)}
+        if (SHARED / "sessions").is_dir():
+            sessions |= {p.name: (p, 60 if arguments.quick else 15) for p in sorted((SHARED / "sessions").iterdir())}
+        heads = ("mask IoU", "precision", "recall", "hull IoU", "miss", "extra", "feet IoU", "miss", "extra")
+        print(f"{'':<43}" + "".join(f"{head:>10}" for head in heads))
+        for name, (path, every) in sessions.items():
+            figures, scorer, sizes = score(name, load_session(path), every)
+            for key in ("feet_iou", "feet_miss", "feet_extra", "hull_iou", "mask_iou"):
+                result.setdefault(key, {})[name] = round(float(figures[DEFAULT][key]), 3)
+                result.setdefault(f"{key}_before", {})[name] = round(float(figures[BEFORE][key]), 3)
+            times = {what: float(np.median(seconds)) for what, seconds in scorer.seconds.items()}
+            result.setdefault("resolve_per_carve", {})[name] = round(times["resolve"] / times["carve"], 2)
+            result.setdefault("png_bytes", {})[name] = round(float(np.mean(sizes)))
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

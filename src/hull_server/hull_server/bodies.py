@@ -1,0 +1,144 @@
+"""Separate bodies: parts of the hull that do not touch, how large they are, and who is who from set to set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from .grid import Array, VoxelGrid
+from .settings import BodySettings
+from .slicer import HullRuns
+
+NOBODY = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The b parts of the hull large enough to be somebody, largest first. Metres, map frame.
+
+    litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
+    number : (b,) int32, who it is: 0, 1, ...; the same person keeps a number (see :class:`BodyTracker`).
+    number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a part that is no
+        body itself, that of the body with the nearest box; NOBODY for all where there is no body. A column for points
+        or voxels is ``number_of_part[points.part]``.
+    """
+
+    litres: Array
+    centroid_world: Array
+    low_world: Array
+    high_world: Array
+    number: npt.NDArray[np.int32]
+    number_of_part: npt.NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.litres)
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The p parts of a hull that do not touch, in the order of their first voxels. Metres, map frame.
+
+    litres : (p,). centroid_world, low_world, high_world : (p, 3) centre of mass and box.
+    """
+
+    litres: Array
+    centroid_world: Array
+    low_world: Array
+    high_world: Array
+
+
+class BodyTracker:
+    """Gives bodies numbers that last.
+
+    Each set's bodies take the numbers of the nearest bodies before them, the nearest pair first, none farther than
+    ``max_jump_m``; the others take the lowest free numbers, larger bodies first. A body that is not there keeps its
+    place and number for ``forget_s``.
+
+    Two people who touch are one part of the hull, thus one body, with one of their numbers. Where they part again each
+    gets the nearest number: who was who is not known from the hull alone.
+    """
+
+    def __init__(self, settings: BodySettings) -> None:
+        self._settings = settings
+        self._known: dict[int, tuple[int, Array]] = {}  # number: stamp when last seen, and centroid_world (3,)
+
+    def step(self, stamp_ns: int, runs: HullRuns, grid: VoxelGrid) -> Bodies:
+        """The bodies of one hull, numbered. A stamp before the last one starts afresh."""
+        parts = measure_parts(runs, grid)
+        order = np.argsort(-parts.litres, kind="stable")
+        chosen = order[parts.litres[order] >= self._settings.min_litres]
+        centroid = parts.centroid_world[chosen]
+        number = self._numbers(stamp_ns, centroid)
+        number_of_part = np.full(len(parts.litres), number[0] if len(chosen) else NOBODY, np.int32)
+        if len(chosen) > 1:
+            number_of_part = number[_nearest_box(parts, chosen)]
+        low, high = parts.low_world[chosen], parts.high_world[chosen]
+        return Bodies(parts.litres[chosen], centroid, low, high, number, number_of_part)
+
+    def reset(self) -> None:
+        """Forget everybody."""
+        self._known.clear()
+
+    def _numbers(self, stamp_ns: int, centroid_world: Array) -> npt.NDArray[np.int32]:
+        forget_ns = self._settings.forget_s * 1e9
+        self._known = {n: known for n, known in self._known.items() if 0 <= stamp_ns - known[0] <= forget_ns}
+        numbers = np.full(len(centroid_world), NOBODY, np.int32)
+        pairs = sorted(
+            (float(np.linalg.norm(place - centroid_world[body])), number, body)
+            for number, (_, place) in self._known.items()
+            for body in range(len(centroid_world))
+        )
+        for distance, number, body in pairs:
+            if distance <= self._settings.max_jump_m and numbers[body] == NOBODY and number not in numbers:
+                numbers[body] = number
+        for newcomer in np.flatnonzero(numbers == NOBODY):
+            numbers[newcomer] = next(n for n in count() if n not in self._known and n not in numbers)
+        self._known |= {int(n): (stamp_ns, centroid) for n, centroid in zip(numbers, centroid_world, strict=True)}
+        return numbers
+
+
+def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:
+    """Volume, place and extent of every part of the hull, however small."""
+    layers, rows, _ = runs.words.shape
+    parts = int(runs.part.max()) + 1 if len(runs.part) else 0
+    sums, low, high = _sum_parts(runs.starts, runs.ends, runs.first, runs.part, layers, rows, parts)
+    corner, size = grid.origin + runs.low * grid.voxel_size, grid.voxel_size
+    return Parts(
+        litres=sums[:, 0] * (grid.voxel_volume_m3 * 1e3),
+        centroid_world=corner + (sums[:, 1:] / sums[:, :1] + 0.5) * size,
+        low_world=corner + low * size,
+        high_world=corner + high * size,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _sum_parts(starts, ends, first, part, layers, rows, parts):  # type: ignore[no-untyped-def]
+    """Sums (p, 4) of 1, x, y, z over the voxels of each part, its lowest voxel and the one beyond its highest."""
+    sums = np.zeros((parts, 4))
+    low, high = np.full((parts, 3), 1 << 30), np.zeros((parts, 3), np.int64)
+    for s in range(layers):
+        for r in range(rows):
+            for run in range(first[s * rows + r], first[s * rows + r + 1]):
+                p, n = part[run], float(ends[run] - starts[run])
+                sums[p, 0] += n
+                sums[p, 1] += n * 0.5 * (starts[run] + ends[run] - 1)
+                sums[p, 2] += n * r
+                sums[p, 3] += n * s
+                low[p, 0], high[p, 0] = min(low[p, 0], starts[run]), max(high[p, 0], ends[run])
+                low[p, 1], high[p, 1] = min(low[p, 1], r), max(high[p, 1], r + 1)
+                low[p, 2], high[p, 2] = min(low[p, 2], s), max(high[p, 2], s + 1)
+    return sums, low, high
+
+
+def _nearest_box(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """(p,) place in ``chosen`` of the nearest of the chosen parts, by the gap between boxes, then by centroids."""
+    low, high, centroid = parts.low_world[:, None], parts.high_world[:, None], parts.centroid_world[:, None]
+    gaps = np.maximum(np.maximum(low - parts.high_world[chosen], parts.low_world[chosen] - high), 0.0)
+    apart = np.linalg.norm(centroid - parts.centroid_world[chosen], axis=-1)
+    nearest = np.lexsort((apart, np.linalg.norm(gaps, axis=-1)), axis=-1)[:, 0]
+    nearest[chosen] = np.arange(len(chosen))
+    return nearest

@@ -1,0 +1,74 @@
+"""The hull's surface as triangles, for viewers and other programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from plyfile import PlyData, PlyElement
+from scipy.ndimage import gaussian_filter
+from skimage.measure import marching_cubes
+
+from capture_rig import InputError
+
+from .bricks import BrickVolume
+from .grid import BRICK_EDGE, Array
+
+SURFACE_LEVEL = 0.5  # of an occupancy between 0 and 1
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A closed surface: vertices_world (v, 3) metres, map frame; faces (f, 3) vertex numbers, outside anticlockwise."""
+
+    vertices_world: Array
+    faces: npt.NDArray[np.int32]
+
+    @property
+    def litres(self) -> float:
+        """The volume enclosed (sum of signed tetrahedra)."""
+        a, b, c = (self.vertices_world[self.faces[:, i]] for i in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0 * 1e3
+
+
+def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
+    """The surface between occupied and empty voxels, by marching cubes (Lorensen and Cline 1987).
+
+    smoothing_voxels : standard deviation of a Gaussian over the occupancy first; 0 leaves the voxels' steps, 1 rounds
+    them off and takes away what is thinner than about two voxels. InputError for an empty hull.
+    """
+    if not len(volume.index):
+        raise InputError("the hull is empty: there is nothing to make a mesh of",
+                         remedy="Ask again when somebody stands in the capture volume.")  # fmt: skip
+    occupancy, low = _crop(volume, margin=2 + int(np.ceil(3 * smoothing_voxels)))
+    if smoothing_voxels > 0:
+        occupancy = gaussian_filter(occupancy, smoothing_voxels)
+    if occupancy.max() <= SURFACE_LEVEL:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    vertices, faces, _, _ = marching_cubes(occupancy, SURFACE_LEVEL, gradient_direction="ascent")
+    return Mesh(volume.grid.centres_world(vertices + low), faces.astype(np.int32))
+
+
+def write_ply(mesh: Mesh, path: Path) -> None:
+    """Write the mesh as binary PLY (Turk 1994), metres, map frame; InputError when the file cannot be written."""
+    vertices = np.rec.fromarrays(mesh.vertices_world.T.astype("<f4"), names="x,y,z")
+    faces = np.empty(len(mesh.faces), [("vertex_indices", "<i4", (3,))])
+    faces["vertex_indices"] = mesh.faces
+    elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        PlyData(elements, byte_order="<", comments=["metres, map frame, z up"]).write(str(path))
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path),
+                         remedy="Choose a folder that this process may write to.") from None  # fmt: skip
+
+
+def _crop(volume: BrickVolume, margin: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    """Occupancy (0 or 1) of the box around the hull, empty on all sides, and the voxel of its low corner."""
+    corners = volume.brick_corners()
+    low, high = corners.min(axis=0) - margin, corners.max(axis=0) + BRICK_EDGE + margin
+    occupancy = np.zeros(high - low, np.float32)
+    occupancy[tuple((volume.voxels() - low).T)] = 1.0
+    return occupancy, low

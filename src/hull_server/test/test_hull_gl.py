@@ -1,0 +1,285 @@
+"""The compute carve: the same bytes as the CPU and the sweep on anything, exact as float64, whatever is under way."""
+
+import threading
+from functools import cache
+
+import numpy as np
+import pytest
+from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from capture_rig import InputError, Rig, Volume
+from hull_server.carve_cpu import CpuCarver
+from hull_server.egl import GlContext, NoGraphics
+from hull_server.grid import VoxelGrid
+from hull_server.views import RigViews
+
+
+def why_no_gl():
+    try:
+        GlContext().close()
+    except NoGraphics as error:
+        return str(error)
+    return ""
+
+
+NO_GL = why_no_gl()
+pytestmark = pytest.mark.skipif(bool(NO_GL), reason=f"no OpenGL here: {NO_GL}")
+if not NO_GL:
+    from hull_server import gl_buffers
+    from hull_server.carve_gl import GlCarver
+    from hull_server.gl_precision import single_precision
+    from hull_server.gl_upload import FrameUpload
+    from hull_server.sweep_gl import SweepCarver
+
+
+def same_bytes(one, other):
+    return one.index.tobytes() == other.index.tobytes() and one.leaves.tobytes() == other.leaves.tobytes()
+
+
+@cache
+def scene(poses=6):
+    """A rig of five cameras, a grid that ends inside its bricks, and silhouettes of a person who moves and turns."""
+    rig = ring_rig(5, size=(256, 200), focal_px=188.0)
+    grid = VoxelGrid.covering(rig.volume, 0.043)
+    assert all(count % 8 for count in grid.shape)
+    return rig, grid, [silhouettes(rig, capsule_person(0.5 * i, 0.1 * i - 0.3, 0.2)) for i in range(poses)]
+
+
+@cache
+def expected():
+    rig, grid, frames = scene()
+    cpu = CpuCarver(RigViews.from_rig(rig), grid)
+    return [cpu.carve(masks, 3) for masks in frames]
+
+
+@pytest.fixture
+def carver():
+    rig, grid, _ = scene()
+    carver = GlCarver(RigViews.from_rig(rig), grid)
+    yield carver
+    carver.close()
+
+
+@settings(max_examples=8, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_gl_cpu_and_sweep_give_the_same_bytes_on_random_rigs_poses_noise_and_cut_views(data):
+    """One carver each for a sequence of frame sets, cameras coming and going, so that nothing may be left over."""
+    seed = data.draw(st.integers(0, 9999))
+    rng = np.random.default_rng(seed)
+    cameras = data.draw(st.integers(2, 8))
+    focal_px = data.draw(st.sampled_from([110.0, 170.0, 330.0]))  # the longest sees only part of the body
+    up = np.array([0.0, 0.0, 1.0])
+    volume = Volume(rng.uniform(-1.0, -0.6, 3) + 0.9 * up, rng.uniform(0.5, 0.9, 3) + 1.1 * up)
+    rig = ring_rig(cameras, size=(192, 150), focal_px=focal_px, seed=seed, volume=volume)
+    if data.draw(st.booleans()):  # one camera inside the volume
+        centre = rng.uniform(-0.4, 0.4, 3) + up
+        inside = look_at("inside", centre, np.array([0.1, -0.5, 0.8]), 120.0, (192, 150))
+        rig = Rig((*rig.cameras, inside), volume)
+    views, grid = RigViews.from_rig(rig), VoxelGrid.covering(volume, data.draw(st.sampled_from([0.036, 0.047])))
+    backends = [CpuCarver(views, grid), GlCarver(views, grid), SweepCarver(views, grid)]
+    for _ in range(3):
+        masks = silhouettes(rig, capsule_person(*rng.uniform(-0.6, 0.6, 3)))
+        noise = data.draw(st.sampled_from([0.0, 0.01, 0.3]))
+        masks = {name: np.where(rng.random(m.shape) < noise, 255 - m, m).astype(np.uint8) for name, m in masks.items()}
+        for name in rng.permutation(rig.names)[: data.draw(st.integers(0, 2))]:
+            masks[name] = np.zeros_like(masks[name]) if data.draw(st.booleans()) else np.full_like(masks[name], 1)
+        for name in rng.permutation(rig.names)[: data.draw(st.integers(0, cameras - 1))]:
+            del masks[name]
+        needed = data.draw(st.integers(2, cameras))
+        cpu, *others = (backend.carve(masks, needed) for backend in backends)
+        assert all(same_bytes(cpu, other) for other in others)
+    for backend in backends:
+        backend.close()
+
+
+def test_gl_places_every_voxel_as_float64_does_where_single_precision_does_not():
+    """Silhouettes of random pixels: a voxel on the wrong side of any pixel border shows."""
+    volume = Volume(np.array([-0.6, -0.5, 0.4]), np.array([0.6, 0.5, 1.6]))
+    rig = ring_rig(3, size=(1280, 1024), focal_px=2400.0, seed=4, distortion=False, volume=volume)
+    views, grid = RigViews.from_rig(rig), VoxelGrid.covering(volume, 0.012)
+    rng = np.random.default_rng(1)
+    masks = {n: rng.integers(0, 2, (h, w), np.uint8) for n, (w, h) in zip(views.names, views.sizes, strict=True)}
+    centres = np.c_[grid.centres_world(np.indices(grid.shape).reshape(3, -1).T), np.ones(np.prod(grid.shape))]
+    h64 = centres @ views.P[0].T
+    h32 = centres.astype(np.float32) @ views.P[0].T.astype(np.float32)
+    pixel64, pixel32 = np.floor(h64[:, :2] / h64[:, 2:] + 0.5), np.floor(h32[:, :2] / h32[:, 2:] + np.float32(0.5))
+    assert (pixel64 != pixel32).any(axis=1).sum() > 20  # single precision alone would not do
+    carver = GlCarver(views, grid)
+    found = carver.carve(masks, 3).to_dense()
+    carver.close()
+    wanted = carve_brute_force(rig, masks, 0.012, 3)
+    assert 0.02 < wanted.mean() < 0.2 and np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("voxel, reach_m", [(0.01, 1.2), (0.05, 6.0)])
+def test_error_bound_of_single_precision_holds_for_every_voxel_and_is_no_idle_one(voxel, reach_m):
+    """Rows, products and sums in float32, as a shader does them, against float64."""
+    volume = Volume(np.array([-reach_m, -reach_m, 0.0]), np.array([reach_m, reach_m, 2.0]))
+    views = RigViews.from_rig(ring_rig(6, size=(640, 480), focal_px=500.0, seed=3, volume=volume))
+    grid = VoxelGrid.covering(volume, voxel)
+    rows, centre, border = single_precision(views, grid)
+    voxels = np.random.default_rng(5).integers(0, grid.shape, (200_000, 3))
+    block, inside = voxels // 4 * 4, (voxels % 4).astype(np.float32)
+    origin = np.c_[block - centre, np.ones(len(voxels))].astype(np.float32)
+    half = np.array(views.seen.shape[:0:-1]) / 2
+    worst = 0.0
+    for camera, P in enumerate(views.P):
+        q = [sum(origin[:, i] * row[i] for i in range(4)) for row in rows[camera]]
+        q = [value + inside[:, 0] * row[0] + inside[:, 1] * row[1] for value, row in zip(q, rows[camera], strict=True)]
+        uv = np.stack(q[:2], 1) * (np.float32(1) / q[2])[:, None] + half.astype(np.float32)
+        voxels_done = block + np.c_[voxels[:, :2] % 4, np.zeros(len(voxels), int)]
+        true = np.c_[grid.centres_world(voxels_done), np.ones(len(voxels))] @ P.T
+        true_uv = true[:, :2] / true[:, 2:] + 0.5
+        on_canvas = (true[:, 2] > 0) & (true_uv > -1).all(axis=1) & (true_uv < 2 * half + 1).all(axis=1)
+        assert on_canvas.sum() > 1000 and uv.dtype == np.float32
+        worst = max(worst, float((np.abs(uv - true_uv).max(axis=1) * true[:, 2])[on_canvas].max()))
+    assert 0.02 * border < worst < border
+
+
+def test_gl_carves_a_full_volume_and_an_empty_one():
+    rig, grid, _ = scene()
+    views = RigViews.from_rig(rig)
+    carver, cpu = GlCarver(views, grid), CpuCarver(views, grid)
+    full = {name: np.full((h, w), 255, np.uint8) for name, (w, h) in zip(views.names, views.sizes, strict=True)}
+    everything = carver.carve(full, 2)
+    assert everything.count > 0.9 * np.prod(grid.shape) and same_bytes(everything, cpu.carve(full, 2))
+    assert carver.carve({name: 0 * mask for name, mask in full.items()}, 2).count == 0
+    assert carver.carve({}, 2).count == 0
+    carver.close()
+
+
+def test_gl_fetches_all_bricks_when_there_are_more_than_expected(monkeypatch):
+    monkeypatch.setattr(gl_buffers, "LEAST_GUESS", 3)
+    rig, grid, frames = scene()
+    carver = GlCarver(RigViews.from_rig(rig), grid)
+    few = {name: np.zeros_like(mask) for name, mask in frames[0].items()}
+    for masks, wanted in zip(frames, expected(), strict=True):
+        assert len(wanted.index) > 10
+        assert same_bytes(carver.carve(masks, 3), wanted)
+        assert carver.carve(few, 3).count == 0  # lowers what is expected of the next
+    carver.close()
+
+
+def test_gl_works_through_lists_that_are_longer_than_one_row_of_work_groups(monkeypatch):
+    monkeypatch.setattr("hull_server.carve_gl.GROUPS_IN_ROW", 3)
+    rig, grid, frames = scene()
+    carver = GlCarver(RigViews.from_rig(rig), grid)
+    assert all(same_bytes(carver.carve(masks, 3), wanted) for masks, wanted in zip(frames, expected(), strict=True))
+    carver.close()
+
+
+@pytest.mark.parametrize("slow_device", [False, True])
+def test_tickets_collected_late_in_any_order_twice_or_never_hold_their_own_frame(carver, monkeypatch, slow_device):
+    if slow_device:  # nothing is ever there already
+        monkeypatch.setattr(gl_buffers.BufferSet, "has_arrived", lambda self: False)
+    _, _, frames = scene()
+    tickets = [carver.submit(masks, 3) for masks in frames]  # more than there are sets of buffers
+    for number in (5, 0, 3, 2, 3):  # never 1 and 4
+        assert same_bytes(carver.collect(tickets[number]), expected()[number])
+    assert same_bytes(carver.carve(frames[4], 3), expected()[4])
+    distinct = {volume.leaves.tobytes() for volume in expected()}
+    assert len(distinct) == len(frames)
+
+
+def test_masks_may_be_reused_as_soon_as_they_are_submitted(carver):
+    _, _, frames = scene()
+    masks = {name: mask.copy() for name, mask in frames[0].items()}
+    ticket = carver.submit(masks, 3)
+    for mask in masks.values():
+        mask[:] = 255
+    assert same_bytes(carver.collect(ticket), expected()[0])
+
+
+@pytest.mark.parametrize("slow_device", [False, True])
+def test_one_thread_submits_while_others_collect(carver, monkeypatch, slow_device):
+    if slow_device:
+        monkeypatch.setattr(gl_buffers.BufferSet, "has_arrived", lambda self: False)
+    _, _, frames = scene()
+    found, ready = {}, [threading.Event() for _ in frames]
+    tickets = {}
+
+    def collect(number):
+        ready[number].wait(30)
+        found[number] = carver.collect(tickets[number])
+
+    threads = [threading.Thread(target=collect, args=(number,)) for number in range(len(frames))]
+    for thread in threads:
+        thread.start()
+    for number, masks in enumerate(frames):
+        tickets[number] = carver.submit(masks, 3)
+        ready[number].set()
+    for thread in threads:
+        thread.join()
+    assert all(same_bytes(found[number], wanted) for number, wanted in enumerate(expected()))
+
+
+def test_ticket_outlives_the_carver_only_when_it_was_brought_home(carver, monkeypatch):
+    monkeypatch.setattr(gl_buffers.BufferSet, "has_arrived", lambda self: False)  # as on a device that takes its time
+    _, _, frames = scene()
+    first, *_, last = [carver.submit(masks, 3) for masks in frames[:3]]
+    carver.close()
+    assert same_bytes(carver.collect(first), expected()[0])
+    with pytest.raises(NoGraphics, match="closed"):
+        carver.collect(last)
+
+
+def test_device_that_does_not_finish_is_no_graphics_and_may_be_asked_again(carver, monkeypatch):
+    _, _, frames = scene()
+    with monkeypatch.context() as stuck:
+        stuck.setattr(gl_buffers.GL, "glClientWaitSync", lambda *args: gl_buffers.GL.GL_TIMEOUT_EXPIRED)
+        ticket = carver.submit(frames[2], 3)
+        with pytest.raises(NoGraphics, match=r"did not finish a carve within 10 s; choose backend 'cpu'"):
+            carver.collect(ticket)
+    assert same_bytes(carver.collect(ticket), expected()[2])
+
+
+def test_submit_of_an_unknown_camera_or_a_wrong_mask_is_refused_and_leaves_the_carver_usable(carver):
+    _, _, frames = scene()
+    with pytest.raises(InputError, match="no camera 'cam77'"):
+        carver.submit(frames[0] | {"cam77": frames[0]["cam01"]}, 3)
+    with pytest.raises(InputError, match="cam01: the mask is"):
+        carver.submit(frames[0] | {"cam01": frames[0]["cam01"][:-1]}, 3)
+    assert same_bytes(carver.carve(frames[1], 3), expected()[1])
+
+
+def test_rig_or_grid_beyond_the_shaders_limits_is_refused_with_the_remedy(monkeypatch):
+    rig, grid, _ = scene()
+    views = RigViews.from_rig(rig)
+    many = RigViews(tuple(f"c{i:02d}" for i in range(33)), np.repeat(views.P[:1], 33, 0),
+                    np.repeat(views.sizes[:1], 33, 0), np.repeat(views.seen[:1], 33, 0))  # fmt: skip
+    with pytest.raises(InputError, match=r"33 cameras are too many.*backend 'cpu'"):
+        GlCarver(many, grid)
+    fine = VoxelGrid(grid.origin, grid.voxel_size, (8 * 200, 8 * 200, 8 * 100))
+    monkeypatch.setattr("hull_server.carve_gl.GL.glGetIntegerv", lambda name: 1 << 27)
+    with pytest.raises(InputError, match=r"voxel_size_m: 1600 x 1600 x 800 voxels need .* larger voxels"):
+        GlCarver(views, fine)
+    monkeypatch.setattr("hull_server.carve_gl.GL.glGetIntegerv", lambda name: 65536)
+    with pytest.raises(InputError, match=r"silhouettes together need .* allows 65536.*backend 'cpu'"):
+        GlCarver(views, VoxelGrid(grid.origin, grid.voxel_size, (16, 16, 16)))
+
+
+def test_upload_labels_and_sums_what_is_seen_and_forgets_the_frame_before():
+    rig, _, frames = scene()
+    views = RigViews.from_rig(rig)
+    upload = FrameUpload(views)
+    rng = np.random.default_rng(0)
+    noisy = {name: np.minimum(mask, rng.integers(1, 256, mask.shape, np.uint8)) for name, mask in frames[1].items()}
+    full = {name: np.full_like(mask, 7) for name, mask in noisy.items()}
+    for masks in (full, noisy):
+        words = upload.fill(masks, np.arange(5), 3)
+    assert list(words[64:66]) == [0b11111, 3]
+    labels = words[upload.labels_start :][: views.seen.size // 16].view(np.uint32).reshape(*views.seen.shape[:2], -1)
+    boxes, starts = words[68 : 68 + 20].reshape(5, 4), words[88 : 88 + 5]
+    for camera, name in enumerate(views.names):
+        h, w = noisy[name].shape
+        foreground = np.zeros(views.seen[camera].shape, bool)
+        foreground[:h, :w] = (noisy[name] > 0) & (views.seen[camera, :h, :w] > 0)
+        bits = labels[camera, :, :, None] >> np.arange(32, dtype=np.uint32) & 1
+        assert np.array_equal(bits[:, :, :16].reshape(foreground.shape), foreground)
+        assert np.array_equal(bits[:, :, 16:].reshape(foreground.shape), views.seen[camera] == 0)
+        u0, v0, u1, v1 = boxes[camera]
+        assert foreground[v0:v1, u0:u1].sum() == foreground.sum() > 0
+        sums = words[starts[camera] :][: (v1 - v0 + 1) * (u1 - u0 + 1)].reshape(v1 - v0 + 1, -1)
+        assert np.array_equal(sums[1:, 1:], foreground[v0:v1, u0:u1].cumsum(0).cumsum(1))
