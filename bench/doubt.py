@@ -40,8 +40,8 @@ from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouette import SilhouettePipeline
 from capture_rig import Rig
 from capture_rig.session import Session, load_session
-from hull_server.backends import make_backend
-from hull_server.doubt import DoubtResolver, person
+from hull_server.carving.backends import make_backend
+from hull_server.consensus.doubt import DoubtResolver, person
 from hull_server.grid import VoxelGrid
 from hull_server.settings import DoubtSettings
 from hull_server.views import RigViews, min_seeing

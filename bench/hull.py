@@ -42,12 +42,12 @@ from hull_rivals import RIVALS, PlainNumpy
 from hull_scene import VOLUME, Masks, scene
 
 from capture_rig import FrameSet, InputError
-from hull_server.backends import CarveBackend, make_backend
-from hull_server.centerline import find_centerline
+from hull_server.carving.backends import CarveBackend, make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.pipeline import HullPipeline
 from hull_server.settings import BlobSettings, HullSettings
-from hull_server.slicer import slice_blobs
+from hull_server.slicing.centerline import find_centerline
+from hull_server.slicing.slicer import slice_blobs
 from hull_server.views import RigViews, min_seeing
 
 MEMORY_OPTION = "--memory-of-one-process"

@@ -24,10 +24,10 @@ import cv2
 import numpy as np
 from hull_scene import VOLUME, Masks, scene
 
-from hull_server.carve_gl import GlCarver
-from hull_server.gl_objects import GL
 from hull_server.grid import VoxelGrid
-from hull_server.slicer import slice_blobs
+from hull_server.opengl.carve_gl import GlCarver
+from hull_server.opengl.gl_objects import GL
+from hull_server.slicing.slicer import slice_blobs
 from hull_server.views import RigViews, min_seeing
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from hull_server.grid import VoxelGrid
-from hull_server.sweep_gl import SweepCarver
+from hull_server.opengl.sweep_gl import SweepCarver
 from hull_server.views import RigViews, min_seeing
 
 Masks = dict[str, np.ndarray]

@@ -31,8 +31,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from lying_clips import FPS, Clip, Lie, Mask, clips, lies
 
-from hull_server.backends import CarveBackend, make_backend
-from hull_server.dissent import DissentWatch
+from hull_server.carving.backends import CarveBackend, make_backend
+from hull_server.consensus.dissent import DissentWatch
 from hull_server.grid import VoxelGrid
 from hull_server.settings import DissentSettings
 from hull_server.views import RigViews, min_seeing

@@ -12,18 +12,18 @@ import numpy.typing as npt
 
 from capture_rig import FrameSet, Rig
 
-from .backends import make_backend
-from .bodies import Bodies, BodyTracker
 from .bricks import BrickVolume
-from .centerline import Centerline, find_centerline
-from .dissent import DissentWatch
-from .dissent_verdict import Verdict
-from .doubt import DoubtResolver
+from .carving.backends import make_backend
+from .consensus.dissent import DissentWatch
+from .consensus.dissent_verdict import Verdict
+from .consensus.doubt import DoubtResolver
 from .grid import VoxelGrid
 from .settings import HullSettings
-from .slicer import slice_hull
+from .slicing.bodies import Bodies, BodyTracker
+from .slicing.centerline import Centerline, find_centerline
+from .slicing.slicer import slice_hull
+from .slicing.voxels import VoxelSamples, sample_runs
 from .views import RigViews, min_seeing
-from .voxels import VoxelSamples, sample_runs
 
 Mask = npt.NDArray[np.uint8]
 

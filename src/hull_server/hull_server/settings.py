@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from capture_rig.settings import setting
 
-from .backends import BACKENDS
+from .carving.backends import BACKENDS
 
 
 @dataclass(frozen=True)

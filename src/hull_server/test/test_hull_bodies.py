@@ -5,15 +5,15 @@ import pytest
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
 from capture_rig import Volume
-from hull_server.backends import make_backend
-from hull_server.bodies import NOBODY, BodyTracker, measure_parts
 from hull_server.bricks import BrickVolume
-from hull_server.centerline import find_centerline
+from hull_server.carving.backends import make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.settings import BlobSettings, BodySettings
-from hull_server.slicer import slice_hull
+from hull_server.slicing.bodies import NOBODY, BodyTracker, measure_parts
+from hull_server.slicing.centerline import find_centerline
+from hull_server.slicing.slicer import slice_hull
+from hull_server.slicing.voxels import sample_runs
 from hull_server.views import RigViews
-from hull_server.voxels import sample_runs
 
 VOXEL = 0.04
 MS = 1_000_000

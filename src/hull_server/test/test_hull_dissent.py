@@ -9,8 +9,8 @@ import pytest
 from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
-from hull_server.dissent import DissentWatch
-from hull_server.dissent_evidence import Hearing
+from hull_server.consensus.dissent import DissentWatch
+from hull_server.consensus.dissent_evidence import Hearing
 from hull_server.settings import DissentSettings
 from hull_server.views import RigViews, min_seeing
 

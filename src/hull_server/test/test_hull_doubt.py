@@ -9,8 +9,8 @@ from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
 from capture_rig.mask_levels import CANDIDATE_LEVELS, DARK_LEVELS
-from hull_server.doubt import DoubtResolver, person
-from hull_server.doubt_kernels import RAY_STEP_M, STRIDE, Verdicts, judge
+from hull_server.consensus.doubt import DoubtResolver, person
+from hull_server.consensus.doubt_kernels import RAY_STEP_M, STRIDE, Verdicts, judge
 from hull_server.settings import DoubtSettings
 from hull_server.views import RigViews, min_seeing
 

@@ -6,9 +6,9 @@ import threading
 import numpy as np
 import pytest
 
-import hull_server.egl
-from hull_server.egl import GlContext
-from hull_server.egl_library import Display, Egl, NoGraphics
+import hull_server.opengl.egl
+from hull_server.opengl.egl import GlContext
+from hull_server.opengl.egl_library import Display, Egl, NoGraphics
 
 NVIDIA, LLVMPIPE = "NVIDIA GeForce RTX 4070/PCIe/SSE2", "llvmpipe (LLVM 15.0.6, 256 bits)"
 
@@ -62,8 +62,8 @@ def open_on(monkeypatch):
     """Open a context on a fake EGL."""
 
     def open_context(egl, hardware=None):
-        monkeypatch.setattr(hull_server.egl, "Egl", lambda: egl)
-        monkeypatch.setattr(hull_server.egl, "renderer_name", lambda: egl.drawing)
+        monkeypatch.setattr(hull_server.opengl.egl, "Egl", lambda: egl)
+        monkeypatch.setattr(hull_server.opengl.egl, "renderer_name", lambda: egl.drawing)
         return GlContext(hardware)
 
     return open_context
@@ -88,7 +88,7 @@ def open_or_skip():
 
 def assert_draws(context):
     """A buffer can be written and read: the context is real."""
-    from hull_server.gl_objects import StorageBuffer
+    from hull_server.opengl.gl_objects import StorageBuffer
 
     data = np.arange(100, dtype=np.uint32)
     with context.current():
@@ -156,7 +156,7 @@ def test_context_without_libegl_says_what_to_install(monkeypatch):
 
 @pytest.mark.parametrize("way", ["EGL device", "surfaceless EGL", "default EGL display"])
 def test_context_on_one_way_alone_works_where_the_driver_offers_it(monkeypatch, way):
-    monkeypatch.setattr(hull_server.egl, "Egl", hidden(lambda display: display.description.startswith(way)))
+    monkeypatch.setattr(hull_server.opengl.egl, "Egl", hidden(lambda display: display.description.startswith(way)))
     context = open_or_skip()
     assert_draws(context)
     context.close()
@@ -167,7 +167,7 @@ def test_context_with_a_small_surface_works_where_none_is_not_allowed(monkeypatc
         def make_current(self, display, surface, context):
             return (context is None or surface is not None) and super().make_current(display, surface, context)
 
-    monkeypatch.setattr(hull_server.egl, "Egl", NeedsSurface)
+    monkeypatch.setattr(hull_server.opengl.egl, "Egl", NeedsSurface)
     context = open_or_skip()
     assert_draws(context)
     context.close()
@@ -220,7 +220,7 @@ def test_context_serves_threads_one_at_a_time():
 
 def test_storage_buffer_gives_back_what_was_written():
     context = open_or_skip()
-    from hull_server.gl_objects import StorageBuffer
+    from hull_server.opengl.gl_objects import StorageBuffer
 
     data = np.arange(1000, dtype=np.uint32)
     with context.current():
@@ -235,7 +235,7 @@ def test_storage_buffer_gives_back_what_was_written():
 
 def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(monkeypatch):
     context = open_or_skip()
-    from hull_server.gl_objects import GL, StorageBuffer
+    from hull_server.opengl.gl_objects import GL, StorageBuffer
 
     def out_of_memory(*args):
         raise GL.GLError(GL.GL_OUT_OF_MEMORY)
@@ -248,7 +248,7 @@ def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(monkeypatch):
 
 def test_shader_that_does_not_compile_is_an_error_with_the_drivers_words():
     context = open_or_skip()
-    from hull_server.gl_objects import make_program
+    from hull_server.opengl.gl_objects import make_program
 
     with context.current(), pytest.raises(NoGraphics, match=r"(?s)the driver rejects a compute shader: .*nonsense"):
         make_program(compute="#version 430\nlayout(local_size_x = 1) in;\nvoid main() { nonsense(); }\n")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ..grid import BRICK_EDGE
 from .egl import NoGraphics
 from .gl_objects import GL, StorageBuffer
 from .gl_upload import FRAME_OFFSET, LISTS
-from .grid import BRICK_EDGE
 
 BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRICK_EDGE)])  # as the shaders' Brick
 LIST_BYTES = 16  # size of a dispatch, and length

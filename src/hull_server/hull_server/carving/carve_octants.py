@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ..kernel import kernel
 from .boxes import foreground_in, seen_in
-from .kernel import kernel
 
 EVERY_OCTANT = 255
 DEPTH_RATIO = 4.0  # a brick whose far end is farther than this many times its near end is judged voxel by voxel

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..bricks import BrickVolume
+from ..grid import VoxelGrid
+from ..views import Masks, RigViews
 from .boxes import block_boxes, pixel_projections, rows_within_reach, summed_area
-from .bricks import BrickVolume
 from .carve_backend import Immediate
 from .carve_kernels import BRICK_EDGE, COARSE_EDGE, Work, carve
 from .carve_octants import octant_steps
 from .carve_scene import Scene, Tabulator
 from .carve_votes import voxel_steps
-from .grid import VoxelGrid
-from .views import Masks, RigViews
 
 
 class CpuCarver(Immediate):

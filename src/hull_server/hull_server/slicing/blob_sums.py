@@ -13,7 +13,7 @@ def sum_blobs(runs, joined, layers, rows, across_layers, step):  # type: ignore[
     """Slice (n,), sums of 1, u, v, 6 uu, vv, uv (n, 6), growth (n,) and first voxel as (u, row, layer) (n, 3) of the
     blobs, ordered by slice and first voxel; u counts along the runs, v across them inside the slice.
 
-    runs : as :func:`hull_server.runs.find_runs` gives them. joined : as ``join_in_slices`` does.
+    runs : as :func:`hull_server.slicing.runs.find_runs` gives them. joined : as ``join_in_slices`` does.
     The sums are whole numbers far below 2**53, so float64 holds them exactly.
     """
     starts, ends, first, filled = runs

@@ -11,7 +11,7 @@ from .dissent_misfit import Misfit
 
 @dataclass(frozen=True)
 class Testimony:
-    """What one hearing found about one camera: the shares of :class:`~hull_server.dissent_evidence.Evidence`."""
+    """What one hearing found about one camera: the shares of :class:`~.dissent_evidence.Evidence`."""
 
     denied: float = 0.0
     excess: float = 0.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..settings import DissentSettings
 from .dissent_record import Record
-from .settings import DissentSettings
 
 STILL_S = 0.25  # a silhouette that does not change for so long, while the others do, is frozen
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernel import kernel
+from ..kernel import kernel
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # what a camera says of a pixel
 
@@ -19,7 +19,7 @@ class Scene(NamedTuple):
     """What one carve reads: the calibration (fixed) and the silhouettes of one frame set.
 
     projections (N, 3, 4): voxel index to pixel. sizes (N, 2): canvases. seen_table (N, H + 1, W + 1).
-    voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see hull_server.carve_votes and hull_server.carve_octants.
+    voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see carve_votes and carve_octants.
     labels (N, H * W + 8): BACKGROUND, FOREGROUND or BLIND for every pixel, and BLIND for all that lies outside.
     stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
     foreground_table (N, (H + 1) * (W + 1)): summed areas of the foreground inside that box, from its corner, row after

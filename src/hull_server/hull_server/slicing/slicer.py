@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ..bricks import BrickVolume
+from ..grid import Array
 from .bits import brick_box, erode, pack_rows
 from .blob_sums import join_tables, sum_blobs
-from .bricks import BrickVolume
-from .grid import Array
 from .runs import find_runs, join_in_slices, join_in_space, run_at
 
 GROWTH_STEP_M = 0.02
@@ -35,7 +35,7 @@ class BlobTable:
         ascending order.
     growth : (n,) area of the blob found straight above or below the centroid, a step along ``axis``, over the blob's
         own; the larger of the two, inf where there is none.
-    part : (n,) int32, the part of the hull that the blob belongs to; see :class:`hull_server.bodies.Parts`.
+    part : (n,) int32, the part of the hull that the blob belongs to; see :class:`hull_server.slicing.bodies.Parts`.
     """
 
     axis: npt.NDArray[np.uint8]

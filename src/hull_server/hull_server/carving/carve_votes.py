@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ..kernel import kernel
 from .carve_scene import BLIND, FOREGROUND
-from .kernel import kernel
 
 BLOCK_EDGE = 4
 ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)

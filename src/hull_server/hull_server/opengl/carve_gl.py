@@ -14,16 +14,16 @@ import numpy as np
 
 from capture_rig import InputError
 
-from .boxes import UNSEEN, block_boxes, pixel_projections, summed_area
-from .bricks import BrickVolume
+from ..bricks import BrickVolume
+from ..carving.boxes import UNSEEN, block_boxes, pixel_projections, summed_area
+from ..grid import BRICK_EDGE, VoxelGrid
+from ..views import Masks, RigViews
 from .carve_shaders import HEADER, KERNELS
 from .egl import GlContext, NoGraphics
 from .gl_buffers import LIST_BYTES, BufferSet
 from .gl_objects import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
 from .gl_precision import single_precision
 from .gl_upload import FrameUpload
-from .grid import BRICK_EDGE, VoxelGrid
-from .views import Masks, RigViews
 
 SETS = 2  # frame sets that may be under way at once
 GROUP = 64  # invocations of a work group
@@ -67,7 +67,7 @@ class GlCarver:
             raise
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """As :meth:`hull_server.carve_cpu.CpuCarver.carve`."""
+        """As :meth:`hull_server.carving.carve_cpu.CpuCarver.carve`."""
         return self.collect(self.submit(masks, min_seeing))
 
     def submit(self, masks: Masks, min_seeing: int) -> Ticket:

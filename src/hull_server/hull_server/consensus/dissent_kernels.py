@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from .boxes import SEEN, UNSEEN, BlockBoxes
+from ..carving.boxes import SEEN, UNSEEN, BlockBoxes
 
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
 COARSE_EDGE, FINE_EDGE = 16, 4

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..kernel import kernel
 from .boxes import SEEN, UNSEEN, BlockBoxes, foreground_in
 from .carve_octants import EVERY_OCTANT, judge_octants, octants_inside
 from .carve_scene import Scene
 from .carve_votes import count_votes, inside_word, store_block
-from .kernel import kernel
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
@@ -28,7 +28,7 @@ class Work(NamedTuple):
     """Scratch memory.
 
     verdicts (coarse blocks, 2): how many cameras are settled about a block (or EMPTY), and the set of the undecided.
-    corners (128,), octant_box (40,), pixels (64,): see hull_server.carve_octants and hull_server.carve_votes.
+    corners (128,), octant_box (40,), pixels (64,): see carve_octants and carve_votes.
     possible, settled (8,): of each octant of a brick, how many cameras may be, and are, settled as foreground.
     mixed (N,): the octants about which a camera is undecided, as bits.
     """

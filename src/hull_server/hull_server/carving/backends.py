@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from capture_rig import InputError
 
+from ..grid import VoxelGrid
+from ..opengl.egl import NoGraphics
+from ..views import RigViews
 from .carve_backend import CarveBackend
 from .carve_cpu import CpuCarver
-from .egl import NoGraphics
-from .grid import VoxelGrid
-from .views import RigViews
 
 BACKENDS = ("auto", "gl", "sweep", "cpu")
 
@@ -45,8 +45,8 @@ def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> Choice:
 
 def _make_gl(kind: str, views: RigViews, grid: VoxelGrid) -> CarveBackend:
     try:
-        from .carve_gl import GlCarver
-        from .sweep_gl import SweepCarver
+        from ..opengl.carve_gl import GlCarver
+        from ..opengl.sweep_gl import SweepCarver
     except ImportError as error:
         raise NoGraphics(f"PyOpenGL cannot be imported ({error}); pip install PyOpenGL") from None
     except (AttributeError, TypeError) as error:  # how PyOpenGL says that it found no OpenGL library

@@ -14,14 +14,14 @@ import numpy as np
 
 from capture_rig import InputError
 
-from .boxes import pixel_projections
-from .bricks import BrickVolume
-from .carve_backend import Immediate
+from ..bricks import BrickVolume
+from ..carving.boxes import pixel_projections
+from ..carving.carve_backend import Immediate
+from ..grid import VoxelGrid
+from ..views import Masks, RigViews
 from .carve_shaders import PROJECT_EXACTLY
 from .egl import GlContext, NoGraphics
 from .gl_objects import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
-from .grid import VoxelGrid
-from .views import Masks, RigViews
 
 # axis swept: (axis along the frame buffer's columns, along its rows)
 SLICE_AXES = {0: (1, 2), 1: (0, 2), 2: (0, 1)}
@@ -91,7 +91,7 @@ class SweepCarver(Immediate):
             raise
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """As :meth:`hull_server.carve_cpu.CpuCarver.carve`."""
+        """As :meth:`hull_server.carving.carve_cpu.CpuCarver.carve`."""
         slices = self.sweep(masks, min_seeing, axis=2)
         return BrickVolume.from_dense(self.grid, slices.transpose(2, 1, 0) > 0)
 

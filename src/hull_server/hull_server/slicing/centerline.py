@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from .grid import Array, VoxelGrid
-from .settings import BlobSettings
+from ..grid import Array, VoxelGrid
+from ..settings import BlobSettings
 from .slicer import BlobTable, shape_of
 
 # fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py measures how honest it is)
@@ -27,8 +27,8 @@ class Centerline:
     points_world : (n, 3) metres, map frame. sigma : (n,) metres, standard deviation of the point from the limb's axis
     in each direction across it, see :func:`point_sigma`. axis : (n,) 0 = x, 1 = y, 2 = z, the axis the slice was
     perpendicular to.
-    area_m2, elongation, fill : (n,) of the blob; see :class:`hull_server.slicer.BlobTable`.
-    part : (n,) int32, the part of the hull the point belongs to; see :class:`hull_server.bodies.Bodies`.
+    area_m2, elongation, fill : (n,) of the blob; see :class:`hull_server.slicing.slicer.BlobTable`.
+    part : (n,) int32, the part of the hull the point belongs to; see :class:`hull_server.slicing.bodies.Bodies`.
     """
 
     points_world: Array

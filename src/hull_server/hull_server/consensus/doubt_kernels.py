@@ -1,4 +1,4 @@
-"""Compiled inner loops of :mod:`hull_server.doubt`: which dark pixels are floor in shadow."""
+"""Compiled inner loops of :mod:`hull_server.consensus.doubt`: which dark pixels are floor in shadow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba import njit
 
 from capture_rig.mask_levels import CANDIDATE_LEVELS, DARK_LEVELS
 
-from .kernel import kernel
+from ..kernel import kernel
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 UNSEEN, EMPTY, CANDIDATE, DARK, SURE = 0, 1, 2, 3, 4  # kinds of levels; from DARK on the person, perhaps

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from .views import Masks, RigViews
+from ..views import Masks, RigViews
 
 LISTS = 4  # lists that the kernels hand on: coarse blocks, bricks, blocks, doubts
 FRAME_OFFSET = 256  # bytes: the largest alignment that a driver may ask of a bound range

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .boxes import pixel_projections
-from .grid import VoxelGrid
-from .views import RigViews
+from ..carving.boxes import pixel_projections
+from ..grid import VoxelGrid
+from ..views import RigViews
 
 UNIT = 2.0**-24  # relative rounding of one operation
 IN_SUMS = 8  # roundings on the way to a row's value: the entry's own, a product, three sums, three steps in a block

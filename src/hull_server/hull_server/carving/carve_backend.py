@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from .bricks import BrickVolume
-from .views import Masks
+from ..bricks import BrickVolume
+from ..views import Masks
 
 
 class CarveBackend(Protocol):

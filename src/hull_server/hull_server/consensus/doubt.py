@@ -27,9 +27,9 @@ import numpy.typing as npt
 from capture_rig import Volume
 from capture_rig.mask_levels import CANDIDATE_LEVELS, DARK_LEVELS, FOREGROUND, SHADOW_CANDIDATE
 
+from ..settings import DoubtSettings
+from ..views import Masks, RigViews
 from .doubt_kernels import BLIND, STRIDE, Scene, Verdicts, degrees, judge, kinds, settle
-from .settings import DoubtSettings
-from .views import Masks, RigViews
 
 LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees no floor worth judging
 

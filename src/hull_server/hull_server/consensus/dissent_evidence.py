@@ -18,7 +18,9 @@ import numpy.typing as npt
 
 from capture_rig import Rig
 
-from .boxes import block_boxes, pixel_projections, summed_area
+from ..carving.boxes import block_boxes, pixel_projections, summed_area
+from ..grid import VoxelGrid
+from ..views import RigViews, min_seeing
 from .dissent_kernels import (
     BACKGROUND_CELL,
     COARSE_EDGE,
@@ -33,8 +35,6 @@ from .dissent_kernels import (
     number_cells,
 )
 from .dissent_misfit import Misfit, find_misfit
-from .grid import VoxelGrid
-from .views import RigViews, min_seeing
 
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
 LOW_M = 0.15  # floor shadows make hulls up to this height: so low, a veto tells nothing

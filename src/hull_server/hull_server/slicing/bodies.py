@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from .grid import Array, VoxelGrid
-from .settings import BodySettings
+from ..grid import Array, VoxelGrid
+from ..settings import BodySettings
 from .slicer import HullRuns
 
 NOBODY = -1

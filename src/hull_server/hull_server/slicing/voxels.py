@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from ..bricks import BrickVolume
+from ..grid import Array, VoxelGrid
 from .bits import popcount, select_bit, sides
-from .bricks import BrickVolume
-from .grid import Array, VoxelGrid
 from .runs import run_at
 from .slicer import HullRuns, slice_hull
 
@@ -22,7 +22,7 @@ GOLDEN = 0.6180339887498949
 class VoxelSamples:
     """Voxel centres (n, 3), metres, map frame; surface (n,) is True where one of six neighbours is empty.
 
-    part : (n,) int32, the part of the hull the voxel belongs to; see :class:`hull_server.bodies.Bodies`.
+    part : (n,) int32, the part of the hull the voxel belongs to; see :class:`hull_server.slicing.bodies.Bodies`.
     """
 
     points_world: Array

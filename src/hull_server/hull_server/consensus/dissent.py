@@ -16,11 +16,11 @@ import numpy.typing as npt
 
 from capture_rig import Rig
 
+from ..settings import DissentSettings
+from ..views import Masks, RigViews
 from .dissent_evidence import Evidence, Hearing
 from .dissent_record import Record, Testimony
 from .dissent_verdict import Verdict, reason
-from .settings import DissentSettings
-from .views import Masks, RigViews
 
 ENOUGH_WITNESSES = 5  # each one less makes the hull of the others looser: twice as much must be allowed
 FEWEST_WITNESSES = 3  # cameras that must remain: of two that contradict each other, either may be right

@@ -1,0 +1,1 @@
+"""Silhouettes to occupied voxels: who carves, and the CPU's way."""

@@ -1,0 +1,1 @@
+"""What the cameras say together before anything is carved: shadows, and cameras that contradict all others."""

@@ -1,0 +1,1 @@
+"""The same on a graphics processor, and the thesis's sweep."""
