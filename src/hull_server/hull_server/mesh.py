@@ -53,7 +53,8 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
 
 def write_ply(mesh: Mesh, path: Path) -> None:
     """Write the mesh as binary PLY (Turk 1994), metres, map frame; InputError when the file cannot be written."""
-    vertices = np.rec.fromarrays(mesh.vertices_world.T.astype("<f4"), names="x,y,z")
+    vertices = np.empty(len(mesh.vertices_world), [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    vertices["x"], vertices["y"], vertices["z"] = mesh.vertices_world.T
     faces = np.empty(len(mesh.faces), [("vertex_indices", "<i4", (3,))])
     faces["vertex_indices"] = mesh.faces
     elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
