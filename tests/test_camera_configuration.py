@@ -26,7 +26,7 @@ def test_parameter_file_has_only_known_parameters_with_possible_values(path):
 def test_camera_of_the_file_is_in_the_rig_that_it_names(path, monkeypatch):
     monkeypatch.chdir(ROOT)
     settings = read_file(path).settings
-    assert load_camera(settings, settings.camera_name).name == path.stem
+    assert load_camera(settings, settings.camera_name)[0].name == path.stem
 
 
 def test_files_of_the_folder_serve_the_example_rig_with_an_address_each():

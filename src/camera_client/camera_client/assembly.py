@@ -9,7 +9,7 @@ from pathlib import Path
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
-from capture_rig.rig import load_rig
+from capture_rig.rig import Volume, load_rig
 
 from .aravis_source import AravisSource
 from .footage_source import FootageSource
@@ -22,20 +22,21 @@ Accept = Callable[[FrameSource], None]
 STALL_PERIODS = 5  # a camera that is slow has not stalled
 
 
-def load_camera(settings: CameraClientSettings, name: str) -> CameraModel:
-    """The calibrated camera ``name`` of the rig, with the intrinsics of camera_info_file where there is one.
+def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel, Volume]:
+    """The calibrated camera ``name`` of the rig, with camera_info_file's intrinsics if there is one, and the volume.
 
     Raises InputError naming the file.
     """
     if not settings.rig_file:
         raise InputError("is empty", where="parameter rig_file", remedy="Give the path of the rig YAML.")
     try:
-        camera = load_rig(settings.rig_file).camera(name)
+        rig = load_rig(settings.rig_file)
+        camera = rig.camera(name)
     except InputError as error:
         raise InputError(error.what, where=error.where or settings.rig_file, remedy=error.remedy) from None
     if settings.camera_info_file and Path(settings.camera_info_file).exists():
-        return load_camera_info(settings.camera_info_file, camera)
-    return camera
+        return load_camera_info(settings.camera_info_file, camera), rig.volume
+    return camera, rig.volume
 
 
 def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSource:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from capture_rig.camera import CameraModel
+from capture_rig.rig import Volume
 
 from .background_files import read_background
 from .background_model import BackgroundModel, load_background
@@ -42,8 +43,8 @@ class _Tools:
 class CameraChain:
     """Checks frames and finds silhouettes. Frames come on one thread; what is used may be replaced on another."""
 
-    def __init__(self, camera: CameraModel, settings: CameraClientSettings) -> None:
-        self._settings = settings
+    def __init__(self, camera: CameraModel, settings: CameraClientSettings, volume: Volume | None = None) -> None:
+        self._settings, self._volume = settings, volume
         self._tools = _Tools(camera, FrameChecks(settings.frame_checks))
 
     @property
@@ -102,5 +103,5 @@ class CameraChain:
         s = self._settings
         if model is None:
             return _Tools(camera, FrameChecks(s.frame_checks))
-        pipeline = SilhouettePipeline(camera, model, s.silhouette, s.background_model)
+        pipeline = SilhouettePipeline(camera, model, s.silhouette, s.background_model, self._volume)
         return _Tools(camera, FrameChecks(s.frame_checks, model.mean), pipeline, model)

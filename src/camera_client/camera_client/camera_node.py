@@ -74,7 +74,8 @@ class CameraNode(SagomaNode):
     def configure(self) -> None:
         settings: CameraClientSettings = self.settings
         name = settings.camera_name or self.get_namespace().rsplit("/", 1)[-1]
-        self._chain = CameraChain(load_camera(settings, name), settings)
+        camera, volume = load_camera(settings, name)
+        self._chain = CameraChain(camera, settings, volume)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings)
         self._source = connect_source(settings, self._accept)
         if not self._source.shape:

@@ -9,10 +9,12 @@ from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import (
     CANDIDATE_LEVELS,
     DARK_LEVELS,
+    FLOOR_REACH_M,
     FOREGROUND,
     SHADOW_CANDIDATE,
     degree_of,
 )
+from capture_rig.rig import Volume
 
 from .background_model import BackgroundModel
 from .floor_shadow import floor_pixels
@@ -32,9 +34,10 @@ class Darkness:
     of 2 x 2 pixels and of the channels: wider windows would mix legs with the shadow beside them.
     """
 
-    def __init__(self, camera: CameraModel, background: BackgroundModel) -> None:
+    def __init__(self, camera: CameraModel, background: BackgroundModel, volume: Volume | None = None) -> None:
+        """``volume``: where floor matters; pixels whose ray meets it farther away are not doubted."""
         self._scale = np.float32(RATIO_SCALE) / np.maximum(_halved_grey(background.mean), np.float32(1.0))
-        self._floor = floor_pixels(camera)
+        self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
         degrees = [degree_of(step / RATIO_SCALE) for step in range(256)]
         self._dark = np.array([FOREGROUND if d is None else DARK_LEVELS[d] for d in degrees], np.uint8)
         self._candidate = np.array([SHADOW_CANDIDATE if d is None else CANDIDATE_LEVELS[d // 2] for d in degrees],

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.rig import Volume
 
 from .background_model import BackgroundModel
 from .frame_source import Image, Mask
@@ -149,12 +150,22 @@ def _around(blocks: np.ndarray) -> np.ndarray:
     return cv2.blur(blocks, (TEXTURE_BLOCKS, TEXTURE_BLOCKS), borderType=cv2.BORDER_CONSTANT)
 
 
-def floor_pixels(camera: CameraModel) -> Mask:
-    """(H, W) uint8: 255 where a pixel's ray meets the floor z = 0 within 20 m, else 0."""
+def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: float = 0.0) -> Mask:
+    """(H, W) uint8: 255 where a pixel's ray meets the floor z = 0 within 20 m, else 0.
+
+    With a ``volume``, only where it does so inside it or not farther than ``reach_m`` (and a pixel or two) around it.
+    """
     u, v = np.meshgrid(np.arange(0, camera.width, GRID_PX), np.arange(0, camera.height, GRID_PX))
     rays = camera.rays_world(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*u.shape, 3)
     height_m = camera.centre_world[2]
     meets = (height_m > 0) & (-rays[..., 2] * MAX_FLOOR_DISTANCE_M > height_m)
+    if volume is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            floor_world = camera.centre_world[:2] - rays[..., :2] * (height_m / rays[..., 2:])
+        low, high = volume.low[:2] - reach_m, volume.high[:2] + reach_m
+        meets &= ((low <= floor_world) & (floor_world <= high)).all(axis=-1)
     grid = np.where(meets, np.uint8(255), np.uint8(0))
+    if volume is not None:
+        grid = cv2.dilate(grid, _THREE)  # the grid is coarse: rather a pixel too many
     full = cv2.resize(grid, (u.shape[1] * GRID_PX, u.shape[0] * GRID_PX), interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(full[: camera.height, : camera.width])

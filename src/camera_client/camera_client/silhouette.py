@@ -12,6 +12,7 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.rig import Volume
 
 from .background_model import BackgroundModel, check_shape, shape_text
 from .colour_shadow import ColourShadow
@@ -84,7 +85,9 @@ class SilhouettePipeline:
         background: BackgroundModel,
         settings: SilhouetteSettings | None = None,
         background_settings: BackgroundSettings | None = None,
+        volume: Volume | None = None,
     ) -> None:
+        """``volume``: the capture volume; floor far from it need not be doubted."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
         self._settings, self._shape = settings, background.shape
@@ -93,7 +96,7 @@ class SilhouettePipeline:
         if background_settings.drift.mode == "slow":
             self._drift = LightDrift(background, self._limits, background_settings)
         self._shadow = _shadow_test(camera, background, settings, background_settings.sigma_floor)
-        self._darkness = Darkness(camera, background) if settings.shadow == "mark" else None
+        self._darkness = Darkness(camera, background, volume) if settings.shadow == "mark" else None
         self._mean = np.rint(background.mean).clip(0, 255).astype(np.uint8)
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         min_area_px = settings.min_area * camera.height**2

@@ -21,6 +21,10 @@ LEVELS = (BACKGROUND, *CANDIDATE_LEVELS, *DARK_LEVELS, FOREGROUND)
 """All sixteen, ascending."""
 
 
+FLOOR_REACH_M = 0.5
+"""Floor is doubted within the capture volume and so far around it."""
+
+
 def degree_of(ratio: float) -> int | None:
     """The degree of darkness of a pixel ``ratio`` times as bright as the background; None: not as a shadow would be."""
     degree = sum(ratio >= edge for edge in DEGREES) - 1

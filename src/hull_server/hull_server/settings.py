@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from capture_rig.mask_levels import FLOOR_REACH_M
 from capture_rig.settings import setting
 
 from .carving.backends import BACKENDS
@@ -92,7 +93,10 @@ class DoubtSettings:
     tolerance: int = setting(
         1, "two cameras see a place equally dark when they differ by so many degrees, of a tenth each", low=0, high=8
     )
-    reach_m: float = setting(0.5, "floor is judged within the volume and so far around it", unit="m", low=0.0, high=5.0)
+    reach_m: float = setting(
+        FLOOR_REACH_M, "floor is judged within the volume and so far around it; cameras send no more", unit="m",
+        low=0.0, high=FLOOR_REACH_M,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

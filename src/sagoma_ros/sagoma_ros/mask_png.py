@@ -61,7 +61,7 @@ def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
     if depth == 1:
         bits = np.unpackbits(rows[:, 1:], axis=1, count=width)
         return np.negative(bits, out=bits)  # 0 - 1 is 255
-    levels = _unpacked(rows[:, 1:], candidates) if depth == 2 else _pairs(candidates)[rows[:, 1:]].view(np.uint8)
+    levels = _unpacked(rows[:, 1:], candidates) if depth == 2 else _halves(rows[:, 1:], candidates)
     return np.ascontiguousarray(levels[:, :width])
 
 
@@ -80,15 +80,22 @@ def _places() -> np.ndarray:
     return places
 
 
+def _halves(packed: np.ndarray, candidates: int) -> np.ndarray:
+    """The levels (h, 2 n) of n bytes a row."""
+    first, second = _levels_of_byte(candidates)
+    packed = np.ascontiguousarray(packed)
+    return cv2.merge([cv2.LUT(packed, first), cv2.LUT(packed, second)]).reshape(len(packed), -1)
+
+
 @cache
-def _pairs(candidates: int) -> np.ndarray:
-    """The two levels (256,), as the bytes of a uint16, that each byte of four-bit pixels stands for."""
-    levels = np.array(LEVELS, np.uint16)
+def _levels_of_byte(candidates: int) -> tuple[np.ndarray, np.ndarray]:
+    """The two levels, (256,) uint8 each, that a byte of four-bit pixels stands for."""
+    levels = np.array(LEVELS, np.uint8)
     if candidates != SHADOW_CANDIDATE:
         levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
         levels[levels > SHADOW_CANDIDATE] = FOREGROUND
     byte = np.arange(256)
-    return (levels[byte >> 4] | levels[byte & 15] << np.uint16(8)).astype("<u2")
+    return levels[byte >> 4], levels[byte & 15]
 
 
 def _two_bits(mask: np.ndarray) -> np.ndarray:

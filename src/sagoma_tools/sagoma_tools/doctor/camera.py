@@ -48,7 +48,7 @@ def examine(path: Path, open_it: bool = False) -> Iterator[Finding]:
     yield ok("file", f"{path} describes camera {file.name}")
     camera = None
     try:
-        camera = load_camera(file.settings, file.settings.camera_name or file.name)
+        camera, _ = load_camera(file.settings, file.settings.camera_name or file.name)
         yield ok("rig", f"{file.settings.rig_file}: {camera.name}, {camera.width} x {camera.height} pixels")
         yield from _camera_info(file.settings)
     except InputError as problem:
@@ -95,7 +95,7 @@ def siblings(file: CameraFile, interface: InterfaceFacts) -> list[CameraFile]:
 def stream_of(file: CameraFile) -> Stream | None:
     """What the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
     try:
-        camera = load_camera(file.settings, file.settings.camera_name or file.name)
+        camera, _ = load_camera(file.settings, file.settings.camera_name or file.name)
     except InputError:
         return None
     wanted = file.settings.aravis.pixel_format

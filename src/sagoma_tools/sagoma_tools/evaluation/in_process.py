@@ -115,7 +115,9 @@ def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Ma
             if name not in pipelines:
                 background = read_background(session.backgrounds[name], image.shape, settings.background_model)
                 camera = session.rig.camera(name)
-                pipelines[name] = SilhouettePipeline(camera, background, settings.silhouette, settings.background_model)
+                pipelines[name] = SilhouettePipeline(
+                    camera, background, settings.silhouette, settings.background_model, session.rig.volume
+                )
         yield {name: pipelines[name].run(image).mask for name, image in images.items()}
 
 
