@@ -21,7 +21,7 @@ from ..live_run import LiveRun, run_live
 from ..stages import FootageStage, Stage, StudioStage
 from .common import StopOnSignal, add_settings_argument, parse_settings
 
-CAMERA_FPS = 20.0  # what five cameras, studio and graph together reach on two cores
+CAMERA_FPS = 12.0  # what five cameras, studio and graph together reach on two cores
 KEPT_UP = 0.9  # of the frame sets, at least, are answered where a machine keeps up
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
