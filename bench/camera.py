@@ -4,6 +4,7 @@
     python bench/camera.py --seconds 300 --fps 60             # the long run
     python bench/camera.py --fps 60 80 100 120                # until the machine no longer keeps up
     python bench/camera.py --fps 60 --loss 0 0.0005 0.005     # with packets lost on the way
+    python bench/camera.py --fps 60 --plain                   # clients that leave no doubt to the hull server: cheaper
 
 Every run is the real thing: one process serves the cameras (GigE Vision over loopback, 640 x 480 Mono8, a moving body
 in a room with noise and flicker and, with --shadow, strong shadows on the floor), each camera has a client process that
@@ -111,18 +112,21 @@ class Ear:
             self._ages_ns.append(age_ns)
 
 
+PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.silhouette.rim": 0.0}
+
+
 def built_in_session(folder: Path, args: argparse.Namespace) -> Path:
     """The studio's person in its room, a T-pose and some movement, with sensor noise and flicker."""
     rig, body = ring(args.cameras - 1, True), Body.from_stature(1.75)
     return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, shadow=args.shadow)
 
 
-def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float) -> Run:
+def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float, plain: bool = False) -> Run:
     """One run: studio, clients, ear; the clients' counts from SETTLE_S after the play has begun."""
     cameras = len(load_session(session).rig.names)
     arguments = ("--session", str(session), "--fps", f"{fps:g}", "--empty", "--address", free_first_address(cameras))
     with StudioProcess(folder / "studio", *arguments) as studio:
-        settings = {f"{ALL_CAMERAS}.aravis.sync": "ptp"}
+        settings = {f"{ALL_CAMERAS}.aravis.sync": "ptp", **(PLAIN_MASKS if plain else {})}
         graph = select(build_graph(rig=studio.rig, cameras=studio.cameras, settings=settings), ALL_CAMERAS)
         with Supervisor(graph, folder / "logs") as supervisor:
             supervisor.configure(tolerate_cameras=False)
@@ -221,6 +225,7 @@ def main() -> int:
     parser.add_argument("--loss", type=float, nargs="+", default=[0.0], help="share of the packets lost on the way")
     parser.add_argument("--seconds", type=float, default=60.0, help="length of a run")
     parser.add_argument("--shadow", action="store_true", help="strong shadows on the floor: the hardest scene")
+    parser.add_argument("--plain", action="store_true", help="masks of two levels, each camera judging for itself")
     parser.add_argument("--session", help="what the cameras see (default: the built-in person, rendered now)")
     args = parser.parse_args()
     seconds = 15.0 if args.quick else args.seconds
@@ -230,7 +235,7 @@ def main() -> int:
         session = Path(args.session) if args.session else built_in_session(folder / "session", args)
         for fps in args.fps:
             for loss in args.loss:
-                runs.append(measure(session, folder / f"{fps:g}_{loss:g}", fps, loss, seconds))
+                runs.append(measure(session, folder / f"{fps:g}_{loss:g}", fps, loss, seconds, args.plain))
                 print(f"{fps:g} Hz, packet loss {loss:g}: done", file=sys.stderr)
             if not runs[-1].kept_up and args.loss == [0.0]:
                 break
