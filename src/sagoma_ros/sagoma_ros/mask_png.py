@@ -33,12 +33,17 @@ def encode(mask: np.ndarray) -> bytes:
     One bit a pixel when there are background and foreground only, two with shadow candidates of level 127, four with
     degrees of darkness.
     """
-    if cv2.countNonZero(cv2.LUT(mask, _NEEDS_FOUR_BITS)):
-        return _png(mask.shape, 4, _four_bits(mask))
-    packed = _two_bits(mask)
+    left, top, width, height = cv2.boundingRect(mask) if mask.size else (0, 0, 0, 0)
+    left, right = left & ~7, left + width  # whole bytes of any depth
+    used = mask[top : top + height, left:right]  # a person fills a part of the image
+    if used.size == 0:
+        return _png(mask.shape, 1, np.zeros((0, 0), np.uint8), 0, 0)
+    if cv2.countNonZero(cv2.LUT(used, _NEEDS_FOUR_BITS)):
+        return _png(mask.shape, 4, _four_bits(used), top, left)
+    packed = _two_bits(used)
     if not (packed & 0x55 & ~(packed >> 1)).any():
-        return _png(mask.shape, 1, np.packbits(mask, axis=1))
-    return _png(mask.shape, 2, packed)
+        return _png(mask.shape, 1, np.packbits(used, axis=1), top, left)
+    return _png(mask.shape, 2, packed, top, left)
 
 
 def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
@@ -123,11 +128,13 @@ def _unpacked(packed: np.ndarray, candidates: int) -> np.ndarray:
     return levels.view(np.uint8)
 
 
-def _png(shape: tuple[int, ...], depth: int, packed: np.ndarray) -> bytes:
+def _png(shape: tuple[int, ...], depth: int, packed: np.ndarray, top: int, left: int) -> bytes:
+    """``packed`` are the pixels from row ``top`` and column ``left`` on; all others are background."""
     height, width = shape
-    rows = np.zeros((height, 1 + packed.shape[1]), np.uint8)  # each row begins with its filter: none
-    rows[:, 1:] = packed
-    packer = zlib.compressobj(1, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
+    rows = np.zeros((height, 1 + -(-width * depth // 8)), np.uint8)  # each row begins with its filter: none
+    first = 1 + left * depth // 8
+    rows[top : top + packed.shape[0], first : first + packed.shape[1]] = packed
+    packer = zlib.compressobj(2, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
     body = packer.compress(rows.data) + packer.flush()
     header = _HEADER.pack(width, height, depth, *_GREY_AS_WE_WRITE_IT)
     return SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")

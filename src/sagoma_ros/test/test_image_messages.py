@@ -184,3 +184,14 @@ def test_camera_info_of_an_undistorted_canvas_has_no_distortion_and_P_equal_to_K
     assert np.array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
     assert np.array_equal(np.reshape(info.p, (3, 4)), np.column_stack([canvas.K, np.zeros(3)]))
     assert (to_ns(info.header.stamp), info.header.frame_id) == (STAMP, "cam01_optical")
+
+
+@given(st.integers(1, 90), st.integers(1, 30), st.integers(0, 2**32), st.integers(1, 3))
+def test_small_patch_anywhere_comes_back(width, height, seed, kinds) -> None:
+    rng = np.random.default_rng(seed)
+    mask = np.zeros((height, width), np.uint8)
+    top, left = rng.integers(height), rng.integers(width)
+    patch = mask[top : top + rng.integers(1, 9), left : left + rng.integers(1, 20)]
+    levels = [FOREGROUND, SHADOW_CANDIDATE, LEVELS[7]][:kinds]
+    patch[:] = rng.choice(np.array(levels, np.uint8), patch.shape)
+    assert np.array_equal(mask_png.decode(mask_png.encode(mask), SHADOW_CANDIDATE), mask)
