@@ -15,7 +15,6 @@ from capture_rig.session import STILL_SUFFIXES
 from .frame_source import Image, UndecodableFrame
 
 MONO_TOLERANCE = 3  # grey levels between the channels of a monochrome picture stored as colour (JPEG rounding)
-CHANNEL_CHOICES = ("auto", "mono", "colour")
 
 
 class FootageReader(ABC):

@@ -129,11 +129,6 @@ class FootageSource(FrameSource):
         return self._epoch_ns
 
     @property
-    def next_frame(self) -> int:
-        """The number of the frame that leaves next: how many have left so far."""
-        return self._frame
-
-    @property
     def frame_count(self) -> int:
         """How many frames the file says it holds."""
         return 0 if self._reader is None else self._reader.frame_count

@@ -15,7 +15,6 @@ import numpy as np
 from .errors import InputError
 from .lens import Array
 
-POINT_COUNT = 15
 ANGLE_COUNT = 18
 LEFT_HAND, RIGHT_HAND, LEFT_ELBOW, RIGHT_ELBOW = 11, 12, 7, 8
 

@@ -27,7 +27,6 @@ from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
 from sagoma_ros.stamps import to_ns
 
-DOMAIN = 32
 PATIENCE_S = 20.0  # only ever reached by a failing test
 PERIOD_NS = 16_666_667
 EPOCH_NS = 7_000_000_000
@@ -123,7 +122,7 @@ def values_of(message):
 @pytest.fixture(scope="module")
 def context():
     context = rclpy.context.Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
+    rclpy.init(context=context)
     yield context
     rclpy.shutdown(context=context)
 

@@ -23,7 +23,6 @@ from sagoma_ros.qos import RESULT
 from sagoma_ros.stamps import to_ns
 from stick_figure.kinematics import forward
 
-DOMAIN = 34
 NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hear each other
 DEADLINE_S = 20.0  # only ever reached by a failing test
 PERIOD_NS = 25_000_000
@@ -108,7 +107,7 @@ class Bench:
 def bench(monkeypatch):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
+    rclpy.init(context=context)
     made = []
 
     def make(**parameters):

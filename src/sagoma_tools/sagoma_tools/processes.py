@@ -21,7 +21,6 @@ import psutil
 PR_SET_PDEATHSIG = 1
 REAP_S = 5.0
 SHM_LOCK = re.compile(r"^/dev/shm/(fastrtps_\w+)_el$")  # held open by the process that owns the segment or port
-MIB = 1024 * 1024
 _libc = ctypes.CDLL(None)
 
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from ..kernel import kernel
 from .carve_scene import BLIND, FOREGROUND
 
-BLOCK_EDGE = 4
 ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
