@@ -1,0 +1,70 @@
+"""``sagoma import humaneva``: its arguments and what it prints."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from capture_rig.errors import InputError
+
+from .importer import Request, Summary, import_trial
+from .layout import CAMERAS, Trial
+
+HELP = "a trial of HumanEva-I (Sigal, Balan & Black 2010) that you have from its owners"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The trial, its cameras and frames, and the folder to write."""
+    parser.add_argument("root", type=Path, help="folder that holds S1, S2, S3, S4 and Background")
+    parser.add_argument("--subject", required=True, help="S1 to S4")
+    parser.add_argument("--action", required=True, help="Walking, Jog, ThrowCatch, Gestures, Box or Combo")
+    parser.add_argument("--trial", type=int, default=1, help="1 has footage and motion capture (default)")
+    parser.add_argument("--cameras", nargs="+", default=list(CAMERAS), metavar="CAMERA", help=", ".join(CAMERAS))
+    parser.add_argument("--frames", nargs=2, type=int, metavar=("FIRST", "LAST"),
+                        help="the data set's own frame numbers, from 6 on (default: all)")  # fmt: skip
+    parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
+    parser.add_argument("output", type=Path, nargs="?", help="the session folder to write")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import, then say what is there and what to do next."""
+    cameras, output = _cameras_and_output(args)
+    frames = None if args.frames is None else (args.frames[0], args.frames[1])
+    trial = Trial(args.root, args.subject, args.action, args.trial)
+    request = Request(trial, cameras, frames, not args.no_truth)
+    console = Console()
+    columns = TextColumn("copying"), MofNCompleteColumn(), TextColumn("frames"), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=None if frames is None else frames[1] - frames[0] + 1)
+        summary = import_trial(request, output, lambda done: progress.update(task, completed=done))
+    report(console, request, output, summary)
+    return 0
+
+
+def report(console: Console, request: Request, output: Path, summary: Summary) -> None:
+    """What was written, for people."""
+    footage = summary.footage
+    console.print(f"{request.trial}: {footage.frames} frames of {', '.join(request.cameras)}", highlight=False)
+    for camera, room in footage.empty_rooms.items():
+        console.print(f"empty room of {camera}: {room}", highlight=False)
+    if request.with_truth:
+        share = summary.frames_with_truth / footage.frames
+        console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
+        console.print(f"next: sagoma evaluate {output} --start session", highlight=False)
+    else:
+        console.print(f"next: sagoma up {output}", highlight=False)
+
+
+def _cameras_and_output(args: argparse.Namespace) -> tuple[tuple[str, ...], Path]:
+    cameras, output = list(args.cameras), args.output
+    if output is None and len(cameras) > 1 and cameras[-1] not in CAMERAS:
+        output = Path(cameras.pop())  # argparse gives a folder that follows --cameras to --cameras
+    if output is None:
+        raise InputError("no session folder to write is given", where="command line", remedy="Put its path last.")
+    for camera in cameras:
+        if camera not in CAMERAS:
+            raise InputError(f"there is no camera '{camera}'", where="--cameras", remedy=f"Use {', '.join(CAMERAS)}.")
+    return tuple(dict.fromkeys(cameras)), output

@@ -1,0 +1,152 @@
+"""A trial of HumanEva-I as a session folder: footage, empty room, rig and, where it was published, the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.rig import FLOOR_MARGIN_M, Rig, Volume, default_volume, save_rig
+
+from ...bag_writer import own_version
+from ..session_folder import new_session_folder
+from ..truth_file import write_truth_file
+from .c3d_file import Mocap, read_c3d
+from .cal import read_cal
+from .footage import Footage, Source, copy_footage
+from .joints import Joints, joints, markers_mm, measures
+from .layout import Trial
+from .movies import Movie, is_grey
+from .ofs import read_ofs
+from .timing import FIRST_USABLE_FRAME, CommonTime, common_time
+
+SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
+"""From the outermost markers to the sides of the capture volume: flesh and hands lie beyond them."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to import: cameras by the data set's names; common frames (first, last), counted from 1, or None for all."""
+
+    trial: Trial
+    cameras: tuple[str, ...]
+    frames: tuple[int, int] | None = None
+    with_truth: bool = True
+
+    def __post_init__(self) -> None:
+        first, last = self.frames or (FIRST_USABLE_FRAME, FIRST_USABLE_FRAME)
+        if first < FIRST_USABLE_FRAME or last < first:
+            raise InputError(f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on", where="--frames",
+                             remedy="The first five frames of a movie all show the same image.")  # fmt: skip
+
+    @property
+    def first_frame(self) -> int:
+        return self.frames[0] if self.frames else FIRST_USABLE_FRAME
+
+    @property
+    def count(self) -> int | None:
+        return self.frames[1] - self.frames[0] + 1 if self.frames else None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What was written: the footage, and how many of its frames have a truth."""
+
+    footage: Footage
+    frames_with_truth: int
+
+
+def import_trial(request: Request, folder: Path, progress: Callable[[int], None] = lambda done: None) -> Summary:
+    """Write the session folder ``folder``; it appears whole or not at all. Raises InputError naming the file.
+
+    World frame: Vicon's, z up, the floor at z = 0; metres.
+    """
+    trial = request.trial
+    time = common_time({camera: read_ofs(path) for camera, path in trial.offsets().items()})
+    sources = {camera: _source(request, time, camera, n) for n, camera in enumerate(request.cameras, 1)}
+    cameras = tuple(_camera(trial, camera, source) for camera, source in sources.items())
+    mocap = read_c3d(trial.mocap()) if request.with_truth else None
+    sizes = measures(read_c3d(trial.static_mocap()), trial.measures()) if request.with_truth else None
+    fps = _frame_rate(sources, time, mocap)
+    with new_session_folder(folder) as partial:
+        footage = copy_footage(sources, request.count, partial, fps, progress)
+        frames = np.arange(request.first_frame, request.first_frame + footage.frames)
+        with_truth = 0
+        if mocap is not None and sizes is not None:
+            with_truth = _write_truth(partial / "truth.csv", joints(mocap, time.mocap(frames), sizes), trial)
+        save_rig(Rig(cameras, _volume(cameras, mocap, time.mocap(frames))), partial / "rig.yaml")
+        _describe(partial / "session.yaml", trial, sources, footage, time, frames, fps)
+    return Summary(footage, with_truth)
+
+
+def _source(request: Request, time: CommonTime, camera: str, number: int) -> Source:
+    trial = request.trial
+    if camera not in time.first_image:
+        raise InputError(f"has no .ofs file of camera {camera} for {trial}", where=str(trial.folder / "Sync_Data"),
+                         remedy=f"It has those of {', '.join(time.first_image)}.")  # fmt: skip
+    first_image = time.image(camera, request.first_frame)
+    return Source(trial.video(camera), first_image, trial.backgrounds(camera), f"cam{number:02d}")
+
+
+def _camera(trial: Trial, camera: str, source: Source) -> CameraModel:
+    with Movie(source.movie, is_grey(camera)) as movie:
+        return read_cal(trial.calibration(camera), source.name, *movie.size_px)
+
+
+def _frame_rate(sources: Mapping[str, Source], time: CommonTime, mocap: Mocap | None) -> float:
+    """Frames a second by the motion capture's clock, else as the first movie states it."""
+    if mocap is not None and mocap.rate_hz > 0:
+        return mocap.rate_hz / time.mocap_per_frame
+    camera, source = next(iter(sources.items()))
+    with Movie(source.movie, is_grey(camera)) as movie:
+        return movie.fps
+
+
+def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
+    """Rows from the first known frame on, so that a track can start at the first row; unknown cells stay empty."""
+    if not found.valid.any():
+        raise InputError(f"no imported frame of {trial} has complete motion capture", where=str(trial.mocap()),
+                         remedy="Import other frames, or footage alone with --no-truth.")  # fmt: skip
+    start = int(found.valid.argmax())
+    points = {n: np.where(found.valid[:, None], p, np.nan)[start:] / 1000.0 for n, p in found.points_mm.items()}
+    write_truth_file(path, np.arange(start, len(found.valid)), points)
+    return int(found.valid.sum())
+
+
+def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np.ndarray) -> Volume:
+    """The box around all markers of the imported time, with a margin; from the cameras alone without motion capture."""
+    if mocap is None:
+        return default_volume(cameras)
+    rows = slice(max(int(positions[0]) - 1, 0), int(positions[-1]) + 1)
+    points = np.concatenate([track[rows] for track in markers_mm(mocap)]) / 1000.0
+    points = points[(points != 0).any(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    return Volume(
+        np.array([*(low[:2] - SIDE_MARGIN_M), -FLOOR_MARGIN_M]),
+        np.array([*(high[:2] + SIDE_MARGIN_M), high[2] + TOP_MARGIN_M]),
+    )
+
+
+def _describe(
+    path: Path, trial: Trial, sources: Mapping[str, Source], footage: Footage, time: CommonTime, frames: np.ndarray,
+    fps: float,
+) -> None:  # fmt: skip
+    cameras = {
+        source.name: {"name": camera, "first_image": source.first_image, "background": footage.empty_rooms[camera]}
+        for camera, source in sources.items()
+    }
+    document = {
+        "fps": fps,
+        "units": "metres, pixels",
+        "source": f"HumanEva-I, {trial}",
+        "made_by": f"sagoma import humaneva, {own_version()}",
+        "cameras": cameras,
+        "common_frames": [int(frames[0]), int(frames[-1])],
+        "first_mocap_frame": round(float(time.mocap(frames[:1])[0]), 4),
+    }
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

@@ -1,0 +1,122 @@
+"""The joints of HumanEva's ground truth (Sigal, Balan & Black 2010) from motion capture, at fractional mocap frames.
+
+These are the points of the authors' 3D error measure. Rotations there are written with a matrix that turns z towards
+-x for a positive angle; here every turned stick is written out as its direction instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from capture_rig.errors import InputError
+
+from .c3d_file import Mocap
+from .mp import read_mp
+from .virtual_points import Instants, Segment, between, mean_distance_mm, present, segment
+
+MARKERS = (
+    "RASI", "LASI", "RPSI", "LPSI", "C7", "T10", "RBAK", "STRN", "CLAV", "LSHO", "RSHO", "LUPA", "RUPA", "LELB", "RELB",
+    "LFRM LFRA", "RFRM RFRA", "LWRA", "RWRA", "LWRB", "RWRB", "LFIN", "RFIN", "LTHI", "RTHI", "LKNE", "RKNE",
+    "LTIB", "RTIB", "LANK", "RANK", "LHEE", "RHEE", "LTOE", "RTOE", "LFHD", "RFHD", "LBHD", "RBHD",
+)  # fmt: skip
+"""The 39 markers on the body, two of them with two names; a frame that lacks any of them is not used."""
+PELVIS_SHIFT_MM = -50.0
+HEAD_MM = 316.103
+"""From the thorax's origin to the top of the head: one constant for all subjects."""
+MARKER_RADIUS_MM = 7.0
+MEASURES = ("LShoulderOffset", "RShoulderOffset")
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Sizes of a subject, mm: radius of the chest, and each shoulder's offset."""
+
+    chest_radius_mm: float
+    shoulder_offset_mm: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Joints:
+    """Points by name, each (F, 3) mm, Vicon's world; ``valid`` (F,) says where the motion capture is complete."""
+
+    points_mm: dict[str, np.ndarray]
+    valid: np.ndarray
+
+
+def markers_mm(mocap: Mocap) -> list[np.ndarray]:
+    """The tracks (T, 3), mm, of the 39 markers; zero where one was not seen. InputError for one that is not there."""
+    return [mocap.track_mm(*names.split()) for names in MARKERS]
+
+
+def measures(static: Mocap, mp: Path) -> Measures:
+    """A subject's sizes from the trial in which it stands still and from its ``.mp`` file."""
+    left, right = static.track_mm("LSHO"), static.track_mm("RSHO")
+    seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
+    if not seen.any():
+        raise InputError("both shoulder markers (LSHO, RSHO) are never seen together", where=str(static.path),
+                         remedy="Copy it again from the data set.")  # fmt: skip
+    width_mm = np.linalg.norm(left - right, axis=1)[seen].mean()
+    offset = read_mp(mp, MEASURES)
+    return Measures(width_mm / 2 - MARKER_RADIUS_MM, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})
+
+
+def joints(mocap: Mocap, positions: np.ndarray, sizes: Measures) -> Joints:
+    """The joints at 1-based mocap positions (F,)."""
+    at = Instants.of(positions, len(mocap.points_mm))
+    points, used = _trunk(mocap, at, sizes.chest_radius_mm)
+    for side in "LR":
+        for limb, segments in (_leg(mocap, at, side), _arm(mocap, at, side, sizes.shoulder_offset_mm[side])):
+            points |= {side + name: point for name, point in limb.items()}
+            used += segments
+    seen = [present(track, at) for track in markers_mm(mocap)]
+    return Joints(points, np.all([at.inside, *seen, *(s.known for s in used)], axis=0))
+
+
+def _trunk(mocap: Mocap, at: Instants, chest_radius_mm: float) -> tuple[dict[str, np.ndarray], list[Segment]]:
+    pelvis, head = segment(mocap, at, "PEL"), segment(mocap, at, "HED", origin="TRXO")
+    thorax_mm = between(mocap.track_mm("TRXO"), at)
+    torso_mm = mean_distance_mm(mocap.track_mm("TRXO"), mocap.track_mm("PELO"), at)
+    # the torso's axis starts 50 mm behind the pelvis's origin and leans back by half the chest's radius
+    lean = np.arctan2(chest_radius_mm / 2, torso_mm)
+    top_mm = pelvis.at(PELVIS_SHIFT_MM - torso_mm * np.sin(lean), 0.0, torso_mm * np.cos(lean))
+    points = {
+        "Pelvis": pelvis.at(PELVIS_SHIFT_MM, 0.0, 0.0),
+        "Neck": (top_mm + thorax_mm) / 2,
+        "Head": head.at(0.0, 0.0, HEAD_MM),
+    }
+    return points, [pelvis, head]
+
+
+def _leg(mocap: Mocap, at: Instants, side: str) -> tuple[dict[str, np.ndarray], list[Segment]]:
+    hip, knee, ankle = (mocap.track_mm(side + label) for label in ("FEP", "FEO", "TIO"))
+    thigh = segment(mocap, at, f"{side}FE", origin=f"{side}FEP")
+    calf = segment(mocap, at, f"{side}TI", origin=f"{side}FEO")
+    thigh_end = thigh.at(0.0, 0.0, -mean_distance_mm(hip, knee, at))
+    points = {
+        "Hip": thigh.origin_mm,
+        "Knee": (thigh_end + calf.origin_mm) / 2,
+        "Ankle": calf.at(0.0, 0.0, -mean_distance_mm(knee, ankle, at)),
+    }
+    return points, [thigh, calf]
+
+
+def _arm(
+    mocap: Mocap, at: Instants, side: str, shoulder_offset_mm: float
+) -> tuple[dict[str, np.ndarray], list[Segment]]:
+    shoulder, elbow, wrist = (mocap.track_mm(side + label) for label in ("CLO", "HUO", "RAO"))
+    upper = segment(mocap, at, f"{side}HU", origin=f"{side}CLO")
+    fore = segment(mocap, at, f"{side}RA", origin=f"{side}HUO")
+    upper_mm, fore_mm = mean_distance_mm(shoulder, elbow, at), mean_distance_mm(elbow, wrist, at)
+    # the upper arm is turned back about the shoulder by half its offset, the forearm goes along and is turned forward
+    turn = np.arctan2(shoulder_offset_mm / 2, upper_mm)
+    upper_end = upper.at(-upper_mm * np.sin(turn), 0.0, -upper_mm * np.cos(turn))
+    moved = upper_end - upper.at(0.0, 0.0, -upper_mm)
+    points = {
+        "Shoulder": upper.origin_mm,
+        "Elbow": (upper_end + fore.origin_mm + moved) / 2,
+        "Wrist": moved + fore.at(fore_mm * np.sin(turn), 0.0, -fore_mm * np.cos(turn)),
+    }
+    return points, [upper, fore]

@@ -1,0 +1,274 @@
+"""Writes a small data set in HumanEva-I's formats about the built-in person: what the importer's tests read.
+
+Nothing here uses the importer. A .c3d is put together byte by byte (C3D user guide, c3d.org), and the body model's
+points are found from the joints by trigonometry, one limb at a time, so that the published formulas lead back to them.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.optimize import brentq
+
+from capture_rig.camera import CameraModel
+from capture_rig.truth import WRIST_FRACTION
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from virtual_studio.body import VolumetricBody
+from virtual_studio.motion import walk
+from virtual_studio.render import VirtualCamera
+from virtual_studio.rig import ring
+from virtual_studio.sensor import Sensor
+
+Array = np.ndarray
+NECK, HEAD, HAND = 2, 1, (11, 12)
+JOINTS = {"Shoulder": (3, 4), "Hip": (5, 6), "Elbow": (7, 8), "Knee": (9, 10), "Ankle": (13, 14)}
+
+SHOULDER_WIDTH_MM = 354.0
+SHOULDER_OFFSET_MM = {"L": 46.0, "R": 52.0}
+HEAD_MM, PELVIS_MM, MARKER_RADIUS_MM = 316.103, 50.0, 7.0
+MARKER_NEAR = {  # the 39 markers: each near one of the fifteen points
+    0: ("T10", "RBAK", "STRN"), 1: ("LFHD", "RFHD", "LBHD", "RBHD"), 2: ("C7", "CLAV"), 3: ("LSHO",), 4: ("RSHO",),
+    5: ("LASI", "LPSI", "LTHI"), 6: ("RASI", "RPSI", "RTHI"), 7: ("LELB", "LUPA"), 8: ("RELB", "RUPA"),
+    9: ("LKNE", "LTIB"), 10: ("RKNE", "RTIB"), 11: ("LWRA", "LWRB", "LFIN", "LFRM"),
+    12: ("RWRA", "RWRB", "RFIN", "RFRA"), 13: ("LANK", "LHEE", "LTOE"), 14: ("RANK", "RHEE", "RTOE"),
+}  # fmt: skip
+
+
+def write_c3d(path: Path, tracks_mm: dict[str, Array], rate_hz: float = 120.0, unit: str = "mm", step: float = 0.0,
+              prefix: str = "") -> Path:  # fmt: skip
+    """A C3D file of tracks (F, 3) by label; ``step`` > 0: 16-bit integers of so many units each, else 32-bit floats."""
+    points = np.stack(list(tracks_mm.values()), axis=1)
+    frames, count = points.shape[:2]
+    scale = step if step > 0 else -0.05
+    labels = [prefix + label for label in tracks_mm]
+    width = max(map(len, labels))
+
+    def entry(name: str, group: int, content: bytes) -> bytes:
+        tail = content + b"\0"
+        return struct.pack("<bb", len(name), group) + name.encode() + struct.pack("<h", len(tail) + 2) + tail
+
+    def parameter(name: str, kind: int, shape: list[int], data: bytes) -> bytes:
+        return entry(name, 1, struct.pack("<bB", kind, len(shape)) + bytes(shape) + data)
+
+    text = "".join(label.ljust(width) for label in labels).encode()
+    body = entry("POINT", -1, b"") + b"".join(
+        [
+            parameter("USED", 2, [], struct.pack("<H", count)),
+            parameter("SCALE", 4, [], struct.pack("<f", scale)),
+            parameter("RATE", 4, [], struct.pack("<f", rate_hz)),
+            parameter("FRAMES", 2, [], struct.pack("<H", frames)),
+            parameter("UNITS", -1, [len(unit)], unit.encode()),
+            parameter("LABELS", -1, [width, count], text),
+        ]
+    )
+    blocks = -(-(len(body) + 6) // 512)
+    header = struct.pack("<BBHHHHHfHHf", 2, 0x50, count, 0, 1, frames, 0, scale, 2 + blocks, 0, rate_hz)
+    words = np.zeros((frames, count, 4), "<i2" if step > 0 else "<f4")
+    words[..., :3] = np.round(points / step) if step > 0 else points
+    words[..., 3] = np.where((points == 0).all(axis=2), -1, 0)
+    parameters = struct.pack("<BBBB", 1, 0x50, blocks, 84) + body
+    path.write_bytes(header.ljust(512, b"\0") + parameters.ljust(512 * blocks, b"\0") + words.tobytes())
+    return path
+
+
+def write_cal(path: Path, camera: CameraModel) -> Path:
+    K, T = camera.K, camera.T_camera_world
+    rows = [[K[0, 0], K[1, 1]], [K[0, 2], K[1, 2]], [0.0], camera.D, *T[:3, :3], 1000 * T[:3, 3]]
+    path.write_text("".join(" ".join(f"{value:.7f}" for value in row) + "\n" for row in rows))
+    return path
+
+
+def write_mp(path: Path) -> Path:
+    measures = {"MarkerDiameter": 14, "LKneeWidth": 110, "RKneeWidth": 108, "LShoulderOffset": SHOULDER_OFFSET_MM["L"],
+                "RShoulderOffset": SHOULDER_OFFSET_MM["R"], "HeadOffset": 12.5}  # fmt: skip
+    path.write_text("".join(f"${name} = {value}\r\n" for name, value in measures.items()))
+    return path
+
+
+def write_avi(path: Path, images: list[Array]) -> Path:
+    h, w = images[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"XVID"), 60.0, (w, h), True)
+    for image in images:
+        writer.write(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
+
+def joints_of(points: Array, R_torso: Array) -> dict[str, Array]:
+    """The truth: joints (F, 3) in metres of the stick figure's points (F, 15, 3) and torso rotation (F, 3, 3).
+
+    All are the figure's own, but the head's top: the data set puts it at a fixed distance from the thorax's origin.
+    """
+    found = {"Pelvis": (points[:, 5] + points[:, 6]) / 2, "Neck": points[:, NECK]}
+    for side, s in (("L", 0), ("R", 1)):
+        found |= {side + name: points[:, index[s]] for name, index in JOINTS.items()}
+        elbow, hand = points[:, 7 + s], points[:, HAND[s]]
+        found[side + "Wrist"] = elbow + WRIST_FRACTION * (hand - elbow)
+    thorax = 1e-3 * model_points(points, R_torso)["TRXO"]
+    found["Head"] = thorax + 1e-3 * HEAD_MM * unit(points[:, HEAD] - thorax)
+    return found
+
+
+def model_points(points: Array, R_torso: Array) -> dict[str, Array]:
+    """The body model's points (F, 3) in mm of the stick figure's points (F, 15, 3) m."""
+    p, x, z = 1e3 * points, R_torso[:, :, 0], R_torso[:, :, 2]
+    tracks = _trunk(p, R_torso)
+    for side, s in (("L", 0), ("R", 1)):
+        hip, knee, ankle = p[:, 5 + s], p[:, 9 + s], p[:, 13 + s]
+        tracks |= _frame(f"{side}FE", knee, unit(hip - knee), x, np.linalg.norm(hip - knee, axis=1))
+        tracks |= _frame(f"{side}TI", ankle, unit(knee - ankle), x, np.linalg.norm(knee - ankle, axis=1))
+        shoulder, elbow = p[:, 3 + s], p[:, 7 + s]
+        wrist = elbow + WRIST_FRACTION * (p[:, HAND[s]] - elbow)
+        tracks |= _arm(side, shoulder, elbow, wrist, x)
+        tracks |= _frame(f"{side}CL", shoulder, z, x, 100.0)
+    return tracks
+
+
+def marker_points(points: Array) -> dict[str, Array]:
+    """The 39 markers (F, 3) in mm: a few centimetres from the stick figure's points."""
+    rng = np.random.default_rng(7)
+    near = [(label, index) for index, labels in MARKER_NEAR.items() for label in labels]
+    return {label: 1e3 * points[:, index] + rng.uniform(-30, 30, 3) for label, index in near}
+
+
+def unit(vectors: Array) -> Array:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _trunk(p: Array, R_torso: Array) -> dict[str, Array]:
+    """Pelvis, thorax, head: the thorax's origin is where the mean of it and the torso axis's top is the neck."""
+    x, y, z = (R_torso[:, :, k] for k in range(3))
+    middle = (p[:, 5] + p[:, 6]) / 2
+    up = float(np.einsum("fi,fi->f", p[:, NECK] - middle, z).mean())  # the neck is straight above the mid-hips
+    half = (SHOULDER_WIDTH_MM / 2 - MARKER_RADIUS_MM) / 2
+
+    def thorax(length: float) -> Array:
+        """x and z of the thorax's origin from mid-hips, when the torso is that long."""
+        slant = length / np.hypot(half, length)
+        return 2 * np.array([0.0, up]) - slant * np.array([-half, length])
+
+    length = brentq(lambda n: np.linalg.norm(thorax(n) - [PELVIS_MM, 0.0]) - n, 200.0, 900.0)
+    forward_mm, up_mm = thorax(length)
+    thorax_mm = middle + forward_mm * x + up_mm * z
+    tracks = {"PELO": middle + PELVIS_MM * x}
+    tracks |= {label: tracks["PELO"] + 100 * axis for label, axis in (("PELA", x), ("PELL", y), ("PELP", z))}
+    tracks |= {"TRXO": thorax_mm, "TRXA": thorax_mm + 100 * x, "TRXL": thorax_mm + 100 * y, "TRXP": thorax_mm + 100 * z}
+    return tracks | _frame("HED", p[:, HEAD], unit(p[:, HEAD] - thorax_mm), x, 100.0)
+
+
+def _arm(side: str, shoulder: Array, elbow: Array, wrist: Array, x: Array) -> dict[str, Array]:
+    """Frames whose arms, turned back at the shoulder and forward at the elbow, end at the given joints."""
+    upper, fore = np.linalg.norm(elbow - shoulder, axis=1), np.linalg.norm(wrist - elbow, axis=1)
+    turn = np.arctan2(SHOULDER_OFFSET_MM[side] / 2, upper)[:, None]
+    u, v = unit(elbow - shoulder), unit(wrist - elbow)
+    w_u, w_v = (unit(x - np.sum(x * d, axis=1, keepdims=True) * d) for d in (u, v))
+    z_upper = -np.cos(turn) * u + np.sin(turn) * w_u
+    z_fore = -np.cos(turn) * v - np.sin(turn) * w_v
+    raw_elbow = shoulder - upper[:, None] * z_upper
+    raw_wrist = raw_elbow - fore[:, None] * z_fore
+    tracks = _frame(f"{side}HU", raw_elbow, z_upper, -np.sin(turn) * u - np.cos(turn) * w_u, upper)
+    return tracks | _frame(f"{side}RA", raw_wrist, z_fore, np.sin(turn) * v - np.cos(turn) * w_v, fore)
+
+
+def _frame(name: str, origin: Array, z: Array, towards_x: Array, length: Array | float) -> dict[str, Array]:
+    """Origin, and points on x (100 mm), y (100 mm) and z (``length`` mm) of a frame with this z axis."""
+    x = unit(towards_x - np.sum(towards_x * z, axis=1, keepdims=True) * z)
+    reach = np.broadcast_to(length, len(origin))[:, None]
+    return {f"{name}O": origin, f"{name}A": origin + 100 * x, f"{name}L": origin + 100 * np.cross(z, x),
+            f"{name}P": origin + reach * z}  # fmt: skip
+
+
+MOCAP_HZ, GRID_HZ = 120, 600
+BEGIN_S = 1.7
+"""Mocap frame 1 is so long after the motion's begin: the walk is under way."""
+MOCAP_FRAMES = 90
+OFFSETS = {"C1": (10.0, 31.4, 2.0), "C2": (7.0, 21.4, 2.0), "C3": (3.5, 22.4, 2.0), "BW1": (6.0, 31.4, 2.0)}
+"""Image 1 of C1, C2, C3, BW1 is taken at mocap frame 13.4, 9.4, 17.4, 21.4: BW1 starts latest."""
+FIRST_IMAGE = {"C1": 5, "C2": 7, "C3": 3, "BW1": 1}
+"""Hence the image of each camera at mocap frame 21.4, which is common frame 1."""
+FIRST_MOCAP = 21.4
+LAST_COMMON, FLASH_COMMON = 38, 25
+DROPOUTS = {"C7": (1, 34), "LKNE": (40, 43), "PELA": (60, 60)}
+"""Labels that are zero from one mocap frame to another, both included."""
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A data set on disk and the truth of its only trial, S2 Walking_1."""
+
+    root: Path
+    cameras: dict[str, CameraModel]
+    joints: dict[int, dict[str, Array]]
+    """Common frame -> joint -> (3,) metres."""
+
+
+def write_data_set(root: Path) -> DataSet:
+    """The trial as files: four cameras that do not start together, motion capture with dropouts, a flash of light."""
+    body = Body.from_stature(1.78)
+    played = walk(body, BEGIN_S + 1.05, GRID_HZ)
+    folders = {name: root / "S2" / name for name in ("Image_Data", "Calibration_Data", "Sync_Data", "Mocap_Data")}
+    for folder in (*folders.values(), root / "Background"):
+        folder.mkdir(parents=True)
+
+    def pose_at(mocap_frame: float) -> int:
+        return round((BEGIN_S + (mocap_frame - 1) / MOCAP_HZ) * GRID_HZ)
+
+    def state(numbers: list[int]) -> tuple[Array, Array]:
+        poses = [played.poses[n] for n in numbers]
+        return np.array([forward(body, pose) for pose in poses]), np.array([pose.R_world_torso for pose in poses])
+
+    _write_mocap(folders["Mocap_Data"], *state([pose_at(m) for m in range(1, MOCAP_FRAMES + 1)]))
+    cameras = dict(zip(OFFSETS, map(_half_size, ring(4, ceiling=False).cameras), strict=True))
+    sensor, volumetric = Sensor(1.5, 0.0, 3), VolumetricBody(body)
+    for number, (name, camera) in enumerate(cameras.items()):
+        image, mocap, scale = OFFSETS[name]
+        write_cal(folders["Calibration_Data"] / f"{name}.cal", camera)
+        (folders["Sync_Data"] / f"Walking_1_({name}).ofs").write_text(f"{image:.4f}\n{mocap:.4f}\n{scale:.6f}\n")
+        eye = VirtualCamera(camera)
+        images = []
+        for n in range(1, FIRST_IMAGE[name] + LAST_COMMON):
+            capsules = volumetric.place(played.poses[pose_at(mocap + (n - image) * scale)])
+            flash = 2.0 if n == FIRST_IMAGE[name] + FLASH_COMMON - 1 else 1.0
+            images.append(_tint(sensor.expose(flash * eye.see(capsules, None)[0], number, n), name))
+        write_avi(folders["Image_Data"] / f"Walking_1_({name}).avi", images)
+        for movie, gain in ((1, 0.8), (2, 1.0), (3, 1.25)):
+            empty = [sensor.expose(gain * eye.empty_room(), number, 1000 * movie + k) for k in range(8)]
+            dark = [np.zeros_like(empty[0])] * 5
+            write_avi(root / "Background" / f"Background_{movie}_({name}).avi", [_tint(i, name) for i in dark + empty])
+    truth = {}
+    for frame in range(1, LAST_COMMON + 1):
+        found = joints_of(*state([pose_at(FIRST_MOCAP + 2 * (frame - 1))]))
+        truth[frame] = {name: point[0] for name, point in found.items()}
+    return DataSet(root, cameras, truth)
+
+
+def _half_size(camera: CameraModel) -> CameraModel:
+    """The same camera with pixels twice as large."""
+    K = camera.K.copy()
+    K[:2, 2] += 0.5  # from pixel centres to the image's corner, and back
+    K[:2] /= 2
+    K[:2, 2] -= 0.5
+    return replace(camera, width=camera.width // 2, height=camera.height // 2, K=K)
+
+
+def _tint(image: Array, name: str) -> Array:
+    """What a colour camera makes of a grey image: less blue, more red; a grey camera leaves it."""
+    return image if name.startswith("BW") else np.clip(image[..., None] * [0.8, 1.0, 1.1], 0, 255).astype(np.uint8)
+
+
+def _write_mocap(folder: Path, points: Array, R_torso: Array) -> None:
+    tracks = {**marker_points(points), **model_points(points, R_torso)}
+    for label, (first, last) in DROPOUTS.items():
+        tracks[label] = tracks[label].copy()
+        tracks[label][first - 1 : last] = 0.0
+    write_c3d(folder / "Walking_1.c3d", tracks, MOCAP_HZ, prefix="S2:")
+    still = {label: np.tile([10.0, 20.0, 1000.0], (6, 1)) for label in tracks}
+    still["LSHO"] = still["RSHO"] + [0.0, SHOULDER_WIDTH_MM, 0.0]
+    still["RSHO"][2] = 0.0  # one frame in which it was not seen
+    write_c3d(folder / "Static.c3d", still, MOCAP_HZ)
+    write_mp(folder / "S2.mp")

@@ -1,0 +1,128 @@
+"""HumanEva-I's file formats one by one, and what is said when a file is damaged."""
+
+import numpy as np
+import pytest
+from humaneva_files import write_c3d, write_cal, write_mp
+
+from capture_rig.errors import InputError
+from sagoma_tools.importers.humaneva.c3d_file import read_c3d
+from sagoma_tools.importers.humaneva.cal import read_cal
+from sagoma_tools.importers.humaneva.mp import read_mp
+from sagoma_tools.importers.humaneva.ofs import read_ofs
+from virtual_studio.rig import ring
+
+CAL = "700 710\n320 240\n0\n-0.2 0.1 0.001 -0.002 0.03\n1 0 0\n0 0 -1\n0 1 0\n100 1200 3400\n"
+
+
+def tracks(frames=5, seed=1):
+    rng = np.random.default_rng(seed)
+    return {name: rng.uniform(-900, 900, (frames, 3)) for name in ("RASI", "C7", "PELO", "LFEP")}
+
+
+def test_cal_numbers_become_a_camera_in_metres(tmp_path):
+    (tmp_path / "C1.cal").write_text(CAL)
+    camera = read_cal(tmp_path / "C1.cal", "cam01", 640, 480)
+    # by hand: X = (-100, 600, -1200) mm -> R X + T = (0, 2400, 4000) mm, without its lens (0, 0.6)
+    assert camera.R_camera_world @ [-0.1, 0.6, -1.2] + camera.t_camera_world == pytest.approx([0.0, 2.4, 4.0])
+    assert camera.K.tolist() == [[700, 0, 320], [0, 710, 240], [0, 0, 1]]
+    assert camera.D.tolist() == [-0.2, 0.1, 0.001, -0.002, 0.03]
+    # ... and with it, by the formula of Bouguet's toolbox: y (1 + k1 r2 + k2 r2^2 + k3 r2^3) + p1 (r2 + 2 y^2)
+    r2 = 0.36
+    y = 0.6 * (1 - 0.2 * r2 + 0.1 * r2**2 + 0.03 * r2**3) + 0.001 * (3 * r2)
+    x = -0.002 * r2
+    assert camera.project([-0.1, 0.6, -1.2]) == pytest.approx([320 + 700 * x, 240 + 710 * y])
+
+
+def test_cal_written_with_few_digits_projects_within_a_hundredth_of_a_pixel(tmp_path):
+    for known in ring(3).cameras:
+        read = read_cal(write_cal(tmp_path / "C.cal", known), "cam01", known.width, known.height)
+        points = np.random.default_rng(3).uniform([-0.5, -0.5, 0.0], [0.5, 0.5, 1.8], (50, 3))
+        assert np.abs(read.project(points) - known.project(points)).max() < 0.01
+        assert read.R_camera_world @ read.R_camera_world.T == pytest.approx(np.eye(3), abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("700 710 320", r"C1\.cal: holds 3 finite numbers instead of 22.*fc\(2\)"),
+        (CAL.replace("3400", "far"), r"C1\.cal: holds something else than numbers"),
+        (CAL.replace("3400", "nan"), r"C1\.cal: holds 21 finite numbers"),
+        (CAL.replace("0 1 0", "0 1.1 0"), r"C1\.cal: its R is not a rotation"),
+        (CAL.replace("0 1 0", "0 -1 0"), r"C1\.cal: its R is not a rotation"),
+        (CAL.replace("700", "-700"), r"C1\.cal: focal lengths \[-700"),
+        (CAL.replace("\n0\n", "\n0.01\n"), r"C1\.cal: .*skew 0\.01"),
+    ],
+)
+def test_damaged_cal_is_refused_by_name(tmp_path, text, message):
+    (tmp_path / "C1.cal").write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_cal(tmp_path / "C1.cal", "cam01", 640, 480)
+    assert caught.value.remedy
+
+
+def test_ofs_holds_image_mocap_and_their_rate(tmp_path):
+    (tmp_path / "x.ofs").write_text("82.5 \n 34\n1.999871\n")
+    offset = read_ofs(tmp_path / "x.ofs")
+    assert (offset.image, offset.mocap, offset.mocap_per_image) == (82.5, 34.0, 1.999871)
+
+
+@pytest.mark.parametrize("text", ["1 2", "1 2 0", "1 2 -2", "1 2 two", ""])
+def test_damaged_ofs_is_refused_by_name(tmp_path, text):
+    (tmp_path / "x.ofs").write_text(text)
+    with pytest.raises(InputError, match=r"x\.ofs: ") as caught:
+        read_ofs(tmp_path / "x.ofs")
+    assert caught.value.remedy
+
+
+def test_mp_measures_are_found_by_name(tmp_path):
+    found = read_mp(write_mp(tmp_path / "S2.mp"), ("LShoulderOffset", "RShoulderOffset"))
+    assert found == {"LShoulderOffset": 46.0, "RShoulderOffset": 52.0}
+    with pytest.raises(InputError, match=r"S2\.mp: has no line '\$ShoeSize = number'"):
+        read_mp(tmp_path / "S2.mp", ("ShoeSize",))
+    with pytest.raises(InputError, match=r"S9\.mp: cannot be read"):
+        read_mp(tmp_path / "S9.mp", ("ShoeSize",))
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05])
+@pytest.mark.parametrize("prefix", ["", "Chris:"])
+def test_c3d_points_are_found_by_label_in_floats_and_in_integers(tmp_path, step, prefix):
+    written = tracks()
+    mocap = read_c3d(write_c3d(tmp_path / "x.c3d", written, step=step, prefix=prefix))
+    assert mocap.rate_hz == 120.0
+    for label, track in written.items():
+        assert np.abs(mocap.track_mm(label) - track).max() < max(step, 1e-3)
+
+
+def test_c3d_in_metres_is_read_as_millimetres(tmp_path):
+    written = tracks()
+    path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
+    assert read_c3d(path).track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
+
+
+def test_unseen_points_of_a_c3d_stay_zero(tmp_path):
+    written = tracks()
+    written["C7"][2] = 0.0
+    assert (read_c3d(write_c3d(tmp_path / "x.c3d", written)).track_mm("C7")[2] == 0).all()
+
+
+def test_either_of_two_names_finds_a_point_and_a_missing_one_is_named(tmp_path):
+    mocap = read_c3d(write_c3d(tmp_path / "x.c3d", tracks()))
+    assert mocap.track_mm("NONE", "C7") is not None
+    with pytest.raises(InputError, match=r"x\.c3d: has no point labelled LFRM or LFRA"):
+        mocap.track_mm("LFRM", "LFRA")
+
+
+def test_damaged_c3d_is_refused_by_name(tmp_path):
+    whole = write_c3d(tmp_path / "x.c3d", tracks(frames=40)).read_bytes()
+    for content, message in (
+        (whole[:-200], r"x\.c3d: ends after 36 of 40 frames"),
+        (whole[:300], r"x\.c3d: is not a readable \.c3d"),
+        (b"RIFF" + whole, r"x\.c3d: is not a readable \.c3d"),
+        (b"", r"x\.c3d: is not a readable \.c3d"),
+    ):
+        (tmp_path / "x.c3d").write_bytes(content)
+        with pytest.raises(InputError, match=message) as caught:
+            read_c3d(tmp_path / "x.c3d")
+        assert caught.value.remedy
+    with pytest.raises(InputError, match=r"Walking_2\.c3d: cannot be read .*--no-truth"):
+        read_c3d(tmp_path / "Walking_2.c3d")

@@ -1,0 +1,293 @@
+"""A whole data set in HumanEva-I's formats about a person we know, imported and held against what is known."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from humaneva_files import FIRST_IMAGE, FLASH_COMMON, LAST_COMMON, write_avi, write_data_set
+
+from capture_rig.errors import InputError
+from capture_rig.session import load_session
+from icp_tracker.acquisition.pose_source import make_pose_source
+from sagoma_tools.cli import main
+from sagoma_tools.evaluation.chain import Configuration
+from sagoma_tools.importers.humaneva.importer import Request, import_trial
+from sagoma_tools.importers.humaneva.layout import Trial
+from sagoma_tools.live_run import start_settings
+from stick_figure.kinematics import forward
+
+FIRST = 6
+CAMERAS = ("C1", "C2", "C3", "BW1")
+NAMES = dict(zip(CAMERAS, ("cam01", "cam02", "cam03", "cam04"), strict=True))
+WITH_TRUTH = [*range(8, 10), *range(13, 20), *range(21, 36)]  # common frames, from the data set's DROPOUTS
+JOINT_OF_POINT = {1: "Head", 2: "Neck", 3: "LShoulder", 4: "RShoulder", 5: "LHip", 6: "RHip", 7: "LElbow", 8: "RElbow",
+                  9: "LKnee", 10: "RKnee", 11: "LWrist", 12: "RWrist", 13: "LAnkle", 14: "RAnkle"}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def data_set(tmp_path_factory):
+    return write_data_set(tmp_path_factory.mktemp("humaneva"))
+
+
+@pytest.fixture(scope="module")
+def imported(data_set, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sessions") / "walking"
+    summary = import_trial(request_of(data_set), folder)
+    return folder, summary
+
+
+@pytest.fixture(scope="module")
+def films(imported):
+    """All images of each camera of the imported session, (F, h, w, 3)."""
+    return {name: images(path) for name, path in load_session(imported[0]).videos.items()}
+
+
+@pytest.fixture
+def copy(data_set, tmp_path):
+    """The data set's folder, to be damaged."""
+    return shutil.copytree(data_set.root, tmp_path / "copy")
+
+
+def request_of(data_set, root=None, **changes):
+    trial = Trial(root or data_set.root, "S2", "Walking", changes.pop("number", 1))
+    return Request(trial, changes.pop("cameras", CAMERAS), **changes)
+
+
+def images(path):
+    capture, found = cv2.VideoCapture(str(path)), []
+    while (image := capture.read()[1]) is not None:
+        found.append(image)
+    return np.array(found)
+
+
+def test_all_cameras_have_every_common_frame_from_the_sixth_on(imported, films):
+    folder, summary = imported
+    assert load_session(folder).fps == 60.0
+    assert summary.footage.frames == LAST_COMMON - FIRST + 1
+    assert {len(film) for film in films.values()} == {LAST_COMMON - FIRST + 1}
+
+
+def test_a_flash_of_light_is_at_one_frame_in_all_cameras(films):
+    for name, film in films.items():
+        brightness = film.mean(axis=(1, 2, 3))
+        others = np.delete(brightness, FLASH_COMMON - FIRST)
+        assert brightness[FLASH_COMMON - FIRST] > 1.3 * others.max(), name
+
+
+def test_footage_is_the_data_sets_own_pixel_for_pixel_in_colour_and_grey(data_set, films):
+    for camera, name in NAMES.items():
+        source = images(data_set.root / "S2" / "Image_Data" / f"Walking_1_({camera}).avi")
+        copied = films[name]
+        start = FIRST_IMAGE[camera] + FIRST - 2
+        if camera.startswith("BW"):
+            assert (copied[..., 0] == copied[..., 2]).all()
+            assert np.abs(copied[..., 1].astype(int) - source[start : start + len(copied), ..., 1]).max() <= 1
+        else:
+            assert (copied == source[start : start + len(copied)]).all()
+            assert copied[..., 2].mean() > 1.2 * copied[..., 0].mean()  # the tint
+
+
+def test_the_empty_room_in_the_footages_light_is_taken_without_its_first_images(data_set, imported):
+    folder, summary = imported
+    for camera, name in NAMES.items():
+        assert summary.footage.empty_rooms[camera] == f"Background_2_({camera}).avi"
+        empty = images(load_session(folder).backgrounds[name])
+        assert len(empty) == 8  # 13 less the five at the begin, which are black here
+        assert empty.mean(axis=(1, 2, 3)).min() > 20
+
+
+def test_calibration_projects_points_where_opencv_puts_them(data_set, imported):
+    rig = load_session(imported[0]).rig
+    points = np.random.default_rng(2).uniform([-0.6, -0.6, 0.0], [0.6, 0.6, 1.9], (100, 3))
+    for camera, name in NAMES.items():
+        known = data_set.cameras[camera]
+        rotation = cv2.Rodrigues(known.R_camera_world)[0]
+        expected = cv2.projectPoints(points, rotation, known.t_camera_world, known.K, known.D)[0][:, 0]
+        assert np.abs(rig.camera(name).project(points) - expected).max() < 0.01
+        assert (rig.camera(name).width, rig.camera(name).height) == (320, 240)
+
+
+def test_truth_is_where_the_person_was(data_set, imported):
+    truth = load_session(imported[0]).truth
+    known = np.isfinite(truth.points_world).all(axis=(1, 2))
+    assert (truth.frames[known] + FIRST).tolist() == WITH_TRUTH
+    for frame, points in zip(truth.frames[known] + FIRST, truth.points_world[known], strict=True):
+        for index, joint in JOINT_OF_POINT.items():
+            assert np.linalg.norm(points[index] - data_set.joints[frame][joint]) < 1e-3, (frame, joint)
+
+
+def test_truth_begins_at_the_first_known_frame_and_leaves_later_gaps_empty(imported):
+    rows = (imported[0] / "truth.csv").read_text().splitlines()
+    assert rows[1].startswith("2,0")  # common frame 8
+    gap = [row for row in rows if row.startswith(f"{10 - FIRST},")]
+    assert gap and set(gap[0].removeprefix(f"{10 - FIRST}")) == {","}
+    assert imported[1].frames_with_truth == len(WITH_TRUTH)
+
+
+def test_a_frame_of_motion_capture_off_would_be_seen(data_set):
+    steps = [np.linalg.norm(data_set.joints[f + 1]["LAnkle"] - data_set.joints[f]["LAnkle"]) for f in WITH_TRUTH[:-1]]
+    assert max(steps) / 2 > 10e-3  # ten times what the truth may be off
+
+
+def test_truth_lies_on_the_person_in_every_image(imported, films):
+    session = load_session(imported[0])
+    truth = session.truth
+    for name, film in films.items():
+        empty = images(session.backgrounds[name]).mean(axis=0)
+        on_person = []
+        for frame, points in zip(truth.frames, truth.points_world, strict=True):
+            if np.isfinite(points).all() and frame != FLASH_COMMON - FIRST:
+                difference = np.abs(film[frame] - empty).max(axis=2)
+                pixels = session.rig.camera(name).project(points[[0, 2, 5, 6, 7, 8, 9, 10, 13, 14]])
+                u, v = np.rint(pixels).astype(int).T
+                on_person += (difference[v, u] > 15).tolist()
+        assert np.mean(on_person) > 0.97, name
+
+
+def test_volume_holds_the_person_with_a_margin(imported):
+    session = load_session(imported[0])
+    points = session.truth.points_world[np.isfinite(session.truth.points_world).all(axis=2)]
+    volume = session.rig.volume
+    assert volume.low[2] == -0.05
+    assert (points.min(axis=0)[:2] - volume.low[:2] > 0.3).all() and (volume.high - points.max(axis=0) > 0.15).all()
+    assert (volume.high - volume.low < 3.0).all()
+
+
+def test_session_file_says_where_it_comes_from(imported):
+    document = yaml.safe_load((imported[0] / "session.yaml").read_text())
+    assert document["source"] == "HumanEva-I, S2 Walking_1"
+    assert document["common_frames"] == [6, 38]
+    assert document["first_mocap_frame"] == 31.4
+    assert document["made_by"].startswith("sagoma import humaneva, ")
+    assert {entry["name"]: entry["first_image"] for entry in document["cameras"].values()} == {
+        camera: first + 5 for camera, first in FIRST_IMAGE.items()
+    }
+
+
+def import_by_command(data_set, out):
+    # the folder behind the cameras, where argparse would take it for one of them
+    return main(["import", "humaneva", str(data_set.root), "--subject", "S2", "--action", "Walking", "--frames", "13",
+                 "22", "--cameras", "C1", "C2", "C3", str(out)])  # fmt: skip
+
+
+def test_command_imports_chosen_frames_and_says_what_is_there(data_set, tmp_path, capsys):
+    assert import_by_command(data_set, tmp_path / "chosen") == 0
+    said = capsys.readouterr().out
+    assert "10 frames of C1, C2, C3" in said and "9 of them (90%)" in said
+    truth = load_session(tmp_path / "chosen").truth
+    assert truth.frames.tolist() == list(range(10))
+    assert truth.points_world[0, 1] == pytest.approx(data_set.joints[13]["Head"], abs=1e-3)
+
+
+def test_evaluation_starts_from_the_truth_of_an_imported_session(data_set, imported):
+    settings = start_settings(load_session(imported[0]), "session")
+    start = make_pose_source(Configuration.of(settings).icp.initial_pose)
+    points = forward(start.body, start.pose)
+    for index, joint in JOINT_OF_POINT.items():
+        if joint not in ("LWrist", "RWrist"):  # the figure's arms end at the finger tips
+            assert np.linalg.norm(points[index] - data_set.joints[8][joint]) < 0.05, joint
+
+
+@pytest.mark.slow
+def test_evaluate_tracks_an_imported_session(data_set, tmp_path, capsys):
+    import_by_command(data_set, tmp_path / "chosen")
+    capsys.readouterr()
+    assert main(["evaluate", str(tmp_path / "chosen"), "--start", "session", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert figures["tracked"] >= 9
+    assert figures["mean_mm"] < 150.0  # three small images: that it is the same person at the same place and time
+
+
+def test_footage_alone_needs_no_motion_capture(data_set, copy, tmp_path):
+    for path in (copy / "S2" / "Mocap_Data").iterdir():
+        path.unlink()
+    with pytest.raises(InputError, match=r"Walking_1\.c3d: cannot be read .*--no-truth"):
+        import_trial(request_of(data_set, copy), tmp_path / "out")
+    request = request_of(data_set, copy, cameras=("C2",), frames=(6, 8), with_truth=False)
+    summary = import_trial(request, tmp_path / "out")
+    session = load_session(tmp_path / "out")
+    assert session.truth is None and summary.footage.frames == 3
+    assert session.fps == 60.0
+
+
+def damage_missing(*parts):
+    return lambda root: root.joinpath(*parts).unlink()
+
+
+def damage_text(text, *parts):
+    return lambda root: root.joinpath(*parts).write_text(text)
+
+
+def no_label(root):
+    path = root / "S2" / "Mocap_Data" / "Walking_1.c3d"
+    path.write_bytes(path.read_bytes().replace(b"S2:TRXO", b"S2:XXXX"))
+
+
+def short_movie(root):
+    write_avi(root / "S2" / "Image_Data" / "Walking_1_(C3).avi", [np.zeros((240, 320), np.uint8)] * 5)
+
+
+def other_size(root):
+    write_avi(root / "Background" / "Background_1_(C2).avi", [np.zeros((120, 160), np.uint8)] * 9)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (damage_missing("S2", "Image_Data", "Walking_1_(C2).avi"), r"\(C2\)\.avi: is not there.*has Walking_1"),
+        (damage_text("none", "S2", "Image_Data", "Walking_1_(C2).avi"), r"\(C2\)\.avi: cannot be opened as a video"),
+        (damage_missing("S2", "Calibration_Data", "BW1.cal"), r"BW1\.cal: is not there"),
+        (damage_text("1 2 3", "S2", "Calibration_Data", "C3.cal"), r"C3\.cal: holds 3 finite numbers"),
+        (damage_missing("S2", "Sync_Data", "Walking_1_(C1).ofs"), r"Sync_Data: has no \.ofs file of camera C1"),
+        (damage_text("1 2", "S2", "Sync_Data", "Walking_1_(BW1).ofs"), r"\(BW1\)\.ofs: holds 2 finite numbers"),
+        (damage_missing("S2", "Mocap_Data", "Static.c3d"), r"Static\.c3d: cannot be read"),
+        (damage_missing("S2", "Mocap_Data", "S2.mp"), r"S2\.mp: cannot be read"),
+        (damage_text("x", "S2", "Mocap_Data", "Walking_1.c3d"), r"Walking_1\.c3d: is not a readable \.c3d"),
+        (no_label, r"Walking_1\.c3d: has no point labelled TRXO"),
+        (short_movie, r"\(C3\)\.avi: ends after 5 images, before image 8"),
+        (other_size, r"Background_1_\(C2\)\.avi: its images have shape \(120, 160, 3\)"),
+        (lambda root: shutil.rmtree(root / "Background"), r"Background: has no Background_\*_\(C1\)\.avi"),
+    ],
+)  # fmt: skip
+def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(data_set, copy, tmp_path, damage, message):
+    damage(copy)
+    with pytest.raises(InputError, match=message) as caught:
+        import_trial(request_of(data_set, copy), tmp_path / "out")
+    assert caught.value.remedy
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["copy"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--subject", "S7", "--action", "Walking"], "has no folder 'S7'. It has S2"),
+        (["--subject", "S2", "--action", "Jog"], r"Jog_1_\(C1\)\.ofs: is not there. Sync_Data has Walking_1"),
+        (["--subject", "S2", "--action", "Walking", "--frames", "1", "9"], "--frames: 1 9 is not a range"),
+        (["--subject", "S2", "--action", "Walking", "--frames", "9", "8"], "--frames: 9 8 is not a range"),
+        (["--subject", "S2", "--action", "Walking", "--frames", "30", "90"], "too early. Import fewer frames"),
+        (["--subject", "S2", "--action", "Walking", "--frames", "36", "38"], "no imported frame of S2 Walking_1 has"),
+        (["--subject", "S2", "--action", "Walking", "--cameras", "C1", "C9"], "no camera 'C9'"),
+    ],
+)  # fmt: skip
+def test_command_says_what_it_cannot_use(data_set, tmp_path, capsys, arguments, message):
+    defaults = [] if "--cameras" in arguments else ["--cameras", "C1"]
+    assert main(["import", "humaneva", str(data_set.root), str(tmp_path / "out"), *arguments, *defaults]) == 2
+    said = capsys.readouterr().err
+    assert message.replace("\\", "") in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_with_anything_in_it_is_left_alone(data_set, tmp_path):
+    (tmp_path / "mine.txt").write_text("precious")
+    with pytest.raises(InputError, match="exists and is not an empty folder"):
+        import_trial(request_of(data_set, cameras=("C1",), frames=(6, 7)), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_no_folder_to_write_is_said(data_set, capsys):
+    arguments = ["import", "humaneva", str(data_set.root), "--subject", "S2", "--action", "Walking"]
+    assert main([*arguments, "--cameras", "C1", "C2"]) == 2
+    assert "no session folder to write is given" in capsys.readouterr().err
