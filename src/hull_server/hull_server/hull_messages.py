@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CameraInfo, PointCloud2
 
 from capture_rig.camera import CameraModel
-from sagoma_ros.clouds import CENTERLINE, VOXELS, to_cloud
+from sagoma_ros.clouds import CENTERLINE, RIMS, VOXELS, to_cloud
 from sagoma_ros.stamps import to_stamp
 
 from .pipeline import HullResult
@@ -30,6 +30,14 @@ def voxel_cloud(result: HullResult, frame_id: str) -> PointCloud2:
     return _cloud((*samples.points_world.T, samples.surface, body), VOXELS, result.stamp_ns, frame_id)
 
 
+def rim_cloud(result: HullResult, frame_id: str) -> PointCloud2:
+    """The rays along the silhouettes' rims; camera is a place in the rig, body a number."""
+    rims = result.rims
+    body = result.bodies.number_of_part[rims.part]
+    columns = (rims.point_world, rims.direction, rims.normal, rims.half_length, rims.sigma, rims.camera, body)
+    return _cloud(columns, RIMS, result.stamp_ns, frame_id)
+
+
 def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
     """Which cameras made this set, and what each stage cost; ``times_ms`` are further times, by key."""
     texts = {
@@ -41,6 +49,7 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
         "voxels": str(result.volume.count),
         "litres": f"{result.volume.litres:.2f}",
         "points": str(len(result.centerline)),
+        "rims": str(len(result.rims)),
         "bodies": str(len(result.bodies)),
         "bodies_numbers": _row(result.bodies.number, "d"),
         "bodies_litres": _row(result.bodies.litres, ".1f"),

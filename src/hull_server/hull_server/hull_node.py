@@ -20,7 +20,14 @@ from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SU
 from sagoma_ros.stamps import to_ns
 from sagoma_ros.worker import Worker
 
-from .hull_messages import calibration_mismatch, centerline_cloud, frame_set_message, summarise, voxel_cloud
+from .hull_messages import (
+    calibration_mismatch,
+    centerline_cloud,
+    frame_set_message,
+    rim_cloud,
+    summarise,
+    voxel_cloud,
+)
 from .mesh_desk import MeshDesk
 from .pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .settings import NodeSettings
@@ -51,7 +58,7 @@ class CarvedSet:
 
 
 class HullNode(SagomaNode):
-    """Silhouettes of all rig cameras in; hull/centerline, hull/voxels and hull/frame_set out, one of each per set."""
+    """Silhouettes of all cameras in; hull/rims, hull/centerline, hull/voxels, hull/frame_set out, one each per set."""
 
     Settings = NodeSettings
 
@@ -120,10 +127,12 @@ class HullNode(SagomaNode):
         self._refused = {}
 
     def _advertise(self) -> None:
+        self._rims = self.create_publisher(PointCloud2, "hull/rims", RESULT)
         self._centerline = self.create_publisher(PointCloud2, "hull/centerline", RESULT)
         self._voxels = self.create_publisher(PointCloud2, "hull/voxels", RESULT)
         self._frame_set = self.create_publisher(DiagnosticArray, "hull/frame_set", RESULT)
-        self._handles += [(self.destroy_publisher, p) for p in (self._centerline, self._voxels, self._frame_set)]
+        publishers = self._rims, self._centerline, self._voxels, self._frame_set
+        self._handles += [(self.destroy_publisher, publisher) for publisher in publishers]
 
     def _subscribe(self) -> None:
         qos = SILHOUETTE_RELIABLE_SUBSCRIBER if self.settings.reliable else SILHOUETTE_SUBSCRIBER
@@ -203,6 +212,8 @@ class HullNode(SagomaNode):
         frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
         result = self._pipeline.finish(carved.under_way)
         self._mesh.keep(result)
+        # first of all: whoever fits starts when the centerline is there, and takes what else it has
+        self._rims.publish(rim_cloud(result, frame_id))
         self._centerline.publish(centerline_cloud(result, frame_id))
         self._voxels.publish(voxel_cloud(result, frame_id))
         published_ns = self.get_clock().now().nanoseconds

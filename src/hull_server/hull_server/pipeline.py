@@ -1,4 +1,4 @@
-"""Silhouettes of one instant in, hull, centerline and voxel samples out."""
+"""Silhouettes of one instant in, hull, centerline, voxel samples and rims out."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from .consensus.dissent import DissentWatch
 from .consensus.dissent_verdict import Verdict
 from .consensus.doubt import DoubtResolver
 from .grid import VoxelGrid
+from .rims.rim_table import RimTable
+from .rims.rim_tracer import RimTracer
 from .settings import HullSettings
 from .slicing.bodies import Bodies, BodyTracker
 from .slicing.centerline import Centerline, find_centerline
@@ -35,13 +37,15 @@ class HullResult:
     stamp_ns : capture stamp of the set. cameras, missing : cameras that had a say, and those that delivered nothing.
     blank : cameras whose silhouette is empty; they empty the hull wherever they see. verdict : cameras that contradict
     the others; those left out had no say. bodies : the parts of the hull large enough to be somebody, numbered.
-    min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
+    rims : rays along the silhouettes' rims, which touch the body. min_seeing : how many cameras had to see a voxel.
+    stage_ms : time spent in each stage.
     """
 
     stamp_ns: int
     volume: BrickVolume
     centerline: Centerline
     voxels: VoxelSamples
+    rims: RimTable
     bodies: Bodies
     cameras: tuple[str, ...]
     missing: tuple[str, ...]
@@ -61,7 +65,7 @@ class SetUnderWay:
     """A frame set whose carve has begun: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
 
     frame_set: FrameSet[Mask]
-    cameras: tuple[str, ...]
+    masks: dict[str, Mask]
     blank: tuple[str, ...]
     verdict: Verdict
     min_seeing: int
@@ -85,6 +89,7 @@ class HullPipeline:
         self._dissent = DissentWatch(rig, self.views, settings.dissent, settings.min_seeing)
         self._doubt = DoubtResolver(self.views, rig.volume, settings.doubt)
         self._bodies = BodyTracker(settings.body)
+        self._rims = RimTracer(self.views, self.grid, settings.rim)
 
     def run(self, frame_set: FrameSet[Mask]) -> HullResult:
         """The hull of the frame set's canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, 0 where unseen.
@@ -108,10 +113,10 @@ class HullPipeline:
         ticket = self.backend.submit(masks, seeing)
         watch.lap("carve")
         blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
-        return SetUnderWay(frame_set, tuple(masks), blank, verdict, seeing, ticket, watch.laps_ms)
+        return SetUnderWay(frame_set, masks, blank, verdict, seeing, ticket, watch.laps_ms)
 
     def finish(self, under_way: SetUnderWay) -> HullResult:
-        """Wait for the carve, then slice, filter and sample."""
+        """Wait for the carve, then slice, filter, sample, and trace the rims."""
         frame_set, blob, watch = under_way.frame_set, self.settings.blob, _StageWatch()
         volume = self.backend.collect(under_way.ticket)
         watch.lap("collect")
@@ -124,13 +129,17 @@ class HullPipeline:
         bodies = self._bodies.step(frame_set.stamp_ns, slices.runs, self.grid)
         voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels)
         watch.lap("sample")
+        # rays along the silhouettes' rims: wherever the hull is too fat, they still touch the body
+        rims = self._rims.trace(under_way.masks, slices.runs, frame_set.frames)
+        watch.lap("rims")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
             volume=volume,
             centerline=centerline,
             voxels=voxels,
+            rims=rims,
             bodies=bodies,
-            cameras=under_way.cameras,
+            cameras=tuple(under_way.masks),
             missing=frame_set.missing,
             blank=under_way.blank,
             verdict=under_way.verdict,

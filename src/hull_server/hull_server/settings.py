@@ -100,6 +100,22 @@ class DoubtSettings:
 
 
 @dataclass(frozen=True)
+class RimSettings:
+    """Which rays along the silhouettes' rims are published."""
+
+    per_camera: int = setting(200, "most rays a camera; 0: no rims", low=0, high=100_000)
+    spacing_px: float = setting(3.0, "least distance of neighbouring rays along an outline", unit="px", low=1.0)
+    min_outline_px: float = setting(30.0, "shorter outlines, of holes or specks, have no rims", unit="px", low=4.0)
+    sigma_px: float = setting(
+        0.5, "standard deviation of a silhouette's rim across itself", unit="px", low=0.01, high=10.0
+    )
+    doubt_px: float = setting(
+        4.0, "and what is added to it, in squares, where all pixels around are doubtful; less where fewer are",
+        unit="px", low=0.0, high=100.0,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class HullSettings:
     """How silhouettes become a hull and its centerline."""
 
@@ -113,6 +129,7 @@ class HullSettings:
     max_voxels: int = setting(3000, "size of the decimated voxel cloud", low=0, high=1_000_000)
     blob: BlobSettings = setting(BlobSettings, "blob filters")
     body: BodySettings = setting(BodySettings, "separate bodies")
+    rim: RimSettings = setting(RimSettings, "rays along the silhouettes' rims")
     dissent: DissentSettings = setting(DissentSettings, "cameras that contradict the others")
     doubt: DoubtSettings = setting(DoubtSettings, "dark pixels that may be floor in shadow")
 

@@ -73,9 +73,16 @@ def silhouettes(rig: Rig, body: list[tuple[np.ndarray, np.ndarray, float]]) -> d
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         hit = np.zeros(u.size, bool)
         for start, end, radius in body:
-            hit |= _ray_hits_capsule(camera.centre_world, rays, start, end, radius)
+            near = np.flatnonzero(_ray_near(camera.centre_world, rays, (start + end) / 2, start, radius))
+            hit[near] |= _ray_hits_capsule(camera.centre_world, rays[near], start, end, radius)
         masks[camera.name] = np.where(hit.reshape(h, w) & view.seen, 255, 0).astype(np.uint8)
     return masks
+
+
+def _ray_near(centre, rays, middle, start, radius) -> np.ndarray:
+    """Whether rays (n, 3) from ``centre``, or the lines that they are on, enter the ball around a capsule."""
+    offset, reach = middle - centre, np.linalg.norm(start - middle) + radius
+    return offset @ offset - (rays @ offset) ** 2 <= reach**2 * 1.01
 
 
 def _ray_hits_capsule(centre, rays, start, end, radius) -> np.ndarray:

@@ -22,7 +22,7 @@ from hull_server import hull_node
 from hull_server.hull_node import HullNode
 from hull_server.pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from sagoma_ros.clouds import CENTERLINE, VOXELS, from_cloud, xyz
+from sagoma_ros.clouds import CENTERLINE, RIMS, VOXELS, from_cloud, xyz
 from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
 from sagoma_ros.stamps import to_ns
@@ -50,8 +50,9 @@ class Bench:
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.executor.add_node(self.peer)
-        self.heard = {"hull/centerline": [], "hull/voxels": [], "hull/frame_set": [], "/diagnostics": []}
-        kinds = (PointCloud2, PointCloud2, DiagnosticArray, DiagnosticArray)
+        topics = ("hull/rims", "hull/centerline", "hull/voxels", "hull/frame_set", "/diagnostics")
+        self.heard = {topic: [] for topic in topics}
+        kinds = (PointCloud2, PointCloud2, PointCloud2, DiagnosticArray, DiagnosticArray)
         for kind, (topic, messages) in zip(kinds, self.heard.items(), strict=True):
             self.peer.create_subscription(kind, topic, messages.append, RESULT)
 
@@ -84,14 +85,15 @@ class Bench:
         self.clock.ahead_ns += round(2 * NEVER_S * 1e9)
 
     def answers(self, count):
-        """The values of hull/frame_set of the first ``count`` sets, once all three topics have told of them."""
-        topics = ("hull/centerline", "hull/voxels", "hull/frame_set")
+        """The values of hull/frame_set of the first ``count`` sets, once all four topics have told of them."""
+        topics = ("hull/rims", "hull/centerline", "hull/voxels", "hull/frame_set")
         self.until(lambda: all(len(self.heard[topic]) >= count for topic in topics))
         for topic in topics:
             assert len(self.heard[topic]) == count
-        assert [to_ns(m.header.stamp) for m in self.heard[topics[0]]] == [
-            to_ns(m.header.stamp) for m in self.heard[topics[2]]
-        ]
+        for topic in topics[:2]:
+            assert [to_ns(m.header.stamp) for m in self.heard[topic]] == [
+                to_ns(m.header.stamp) for m in self.heard[topics[3]]
+            ]
         return [values_of(m) for m in self.heard["hull/frame_set"]]
 
     def diagnostics_with(self, **wanted):
@@ -181,11 +183,20 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     voxels = from_cloud(bench.heard["hull/voxels"][0], VOXELS, "test")
     np.testing.assert_allclose(xyz(voxels), expected.voxels.points_world, atol=1e-6)
     np.testing.assert_array_equal(voxels["surface"] > 0.5, expected.voxels.surface)
+    rims = from_cloud(bench.heard["hull/rims"][0], RIMS, "test")
+    assert bench.heard["hull/rims"][0].header == cloud.header and len(rims) > 100
+    np.testing.assert_allclose(xyz(rims), expected.rims.point_world, atol=1e-6)
+    for name, column in (("d", expected.rims.direction), ("n", expected.rims.normal)):
+        np.testing.assert_allclose(np.stack([rims[name + axis] for axis in "xyz"], axis=1), column, atol=1e-7)
+    np.testing.assert_allclose(rims["half"], expected.rims.half_length, rtol=1e-6)
+    np.testing.assert_allclose(rims["sigma"], expected.rims.sigma, rtol=1e-6)
+    np.testing.assert_array_equal(rims["camera"], expected.rims.camera)
+    assert set(rims["body"]) == {0.0} and int(values["rims"]) == len(rims)
     assert to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(0)
     assert values["cameras"] == "cam01,cam02,cam03,cam04" and values["missing"] == values["blank"] == ""
     assert float(values["spread_ms"]) == pytest.approx(0.9) and values["backend"] == "cpu"
     assert int(values["voxels"]) == expected.volume.count and 40 < float(values["litres"]) < 200
-    assert {"carve_ms", "slice_ms", "filter_ms", "sample_ms", "hull_ms", "queued_ms"} <= values.keys()
+    assert {"carve_ms", "slice_ms", "filter_ms", "sample_ms", "rims_ms", "hull_ms", "queued_ms"} <= values.keys()
 
 
 def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
@@ -195,7 +206,7 @@ def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
         bench = make_bench().start(rig)
         bench.send(masks, 0)
         bench.answers(1)
-        sent.append([bytes(bench.heard[topic][0].data) for topic in ("hull/centerline", "hull/voxels")])
+        sent.append([bytes(bench.heard[topic][0].data) for topic in ("hull/rims", "hull/centerline", "hull/voxels")])
         bench.close()
         bench.close = lambda: None
     assert sent[0] == sent[1]
@@ -309,8 +320,25 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     (values,) = bench.answers(1)
     assert values["blank"] == "cam01,cam02,cam03,cam04" and values["voxels"] == values["points"] == "0"
     assert bench.heard["hull/centerline"][0].width == bench.heard["hull/voxels"][0].width == 0
+    assert bench.heard["hull/rims"][0].width == 0
     assert "the hull is empty" in bench.heard["hull/frame_set"][0].status[0].message
     bench.diagnostics_with(sets_empty="1")
+
+
+def test_node_publishes_the_rims_before_the_centerline_of_the_same_set(make_bench, scene):
+    """Whoever fits starts when the centerline comes; the rims must be there."""
+    _, rig, masks = scene
+    bench = make_bench().start(rig)
+    order = []
+    for name in ("rims", "centerline", "voxels"):
+        publisher = getattr(bench.node, f"_{name}")
+        setattr(bench.node, f"_{name}", SimpleNamespace(
+            publish=lambda cloud, name=name, publisher=publisher: (order.append(name), publisher.publish(cloud))
+        ))  # fmt: skip
+    for k in range(3):
+        bench.send(masks, k)
+    bench.answers(3)
+    assert order == ["rims", "centerline", "voxels"] * 3
 
 
 @pytest.mark.parametrize(("stage", "answered"), [("begin", [0, 5]), ("finish", [0, 1, 2, 5])])
@@ -353,7 +381,7 @@ def test_node_counts_people_and_says_whose_each_point_is(make_bench, scene):
         number: [float(v) for v in place.split(",")]
         for number, place in zip(values["bodies_numbers"].split(","), values["bodies_at"].split("; "), strict=True)
     }
-    for topic, layout in (("hull/centerline", CENTERLINE), ("hull/voxels", VOXELS)):
+    for topic, layout in (("hull/rims", RIMS), ("hull/centerline", CENTERLINE), ("hull/voxels", VOXELS)):
         cloud = from_cloud(bench.heard[topic][0], layout, "test")
         for number, (x, y, _) in centres.items():
             mine = xyz(cloud[cloud["body"] == float(number)])

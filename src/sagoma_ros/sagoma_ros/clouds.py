@@ -18,6 +18,7 @@ def _layout(*names: str) -> np.dtype:
 
 CENTERLINE = _layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill", "body")
 VOXELS = _layout("x", "y", "z", "surface", "body")
+RIMS = _layout("x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body")
 ONE_BODY = {"body": 0.0}  # what a cloud without this field means: all of it is the same body
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 REFERENCE_POINTS = _layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")

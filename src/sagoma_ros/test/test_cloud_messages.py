@@ -13,6 +13,7 @@ from capture_rig.errors import InputError
 from sagoma_ros.clouds import (
     CENTERLINE,
     REFERENCE_POINTS,
+    RIMS,
     VOXELS,
     from_cloud,
     reference_points_array,
@@ -57,7 +58,7 @@ def refusal(cloud: PointCloud2) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("layout", [CENTERLINE, VOXELS, REFERENCE_POINTS])
+@pytest.mark.parametrize("layout", [CENTERLINE, VOXELS, RIMS, REFERENCE_POINTS])
 @pytest.mark.parametrize("count", [0, 1, 1000])
 def test_cloud_comes_back_as_it_was(layout: np.dtype, count: int) -> None:
     points = random_points(layout, count)

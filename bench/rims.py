@@ -1,0 +1,177 @@
+"""Measures the silhouettes' rims: how near our own silhouettes' rays run to the true outline, how honest their sigma
+is, and what they cost.
+
+    python bench/rims.py --quick       # about a minute: a few frames of each session
+    python bench/rims.py
+    python bench/rims.py --picture docs/images/rims.jpg --session FOLDER [--frame N]
+
+Rendered sessions (../shared/data/sessions): footage segmented as the camera client does, doubt resolved by all cameras,
+carved at 20 mm. Each ray is projected back into its camera and compared with the exact silhouette there.
+
+offset : median, px, outward positive. spread : 1.48 times the median distance from the outline, px. far : % of the rays
+more than 3 px from it. honest : % of the rays within two sigma. sure, doubtful : the same of the rays without and with
+doubtful pixels around them. ms, slice : CPU time of a set's rims, and of slicing its hull in the same run, medians.
+
+The last line is JSON: rays, offset_px, spread_px, far_percent, honest_percent, rims_ms, slice_ms, by session.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+from doubt import SHARED, VOXEL_M, Frame, Masks, frames
+
+from capture_rig.session import Session, load_session
+from hull_server.carving.backends import make_backend
+from hull_server.consensus.doubt import DoubtResolver
+from hull_server.grid import VoxelGrid
+from hull_server.rims.rim_table import RimTable
+from hull_server.rims.rim_tracer import RimTracer
+from hull_server.settings import DoubtSettings, RimSettings
+from hull_server.slicing.slicer import slice_hull
+from hull_server.views import RigViews, min_seeing
+
+FAR_PX, SURE_PX = 3.0, 0.52  # a ray of a larger sigma has doubtful pixels around it
+KEYS = ("rays", "offset_px", "spread_px", "far_percent", "honest_percent")
+TILE_PX = (400, 600)
+
+
+class Tracer:
+    """From the silhouettes of a frame to its rims."""
+
+    def __init__(self, session: Session) -> None:
+        rig = session.rig
+        self.views, self.grid = RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, VOXEL_M)
+        self.seeing = min_seeing(len(rig.names))
+        self._doubt = DoubtResolver(self.views, rig.volume, DoubtSettings())
+        self._backend = make_backend("cpu", self.views, self.grid).backend
+        self._rims = RimTracer(self.views, self.grid, RimSettings())
+        self.ms: dict[str, list[float]] = {"slice": [], "rims": []}
+
+    def trace(self, levels: Masks) -> RimTable:
+        masks = self._doubt.resolve(levels, self.seeing).masks
+        volume = self._backend.carve(masks, self.seeing)
+        begin = time.thread_time()
+        runs = slice_hull(volume).runs
+        between = time.thread_time()
+        rims = self._rims.trace(masks, runs, levels)
+        self.ms["slice"].append((between - begin) * 1e3)
+        self.ms["rims"].append((time.thread_time() - between) * 1e3)
+        return rims
+
+    def pixels(self, rims: RimTable, along_normal_m: np.ndarray | float = 0.0) -> np.ndarray:
+        """(n, 2) where the rays are in their cameras' canvases, moved along their normals in the world."""
+        P, points_world = (
+            self.views.P[rims.camera],
+            rims.point_world + np.reshape(along_normal_m, (-1, 1)) * rims.normal,
+        )
+        u, v, depth = (np.einsum("nij,nj->ni", P[:, :, :3], points_world) + P[:, :, 3]).T
+        return np.stack([u, v], axis=1) / depth[:, None]
+
+    def sigma_px(self, rims: RimTable) -> np.ndarray:
+        """(n,) the rays' sigma in pixels."""
+        return np.linalg.norm(self.pixels(rims, rims.sigma) - self.pixels(rims), axis=1)
+
+
+def offsets(pixels: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """(n,) signed distance of pixels from the outline of an exact silhouette, outward positive."""
+    outside = cv2.distanceTransform(np.where(exact > 0, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5)
+    inside = cv2.distanceTransform(np.where(exact > 0, np.uint8(1), np.uint8(0)), cv2.DIST_L2, 5)
+    signed = np.where(exact > 0, 0.5 - inside, outside - 0.5).astype(np.float32)
+    u, v = np.ascontiguousarray(pixels.astype(np.float32).T)[:, :, None]
+    return np.asarray(cv2.remap(signed, u, v, cv2.INTER_LINEAR)).reshape(-1)
+
+
+def score(name: str, session: Session, every: int) -> dict[str, float]:
+    """Print the rows of one session; its figures."""
+    tracer, columns, sets = Tracer(session), [], 0
+    for frame in frames(session, every):
+        assert frame.exact is not None
+        rims = tracer.trace(frame.levels)
+        pixels, sigma_px = tracer.pixels(rims), tracer.sigma_px(rims)
+        for index, camera in enumerate(session.rig.names):
+            mine = rims.camera == index
+            columns.append(np.column_stack([offsets(pixels[mine], frame.exact[camera]), sigma_px[mine]]))
+        sets += 1
+    distance, sigma = np.concatenate(columns).T
+    rows = {"all": sigma > 0, "sure": sigma < SURE_PX, "doubtful": sigma >= SURE_PX}
+    figures = {row: _figures(distance[chosen], sigma[chosen], sets) for row, chosen in rows.items()}
+    for row, values in figures.items():
+        print(f"{name:<22} {row:<10}" + "".join(f"{value:>11.2f}" for value in values.values()), flush=True)
+    times = {f"{stage}_ms": float(np.median(ms)) for stage, ms in tracer.ms.items()}
+    print(f"{name:<22} rims {times['rims_ms']:.2f} ms, slice {times['slice_ms']:.2f} ms")
+    return figures["all"] | times
+
+
+def _figures(distance_px: np.ndarray, sigma_px: np.ndarray, sets: int) -> dict[str, float]:
+    away = np.abs(distance_px)
+    values = (len(away) / sets, np.median(distance_px), 1.48 * np.median(away), 100 * np.mean(away > FAR_PX),
+              100 * np.mean(away < 2 * sigma_px))  # fmt: skip
+    return dict(zip(KEYS, (float(value) for value in values), strict=True))
+
+
+def picture(session: Session, path: Path, index: int) -> None:
+    """The person in three views: silhouette, and a dash along each rim's normal; doubtful rims in orange."""
+    tracer = Tracer(session)
+    frame = next(f for k, f in enumerate(frames(session, 15)) if k == index)
+    rims = tracer.trace(frame.levels)
+    ends = np.stack([tracer.pixels(rims), tracer.pixels(rims, 0.04)], axis=1)
+    doubtful = tracer.sigma_px(rims) >= SURE_PX
+    tiles = []
+    for camera, name in list(enumerate(session.rig.names))[:3]:
+        mine = rims.camera == camera
+        tiles.append(_tile(session, frame, name, ends[mine], doubtful[mine]))
+    if not cv2.imwrite(str(path), np.hstack(tiles)):
+        raise SystemExit(f"{path} cannot be written")
+
+
+def _tile(session: Session, frame: Frame, name: str, ends: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
+    """The surroundings of the rims of one view, large."""
+    image = frame.images[name]
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    canvas = cv2.cvtColor(session.rig.camera(name).undistorted_view().undistort_image(grey), cv2.COLOR_GRAY2BGR)
+    canvas[frame.levels[name] > 127] = canvas[frame.levels[name] > 127] // 2 + 110
+    low, high = ends[:, 0].min(axis=0), ends[:, 0].max(axis=0)
+    zoom = TILE_PX[1] * 0.92 / max(high[1] - low[1], (high[0] - low[0]) * TILE_PX[1] / TILE_PX[0])
+    shift = np.array(TILE_PX) / 2 - zoom * (low + high) / 2
+    tile = cv2.warpAffine(canvas, np.array([[zoom, 0, shift[0]], [0, zoom, shift[1]]]), TILE_PX)
+    for (start, end), doubt in zip(ends * zoom + shift, doubtful, strict=True):
+        colour = (0, 140, 255) if doubt else (80, 220, 0)
+        foot, tip = (np.rint(p).astype(int).tolist() for p in (start, end))
+        cv2.line(tile, foot, tip, colour, 1, cv2.LINE_AA)
+        cv2.circle(tile, foot, 2, colour, -1, cv2.LINE_AA)
+    return np.asarray(tile)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="fewer frames")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="only draw a picture")
+    parser.add_argument("--session", type=Path, metavar="FOLDER", help="the picture's session")
+    parser.add_argument("--frame", type=int, default=8, help="the picture's frame, in fifteenths")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    if arguments.picture:
+        picture(load_session(arguments.session), arguments.picture, arguments.frame)
+        return
+    sessions = sorted((SHARED / "sessions").iterdir()) if (SHARED / "sessions").is_dir() else []
+    if not sessions:
+        raise SystemExit(f"{SHARED / 'sessions'}: there are no rendered sessions; set SAGOMA_SHARED_DATA")
+    print(f"{'':<33}" + "".join(f"{head:>11}" for head in ("rays", "offset px", "spread px", "far %", "honest %")))
+    result: dict[str, dict[str, float]] = {}
+    for path in sessions:
+        for key, value in score(path.name, load_session(path), 60 if arguments.quick else 15).items():
+            result.setdefault(key, {})[path.name] = round(value, 2)
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

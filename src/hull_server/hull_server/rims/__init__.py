@@ -1,0 +1,1 @@
+"""Silhouettes' rims as rays that touch the body."""
