@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from pathlib import Path
 
 from capture_rig.errors import InputError
-from stick_figure.body import Body
 
-from .motion import MOTIONS
+from .motion import MOTIONS, Player
+from .motion_files.recorded import RecordedMotion, is_motion_file
+from .motion_files.to_stick_figure import ReadingOptions
+from .people import person_of
 from .rig import ring
 from .session import write_session
 
@@ -20,15 +23,16 @@ def main(arguments: list[str] | None = None) -> int:
     started = time.monotonic()
     try:
         rig = ring(options.cameras - options.ceiling, options.ceiling)
-        body = Body.from_stature(options.stature)
+        body = person_of(options.stature, options.arms, options.legs)
         folder = write_session(
-            options.folder, rig, body, options.motion, options.fps, options.seconds, options.seed, options.noise,
-            options.shadow, options.flicker, _show_progress if sys.stderr.isatty() else lambda done, total: None,
+            options.folder, rig, body, _motion(options), options.fps, options.seconds, options.seed, options.noise,
+            options.shadow, options.flicker, options.build,
+            _show_progress if sys.stderr.isatty() else lambda done, total: None,
         )  # fmt: skip
     except InputError as error:
         print(f"virtual_studio: {error}", file=sys.stderr)
         return 2
-    frames = round(options.seconds * options.fps)
+    frames = len((folder / "truth.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"{folder}: {len(rig.cameras)} cameras x {frames} frames in {time.monotonic() - started:.1f} s")
     return 0
 
@@ -43,15 +47,32 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--cameras", type=int, default=6, help="number of cameras in all")
     parser.add_argument("--ceiling", action=argparse.BooleanOptionalAction, default=True,
                         help="the last camera hangs from the ceiling")  # fmt: skip
-    parser.add_argument("--seconds", type=float, default=6.0, help="length, s; the first second is a T-pose")
+    parser.add_argument("--seconds", type=float, default=6.0, help="length, s (of a file: at most); first a T-pose")
     parser.add_argument("--fps", type=float, default=60.0, help="frames a second")
-    parser.add_argument("--motion", choices=sorted(MOTIONS), default="tour", help="what the person does")
+    parser.add_argument("--motion", default="tour", metavar="NAME|FILE",
+                        help=f"what the person does: {', '.join(MOTIONS)}; or a BVH or AMC file")  # fmt: skip
+    parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of the file to leave out")
+    parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
+    parser.add_argument("--motion-fps", type=float, help="frames a second of an AMC file")
+    parser.add_argument("--motion-skeleton", type=Path, help="ASF file of an AMC file, if it is not beside it")
+    parser.add_argument("--motion-joints", type=Path, help="YAML that says which of the file's joints is which")
     parser.add_argument("--stature", type=float, default=1.75, help="standing height, m")
+    parser.add_argument("--build", type=float, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
+    parser.add_argument("--arms", type=float, default=1.0, help="length of the arms over the average's")
+    parser.add_argument("--legs", type=float, default=1.0, help="length of the legs over the average's")
     parser.add_argument("--seed", type=int, default=1, help="of noise and flicker")
     parser.add_argument("--noise", type=float, default=3.0, help="standard deviation of a pixel, grey levels")
     parser.add_argument("--flicker", type=float, default=0.005, help="relative deviation of a frame's brightness")
     parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
     return parser
+
+
+def _motion(options: argparse.Namespace) -> str | Player:
+    if not is_motion_file(options.motion):
+        return options.motion
+    reading = ReadingOptions(up=options.motion_up, fps=options.motion_fps, skeleton=options.motion_skeleton,
+                             joints=options.motion_joints, start_s=options.motion_start)  # fmt: skip
+    return RecordedMotion(Path(options.motion), reading)
 
 
 def _show_progress(done: int, total: int) -> None:

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from capture_rig.errors import InputError
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.pose import Pose
@@ -39,6 +40,9 @@ SKIN, HAIR, SHIRT, SLEEVE, TROUSERS, SHOES = 0.38, 0.09, 0.27, 0.30, 0.15, 0.11
 """Albedos: a person darker than the room, in clothes that differ from each other."""
 LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
 """Ankle height over stature between which a foot turns from level to following its calf."""
+FREE_FOOT_TILT, LEVEL_FOOT_TILT = 0.15, 0.40
+"""Cosine of a calf's tilt between which its foot turns from following it (lying) to level (standing, squatting)."""
+LEAST_BUILD, GREATEST_BUILD = 0.6, 1.6
 
 
 @dataclass(frozen=True)
@@ -65,9 +69,19 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class VolumetricBody:
-    """The parts of a person of the given sizes; `place` puts them into a pose."""
+    """The parts of a person of the given sizes; `place` puts them into a pose.
+
+    build: thickness of trunk and limbs over the average's, 0.85 slim, 1.2 heavy; head and hands vary less, feet not.
+    Raises InputError for a build that is nobody's.
+    """
 
     body: Body
+    build: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not LEAST_BUILD <= self.build <= GREATEST_BUILD:
+            raise InputError(f"a build of {self.build:g} is not a person's",
+                             remedy=f"Give {LEAST_BUILD} (slim) to {GREATEST_BUILD} (heavy).")  # fmt: skip
 
     @property
     def scale(self) -> float:
@@ -81,8 +95,14 @@ class VolumetricBody:
 
     @cached_property
     def _parts(self) -> list[_Part]:
-        return [*_trunk(self.body, self.scale), *_head(self.body, self.scale), *_arms(self.body, self.scale),
-                *_legs(self.body, self.scale)]  # fmt: skip
+        thick, thin = self.scale * self.build, self.scale * self._slight_build
+        return [*_trunk(self.body, thick), *_head(self.body, thin), *_arms(self.body, thick, thin),
+                *_legs(self.body, thick)]  # fmt: skip
+
+    @property
+    def _slight_build(self) -> float:
+        """Thickness of head and hands over the average's."""
+        return 1.0 + 0.3 * (self.build - 1.0)
 
     def place(self, pose: Pose) -> Capsules:
         """The parts in the world."""
@@ -102,10 +122,31 @@ class VolumetricBody:
             albedo=np.array([*(part.albedo for part in parts), *[SHOES] * 4]),
         )
 
+    def touchpoints(self, pose: Pose) -> tuple[Array, Array]:
+        """Spheres that may rest on the floor: centres (c, 3) m in the world, radii (c,) m.
+
+        The first two stand for the feet: ankles, as high above the floor as of a standing person. The others end the
+        parts above the knees.
+        """
+        G, A, B = _frames(self.body, pose)
+        A[TORSO] = pose.position_world
+        sticks, ends, radii = self._above_the_knees
+        centres = A[sticks] + np.einsum("pij,pj->pi", G[sticks], ends)
+        return np.vstack([B[[L_CALF, R_CALF]], centres]), np.append(np.full(2, self.ankle_height), radii)
+
+    @cached_property
+    def _above_the_knees(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """Sticks (e,), places (e, 3) m in the stick's frame, and radii (e,) m of the ends of the parts."""
+        parts = [part for part in self._parts if part.stick not in (L_CALF, R_CALF)]
+        ends = np.array([end for part in parts for end in (part.start, part.end)])
+        return np.repeat([part.stick for part in parts], 2), ends, np.array([part.radii for part in parts]).ravel()
+
     def _foot(self, R_world_calf: Array, ankle: Array) -> tuple[Array, Array]:
         """Starts and ends (2, 3) of a foot's two capsules: heel to toes, and the outer edge."""
         s, stature = self.scale, self.body.stature
-        free = np.clip((ankle[2] / stature - LEVEL_FOOT_BELOW) / (FREE_FOOT_ABOVE - LEVEL_FOOT_BELOW), 0.0, 1.0)
+        lifted = (ankle[2] / stature - LEVEL_FOOT_BELOW) / (FREE_FOOT_ABOVE - LEVEL_FOOT_BELOW)
+        tilted = (LEVEL_FOOT_TILT - R_world_calf[2, 2]) / (LEVEL_FOOT_TILT - FREE_FOOT_TILT)
+        free = np.clip(max(lifted, tilted), 0.0, 1.0)
         level = R_world_calf[:, 0] * np.array([1.0, 1.0, 1e-9])
         forward = _unit((1 - free) * _unit(level) + free * R_world_calf[:, 0])
         side = _unit(np.cross([0.0, 0.0, 1.0], forward) + 1e-9 * R_world_calf[:, 1])
@@ -147,7 +188,8 @@ def _head(body: Body, s: float) -> list[_Part]:
     ]
 
 
-def _arms(body: Body, s: float) -> list[_Part]:
+def _arms(body: Body, s: float, hand: float) -> list[_Part]:
+    """s, hand: scale of the arms' thickness and of the hands'."""
     parts = []
     for upper, fore in ((L_UPPER_ARM, L_FOREARM), (R_UPPER_ARM, R_FOREARM)):
         wrist, tip = WRIST * body.lengths[fore], body.lengths[fore]
@@ -157,9 +199,9 @@ def _arms(body: Body, s: float) -> list[_Part]:
             _Part(fore, (0, 0, 0), (0, 0.35 * wrist, 0), (0.043 * s, 0.044 * s), SKIN),
             _Part(fore, (0, 0.35 * wrist, 0), (0, wrist, 0), (0.044 * s, 0.028 * s), SKIN),
         ]
-        for side in (-0.018 * s, 0.018 * s):
-            parts.append(_Part(fore, (0, wrist, 0.5 * side), (0, palm, side), (0.024 * s, 0.022 * s), SKIN))
-            parts.append(_Part(fore, (0, palm, side), (0, tip, 0.3 * side), (0.021 * s, 0.013 * s), SKIN))
+        for side in (-0.018 * hand, 0.018 * hand):
+            parts.append(_Part(fore, (0, wrist, 0.5 * side), (0, palm, side), (0.024 * hand, 0.022 * hand), SKIN))
+            parts.append(_Part(fore, (0, palm, side), (0, tip, 0.3 * side), (0.021 * hand, 0.013 * hand), SKIN))
     return parts
 
 

@@ -113,3 +113,18 @@ def _shade(origin, rays, starts, ends, radii, boxes, light, albedo, depth, neare
             lamp = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
             shade[y, x] = albedo[p] * (0.50 + 0.20 * normal[2] + 0.45 * max(lamp, 0.0))
             mask[y, x] = 255
+
+
+@njit(cache=True, nogil=True)
+def cast_silhouette(origin, rays, starts, ends, radii, boxes, mask):
+    """Sets mask (h, w) to 255 where a ray meets any capsule; arguments as for `cast`, whose mask it equals."""
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    for p in range(len(starts)):
+        ax, ay, az, ra = starts[p, 0], starts[p, 1], starts[p, 2], radii[p, 0]
+        bx, by, bz, rb = ends[p, 0], ends[p, 1], ends[p, 2], radii[p, 1]
+        for y in range(boxes[p, 1], boxes[p, 3]):
+            for x in range(boxes[p, 0], boxes[p, 2]):
+                if mask[y, x] == 0:
+                    dx, dy, dz = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
+                    if hit_capsule(ox, oy, oz, dx, dy, dz, ax, ay, az, bx, by, bz, ra, rb) < math.inf:
+                        mask[y, x] = 255

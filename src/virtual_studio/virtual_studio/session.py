@@ -26,7 +26,7 @@ from stick_figure.body import Body
 from stick_figure.body_file import save_body
 
 from .body import Capsules, VolumetricBody
-from .motion import MOTIONS, Motion
+from .motion import MOTIONS, Motion, Player
 from .render import VirtualCamera
 from .sensor import Sensor
 from .shadow import floor_shadow
@@ -45,34 +45,38 @@ def write_session(
     folder: str | Path,
     rig: Rig,
     body: Body,
-    motion: str = "tour",
+    motion: str | Player = "tour",
     fps: float = 60.0,
     seconds: float = 6.0,
     seed: int = 1,
     noise: float = 3.0,
     shadow: bool = True,
     flicker: float = 0.005,
+    build: float = 1.0,
     progress: Progress = lambda done, total: None,
 ) -> Path:
     """Renders a session into `folder` and returns its path.
 
-    motion: one of `motion.MOTIONS`; noise: standard deviation in grey levels; flicker: relative; progress is called
-    with (frames done, frames in all). An older session of the virtual studio in `folder` is replaced.
+    motion: one of `motion.MOTIONS`, or a player such as `motion_files.recorded.RecordedMotion`; noise: standard
+    deviation in grey levels; flicker: relative; build: thickness over the average's; progress is called with (frames
+    done, frames in all). An older session of the virtual studio in `folder` is replaced.
     Raises InputError for an unknown motion, impossible numbers, or a folder that holds anything else.
     """
     folder = Path(folder)
     _check(folder, motion, seed, noise, flicker)
-    played = MOTIONS[motion](body, seconds, fps)
+    person = VolumetricBody(body, build)
+    played = (MOTIONS[motion] if isinstance(motion, str) else motion)(body, seconds, fps, build)
     partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
     partial.mkdir(parents=True)
     try:
         save_rig(rig, partial / "rig.yaml")
         save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
         write_truth(partial / "truth.csv", body, played)
-        recipe = {"motion": motion, "seconds": seconds, "seed": seed, "noise_grey_levels": noise, "flicker": flicker,
-                  "shadow": shadow, "stature_m": round(body.stature, 4)}  # fmt: skip
+        recipe = {"motion": str(motion), "seconds": seconds, "seed": seed, "noise_grey_levels": noise,
+                  "flicker": flicker, "shadow": shadow, "build": build,
+                  "stature_m": round(body.stature, 4)}  # fmt: skip
         _write_description(partial / "session.yaml", fps, recipe)
-        _film(partial, rig, VolumetricBody(body), played, Sensor(noise, flicker, seed), shadow, progress)
+        _film(partial, rig, person, played, Sensor(noise, flicker, seed), shadow, progress)
         _put_in_place(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -138,8 +142,8 @@ def _write_description(path: Path, fps: float, recipe: dict) -> None:
     path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
 
 
-def _check(folder: Path, motion: str, seed: int, noise: float, flicker: float) -> None:
-    if motion not in MOTIONS:
+def _check(folder: Path, motion: str | Player, seed: int, noise: float, flicker: float) -> None:
+    if isinstance(motion, str) and motion not in MOTIONS:
         raise InputError(f"there is no motion '{motion}'", remedy=f"Known motions: {', '.join(MOTIONS)}.")
     if seed < 0:
         raise InputError(f"seed is {seed}", remedy="Give a whole number from 0.")

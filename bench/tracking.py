@@ -1,0 +1,149 @@
+"""Tracking on synthetic sticks: our methods, the thesis's, other people's, and the statistical bound.
+
+    python bench/tracking.py [--quick] [--motion FILE.bvh|FILE.amc ...]
+
+1. Moving stick figures, 300 noisy points a frame, trackers from the true first pose: mean error of the 15 points.
+2. The same points of one clip through other solvers of the same problem, and 15 labelled points through solvers of
+   inverse kinematics (pinocchio and OpenSim where they are installed: pip install pin opensim).
+3. Time of one set with 500 points and 1500 voxels.
+
+Times are CPU time of one thread. The last line is JSON: {"mean_mm", "thesis_mean_mm", "bound_mm", "icp_ms", "ekf_ms"}.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from stick_bounds import Bounds, bounds
+from stick_clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
+from stick_contest import labelled_contest, unlabelled_contest
+from stick_timing import times_ms
+from stick_trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, track
+
+from capture_rig.errors import InputError
+from virtual_studio.motion import MOTIONS
+from virtual_studio.motion_files.to_stick_figure import ReadingOptions
+
+SETTLED = 10
+"""Frames at the start of a clip that do not count: the first pose is the true one."""
+BOUND_EVERY = 8
+"""The bound takes new information at every so many frames: it changes slowly (a bound 1 % too low)."""
+LOST_M = 0.2
+"""A clip is lost when a point is farther off than this at its end."""
+QUICK_CLIPS = ("tour", "walk")
+QUICK_S, FULL_S = 4.0, 6.0
+
+
+def main() -> int:
+    """Returns the exit code: 0, or 2 with one clear line on standard error."""
+    options = _parser().parse_args()
+    try:
+        clips = gather(options)
+    except InputError as error:
+        print(f"bench/tracking.py: {error}", file=sys.stderr)
+        return 2
+    figures = protocol(clips)
+    frames = 20 if options.quick else 100
+    unlabelled_contest(clips[0].cut(frames))
+    labelled_contest(clips[0].cut(5 * frames))
+    print(json.dumps(figures | times_ms(studio_clip("tour", 2.0 if options.quick else QUICK_S))))
+    return 0
+
+
+def gather(options: argparse.Namespace) -> list[Clip]:
+    """The clips that are asked for."""
+    seconds = QUICK_S if options.quick else FULL_S
+    names = QUICK_CLIPS if options.quick else [name for name in MOTIONS if name != "t_pose_only"]
+    clips = [studio_clip(name, seconds) for name in names] + [
+        random_clip(seed) for seed in range(1 if options.quick else 4)
+    ]
+    reading = ReadingOptions(
+        metres_per_unit=options.motion_scale, up=options.motion_up, fps=options.motion_fps,
+        joints=options.motion_joints, start_s=options.motion_start,
+    )  # fmt: skip
+    return clips + [file_clip(path, reading) for path in options.motion]
+
+
+def protocol(clips: list[Clip]) -> dict[str, float]:
+    """Print the table of the trackers and the bounds, clip by clip; returns the means."""
+    methods = (thesis(0.1), thesis(), all_joints_alone(), chain(), chain_for_sticks())
+    runs: dict[Method, list[Run]] = {method: [] for method in methods}
+    limits: list[Bounds] = []
+    noise_mm = 1e3 * clips[0].sigma_m
+    print(
+        f"{len(clips)} clips at {FPS:g} Hz, {POINTS} points, noise of a sixth of the hips' distance, {noise_mm:.0f} mm"
+    )
+    print("\nmean error of the 15 filtered points, mm (+: at the end a point is over 200 mm off)")
+    columns = ("thesis 0.1", "thesis 0.2", "all joints", "chain", "sticks", "bound")
+    print(f"{'clip':24}{'frames':>7}" + "".join(f"{column:>12}" for column in columns), flush=True)
+    for seed, clip in enumerate(clips):
+        points = clouds(clip, seed)
+        for method in methods:
+            runs[method].append(track(method, clip, points, clip.sigma_m))
+        limits.append(bounds(clip, BOUND_EVERY, SETTLED))
+        _print_clip(clip, [run[-1] for run in runs.values()], limits[-1])
+    _print_means(runs, limits)
+    ours, theirs = runs[chain()], runs[thesis()]
+    return {
+        "mean_mm": _rounded(mean_mm(ours)),
+        "thesis_mean_mm": _rounded(min(mean_mm(theirs), mean_mm(theirs, fitted=True))),
+        "bound_mm": _rounded(float(np.mean([limit.mm for limit in limits]))),
+    }
+
+
+def mean_mm(runs: list[Run], fitted: bool = False) -> float:
+    """Mean over the clips of the mean error after the start, mm, of the filter's points or of the fit's."""
+    return float(np.mean([1e3 * (run.fitted if fitted else run.filtered)[SETTLED:].mean() for run in runs]))
+
+
+def _print_clip(clip: Clip, runs: list[Run], limit: Bounds) -> None:
+    cells = ""
+    for run in runs:
+        mark = "+" if run.filtered[-1].max() > LOST_M else " "
+        cells += f"{1e3 * run.filtered[SETTLED:].mean():11.1f}{mark}"
+    print(f"{clip.name:24}{len(clip.poses):7}{cells}{limit.mm:11.1f}", flush=True)
+
+
+def _print_means(runs: dict[Method, list[Run]], limits: list[Bounds]) -> None:
+    columns = f"{'fit mm':>8}{'filter mm':>10}{'lost':>6}{'inside 95 %':>12}{'fit ms':>8}{'filter ms':>10}"
+    print(f"\n{'mean of all clips':44}{columns}")
+    for method, run in runs.items():
+        lost = sum(r.filtered[-1].max() > LOST_M for r in run)
+        inside = np.mean([r.inside[SETTLED:].mean() for r in run])
+        icp_ms, ekf_ms = (np.median(np.concatenate(ms)) for ms in ([r.icp_ms for r in run], [r.ekf_ms for r in run]))
+        print(f"{method.name:44}{mean_mm(run, fitted=True):8.1f}{mean_mm(run):10.1f}{lost:6}{100 * inside:11.0f}%"
+              f"{icp_ms:8.2f}{ekf_ms:10.2f}")  # fmt: skip
+    for name, one, all_so_far in (
+        ("bound: which place a point is of, unknown", "frame_mm", "mm"),
+        ("bound, were it known", "labelled_frame_mm", "labelled_mm"),
+    ):
+        values = [np.mean([getattr(limit, key) for limit in limits]) for key in (one, all_so_far)]
+        print(f"{name:44}{values[0]:8.1f}{values[1]:10.1f}")
+
+
+def _rounded(mm: float) -> float:
+    return round(mm, 2)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="few, short clips: under a minute")
+    parser.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH or AMC files to track too")
+    parser.add_argument("--motion-scale", type=float, help="metres in one unit of these files")
+    parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of each to leave out")
+    parser.add_argument("--motion-up", default="y", help="their axis that points up")
+    parser.add_argument("--motion-fps", type=float, help="frames a second of AMC files")
+    parser.add_argument("--motion-joints", type=Path, help="YAML that says which joint is which")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

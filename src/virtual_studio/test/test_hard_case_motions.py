@@ -1,0 +1,214 @@
+"""The hard cases: possible movements, on the floor, of a body that does not pass through itself."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.skeleton import (
+    ANGLE_HIGH,
+    ANGLE_LOW,
+    HEAD,
+    L_CALF,
+    L_FOREARM,
+    L_THIGH,
+    R_CALF,
+    R_FOREARM,
+    R_THIGH,
+    T_POSE_ANGLES,
+    TORSO,
+)
+from virtual_studio.body import VolumetricBody
+from virtual_studio.motion import HARD_CASES, MOTIONS, T_POSE_S
+from virtual_studio.people import person_of
+from virtual_studio.rig import VOLUME
+
+FPS = 30
+AVERAGE, BIG, SMALL = (1.75, 1.0), (1.93, 0.88), (1.52, 1.2)  # stature m, build
+FEET = (slice(-4, -2), slice(-2, None))
+LEFT_HAND, RIGHT_HAND, NECK, L_KNEE, L_ANKLE, R_ANKLE = 11, 12, 2, 9, 13, 14
+
+
+@cache
+def played(name, who=AVERAGE):
+    stature_m, build = who
+    body = Body.from_stature(stature_m)
+    motion = HARD_CASES[name](body, HARD_CASES[name].once_s, FPS, build)
+    return VolumetricBody(body, build), motion, np.array([forward(body, pose) for pose in motion.poses])
+
+
+def spheres(capsules, parts):
+    """Centres (n, 3) and radii (n,) of spheres along capsules: an oracle for what they fill."""
+    share = np.linspace(0.0, 1.0, 9)
+    starts, ends, radii = capsules.starts[parts], capsules.ends[parts], capsules.radii[parts]
+    centres = starts[:, None] + share[None, :, None] * (ends - starts)[:, None]
+    return centres.reshape(-1, 3), (radii[:, :1] + share * (radii[:, 1:] - radii[:, :1])).ravel()
+
+
+def gap_m(capsules, some, others):
+    """Least distance between the skins of two groups of capsules, negative where they overlap."""
+    (a, ra), (b, rb) = spheres(capsules, some), spheres(capsules, others)
+    return (np.linalg.norm(a[:, None] - b[None], axis=2) - ra[:, None] - rb[None]).min()
+
+
+def parts_of(person, *sticks):
+    return [index for index, part in enumerate(person._parts) if part.stick in sticks]
+
+
+@pytest.mark.parametrize("name", HARD_CASES)
+def test_hard_case_stays_inside_the_joint_ranges_and_starts_in_the_t_pose(name):
+    _, motion, _ = played(name)
+    assert (motion.angles > ANGLE_LOW - 1e-9).all()
+    assert (motion.angles < ANGLE_HIGH + 1e-9).all()
+    np.testing.assert_array_equal(motion.angles[: round(T_POSE_S * FPS)], np.tile(T_POSE_ANGLES, (FPS, 1)))
+
+
+@pytest.mark.parametrize("name", HARD_CASES)
+def test_hard_case_moves_at_speeds_of_which_people_are_capable(name):
+    _, _, points = played(name)
+    velocity = np.diff(points, axis=0) * FPS
+    assert np.linalg.norm(velocity, axis=2).max() < 9.0  # m/s: the foot of a kick
+    assert np.linalg.norm(velocity[:, 0], axis=1).max() < 3.5  # m/s: the torso of a runner
+    assert np.linalg.norm(np.diff(velocity[:, 0], axis=0) * FPS, axis=1).max() < 30.0  # m/s^2
+
+
+@pytest.mark.parametrize("name", HARD_CASES)
+@pytest.mark.parametrize("who", [AVERAGE, BIG, SMALL])
+def test_nothing_sinks_into_the_floor_whoever_does_it(name, who):
+    person, motion, _ = played(name, who)
+    lowest = []
+    for pose in motion.poses[::6]:
+        capsules = person.place(pose)
+        centres, radii = spheres(capsules, np.arange(len(capsules.radii)))
+        lowest.append((centres[:, 2] - radii).min())
+    assert min(lowest) > (-0.030 if name == "lie_down" else -0.010)  # heels sink while feet without ankles roll over
+    if name != "jump":
+        assert max(lowest) < 0.012
+    else:
+        assert 0.08 < max(lowest) < 0.20
+
+
+@pytest.mark.parametrize("name", HARD_CASES)
+@pytest.mark.parametrize("who", [AVERAGE, BIG, SMALL])
+def test_limbs_do_not_pass_through_the_body(name, who):
+    person, motion, _ = played(name, who)
+    left, right = parts_of(person, L_FOREARM), parts_of(person, R_FOREARM)
+    trunk, head = parts_of(person, TORSO), parts_of(person, HEAD)
+    legs = [parts_of(person, L_THIGH, L_CALF), parts_of(person, R_THIGH, R_CALF)]
+    for pose in motion.poses[::5]:
+        capsules = person.place(pose)
+        for forearm in (left, right):
+            assert gap_m(capsules, forearm, trunk) > -0.020
+            assert gap_m(capsules, forearm, head) > 0.0
+            assert gap_m(capsules, forearm, legs[0] + legs[1]) > -0.015
+        assert gap_m(capsules, left, right) > -0.025  # clasped hands
+        assert gap_m(capsules, parts_of(person, L_CALF), parts_of(person, R_CALF)) > -0.005
+        assert gap_m(capsules, parts_of(person, L_THIGH), parts_of(person, R_THIGH)) > -0.025
+
+
+@pytest.mark.parametrize("name", sorted(set(HARD_CASES) - {"lie_down", "jump", "run"}))
+def test_the_foot_that_carries_the_body_hardly_slides(name):
+    _, _, points = played(name)
+    ankles = points[:, [L_ANKLE, R_ANKLE]]
+    carrying = ankles[:-1, :, 2].argmin(axis=1)
+    rows = np.arange(len(carrying))
+    slide = np.linalg.norm((ankles[1:] - ankles[:-1])[rows, carrying, :2], axis=1) * FPS
+    assert np.median(slide) < 0.12  # m/s
+    assert slide.mean() < 0.25
+
+
+@pytest.mark.parametrize("name", sorted(set(HARD_CASES) - {"leave_and_return"}))
+def test_hard_case_stays_in_the_capture_volume(name):
+    _, _, points = played(name)
+    assert (points > VOLUME.low + 0.03).all()
+    assert (points < VOLUME.high - 0.03).all()
+
+
+def test_truth_of_a_hard_case_does_not_depend_on_the_frame_rate():
+    body = Body.from_stature(1.75)
+    slow, fast = (HARD_CASES["leave_and_return"](body, 6.0, fps).poses for fps in (20, 60))
+    for a, b in zip(slow, fast[::3], strict=True):
+        np.testing.assert_allclose(forward(body, a), forward(body, b), atol=1e-6)
+
+
+def test_arm_on_chest_keeps_the_forearm_on_the_skin_for_two_seconds():
+    person, motion, _ = played("arm_on_chest")
+    gaps = np.array([gap_m(person.place(pose), parts_of(person, L_FOREARM), parts_of(person, TORSO))
+                     for pose in motion.poses])  # fmt: skip
+    assert (gaps < 0.01).sum() >= 2 * FPS
+
+
+def test_hands_meet_when_clasped_and_rest_on_the_hips_when_akimbo():
+    _, _, points = played("hands_clasped")
+    assert (np.linalg.norm(points[:, LEFT_HAND] - points[:, RIGHT_HAND], axis=1) < 0.10).sum() >= 2 * FPS
+    person, motion, _ = played("hands_on_hips")
+    middle = person.place(motion.poses[4 * FPS])
+    assert gap_m(middle, parts_of(person, L_FOREARM), parts_of(person, TORSO)) < 0.04
+
+
+def test_crossed_legs_put_each_ankle_on_the_other_side_once():
+    _, _, points = played("crossed_legs")
+    left_of = points[:, L_ANKLE, 1] - points[:, R_ANKLE, 1]
+    ahead = points[:, L_ANKLE, 0] - points[:, R_ANKLE, 0]
+    crossed = left_of < -0.03
+    assert crossed.sum() > 2 * FPS
+    assert (ahead[crossed] > 0.1).any() and (ahead[crossed] < -0.1).any()
+
+
+def test_squat_sitting_and_lying_bring_the_torso_down():
+    standing = played("squat")[2][0, 0, 2]
+    assert played("squat")[2][:, 0, 2].min() < 0.60 * standing
+    seated = played("sitting")
+    thigh = seated[2][round(4.0 * FPS), L_KNEE] - seated[2][round(4.0 * FPS), 5]
+    assert abs(thigh[2]) < 0.2 * np.linalg.norm(thigh)
+    lying = played("lie_down")[1].poses[round(6.5 * FPS)]
+    assert lying.position_world[2] < 0.16
+    assert lying.R_world_torso[2, 0] > 0.99  # on the back: the chest up
+
+
+def test_turn_on_spot_makes_two_turns_at_its_place():
+    _, motion, points = played("turn_on_spot")
+    headings = np.unwrap([np.arctan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0]) for pose in motion.poses])
+    assert headings[-1] - headings[0] == pytest.approx(4 * np.pi, abs=0.02)
+    assert np.linalg.norm(points[:, 0, :2], axis=1).max() < 0.25
+
+
+def test_leave_and_return_goes_out_of_the_volume_and_comes_back():
+    _, _, points = played("leave_and_return")
+    far = np.linalg.norm(points[:, 0, :2], axis=1)
+    assert far.max() > 2.0
+    assert (points[np.argmax(far), :, 0] > VOLUME.high[0]).all()
+    assert far[-1] < 0.25
+
+
+def test_jumper_falls_freely():
+    fast = HARD_CASES["jump"](Body.from_stature(1.75), 5.0, 120)
+    heights = np.array([pose.position_world[2] for pose in fast.poses])
+    top = int(np.argmax(heights[:400]))
+    acceleration = np.diff(heights[top - 10 : top + 11], 2) * 120**2
+    assert acceleration.mean() == pytest.approx(-9.81, abs=0.5)
+
+
+def test_unusual_proportions_keep_the_stature():
+    average, leggy = person_of(1.80), person_of(1.80, arms=1.05, legs=1.05)
+    assert leggy.stature == pytest.approx(1.80, abs=1e-9)
+    assert leggy.lengths[L_THIGH] == pytest.approx(1.05 * average.lengths[L_THIGH])
+    assert leggy.lengths[L_FOREARM] == pytest.approx(1.05 * average.lengths[L_FOREARM])
+    for arms, legs in ((0.5, 1.0), (1.0, 1.5)):
+        with pytest.raises(InputError, match="average"):
+            person_of(1.80, arms, legs)
+
+
+def test_build_thickens_the_trunk_and_hardly_the_head():
+    body = Body.from_stature(1.75)
+    pose = MOTIONS["t_pose_only"](body, 0.1, 30).poses[0]
+    thick, thin = (VolumetricBody(body, build) for build in (1.2, 1.0))
+    ratio = thick.place(pose).radii / thin.place(pose).radii
+    np.testing.assert_allclose(ratio[parts_of(thin, TORSO)], 1.2)
+    np.testing.assert_allclose(ratio[parts_of(thin, HEAD)], 1.06)
+    np.testing.assert_allclose(ratio[-4:], 1.0)  # feet
+    with pytest.raises(InputError, match="build"):
+        VolumetricBody(body, 3.0)

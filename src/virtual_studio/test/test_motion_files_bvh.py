@@ -1,0 +1,129 @@
+"""BVH files of known geometry; the oracle multiplies homogeneous matrices by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from virtual_studio.motion_files.bvh import read_bvh
+
+ARM = """HIERARCHY
+ROOT Hips
+{{
+\tOFFSET 1.0 2.0 3.0
+\tCHANNELS 6 Xposition Yposition Zposition {root}
+\tJOINT Arm
+\t{{
+\t\tOFFSET 0 10 0
+\t\tCHANNELS 3 {arm}
+\t\tEnd Site
+\t\t{{
+\t\t\tOFFSET 5 0 2
+\t\t}}
+\t}}
+}}
+MOTION
+Frames: {frames}
+Frame Time: {period}
+{rows}
+"""
+ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
+
+
+def channels(order: str) -> str:
+    return " ".join(f"{axis}rotation" for axis in order)
+
+
+def arm(path: Path, root: str = "ZXY", arm: str = "ZXY", rows: str = "0 0 0 0 0 0 0 0 0", frames: int = 1,
+        period: str = "0.025") -> Path:  # fmt: skip
+    path.write_text(ARM.format(root=channels(root), arm=channels(arm), frames=frames, period=period, rows=rows))
+    return path
+
+
+def turn(axis: str, degrees: float) -> np.ndarray:
+    """A homogeneous matrix, from the definition of a rotation about one axis."""
+    i = "XYZ".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    T = np.eye(4)
+    T[j, j], T[j, k], T[k, j], T[k, k] = c, -s, s, c
+    return T
+
+
+def shift(*offset: float) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = offset
+    return T
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_joints_of_a_bvh_lie_where_matrices_put_them_for_every_order_of_rotation(tmp_path: Path, order: str) -> None:
+    values = np.array([0.5, -1.0, 2.0, 20.0, -35.0, 50.0, 15.0, 70.0, -40.0])
+    motion = read_bvh(arm(tmp_path / "a.bvh", order, order[::-1], " ".join(f"{v:g}" for v in values)))
+    T = shift(*values[:3])
+    for axis, degrees in zip(order, values[3:6], strict=True):
+        T = T @ turn(axis, degrees)
+    np.testing.assert_allclose(motion.of("Hips")[0], T[:3, 3], atol=1e-12)
+    T = T @ shift(0, 10, 0)
+    np.testing.assert_allclose(motion.of("Arm")[0], T[:3, 3], atol=1e-12)
+    for axis, degrees in zip(order[::-1], values[6:], strict=True):
+        T = T @ turn(axis, degrees)
+    np.testing.assert_allclose(motion.of("Arm_end")[0], (T @ shift(5, 0, 2))[:3, 3], atol=1e-12)
+
+
+def test_rate_and_frames_follow_the_header(tmp_path: Path) -> None:
+    rows = "1 0 0 0 0 0 0 0 0\n2 0 0 0 0 0 0 0 0\n"
+    motion = read_bvh(arm(tmp_path / "a.bvh", rows=rows, frames=2, period="0.0083333"))
+    assert motion.fps == pytest.approx(120.0, rel=1e-4)
+    np.testing.assert_allclose(motion.of("Hips")[:, 0], [1.0, 2.0])
+
+
+def test_positions_stay_at_the_offset_where_no_channel_moves_them(tmp_path: Path) -> None:
+    text = "HIERARCHY\nROOT a b {\nOFFSET 1 2 3\nCHANNELS 1 yposition\nEnd Site { OFFSET 0 1 0 }\n}\n"
+    path = tmp_path / "a.bvh"
+    path.write_text(text + "MOTION\nFrames: 1\nFrame Time: 0.1\n7\n")
+    motion = read_bvh(path)
+    np.testing.assert_allclose(motion.of("a b")[0], [1, 7, 3])
+    np.testing.assert_allclose(motion.of("a b_end")[0], [1, 8, 3])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "word"),
+    [
+        ("HIERARCHY", "HIERARCH", 1, "HIERARCHY"),
+        ("OFFSET 0 10 0", "OFFSET 0 ten 0", 8, "ten"),
+        ("OFFSET 0 10 0", "OFFSET 0 nan 0", 8, "nan"),
+        ("CHANNELS 3 Z", "CHANNELS 3 W", 9, "Wrotation"),
+        ("CHANNELS 3", "CHANNELS three", 9, "three"),
+        ("JOINT Arm", "JOINT Hips", 6, "two joints"),
+        ("JOINT Arm", "JOINT", 6, "no name"),
+        ("JOINT Arm", "JOIN Arm", 6, "JOIN"),
+        ("Frames: 1", "Frames: 2", 17, "2 are announced"),
+        ("Frames: 1", "Frames: some", 17, "some"),
+        ("Time: 0.025", "Time: 0", 18, "frame time"),
+        ("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 0 0", 19, "8 numbers"),
+        ("0 0 0 0 0 0 0 0 0", "0 0 0 0 0 0 0 0 x", 19, "'x'"),
+        ("0 0 0 0 0 0 0 0 0", "", 17, "0 frames"),
+    ],
+)
+def test_a_damaged_bvh_is_refused_with_file_line_and_word(
+    tmp_path: Path, old: str, new: str, line: int, word: str
+) -> None:
+    path = arm(tmp_path / "broken.bvh")
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=word) as caught:
+        read_bvh(path)
+    assert caught.value.where == f"{path}, line {line}"
+
+
+def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_bvh(tmp_path / "none.bvh")
+    (tmp_path / "binary.bvh").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_bvh(tmp_path / "binary.bvh")

@@ -1,0 +1,234 @@
+"""From motion files to the stick figure: names, units, axes, and a figure that stands where the file's person does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.errors import InputError
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.skeleton import POINT_NAMES
+from virtual_studio.__main__ import main
+from virtual_studio.body import VolumetricBody
+from virtual_studio.motion_files.joint_names import NAMINGS, plain
+from virtual_studio.motion_files.recorded import RecordedMotion
+from virtual_studio.motion_files.to_stick_figure import ReadingOptions, read_joints, read_stick_motion, reference_points
+
+# offsets in centimetres, y up, facing z, left is +x: the usual axes of character animation
+TREE = {
+    "Hips": ("", (0, 0, 0)), "Spine": ("Hips", (0, 20, 0)), "Neck": ("Spine", (0, 35, 0)), "Head": ("Neck", (0, 8, 0)),
+    "HeadTop_End": ("Head", (0, 17, 0)),
+} | {
+    f"{side}{name}": (side + parent if parent not in ("Hips", "Spine") else parent, (sign * x, y, z))
+    for side, sign in (("Left", 1), ("Right", -1))
+    for name, parent, (x, y, z) in (
+        ("Shoulder", "Spine", (3, 30, 0)), ("Arm", "Shoulder", (15, 0, 0)), ("ForeArm", "Arm", (29.2, 0, 0)),
+        ("Hand", "ForeArm", (25, 0, 0)), ("UpLeg", "Hips", (9, -2, 0)), ("Leg", "UpLeg", (0, -43, 0)),
+        ("Foot", "Leg", (0, -42, 0)),
+    )
+}  # fmt: skip
+HEIGHT = 90.0
+
+
+def person(path: Path, turns: dict[str, str], frames: int = 3, prefix: str = "", step: float = 0.0) -> Path:
+    """A BVH file of a person; turns: 'Z X Y' angles in degrees by joint; step: how far it goes forward a frame."""
+    order: list[str] = []
+
+    def joint(name: str, indent: str) -> list[str]:
+        order.append(name)
+        kind = "JOINT" if TREE[name][0] else "ROOT"
+        move = "6 Xposition Yposition Zposition " if kind == "ROOT" else "3 "
+        lines = [f"{kind} {prefix}{name}", "{", "OFFSET {} {} {}".format(*TREE[name][1])]
+        lines += [f"CHANNELS {move}Zrotation Xrotation Yrotation"]
+        children = [child for child, (parent, _) in TREE.items() if parent == name]
+        for child in children:
+            lines += joint(child, indent + " ")
+        return [*lines, "}"]
+
+    text = ["HIERARCHY", *joint("Hips", ""), "MOTION", f"Frames: {frames}", "Frame Time: 0.01"]
+    for k in range(frames):
+        rotations = " ".join(turns.get(name, "0 0 0") for name in order)
+        text.append(f"0 {HEIGHT} {k * step} {rotations}")
+    path.write_text("\n".join(text) + "\n")
+    return path
+
+
+CM = ReadingOptions(metres_per_unit=0.01)
+
+
+def at(points: np.ndarray, name: str) -> np.ndarray:
+    return points[POINT_NAMES.index(name)]
+
+
+def test_a_t_pose_stands_upright_facing_x_with_its_left_at_y(tmp_path: Path) -> None:
+    motion = read_stick_motion(person(tmp_path / "t.bvh", {}), options=CM)
+    points = forward(motion.body, motion.poses[0])
+    np.testing.assert_allclose(at(points, "neck"), [0, 0, 1.45], atol=1e-3)
+    np.testing.assert_allclose(at(points, "head"), [0, 0, 1.70], atol=1e-3)
+    np.testing.assert_allclose(at(points, "left_shoulder"), [0, 0.18, 1.40], atol=1e-3)
+    np.testing.assert_allclose(at(points, "right_elbow"), [0, -0.472, 1.40], atol=1e-3)
+    np.testing.assert_allclose(at(points, "left_hip"), [0, 0.09, 0.88], atol=1e-3)
+    np.testing.assert_allclose(at(points, "right_foot"), [0, -0.09, 0.03], atol=1e-3)
+    # a wrist is not the end of the stick: the hand is stretched, 108 to 146 of the forearm
+    np.testing.assert_allclose(at(points, "left_hand"), [0, 0.472 + 0.25 * (1 + 108 / 146), 1.40], atol=1e-3)
+    assert motion.misfit_m < 1e-6
+    np.testing.assert_allclose(motion.poses[0].R_world_torso, np.eye(3), atol=1e-9)
+
+
+def test_turned_joints_turn_the_figure(tmp_path: Path) -> None:
+    turns = {"LeftArm": "-90 0 0", "LeftForeArm": "0 0 -90", "RightUpLeg": "0 -90 0", "RightLeg": "0 90 0"}
+    motion = read_stick_motion(person(tmp_path / "t.bvh", turns), options=CM)
+    points = forward(motion.body, motion.poses[0])
+    np.testing.assert_allclose(at(points, "left_elbow"), [0, 0.18, 1.40 - 0.292], atol=1e-3)  # the arm hangs
+    forearm = at(points, "left_hand") - at(points, "left_elbow")
+    np.testing.assert_allclose(forearm / np.linalg.norm(forearm), [1, 0, 0], atol=1e-6)  # and points forward
+    np.testing.assert_allclose(at(points, "right_knee"), [0.43, -0.09, 0.88], atol=1e-3)  # sitting on one leg
+    np.testing.assert_allclose(at(points, "right_foot"), [0.43, -0.09, 0.46], atol=1e-3)
+    knee = motion.poses[0].angles()[15]
+    assert knee == pytest.approx(np.pi / 2, abs=1e-3)
+
+
+def test_another_rate_keeps_the_speed(tmp_path: Path) -> None:
+    path = person(tmp_path / "t.bvh", {}, frames=11, step=2.0)  # 2 cm a frame at 100 Hz
+    motion = read_stick_motion(path, 40.0, CM)
+    assert motion.fps == 40.0
+    assert len(motion.poses) == 5  # 0 to 0.1 s
+    np.testing.assert_allclose(np.diff([pose.position_world[0] for pose in motion.poses]), 2.0 / 40.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig_", "Character1:", "MIXAMORIG9:"])
+def test_names_are_known_whatever_the_exporter_put_before_them(tmp_path: Path, prefix: str) -> None:
+    motion = read_stick_motion(person(tmp_path / "t.bvh", {}, prefix=prefix), options=CM)
+    assert forward(motion.body, motion.poses[0])[2, 2] == pytest.approx(1.45, abs=1e-3)
+
+
+def test_every_naming_is_written_plainly_and_mirrored() -> None:
+    for naming in NAMINGS.values():
+        for names in naming.values():
+            assert all(plain(name) == name for name in names)
+        left = [naming[role] for role in naming if role.startswith("left")]
+        right = [naming[role] for role in naming if role.startswith("right")]
+        assert len(left) == len(right) == 6
+        assert not set(left) & set(right)
+
+
+def test_without_a_unit_the_error_names_the_ones_that_make_a_person(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"0\.01 \(cm\) for a person of 1\.73 m") as caught:
+        read_stick_motion(person(tmp_path / "t.bvh", {}))
+    assert "(mm)" not in str(caught.value)
+
+
+def test_a_unit_that_makes_a_giant_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="m tall"):
+        read_stick_motion(person(tmp_path / "t.bvh", {}), options=ReadingOptions(metres_per_unit=1.0))
+
+
+def test_a_wrong_up_axis_is_refused_and_the_right_one_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="probably y"):
+        read_stick_motion(person(tmp_path / "t.bvh", {}), options=ReadingOptions(0.01, up="z"))
+    with pytest.raises(InputError, match="x, y or z"):
+        read_stick_motion(person(tmp_path / "t.bvh", {}), options=ReadingOptions(0.01, up="w"))
+
+
+def test_a_head_without_an_end_gets_an_average_one(tmp_path: Path) -> None:
+    path = person(tmp_path / "t.bvh", {})
+    motion = read_joints(path)
+    whole = reference_points(motion, CM)
+    path.write_text(path.read_text().replace("HeadTop_End", "Hat"))
+    headless = reference_points(read_joints(path), CM)
+    leg = 0.85
+    np.testing.assert_allclose(headless[0, 1] - headless[0, 2], [0, 0, leg * 0.130 / 0.491], atol=1e-6)
+    np.testing.assert_allclose(np.delete(headless, 1, axis=1), np.delete(whole, 1, axis=1), atol=1e-12)
+
+
+def names_of_my_own(path: Path, **other: str) -> Path:
+    roles = {"neck": "Neck", "head": "Head"}
+    sides = {"shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand", "hip": "UpLeg", "knee": "Leg", "ankle": "Foot"}
+    roles |= {f"{side}_{role}": f"{side.title()}{name}" for side in ("left", "right") for role, name in sides.items()}
+    path.write_text("\n".join(f"{role}: {name}" for role, name in (roles | other).items()))
+    return path
+
+
+def test_unknown_names_are_refused_and_a_table_of_names_helps(tmp_path: Path) -> None:
+    path = person(tmp_path / "t.bvh", {})
+    path.write_text(path.read_text().replace("JOINT Neck", "JOINT Kneck").replace("JOINT Head\n", "JOINT Kopf\n"))
+    with pytest.raises(InputError, match="no known way"):
+        read_stick_motion(path, options=CM)
+    table = names_of_my_own(tmp_path / "names.yaml", neck="Kneck", head="Kopf")
+    motion = read_stick_motion(path, options=ReadingOptions(0.01, joints=table))
+    assert forward(motion.body, motion.poses[0])[2, 2] == pytest.approx(1.45, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("table", "word"),
+    [({"left_elbow": "LeftForArm"}, "LeftForeArm"), ({"tail": "Hips"}, "tail"), ({"neck": "0"}, "neck")],
+)
+def test_a_wrong_table_of_names_is_refused_with_what_there_is(tmp_path: Path, table: dict[str, str], word: str) -> None:
+    path = person(tmp_path / "t.bvh", {})
+    with pytest.raises(InputError, match=word):
+        read_stick_motion(path, options=ReadingOptions(0.01, joints=names_of_my_own(tmp_path / "n.yaml", **table)))
+
+
+def test_a_table_that_lacks_a_joint_names_it(tmp_path: Path) -> None:
+    (tmp_path / "names.yaml").write_text("neck: Neck\nhead: Head\n")
+    options = ReadingOptions(0.01, joints=tmp_path / "names.yaml")
+    with pytest.raises(InputError, match="left_shoulder"):
+        read_stick_motion(person(tmp_path / "t.bvh", {}), options=options)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.bvh, \.amc"):
+        read_stick_motion(tmp_path / "walk.fbx")
+
+
+def test_a_recorded_motion_begins_in_the_t_pose_and_stands_on_the_floor_in_the_middle(tmp_path: Path) -> None:
+    path = person(tmp_path / "sit.bvh", {"LeftArm": "-90 0 0", "RightUpLeg": "0 -60 0"}, frames=101, step=1.0)
+    body = Body.from_stature(1.6)
+    motion = RecordedMotion(path)(body, 6.0, 30.0)
+    assert len(motion.poses) == 30 + 30 + 31  # T-pose, blend, and the second that the file holds
+    points = np.array([forward(body, pose) for pose in motion.poses])
+    np.testing.assert_allclose(np.diff(points[:30], axis=0), 0.0, atol=1e-12)
+    level = points[0, [11, 7, 3, 4, 8, 12], 2]
+    np.testing.assert_allclose(level, level[0], atol=1e-9)  # both arms on one height
+    assert points[0, 11, 1] > points[0, 12, 1]
+    ankle = VolumetricBody(body).ankle_height
+    np.testing.assert_allclose(points[:, 13:, 2].min(1), ankle, atol=2e-3)  # on one foot at least
+    np.testing.assert_allclose(points[60:, 0, 0].min() + points[60:, 0, 0].max(), 0.0, atol=1e-6)
+    legs_ratio = body.lengths[[4, 8]].sum() / 0.85
+    assert points[-1, 0, 0] - points[60, 0, 0] == pytest.approx(legs_ratio, rel=1e-3)  # a metre, in this person's legs
+    fastest = np.linalg.norm(np.diff(points, axis=0), axis=2).max() * 30.0
+    assert fastest < 5.0  # m/s: nothing jumps
+
+
+def test_a_recorded_motion_may_start_later_and_end_sooner(tmp_path: Path) -> None:
+    path = person(tmp_path / "walk.bvh", {}, frames=201, step=1.0)
+    body = Body.from_stature(1.75)
+    late = RecordedMotion(path, ReadingOptions(start_s=0.5))(body, 2.5, 20.0)
+    assert len(late.poses) == 50
+    way = late.poses[-1].position_world[0] - late.poses[40].position_world[0]
+    assert way == pytest.approx(0.01 * 100 * 9 / 20 * body.lengths[[4, 8]].sum() / 0.85, rel=1e-3)
+    with pytest.raises(InputError, match="no motion at 3 s"):
+        RecordedMotion(path, ReadingOptions(start_s=3.0))(body, 6.0, 20.0)
+    with pytest.raises(InputError, match="before the recorded motion begins"):
+        RecordedMotion(path)(body, 1.0, 20.0)
+
+
+def test_a_path_wider_than_the_room_is_refused(tmp_path: Path) -> None:
+    path = person(tmp_path / "far.bvh", {}, frames=101, step=5.0)
+    with pytest.raises(InputError, match=r"the room is 2\.8 m wide"):
+        RecordedMotion(path)(Body.from_stature(1.75), 6.0, 20.0)
+
+
+def test_the_studio_renders_a_motion_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = person(tmp_path / "wave.bvh", {"LeftForeArm": "0 0 -60"}, frames=11)
+    arguments = ["--motion", str(path), "--cameras", "1", "--no-ceiling", "--fps", "5", "--seconds", "3", "--no-shadow"]
+    assert main([str(tmp_path / "session"), *arguments]) == 0
+    assert "1 cameras x 11 frames" in capsys.readouterr().out
+    session = yaml.safe_load((tmp_path / "session" / "session.yaml").read_text())
+    assert session["recipe"]["motion"] == "wave.bvh"
+    assert main([str(tmp_path / "other"), "--motion", str(tmp_path / "none.bvh")]) == 2
+    assert "does not exist" in capsys.readouterr().err

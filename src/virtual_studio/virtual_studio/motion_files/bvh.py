@@ -1,0 +1,204 @@
+"""Biovision hierarchy files: a tree of joints with offsets, and channels frame by frame.
+
+A joint's position in its parent is its OFFSET; a position channel takes that axis's place. Its rotation is the product
+of its rotation channels in the order in which the file names them, each about the axes that the ones before have
+turned. (Meredith & Maddock, "Motion capture file formats explained", Sheffield CS-01-11, 2001.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from capture_rig.errors import InputError
+
+from .joint_motion import Array, JointMotion, number, read_lines
+
+AXES = {"X": 0, "Y": 1, "Z": 2}
+CHANNELS = {f"{axis.lower()}{kind}": (kind, axis) for axis in AXES for kind in ("position", "rotation")}
+END = "_end"
+"""An end site is called after its joint."""
+
+
+@dataclass
+class _Joint:
+    name: str
+    parent: int
+    offset: Array | None = None
+    channels: list[tuple[str, str]] = field(default_factory=list)
+
+
+def read_bvh(path: str | Path) -> JointMotion:
+    """Joints of a BVH file; end sites are called JOINT_end.
+
+    Raises InputError naming file and line for whatever is not BVH.
+    """
+    path = Path(path)
+    tokens = _Tokens(path, read_lines(path, "BVH"))
+    joints = _hierarchy(tokens)
+    fps, rows = _motion(tokens, sum(len(joint.channels) for joint in joints))
+    return JointMotion(tuple(joint.name for joint in joints), _positions(joints, rows), fps, path)
+
+
+class _Tokens:
+    """The words of a file with the lines they stand on."""
+
+    def __init__(self, path: Path, lines: list[str]) -> None:
+        self.path, self.lines = path, lines
+        self._words = [(word, n) for n, line in enumerate(lines, 1) for word in _split(line)]
+        self._next = 0
+
+    def where(self, line: int | None = None) -> str:
+        return f"{self.path}, line {line or self.line}"
+
+    @property
+    def line(self) -> int:
+        """Line of the next word, or the last line."""
+        return self._words[self._next][1] if self._next < len(self._words) else len(self.lines)
+
+    @property
+    def peek(self) -> str:
+        return self._words[self._next][0] if self._next < len(self._words) else ""
+
+    def take(self, wanted: str = "") -> str:
+        """The next word, which has to be ``wanted`` (any case) if that is given."""
+        word = self.peek
+        if not word or (wanted and word.upper() != wanted.upper()):
+            raise self.error(wanted or "more")
+        self._next += 1
+        return word
+
+    def rest_of_line(self) -> str:
+        """The words up to the end of the line or a brace: names may hold blanks."""
+        line, words = self.line, []
+        while self.peek not in ("", "{", "}") and self.line == line:
+            words.append(self.take())
+        return " ".join(words)
+
+    def numbers(self, count: int) -> Array:
+        """The next ``count`` numbers."""
+        values = []
+        for _ in range(count):
+            where = self.where()
+            values.append(number(self.take(), where))
+        return np.array(values)
+
+    def error(self, wanted: str) -> InputError:
+        found = f"'{self.peek}'" if self.peek else "the end of the file"
+        return InputError(f"{found} where BVH has '{wanted}'", where=self.where(),
+                          remedy="The file is damaged or no BVH: export it again.")  # fmt: skip
+
+
+def _split(line: str) -> list[str]:
+    return line.replace("{", " { ").replace("}", " } ").split()
+
+
+def _hierarchy(tokens: _Tokens) -> list[_Joint]:
+    tokens.take("HIERARCHY")
+    joints: list[_Joint] = []
+    while tokens.peek.upper() == "ROOT":
+        _joint(tokens, joints, -1)
+    if not joints:
+        raise tokens.error("ROOT")
+    return joints
+
+
+def _joint(tokens: _Tokens, joints: list[_Joint], parent: int) -> None:
+    """Reads one joint and what hangs on it into ``joints``, parents first."""
+    line, kind = tokens.line, tokens.take().upper()
+    name = tokens.rest_of_line()
+    if kind == "END":
+        name = joints[parent].name + END
+    if not name:
+        raise InputError("a joint has no name", where=tokens.where(line), remedy="Name it after JOINT.")
+    if any(joint.name == name for joint in joints):
+        if kind != "END":
+            raise InputError(f"there are two joints '{name}'", where=tokens.where(line), remedy="Rename one.")
+        name += str(sum(joint.parent == parent for joint in joints))
+    me = _Joint(name, parent)
+    joints.append(me)
+    number_of_me = len(joints) - 1
+    tokens.take("{")
+    while tokens.peek != "}":
+        word = tokens.peek.upper()
+        if word == "OFFSET":
+            tokens.take()
+            me.offset = tokens.numbers(3)
+        elif word == "CHANNELS" and kind != "END":
+            me.channels = _channels(tokens)
+        elif word in ("JOINT", "END") and kind != "END":
+            _joint(tokens, joints, number_of_me)
+        else:
+            raise tokens.error("}")
+    tokens.take("}")
+    if me.offset is None:
+        raise InputError(f"'{name}' has no OFFSET", where=tokens.where(line), remedy="Every joint needs one.")
+
+
+def _channels(tokens: _Tokens) -> list[tuple[str, str]]:
+    """(position or rotation, axis) of a joint's channels in the file's order."""
+    tokens.take("CHANNELS")
+    where, count = tokens.where(), tokens.take()
+    if not count.isdigit():
+        raise InputError(f"'{count}' is no number of channels", where=where, remedy="Give a whole number.")
+    found = []
+    for _ in range(int(count)):
+        where, word = tokens.where(), tokens.take()
+        if word.lower() not in CHANNELS:
+            raise InputError(f"there is no channel '{word}'", where=where,
+                             remedy="Channels are Xposition to Zposition and Xrotation to Zrotation.")  # fmt: skip
+        found.append(CHANNELS[word.lower()])
+    return found
+
+
+def _motion(tokens: _Tokens, channels: int) -> tuple[float, Array]:
+    """Frames a second and the channels' values (F, channels)."""
+    tokens.take("MOTION")
+    tokens.take("Frames:")
+    announced, word = tokens.where(), tokens.take()
+    frames = int(word) if word.isdigit() else 0
+    if frames < 1:
+        raise InputError(f"the number of frames is '{word}'", where=announced, remedy="Give a whole number from 1.")
+    tokens.take("Frame")
+    tokens.take("Time:")
+    where, period_s = tokens.where(), tokens.numbers(1)[0]
+    if period_s <= 0.0:
+        raise InputError(f"the frame time is {period_s:g} s", where=where, remedy="Give a positive time.")
+    first = tokens.line if tokens.peek else len(tokens.lines) + 1
+    rows = [(n, line) for n, line in enumerate(tokens.lines, 1) if n >= first and line.strip()]
+    for n, line in rows:
+        if len(line.split()) != channels:
+            raise InputError(f"a frame has {len(line.split())} numbers, its joints have {channels} channels",
+                             where=tokens.where(n), remedy="The file is damaged: export it again.")  # fmt: skip
+    if len(rows) != frames:
+        raise InputError(f"{len(rows)} frames where {frames} are announced", where=announced,
+                         remedy="The file is cut short or its header is wrong: export it again.")  # fmt: skip
+    values = [[number(word, tokens.where(n)) for word in line.split()] for n, line in rows]
+    return 1.0 / period_s, np.array(values).reshape(frames, channels)
+
+
+def _positions(joints: list[_Joint], rows: Array) -> Array:
+    """World positions (F, J, 3) of the joints, in the file's axes and unit."""
+    frames, column = len(rows), 0
+    placed = np.empty((frames, len(joints), 3))
+    turned: list[Rotation] = []
+    for j, joint in enumerate(joints):
+        channels = joint.channels
+        values = rows[:, column : column + len(channels)]
+        column += len(channels)
+        local, rotation = np.tile(np.asarray(joint.offset, float), (frames, 1)), Rotation.identity(frames)
+        for (kind, axis), value in zip(channels, values.T, strict=True):
+            if kind == "position":
+                local[:, AXES[axis]] = value
+            else:
+                rotation = rotation * Rotation.from_euler(axis, value[:, None], degrees=True)
+        if joint.parent < 0:
+            placed[:, j] = local
+        else:
+            placed[:, j] = placed[:, joint.parent] + turned[joint.parent].apply(local)
+            rotation = turned[joint.parent] * rotation
+        turned.append(rotation)
+    return placed

@@ -1,0 +1,115 @@
+"""Activities one after another: the T-pose, a blend, then each activity fading into the next, round and round.
+
+All angles stay inside the joint ranges because every activity's do and fading is a weighted mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from capture_rig.errors import InputError
+from stick_figure.pose import Pose
+from stick_figure.skeleton import T_POSE_ANGLES
+
+Array = NDArray[np.float64]
+
+T_POSE_S, BLEND_S, FADE_S = 1.0, 0.6, 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A sequence of poses at a fixed rate.
+
+    poses: one per frame; angles (F, 18) rad, the angles they were made of; fps: frames a second.
+    """
+
+    poses: tuple[Pose, ...]
+    angles: Array
+    fps: float
+
+
+@dataclass(frozen=True)
+class Activity:
+    """A stretch of doing one thing. Its functions take seconds since it began, down to -FADE_S while it fades in.
+
+    angles: (18,) rad; lean: rotation vector of the torso in its heading frame; turning: rad/s of the heading;
+    lift: metres of the lower foot above the floor. walking: share of the circle's walking speed (`everyday`).
+    own_clock: False hands the seconds since the motion began instead, so that steps keep their rhythm over rounds.
+    """
+
+    duration_s: float
+    angles: Callable[[float], Array]
+    walking: float = 0.0
+    lean: Callable[[float], Array] = lambda t: np.zeros(3)
+    turning: float = 0.0
+    lift: Callable[[float], float] = lambda t: 0.0
+    own_clock: bool = True
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """What the body does at one instant, mixed from its activities; units as in `Activity`."""
+
+    angles: Array
+    lean: Array
+    turning: float
+    lift: float
+    walking: float
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The T-pose for `t_pose_s` (for ever, if infinite), then the activities, round and round."""
+
+    activities: tuple[Activity, ...]
+    t_pose_s: float = T_POSE_S
+
+    def at(self, t: float) -> Mixture:
+        """The mixture at time t, s; it has two continuous derivatives where the activities have."""
+        cues = self._cues(t)
+        rest = 1.0 - sum(weight for _, _, weight in cues)
+        angles, lean = rest * T_POSE_ANGLES, np.zeros(3)
+        turning = lift = walking = 0.0
+        for activity, local, weight in cues:
+            clock = local if activity.own_clock else t
+            angles = angles + weight * activity.angles(clock)
+            lean = lean + weight * activity.lean(clock)
+            turning += weight * activity.turning
+            lift += weight * activity.lift(clock)
+            walking += weight * activity.walking
+        return Mixture(angles, lean, turning, lift, walking)
+
+    def _cues(self, t: float) -> list[tuple[Activity, float, float]]:
+        """Who acts at time t: activity, its own time, its weight (the T-pose has the rest)."""
+        start = ease((t - self.t_pose_s) / BLEND_S) if np.isfinite(self.t_pose_s) else 0.0
+        if not self.activities or start == 0.0:
+            return []
+        ends = np.cumsum([activity.duration_s for activity in self.activities])
+        phase = (t - self.t_pose_s) % ends[-1]
+        current = int(np.searchsorted(ends, phase, side="right"))
+        left = ends[current] - phase
+        onward = ease(1.0 - left / FADE_S)
+        activity, following = self.activities[current], self.activities[(current + 1) % len(ends)]
+        cues = [(activity, activity.duration_s - left, start * (1.0 - onward))]
+        return cues if onward == 0.0 else [*cues, (following, -left, start * onward)]
+
+
+def ease(x: float) -> float:
+    """0 to 1 with zero first and second derivative at both ends."""
+    x = min(max(x, 0.0), 1.0)
+    return x * x * x * (x * (6.0 * x - 15.0) + 10.0)
+
+
+def frame_count(seconds: float, fps: float) -> int:
+    """How many frames a motion has. Raises InputError for times that make none."""
+    for name, value in (("seconds", seconds), ("fps", fps)):
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name} is {value!r}", remedy="Give a positive number.")
+    frames = round(seconds * fps)
+    if frames < 1:
+        raise InputError(f"{seconds:g} s at {fps:g} fps is no frame", remedy="Give a longer time.")
+    return frames
