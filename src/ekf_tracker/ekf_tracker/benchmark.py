@@ -14,7 +14,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .filter import ArticulatedEkf
 from .rehearsal import rehearse
-from .settings import EkfSettings
+from .settings import EkfSettings, LastingErrorSettings
 from .state import EkfState
 
 FPS = 60.0
@@ -25,6 +25,8 @@ SETTLED = 60
 CHI2_95 = 7.815
 """95 % of a chi-square with 3 degrees of freedom."""
 STATURE_M = 1.75
+NOTHING_LASTS = LastingErrorSettings(0.0, *[0.0] * 9)
+"""The simulated noise is new in every set."""
 
 
 def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
@@ -44,7 +46,7 @@ def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
 def measure(model: str) -> dict[str, float]:
     """Figures of one motion model; lengths in mm, cost in ms of wall time for one set."""
     body = Body.from_stature(STATURE_M)
-    ekf = ArticulatedEkf(body, EkfSettings(motion_model=model))
+    ekf = ArticulatedEkf(body, EkfSettings(motion_model=model, lasting_errors=NOTHING_LASTS))
     rng, covariance = np.random.default_rng(1), np.tile(np.eye(3) * NOISE_M**2, (15, 1, 1))
     cost, raw, filtered, inside = [], [], [], []
     for k, true in enumerate(motion(body, FRAMES)):

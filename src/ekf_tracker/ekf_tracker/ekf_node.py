@@ -135,7 +135,10 @@ class EkfNode(SagomaNode):
             self._drop("bad_body", error)
             return
         self._body_text = message.data
-        self._filter = ArticulatedEkf(body, self.settings.filter)
+        if self._filter is None:
+            self._filter = ArticulatedEkf(body, self.settings.filter)
+        else:  # as a rule the same person, whose sizes are known better
+            self._filter.change_body(body)
         self.get_logger().info(f"body of {BODY_TOPIC}: stature {body.stature:.2f} m")
         self._answer_waiting()
 

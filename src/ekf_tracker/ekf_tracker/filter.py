@@ -13,6 +13,9 @@ from .settings import EkfSettings
 from .state import EkfState, NoState
 from .track import Track
 
+SAME_PERSON_M = 0.06
+"""Statures of one person, measured twice, differ by less."""
+
 
 class ArticulatedEkf:
     """Follows one body. Deterministic: equal calls give equal bytes.
@@ -29,6 +32,18 @@ class ArticulatedEkf:
         """Forget the state; the next set with a visible torso starts anew."""
         self._track: Track | None = None
         self._stamp_ns: int | None = None
+
+    def change_body(self, body: Body) -> None:
+        """Go on with the same person's sizes as they are known now; pose, velocity and their covariance stay.
+
+        Sizes that differ by more than a T-pose errs are somebody else's: then the filter starts anew.
+        """
+        somebody_else = abs(body.stature - self.body.stature) > SAME_PERSON_M
+        self.body = body
+        if somebody_else:
+            self.reset()
+        elif self._track is not None:
+            self._track.change_body(body)
 
     @property
     def repairs(self) -> int:

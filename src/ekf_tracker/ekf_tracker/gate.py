@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from .measurement import POINTS
 
 
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """accepted, rejected, readmitted (15,) bool; a readmitted point is one of the accepted."""
+class Verdict(NamedTuple):
+    """accepted, rejected, readmitted (15,) bool, a readmitted point is one of the accepted; how many of each."""
 
     accepted: np.ndarray
     rejected: np.ndarray
     readmitted: np.ndarray
+    used: int
+    left_out: int
+    returned: int
 
 
 class InnovationGate:
@@ -27,13 +30,24 @@ class InnovationGate:
 
     def __init__(self, threshold: float, patience: int) -> None:
         self._threshold, self._patience = threshold, patience
-        self.rejected_in_a_row = np.zeros(POINTS, dtype=int)
+        self.rejected_in_a_row = np.zeros(POINTS, dtype=np.int64)
 
     def judge(self, distances: np.ndarray, visible: np.ndarray) -> Verdict:
         """Squared Mahalanobis distances (15,) of the visible points (15,) against the threshold."""
-        outlying = visible & (distances > self._threshold)
-        self.rejected_in_a_row[visible & ~outlying] = 0
-        self.rejected_in_a_row[outlying] += 1
-        readmitted = self.rejected_in_a_row > self._patience
-        self.rejected_in_a_row[readmitted] = 0
-        return Verdict(visible & (~outlying | readmitted), outlying & ~readmitted, readmitted)
+        return Verdict(*_judge(distances, visible, self._threshold, self._patience, self.rejected_in_a_row))
+
+
+@njit(cache=True)
+def _judge(distances, visible, threshold, patience, rejected_in_a_row):
+    accepted, rejected, readmitted = np.zeros(15, np.bool_), np.zeros(15, np.bool_), np.zeros(15, np.bool_)
+    for point in range(15):
+        if not visible[point]:
+            continue
+        outlying = distances[point] > threshold
+        rejected_in_a_row[point] = rejected_in_a_row[point] + 1 if outlying else 0
+        if rejected_in_a_row[point] > patience:
+            readmitted[point] = True
+            rejected_in_a_row[point] = 0
+        rejected[point] = outlying and not readmitted[point]
+        accepted[point] = not rejected[point]
+    return accepted, rejected, readmitted, accepted.sum(), rejected.sum(), readmitted.sum()

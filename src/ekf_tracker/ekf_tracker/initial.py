@@ -12,7 +12,7 @@ from stick_figure.skeleton import TORSO_POINTS
 from .measurement import Measurement
 from .motion_model import MotionModel
 from .slots import DIMENSION, POSE, VELOCITY, per_slot
-from .update import Estimate, corrected
+from .update import Estimate, Iteration, corrected
 
 NEEDED_TORSO_POINTS = 4
 """Of centre, neck, shoulders and hips; fewer may lie on a line and leave the torso's rotation open."""
@@ -26,7 +26,7 @@ def enough_to_start(z: Measurement) -> bool:
     return int(z.visible[TORSO_POINTS].sum()) >= NEEDED_TORSO_POINTS
 
 
-def first_estimate(body: Body, z: Measurement, motion: MotionModel, joint_sd: float, iterations: int) -> Estimate:
+def first_estimate(body: Body, z: Measurement, motion: MotionModel, joint_sd: float, iteration: Iteration) -> Estimate:
     """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
 
     Joints that no visible point bears on keep the T-pose and the standard deviation ``joint_sd`` (rad); the velocity
@@ -37,7 +37,7 @@ def first_estimate(body: Body, z: Measurement, motion: MotionModel, joint_sd: fl
     P = np.zeros((DIMENSION, DIMENSION))
     P[POSE, POSE] = np.diag(per_slot(TORSO_SD_M, TORSO_SD_RAD, joint_sd, joint_sd) ** 2)
     P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
-    return corrected(body, Estimate(pose, np.zeros(24), P), z, z.visible, iterations)
+    return corrected(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, iteration)
 
 
 def pose_of_points(body: Body, z: Measurement, chosen: np.ndarray, otherwise: Pose) -> Pose:

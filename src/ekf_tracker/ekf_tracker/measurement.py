@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from capture_rig.errors import InputError
 from stick_figure.skeleton import POINT_NAMES
 
-from .compiled import all_covariances
+from .algebra import positive3
 
 POINTS = len(POINT_NAMES)
 ASYMMETRY_M2 = 1e-9
@@ -38,8 +40,9 @@ class Measurement:
         Numbers of points that are not visible are ignored. Raises InputError for wrong shapes, numbers that are not
         finite, and covariances that are not symmetric or not positive.
         """
-        points_world, covariance = np.array(points_world, float, order="C"), np.asarray(covariance, float)
-        visible = np.asarray(visible, bool)
+        points_world = np.ascontiguousarray(points_world, float)
+        covariance = np.ascontiguousarray(covariance, float)
+        visible = np.ascontiguousarray(visible, bool)
         for name, array, shape in (
             ("points", points_world, (POINTS, 3)),
             ("covariance", covariance, (POINTS, 3, 3)),
@@ -47,13 +50,27 @@ class Measurement:
         ):
             if array.shape != shape:
                 raise InputError(f"{name} has shape {array.shape}", remedy=f"Expected {shape}.")
-        if not visible.all():
-            points_world = np.where(visible[:, None], points_world, 0.0)
-            covariance = np.where(visible[:, None, None], covariance, 0.0)
-        covariance = covariance + sd_floor**2 * np.eye(3)
-        if not (np.isfinite(points_world).all() and all_covariances(covariance, ASYMMETRY_M2)):
-            _complain(points_world, covariance)
-        return cls(points_world, covariance, visible)
+        z, R = np.zeros((POINTS, 3)), np.zeros((POINTS, 3, 3))
+        if not _take(points_world, covariance, visible, sd_floor**2, z, R):
+            _complain(z, R)
+        return cls(z, R, visible.copy())
+
+
+@njit(cache=True)
+def _take(points_world, covariance, visible, floor, z, R):
+    """z and R <- what is visible, the floor (m^2) added to each variance; whether all of it can be used."""
+    good = True
+    for point in range(POINTS):
+        if visible[point]:
+            z[point] = points_world[point]
+            R[point] = covariance[point]
+        for i in range(3):
+            good = good and math.isfinite(z[point, i])
+            for j in range(i):
+                good = good and abs(R[point, i, j] - R[point, j, i]) < ASYMMETRY_M2
+            R[point, i, i] += floor
+        good = good and positive3(R[point])
+    return good
 
 
 def _complain(points_world: np.ndarray, covariance: np.ndarray) -> None:

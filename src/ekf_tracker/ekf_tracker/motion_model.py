@@ -5,9 +5,9 @@ of the previous set on the right-hand side):
 
     x <- x (+) F x,     P <- F P F' + Q
 
-over 48 slots, the pose's tangent (24) and its velocity (24). About its own estimate the error of the pose is zero, so
-the pose moves by ``F[POSE, VELOCITY] @ v`` and the velocity becomes ``F[VELOCITY, VELOCITY] @ v``. Turning of the
-error's own axes during one step is neglected: it is of second order in the step.
+over 48 slots, the pose's tangent (24) and its velocity (24). Every slot moves by itself, so the blocks of F and Q are
+diagonal. About its own estimate the error of the pose is zero, so the pose moves by ``reach v`` and the velocity
+becomes ``kept v``. Turning of the error's own axes during one step is neglected: it is of second order in the step.
 """
 
 from __future__ import annotations
@@ -15,18 +15,31 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from .slots import DIMENSION, POSE, VELOCITY, per_slot
+from .slots import per_slot
+
+
+class Transition(NamedTuple):
+    """F = [[I, reach], [0, kept]] and Q = [[q_pose, q_cross], [q_cross, q_velocity]]: diagonals (24,) of the blocks.
+
+    Units m, rad, m/s, rad/s and their products.
+    """
+
+    reach: np.ndarray
+    kept: np.ndarray
+    q_pose: np.ndarray
+    q_cross: np.ndarray
+    q_velocity: np.ndarray
 
 
 class MotionModel(Protocol):
     """Strategy for the prediction step."""
 
-    def transition(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
-        """F (48, 48) and Q (48, 48) over ``dt`` >= 0 seconds; units m, rad, m/s, rad/s and their products."""
+    def transition(self, dt: float) -> Transition:
+        """F and Q over ``dt`` >= 0 seconds."""
         ...
 
     def velocity_variance(self) -> np.ndarray:
@@ -51,17 +64,18 @@ class DampedVelocity:
     reference_period: float = 1 / 40
 
     @lru_cache(maxsize=8)  # noqa: B019  (frozen, and stamps at a steady rate give the same few dt again and again)
-    def transition(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    def transition(self, dt: float) -> Transition:
         """F and Q: F and Q of (dt1 + dt2) are those of dt1 followed by dt2."""
         g = self._damping()
         fade = -math.expm1(-g * dt)  # 1 - e^(-g dt)
-        F = np.eye(DIMENSION)
-        F[POSE, VELOCITY] = np.eye(24) * (fade / g)
-        F[VELOCITY, VELOCITY] *= 1.0 - fade
         density = self._density()
-        Q_velocity = density * (fade * (2.0 - fade) / (2.0 * g))
-        Q_cross = density * (fade * fade / (2.0 * g * g))
-        return _frozen(F), _blocks(density * _position_growth(g, dt), Q_cross, Q_velocity)
+        return _frozen(
+            reach=np.full(24, fade / g),
+            kept=np.full(24, 1.0 - fade),
+            q_pose=density * _position_growth(g, dt),
+            q_cross=density * (fade * fade / (2.0 * g * g)),
+            q_velocity=density * (fade * (2.0 - fade) / (2.0 * g)),
+        )
 
     def velocity_variance(self) -> np.ndarray:
         """The variance at which damping and white acceleration balance."""
@@ -88,12 +102,12 @@ class Identity:
     rates: tuple[float, float, float, float] = (1.0, 1.5, 3.0, 3.0)
 
     @lru_cache(maxsize=8)  # noqa: B019
-    def transition(self, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    def transition(self, dt: float) -> Transition:
         """F = I on the pose, 0 on the velocity; Q = (rates dt)^2 on the pose."""
-        F = np.zeros((DIMENSION, DIMENSION))
-        F[POSE, POSE] = np.eye(24)
         variance = self.velocity_variance()
-        return _frozen(F), _blocks(variance * dt * dt, variance * dt, variance)
+        return _frozen(
+            reach=np.zeros(24), kept=np.zeros(24), q_pose=variance * dt * dt, q_cross=variance * dt, q_velocity=variance
+        )
 
     def velocity_variance(self) -> np.ndarray:
         """The squared rates."""
@@ -109,15 +123,7 @@ def _position_growth(g: float, dt: float) -> float:
     return (u - 2.0 * fade + fade * (2.0 - fade) / 2.0) / g**3
 
 
-def _blocks(pose: np.ndarray, cross: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    Q = np.zeros((DIMENSION, DIMENSION))
-    slots = np.arange(24)
-    Q[slots, slots] = pose
-    Q[slots, 24 + slots] = Q[24 + slots, slots] = cross
-    Q[24 + slots, 24 + slots] = velocity
-    return _frozen(Q)
-
-
-def _frozen(matrix: np.ndarray) -> np.ndarray:
-    matrix.flags.writeable = False
-    return matrix
+def _frozen(**diagonals: np.ndarray) -> Transition:
+    for diagonal in diagonals.values():
+        diagonal.flags.writeable = False
+    return Transition(**diagonals)

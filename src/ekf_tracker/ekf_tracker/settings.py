@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from capture_rig.settings import setting
 
 from .motion_model import DampedVelocity, Identity, MotionModel
@@ -34,6 +36,32 @@ class IdentitySettings:
 
 
 @dataclass(frozen=True)
+class LastingErrorSettings:
+    """What of the measured points' errors lasts for many sets; see `lasting_errors`.
+
+    The standard deviations say how far, in each direction, a joint of the best figure lies from the body's.
+    """
+
+    share: float = setting(
+        1.0, "share of a measured point's covariance that lasts (0: every set errs anew)", low=0.0, high=1.0
+    )
+    torso_m: float = setting(0.015, "centre of the torso, besides", unit="m", low=0.0, high=1.0)
+    head_m: float = setting(0.020, "tip of the head", unit="m", low=0.0, high=1.0)
+    neck_m: float = setting(0.018, "neck", unit="m", low=0.0, high=1.0)
+    shoulders_m: float = setting(0.015, "shoulders", unit="m", low=0.0, high=1.0)
+    hips_m: float = setting(0.012, "hips", unit="m", low=0.0, high=1.0)
+    elbows_m: float = setting(0.020, "elbows", unit="m", low=0.0, high=1.0)
+    knees_m: float = setting(0.010, "knees", unit="m", low=0.0, high=1.0)
+    hands_m: float = setting(0.045, "hand tips", unit="m", low=0.0, high=1.0)
+    feet_m: float = setting(0.012, "feet", unit="m", low=0.0, high=1.0)
+
+    def sd_m(self) -> np.ndarray:
+        """(15,) one standard deviation a reference point."""
+        left_and_right = (self.shoulders_m, self.hips_m, self.elbows_m, self.knees_m, self.hands_m, self.feet_m)
+        return np.array([self.torso_m, self.head_m, self.neck_m, *np.repeat(left_and_right, 2)])
+
+
+@dataclass(frozen=True)
 class EkfSettings:
     """Everything about the filter that a user may change."""
 
@@ -42,6 +70,7 @@ class EkfSettings:
     )
     constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
     identity: IdentitySettings = field(default_factory=IdentitySettings)
+    lasting_errors: LastingErrorSettings = field(default_factory=LastingErrorSettings)
     iterations: int = setting(2, "relinearisations of one update at most", low=1, high=20)
     gate_chi2: float = setting(
         30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0
@@ -56,6 +85,10 @@ class EkfSettings:
     hinge_margin_rad: float = setting(
         0.15, "an elbow or knee bent further than this past straight is turned round", unit="rad", low=0.0, high=1.0
     )
+    limit_sd_rad: float = setting(
+        0.05, "an angle outside its joint's range, as a soft cost beyond the range alone (0: no limits)", unit="rad",
+        low=0.0, high=10.0,
+    )  # fmt: skip
     coast_s: float = setting(
         0.1, "without measurements for longer than this, the body's velocity counts as unknown", unit="s", low=0.0
     )
@@ -63,6 +96,11 @@ class EkfSettings:
         1.0, "without measurements for longer than this, the body is lost; the next good set starts anew", unit="s",
         low=0.01,
     )  # fmt: skip
+
+
+def limit_weight(settings: EkfSettings) -> float:
+    """Weight of a joint limit, 1/rad^2; 0 for none."""
+    return 0.0 if settings.limit_sd_rad == 0.0 else 1.0 / settings.limit_sd_rad**2
 
 
 def motion_model(settings: EkfSettings) -> MotionModel:

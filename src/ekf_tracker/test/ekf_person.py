@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ekf_tracker.settings import LastingErrorSettings
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -13,6 +14,9 @@ EPOCH_NS = 1_700_000_000_000_000_000
 NOISE_M = 0.02
 ALL = np.ones(15, bool)
 NONE = np.zeros(15, bool)
+
+NOTHING_LASTS = LastingErrorSettings(0.0, *np.zeros(9).tolist())
+"""For points whose errors are new in every set, as the simulated ones' are."""
 
 BENT_ANGLES = T_POSE_ANGLES.copy()
 BENT_ANGLES[8:10], BENT_ANGLES[14:16] = -0.9, 0.8
@@ -73,3 +77,10 @@ def errors_mm(states, truth):
 def ellipsoid_distances(errors, covariances):
     """Squared Mahalanobis lengths (..., n) of errors (..., n, 3) under covariances (..., n, 3, 3)."""
     return np.einsum("...i,...i->...", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+
+
+def dense_matrices(transition):
+    """F and Q (48, 48) of a transition."""
+    reach, kept, q_pose, q_cross, q_velocity = (np.diag(diagonal) for diagonal in transition)
+    F = np.block([[np.eye(24), reach], [np.zeros((24, 24)), kept]])
+    return F, np.block([[q_pose, q_cross], [q_cross, q_velocity]])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ekf_person import dense_matrices
 from scipy.linalg import expm
 
 from capture_rig.errors import InputError
@@ -30,7 +31,7 @@ def slot_blocks(F, Q, slot):
 @pytest.mark.parametrize(("slot", "acceleration"), [(1, 8.0), (4, 30.0), (8, 60.0), (14, 80.0)])
 def test_damped_velocity_equals_the_integrated_process_for_every_kind_of_joint(dt, slot, acceleration):
     model = DampedVelocity()
-    F, Q = slot_blocks(*model.transition(dt), slot)
+    F, Q = slot_blocks(*dense_matrices(model.transition(dt)), slot)
     damping = -np.log(0.9) * 40
     F_true, Q_true = van_loan(damping, acceleration**2 / 40, dt)
     np.testing.assert_allclose(F, F_true, rtol=1e-10, atol=1e-12)
@@ -39,24 +40,24 @@ def test_damped_velocity_equals_the_integrated_process_for_every_kind_of_joint(d
 
 def test_damped_velocity_over_two_steps_equals_one_long_step():
     model = DampedVelocity()
-    (F1, Q1), (F2, Q2), (F, Q) = (model.transition(dt) for dt in (0.013, 0.4, 0.413))
+    (F1, Q1), (F2, Q2), (F, Q) = (dense_matrices(model.transition(dt)) for dt in (0.013, 0.4, 0.413))
     np.testing.assert_allclose(F2 @ F1, F, atol=1e-14)
     np.testing.assert_allclose(F2 @ Q1 @ F2.T + Q2, Q, rtol=1e-9, atol=1e-15)
 
 
 def test_damped_velocity_keeps_the_stated_share_after_the_reference_period():
-    F, _ = DampedVelocity(kept=0.8, reference_period=0.05).transition(0.05)
+    F, _ = dense_matrices(DampedVelocity(kept=0.8, reference_period=0.05).transition(0.05))
     np.testing.assert_allclose(F[VELOCITY, VELOCITY], 0.8 * np.eye(24))
 
 
 def test_unknown_velocity_has_the_variance_that_the_process_settles_at():
     model = DampedVelocity()
-    _, Q = model.transition(60.0)
+    _, Q = dense_matrices(model.transition(60.0))
     np.testing.assert_allclose(np.diag(Q)[VELOCITY], model.velocity_variance(), rtol=1e-9)
 
 
 def test_identity_model_moves_nothing_and_grows_the_pose_by_the_thesis_noise():
-    F, Q = Identity().transition(0.05)
+    F, Q = dense_matrices(Identity().transition(0.05))
     moved = F @ np.concatenate([np.zeros(24), np.ones(24)])
     np.testing.assert_array_equal(moved, 0.0)
     np.testing.assert_array_equal(F[POSE, POSE], np.eye(24))
@@ -67,7 +68,7 @@ def test_identity_model_lets_the_velocity_follow_from_the_pose_it_explains():
     """The velocity of the step just made: (new pose - old pose) / dt, whatever the velocity was before."""
     dt = 0.05
     P_before = np.diag(np.concatenate([np.full(24, 1e-4), np.full(24, 7.0)]))
-    F, Q = Identity().transition(dt)
+    F, Q = dense_matrices(Identity().transition(dt))
     P = F @ P_before @ F.T + Q
     gain = P[VELOCITY, POSE] @ np.linalg.inv(P[POSE, POSE] - 1e-4 * np.eye(24))
     np.testing.assert_allclose(gain, np.eye(24) / dt, rtol=1e-9, atol=1e-9)
@@ -76,7 +77,7 @@ def test_identity_model_lets_the_velocity_follow_from_the_pose_it_explains():
 @pytest.mark.parametrize("model", [DampedVelocity(), Identity()])
 def test_noise_is_a_covariance_for_every_time_step(model):
     for dt in (0.0, 1e-4, 1 / 60, 1.0):
-        _, Q = model.transition(dt)
+        _, Q = dense_matrices(model.transition(dt))
         np.testing.assert_array_equal(Q, Q.T)
         assert np.linalg.eigvalsh(Q)[0] > -1e-12
 

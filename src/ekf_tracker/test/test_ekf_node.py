@@ -196,7 +196,7 @@ def test_skeleton_markers_keep_their_names_and_draw_sticks_joints_and_ellipsoids
     assert np.linalg.norm(drawn - person.points(1 / 60), axis=1).max() < 0.01
     lengths = np.linalg.norm(np.diff([[p.x, p.y, p.z] for p in lines.points], axis=0)[::2], axis=1)
     np.testing.assert_allclose(lengths, person.body.lengths, rtol=1e-6)
-    assert all(0.0 < m.scale.x < 0.1 for m in markers[2:])
+    assert all(0.0 < m.scale.x < 0.25 for m in markers[2:])
 
 
 def test_skeleton_is_limited_to_its_rate_by_stamps(bench, body_file, person):
@@ -254,8 +254,8 @@ def test_another_body_starts_the_filter_anew_and_the_same_one_does_not(bench, bo
     b.until(lambda: b.node.health.counter("bad_body") == 1)
     assert b.node._filter is before
     b.body.publish(String(data=format_body(Body.from_stature(1.6))))
-    b.until(lambda: b.node._filter is not before)
-    assert b.node._filter.body.stature == pytest.approx(1.6, rel=1e-3)
+    b.until(lambda: b.node._filter.body.stature == pytest.approx(1.6, rel=1e-3))
+    assert not b.node._filter.is_past(0)  # it has forgotten the sets of the body before
 
 
 @pytest.mark.parametrize("case", ["nan", "fields", "count", "frame", "covariance"])

@@ -1,4 +1,7 @@
-"""A body as a YAML file: full stick lengths by name, shoulder width, the two ratios; metres."""
+"""A body as a YAML file: full stick lengths by name, shoulder width, the two ratios; metres.
+
+Optionally the limbs' thickness over that of an average build, for those who compare the body with a volume.
+"""
 
 from __future__ import annotations
 
@@ -15,26 +18,25 @@ from .body import Body
 from .skeleton import STICK_NAMES
 
 KEYS = ("lengths", "shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
-OPTIONAL_KEYS = ("units", "source")
-MAX_LENGTH_M = 2.0
+OPTIONAL_KEYS = ("units", "source", "thickness")
+THICKNESS_NAMES = ("upper_arm", "forearm", "thigh", "calf", "trunk")
+MAX_LENGTH_M, MAX_THICKNESS = 2.0, 3.0
 _REMEDY = f"A body file is a mapping with the keys {', '.join(KEYS)}."
 
 
 def load_body(path: str | Path) -> Body:
     """Reads a body file. Raises InputError naming file, key, value and remedy for anything that does not fit."""
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"is not UTF-8 text ({error.reason})", where=str(path), remedy=_REMEDY) from None
-    return parse_body(text, str(path))
+    return parse_body(_read(Path(path)), str(path))
 
 
-def save_body(body: Body, path: str | Path, source: str = "") -> None:
+def load_thickness(path: str | Path) -> dict[str, float]:
+    """The limbs' thickness over the average build's by name, as far as the body file knows it. Raises InputError."""
+    return parse_thickness(_read(Path(path)), str(path))
+
+
+def save_body(body: Body, path: str | Path, source: str = "", thickness: Mapping[str, float] | None = None) -> None:
     """Writes a body so that :func:`load_body` gives the same numbers; `source` says where the sizes come from."""
-    Path(path).write_text(format_body(body, source), encoding="utf-8")
+    Path(path).write_text(format_body(body, source, thickness), encoding="utf-8")
 
 
 def parse_body(text: str, where: str) -> Body:
@@ -50,11 +52,21 @@ def parse_body(text: str, where: str) -> Body:
     values = [_number(lengths[name], f"{where}: lengths.{name}", MAX_LENGTH_M) for name in STICK_NAMES]
     width = _number(document["shoulder_width"], f"{where}: shoulder_width", MAX_LENGTH_M)
     ratios = [_number(document[key], f"{where}: {key}", 5.0) for key in KEYS[2:]]
+    parse_thickness(text, where)  # a file is right as a whole or not at all
     return Body(0.5 * np.array(values), 0.5 * width, *ratios)
 
 
-def format_body(body: Body, source: str = "") -> str:
-    """The text of a body file, from which :func:`parse_body` gives the same numbers."""
+def parse_thickness(text: str, where: str) -> dict[str, float]:
+    """The limbs' thickness in a body file's text, by name (`THICKNESS_NAMES`); empty where it has none."""
+    thickness = _mapping(text, where).get("thickness", {})
+    if not isinstance(thickness, Mapping):
+        raise InputError(f"thickness is {thickness!r}", where=where, remedy="Give a factor for each limb by name.")
+    _check_keys(thickness, (), THICKNESS_NAMES, f"{where}: thickness")
+    return {name: _number(value, f"{where}: thickness.{name}", MAX_THICKNESS) for name, value in thickness.items()}
+
+
+def format_body(body: Body, source: str = "", thickness: Mapping[str, float] | None = None) -> str:
+    """The text of a body file, from which :func:`parse_body` (and :func:`parse_thickness`) give the same numbers."""
     document: dict[str, Any] = {"units": "metres"}
     if source:
         document["source"] = source
@@ -62,7 +74,18 @@ def format_body(body: Body, source: str = "") -> str:
     document["shoulder_width"] = 2.0 * body.half_shoulder_width
     document["shoulder_height_ratio"] = body.shoulder_height_ratio
     document["hip_width_ratio"] = body.hip_width_ratio
+    if thickness:
+        document["thickness"] = {name: float(value) for name, value in thickness.items()}
     return yaml.safe_dump(document, sort_keys=False)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text ({error.reason})", where=str(path), remedy=_REMEDY) from None
 
 
 def _mapping(text: str, where: str) -> Mapping[str, Any]:

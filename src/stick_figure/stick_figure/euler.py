@@ -52,6 +52,10 @@ def wrap_pi(angle: Array) -> Array:
     return (np.asarray(angle) + np.pi) % TURN - np.pi
 
 
+OUT_OF_RANGE = 100.0
+"""What a radian beyond a joint's range costs, in radians of a jump away from the angles before."""
+
+
 @njit(cache=True)
 def ball_rotation(ball, angles, R):
     """R (3, 3) <- rotation stick to torso of ball joint 0..4 from the 18 angles."""
@@ -122,11 +126,9 @@ def _limb_angles(limb, R, hinge, reference, continuous, best):
             for k in range(4):
                 values[k] = _wrap_near(values[k], slots[k], reference, continuous)
             excess = excess_over_range(values, slots)
-            cost = 0.0 if excess == 0.0 else 100.0
+            cost = OUT_OF_RANGE * excess
             if continuous:
                 cost += _turning_distance(values, slots, reference)
-            else:
-                cost += excess
             if cost < best_cost:
                 best_cost = cost
                 best[:] = values

@@ -1,0 +1,108 @@
+"""Frame sets that are missing, limbs that jump, and rates: what a consumer of the joint states sees."""
+
+import numpy as np
+import pytest
+from ekf_person import ALL, NONE, NOTHING_LASTS, Person, ellipsoid_distances, errors_mm, run
+from scipy.stats import chi2
+
+from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.settings import EkfSettings
+from ekf_tracker.state import EkfState, Tracking
+from stick_figure.skeleton import POINT_NAMES
+
+GAP_AT, FPS = 60, 60.0
+ARMS = [[POINT_NAMES.index(f"{side}_{part}") for part in ("elbow", "hand")] for side in ("left", "right")]
+LEGS = [[POINT_NAMES.index(f"{side}_{part}") for part in ("knee", "foot")] for side in ("left", "right")]
+
+
+def through_gap(body, seed, missing, sets_arrive, settings=None):
+    """States and truth of a person who is not seen for so many sets; whether empty sets arrive meanwhile, or none."""
+    ekf, person = ArticulatedEkf(body, settings), Person(body, seed)
+    if sets_arrive:
+        hidden = range(GAP_AT, GAP_AT + missing)
+        return run(ekf, person, GAP_AT + missing + 30, visible=lambda k: NONE if k in hidden else ALL)
+    before, truth = run(ekf, person, GAP_AT)
+    after, truth_after = run(ekf, person, 30, start=GAP_AT + missing, rng=np.random.default_rng(8))
+    return [*before, *after], np.concatenate([truth, truth_after])
+
+
+@pytest.mark.parametrize("sets_arrive", [True, False])
+@pytest.mark.parametrize("missing", [1, 10, 60, 300])
+def test_body_is_tracked_again_with_the_first_set_after_a_gap(body, missing, sets_arrive):
+    first, later = [], []
+    for seed in range(3):
+        states, truth = through_gap(body, seed, missing, sets_arrive)
+        assert states[-30].tracking == Tracking.TRACKING
+        errors = errors_mm(states, truth)
+        first.append(errors[-30].mean())
+        later.append(errors[-20:].mean())
+    assert np.mean(first) < 35.0  # measured points err by 32 mm
+    assert np.mean(later) < 17.0
+
+
+@pytest.mark.parametrize(("missing", "limit_mm"), [(1, 25.0), (10, 200.0), (59, 500.0)])
+def test_estimate_coasts_within_bounds_and_claims_no_more_than_it_knows(body, missing, limit_mm):
+    settings, inside, errors, spreads = EkfSettings(lasting_errors=NOTHING_LASTS), [], [], []
+    for seed in range(4):
+        states, truth = through_gap(body, seed, missing, True, settings)
+        last, error = states[GAP_AT + missing - 1], states[GAP_AT + missing - 1].points_world
+        error = error - truth[GAP_AT + missing - 1]
+        inside.append(ellipsoid_distances(error, last.point_covariance) < chi2.ppf(0.95, 3))
+        errors.append(1e3 * np.linalg.norm(error, axis=1).mean())
+        spreads.append([np.trace(s.point_covariance.sum(0)) for s in states[GAP_AT - 1 : GAP_AT + missing]])
+    assert np.mean(errors) < limit_mm
+    assert np.mean(inside) > 0.85
+    assert (np.diff(spreads, axis=1) > 0.0).all()
+
+
+def swap(limbs, frames):
+    """Left and right of these limbs' points change places in these frames."""
+
+    def spoil(k, points):
+        if k in frames:
+            points[[*limbs[0], *limbs[1]]] = points[[*limbs[1], *limbs[0]]]
+
+    return spoil
+
+
+@pytest.mark.parametrize(("limbs", "sets"), [(ARMS, 5), (LEGS, 3)])
+def test_limbs_that_change_places_for_a_few_sets_are_left_out_and_taken_back_at_once(body, person, limbs, sets):
+    """Legs are near each other: after a few sets out of sight either could be where the other is seen."""
+    spoilt, points = range(60, 60 + sets), [*limbs[0], *limbs[1]]
+    states, truth = run(ArticulatedEkf(body), person, 90, spoil=swap(limbs, spoilt))
+    for k in spoilt:
+        assert states[k].gated[points].all() and states[k].gated.sum() == len(points)
+    assert states[60 + sets].accepted.all()
+    errors = errors_mm(states, truth)[:, points]
+    assert errors[61 + sets :].mean() < 1.1 * errors[30:60].mean()
+    assert errors[60 : 60 + sets].max() < 200.0
+
+
+def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_of_sets(body, person):
+    exchange, points = swap(LEGS, range(60, 90)), [*LEGS[0], *LEGS[1]]
+    states, truth = run(ArticulatedEkf(body, EkfSettings(readmit_after_sets=5)), person, 90, spoil=exchange)
+    for k in range(60, 90):
+        exchange(k, truth[k])
+    assert states[61].gated[points].all()
+    assert not states[66].gated[points].any()
+    assert errors_mm(states, truth)[75:][:, points].mean() < 60.0  # the thighs now cross, as far as lengths allow
+
+
+@pytest.mark.parametrize("fps", [30.0, 60.0, 100.0])
+def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, person, fps):
+    """Rates against central differences of the true angles, points with 5 mm of noise; lag by cross-correlation."""
+    frames, settled = round(8 * fps), round(0.5 * fps)
+    states, _ = run(ArticulatedEkf(body), person, frames, noise=0.005, fps=fps)
+    assert all(isinstance(s, EkfState) for s in states)
+    published = np.array([s.rates for s in states])[settled:]
+    times, step = np.arange(settled, frames) / fps, 1e-3
+    true = np.array([(person.pose(t + step).angles() - person.pose(t - step).angles()) / (2 * step) for t in times])
+    shifts, inner, lags_s = np.arange(-6, 7), slice(10, -10), []
+    for slot in range(18):
+        match = [(published[inner, slot] * np.roll(true[:, slot], shift)[inner]).sum() for shift in shifts]
+        best = int(np.argmax(match))
+        left, centre, right = match[best - 1], match[best], match[best + 1]
+        lags_s.append((shifts[best] + 0.5 * (left - right) / (left - 2 * centre + right)) / fps)
+    slopes = (published * true).sum(0) / (true**2).sum(0)
+    assert np.abs(lags_s).max() < 0.05 and np.median(np.abs(lags_s)) < 0.025
+    assert slopes.min() > 0.85 and slopes.max() < 1.1
