@@ -114,7 +114,7 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
     trackers = {"body_file": _body_file(Path(body))} if body is not None else {}
     parameters: dict[str, Mapping[str, Any]] = {
         "hull_server": {"rig_file": str(rig_file)},
-        "icp_tracker": trackers,
+        "icp_tracker": {"initial_pose.rig_file": str(rig_file), **trackers},
         "ekf_tracker": trackers,
     }
     modules = {"hull_server": "hull_node", "icp_tracker": "icp_node", "ekf_tracker": "ekf_node"}

@@ -28,9 +28,10 @@ LOOK_S = 0.05
 
 TOLERANCE = "hull_server.tolerance_s"
 # what carries exactly one message a frame set, whatever is seen
-PER_SET = ("/hull/centerline", "/hull/voxels", "/icp/reference_points", "/icp/fit", PREDICTION_TOPIC)
+PER_SET = ("/hull/rims", "/hull/centerline", "/hull/voxels", "/icp/reference_points", "/icp/fit", PREDICTION_TOPIC)
 # topic -> the nodes that must listen to it before the first set is sent
 LISTENERS = {
+    "/hull/rims": {"icp_tracker"},
     "/hull/centerline": {"icp_tracker"},
     "/hull/voxels": {"icp_tracker"},
     "/icp/reference_points": {"ekf_tracker"},

@@ -44,6 +44,7 @@ class Topic:
 
 
 OUTPUT_TOPICS: tuple[Topic, ...] = (
+    Topic("/hull/rims", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/centerline", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/voxels", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/frame_set", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies

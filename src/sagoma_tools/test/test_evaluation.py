@@ -8,7 +8,6 @@ import pytest
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.truth import WRIST_FRACTION, Truth
-from sagoma_tools.evaluation.pictures import unwrapped
 from sagoma_tools.evaluation.scores import score
 from sagoma_tools.evaluation.silhouettes import distort_mask
 from sagoma_tools.evaluation.track import Track
@@ -33,7 +32,11 @@ def truth_of(points_world: np.ndarray, wrist_fraction: float = 1.0, angles: np.n
 
 def track_of(points_world: np.ndarray, sd_m: float = 0.01, frames: np.ndarray = FRAMES) -> Track:
     covariance = np.broadcast_to(np.eye(3) * sd_m**2, (*points_world.shape, 3)).copy()
-    return Track(frames, points_world, covariance, np.tile(T_POSE_ANGLES, (len(frames), 1)))
+    return Track(frames, points_world, covariance, np.tile(T_POSE_ANGLES, (len(frames), 1)), tracking(len(frames)))
+
+
+def tracking(count: int) -> np.ndarray:
+    return np.full(count, "tracking")
 
 
 def test_score_reports_the_distance_when_every_point_is_moved_by_it(points_world):
@@ -83,17 +86,31 @@ def test_share_inside_the_ellipsoid_is_near_95_percent_for_honest_noise(points_w
     assert np.mean(shares) == pytest.approx(0.95, abs=0.01)
 
 
+def test_score_reports_each_points_own_statistics(points_world):
+    moved = points_world.copy()
+    moved[:, 7, 2] += 0.001 * np.array([0, 10, 20, 30, 40, 50, 60, 70, 80, 300])
+    scores = score(track_of(moved), truth_of(points_world))
+    assert scores.point_median_mm[7] == pytest.approx(45.0)
+    assert scores.point_mm[7] == pytest.approx(66.0)
+    assert scores.point_rmse_mm[7] == pytest.approx(np.sqrt((20400 + 90000) / 10))  # 10^2 + .. + 80^2 = 20400
+    assert scores.point_over_200mm[7] == pytest.approx(0.1)
+    assert scores.point_over_200mm[8] == 0.0
+
+
+def test_a_point_that_the_truth_never_knows_has_no_score(points_world):
+    holes = points_world.copy()
+    holes[:, 12] = np.nan
+    scores = score(track_of(points_world), truth_of(holes))
+    assert np.isnan(scores.point_mm[12])
+    assert np.isfinite(scores.mean_mm)
+    assert scores.figures()["point_mm"]["right_hand"] is None
+
+
 def test_angle_errors_are_taken_the_short_way_round(points_world):
     angles = np.tile(T_POSE_ANGLES, (10, 1))
     angles[:, 3] = -np.pi + np.deg2rad(2.0)  # the truth says -178 degrees, the track +180
     scores = score(track_of(points_world), truth_of(points_world, angles=angles))
     assert scores.angle_rmse_deg[3] == pytest.approx(2.0)
-
-
-def test_unwrapped_leaves_gaps_and_takes_out_full_turns():
-    out = unwrapped(np.array([3.0, np.nan, 3.0 - 2 * np.pi, 3.1]))
-    assert np.isnan(out[1])
-    np.testing.assert_allclose(out[[0, 2, 3]], [3.0, 3.0, 3.1])
 
 
 def test_a_silhouette_comes_back_to_the_pixels_it_was_seen_at():

@@ -61,9 +61,9 @@ def run(args: argparse.Namespace) -> int:
     console.print(f"running the graph live (logs: {output / 'logs'})")
     with StopOnSignal() as stop:
         live = run_live(stage, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
-    scores = judged(live)
-    report(console, live, scores)
-    for path in draw(live, output, scores):
+    outcome = judged(live)
+    report(console, live, outcome.scores)
+    for path in draw(live, output, outcome):
         console.print(f"picture: {path}")
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
     if live.answered < live.sets:
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             "this machine did not keep up with every frame set: give the cameras a lower rate (--fps), or read the "
             "videos as fast as it can (--rate 0)", style="yellow",
         )  # fmt: skip
-    print(json.dumps(figures(live, scores)))
+    print(json.dumps(figures(live, outcome.scores)))
     return 0 if live.answered >= KEPT_UP * live.sets else 1
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -12,67 +13,139 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 
-from ..evaluation.in_process import Configuration, track_session
+from ..evaluation.ablation import OURS, ROWS, THESIS, ablation_rows, thesis_configuration
+from ..evaluation.bag_session import is_bag, play_of, session_of_bag
+from ..evaluation.chain import Configuration
+from ..evaluation.in_process import track_variants
+from ..evaluation.judgement import Judgement, judge
+from ..evaluation.overlays import draw_stills, write_overlay
 from ..evaluation.scores import Scores, score
-from ..evaluation.tables import print_scores
+from ..evaluation.tables import print_ablation, print_judgement
 from ..evaluation.track import Track, track_from_bag
 from ..live_run import REFERENCE_START, T_POSE_START, start_settings
-from ..playing import play_of_bag
+from ..playing import frame_count
 from .common import add_settings_argument, parse_settings
 
-THESIS = {"icp_tracker.method": "hierarchical", "ekf_tracker.filter.motion_model": "identity"}
+IN_JSON = ("mean_mm", "over_200mm", "inside_95")
+"""Of each row of an ablation."""
+TABLE_WIDTH = 120
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser("evaluate", help="track a session (or read a bag of one) and compare with its truth")
-    parser.add_argument("session", help="folder of footage with a truth")
-    parser.add_argument("--bag", help="score this bag, recorded on the session, instead of tracking it here")
+    parser.add_argument("session", metavar="SESSION|BAG", help="folder of footage, or a bag that was recorded on one")
+    parser.add_argument("--bag", help="judge this bag, recorded on the session, instead of tracking it here")
     parser.add_argument("--exact-masks", action="store_true", help="take the session's exact silhouettes")
-    parser.add_argument(
-        "--thesis", action="store_true", help="also run the thesis's method: hierarchical ICP, identity EKF"
-    )
+    parser.add_argument("--ablation", action="store_true",
+                        help="also one row a part of the tracker, from the thesis's method to ours")  # fmt: skip
+    parser.add_argument("--thesis", action="store_true",
+                        help="with a bag: also run the thesis's method on the session's footage")  # fmt: skip
     parser.add_argument("--start", choices=("auto", T_POSE_START, REFERENCE_START), default="auto",
                         help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the line of JSON only")
+    parser.add_argument("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
+    parser.add_argument("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
+    parser.add_argument("--json", action="store_true", help="print the line of JSON only; pictures only with --plots")
     add_settings_argument(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Track or read, score, print a table and, last, one line of JSON."""
-    session = load_session(args.session)
-    if session.truth is None:
-        raise InputError(
-            "has no truth.csv or reference*.csv", where=args.session, remedy="Give a session with a truth."
-        )
-    settings = {**start_settings(session, args.start), **parse_settings(args.settings)}
-    track = recorded(args.bag, session) if args.bag else tracked(session, settings, args.exact_masks)
-    scores = score(track, session.truth)
-    figures = {**scores.figures(), "time_to_track_s": round(float(track.frames[0]) / session.fps, 3)}
-    if args.thesis:
-        thesis = score(tracked(session, {**settings, **THESIS}, args.exact_masks), session.truth)
-        figures["thesis_mean_mm"] = round(thesis.mean_mm, 4)
+    """Track or read, judge, print tables, draw, and print one line of JSON last."""
+    session, bag = find(args)
+    tracks, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
+    judged = judge(session, frames, tracks[OURS], tracks.get(THESIS))
+    figures, console = judged.figures(), wide_console(args.json)
+    rows = ablation_scores(session, tracks) if args.ablation else {}
     if not args.json:
-        report(Console(), args.session, scores, figures)
+        print_judgement(console, judged)
+        if rows:
+            print_ablation(console, rows)
+    if args.plots or args.video or not args.json:
+        folder = Path(args.plots) if args.plots else Path("output/evaluate") / session.folder.name
+        for path in pictures(folder, judged, args.video, counter("drawing")):
+            console.print(f"picture: {path}")
+    if rows:
+        figures["ablation"] = {name: _brief(found) for name, found in rows.items()}
     print(json.dumps(figures))
     return 0
 
 
-def recorded(bag: str, session: Session) -> Track:
-    """The track in a bag that was recorded while the session played."""
-    play = play_of_bag(bag, session)
-    return track_from_bag(bag, play.frame_of).between(0, play.frames)
+def find(args: argparse.Namespace) -> tuple[Session, str | None]:
+    """The session, and the bag to judge, if one is meant."""
+    given = Path(args.session)
+    if args.bag is None and is_bag(given):
+        return session_of_bag(given), str(given)
+    return load_session(given), args.bag
 
 
-def tracked(session: Session, settings: Mapping[str, Any], exact_masks: bool) -> Track:
-    """The session's track with these settings."""
-    return track_session(session, Configuration.of(settings), exact_masks=exact_masks)
+def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, Track], int]:
+    """The track in a bag that was recorded while the session played, and the thesis's track where it is wanted."""
+    if args.ablation:
+        raise InputError("a bag holds one track and no variants of it", where="--ablation",
+                         remedy=f"Run sagoma evaluate {session.folder} --ablation.")  # fmt: skip
+    play = play_of(bag, session)
+    tracks = {OURS: track_from_bag(bag, play.frame_of).between(0, play.frames)}
+    if args.thesis and not session.videos:
+        raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")
+    if args.thesis:
+        variants = {THESIS: thesis_configuration(_settings(args, session))}
+        tracks |= track_variants(session, variants, exact_masks=args.exact_masks)
+    return tracks, play.frames
 
 
-def report(console: Console, session: str, scores: Scores, figures: Mapping[str, Any]) -> None:
-    """The table for people."""
-    console.print(f"session {session}, tracking from {figures['time_to_track_s']:.2f} s on", style="bold")
-    print_scores(console, scores)
-    if "thesis_mean_mm" in figures:
-        console.print(f"the thesis's method on the same silhouettes: mean {figures['thesis_mean_mm']:.1f} mm")
+def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track], int]:
+    """The session tracked with the given settings, by the thesis's method, and by what lies between for an ablation."""
+    if args.ablation and session.truth is None:
+        raise InputError("has no truth.csv or reference*.csv to compare with", where=args.session,
+                         remedy="Leave out --ablation, or give a session with a truth.")  # fmt: skip
+    settings = _settings(args, session)
+    variants = ablation_rows(settings)
+    if not args.ablation:
+        variants = {OURS: Configuration.of(settings)}
+        variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
+    ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
+    progress = counter("tracking")
+    return track_variants(session, ours_first, exact_masks=args.exact_masks, progress=progress), frame_count(session)
+
+
+def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:
+    """The rows of the ablation in their order."""
+    assert session.truth is not None
+    return {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
+
+
+def pictures(folder: Path, judged: Judgement, video: bool, progress: Callable[[int], None]) -> list[Path]:
+    """Plots, and overlays where there is footage."""
+    from ..evaluation.plots import draw_plots  # matplotlib takes a second to load
+
+    paths = draw_plots(folder, judged)
+    if not judged.session.videos:
+        return paths
+    paths += draw_stills(folder, judged)
+    return [*paths, write_overlay(folder / "overlay.mp4", judged, progress)] if video else paths
+
+
+def wide_console(stderr: bool) -> Console:
+    """As wide as the tables are, where nobody's terminal says otherwise."""
+    console = Console(stderr=stderr)
+    return console if console.is_terminal else Console(stderr=stderr, width=TABLE_WIDTH)
+
+
+def counter(verb: str) -> Callable[[int], None]:
+    """Shows on a terminal which frame it is at."""
+    console = Console(stderr=True)
+
+    def show(frame: int) -> None:
+        if console.is_terminal:
+            console.print(f"{verb} frame {frame}", end="\r")
+
+    return show
+
+
+def _brief(scores: Scores | None) -> dict[str, float] | None:
+    return None if scores is None else {key: round(float(getattr(scores, key)), 4) for key in IN_JSON}
+
+
+def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:
+    return {**start_settings(session, args.start), **parse_settings(args.settings)}

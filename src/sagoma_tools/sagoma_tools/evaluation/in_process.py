@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -14,58 +12,13 @@ from camera_client.background_files import read_background
 from camera_client.settings import CameraClientSettings
 from camera_client.silhouette import SilhouettePipeline
 from capture_rig.errors import InputError
-from capture_rig.frame_set import FrameSet
 from capture_rig.session import Session, footage_stamp_ns
-from capture_rig.settings import build_settings
-from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.settings import EkfSettings
 from ekf_tracker.state import EkfState
-from hull_server.pipeline import HullPipeline
-from hull_server.settings import HullSettings
-from icp_tracker.icp_node import IcpNodeSettings
-from icp_tracker.pose_source import make_pose_source
-from icp_tracker.tracker import IcpTracker
-from icp_tracker.voxel_cloud import VoxelCloud
 
+from .chain import Chain, Configuration, Masks, TrackingChain
 from .track import Track
 
 EPOCH_NS = 1_000_000_000_000_000_000
-Masks = dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Feedback:
-    """The EKF's state after a set, as the ICP tracker takes it."""
-
-    stamp_ns: int
-    pose: Any
-    velocity: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Configuration:
-    """The settings of every stage; :meth:`of` takes the parameters of the graph's nodes as one flat mapping."""
-
-    camera: CameraClientSettings
-    hull: HullSettings
-    icp: IcpNodeSettings
-    ekf: EkfSettings
-
-    @classmethod
-    def of(cls, settings: Mapping[str, Any]) -> Configuration:
-        """From NODE.PARAMETER keys, as ``sagoma up --set`` takes them; InputError for a node that does not exist."""
-        parts: dict[str, dict[str, Any]] = {"cameras": {}, "hull_server": {}, "icp_tracker": {}, "ekf_tracker": {}}
-        for key, value in settings.items():
-            node, _, parameter = key.partition(".")
-            if node not in parts:
-                raise InputError(f"'{key}' names no node", where="settings", remedy=f"Nodes: {', '.join(parts)}.")
-            parts[node][parameter.removeprefix("filter.") if node == "ekf_tracker" else parameter] = value
-        return cls(
-            build_settings(CameraClientSettings, parts["cameras"], "cameras"),
-            build_settings(HullSettings, parts["hull_server"], "hull_server"),
-            build_settings(IcpNodeSettings, parts["icp_tracker"], "icp_tracker"),
-            build_settings(EkfSettings, parts["ekf_tracker"], "ekf_tracker"),
-        )
 
 
 def track_session(
@@ -78,33 +31,42 @@ def track_session(
     """Footage in, track out: silhouettes, hull, ICP fit started from the EKF's state, EKF update, frame by frame.
 
     exact_masks : take the session's exact silhouettes instead of segmenting its footage.
+    Raises InputError when no body was found in any frame.
     """
-    masks = exact_silhouettes(session) if exact_masks else silhouettes(session, configuration.camera)
-    hull = HullPipeline(session.rig, configuration.hull)
-    source = make_pose_source(configuration.icp.initial_pose, configuration.icp.body_file)
-    icp, ekf = IcpTracker(source, configuration.icp), None
-    feedback: Feedback | None = None
-    rows: list[tuple[int, EkfState]] = []
+    (track,) = track_variants(session, {"": configuration}, exact_masks=exact_masks, progress=progress).values()
+    return track
+
+
+def track_variants(
+    session: Session,
+    variants: Mapping[str, Configuration],
+    *,
+    exact_masks: bool = False,
+    progress: Callable[[int], None] = lambda frame: None,
+) -> dict[str, Track]:
+    """The tracks of several configurations over the very same hulls: every frame is segmented and carved once.
+
+    Cameras and hull are set as the first one says, from which the others may differ in fit and filter only; it is also
+    the one that must find a body (InputError): another's track may be empty.
+    """
+    first, *others = variants.values()
+    if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
+        raise ValueError("variants of one run differ in the settings of cameras or hull")
+    masks = exact_silhouettes(session) if exact_masks else silhouettes(session, first.camera)
+    graph = Chain(session.rig, first)
+    chains = [graph.tracking, *(TrackingChain(other, session.rig.volume) for other in others)]
+    rows: list[list[tuple[int, EkfState]]] = [[] for _ in chains]
     for frame, frame_masks in enumerate(masks):
         progress(frame)
-        stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
-        frame_set = FrameSet(stamp_ns, frame_masks, dict.fromkeys(frame_masks, stamp_ns), ())
-        result = hull.run(frame_set)
-        line = result.centerline
-        # float32, as the clouds between the nodes carry them
-        points, sigma = (a.astype(np.float32).astype(np.float64) for a in (line.points_world, line.sigma))
-        samples = result.voxels
-        voxels = VoxelCloud.checked(samples.points_world.astype(np.float32), samples.surface)
-        fit = icp.step(stamp_ns, points, sigma, voxels, feedback)
-        if ekf is None and icp.body is not None:
-            ekf = ArticulatedEkf(icp.body, configuration.ekf)
-        if ekf is None:
-            continue
-        state = ekf.step(stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
-        if isinstance(state, EkfState):
-            rows.append((frame, state))
-            feedback = Feedback(stamp_ns, state.pose, state.drift)
-    return _track(rows, session)
+        clouds = graph.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
+        for chain, states in zip(chains, rows, strict=True):
+            state = chain.step(clouds).state
+            if state is not None:
+                states.append((frame, state))
+    if not rows[0]:
+        raise InputError("no body was found in any frame", where=str(session.folder),
+                         remedy="Start from a T-pose, or give the reference of the first frame.")  # fmt: skip
+    return {name: Track.of_states(states) for name, states in zip(variants, rows, strict=True)}
 
 
 def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Masks]:
@@ -149,16 +111,3 @@ def _images(videos: dict[str, Path]) -> Iterator[dict[str, np.ndarray]]:
     finally:
         for capture in captures.values():
             capture.release()
-
-
-def _track(rows: list[tuple[int, EkfState]], session: Session) -> Track:
-    if not rows:
-        raise InputError("no body was found in any frame", where=str(session.folder),
-                         remedy="Start from a T-pose, or give the reference of the first frame.")  # fmt: skip
-    frames, states = zip(*rows, strict=True)
-    return Track(
-        np.array(frames),
-        np.stack([state.points_world for state in states]),
-        np.stack([state.point_covariance for state in states]),
-        np.stack([state.angles for state in states]),
-    )

@@ -1,20 +1,17 @@
-"""Pictures of a track: the skeleton over footage and silhouettes, angles and point errors over time."""
+"""Pictures of a track: the skeleton over footage and silhouettes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import matplotlib
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.session import Session
 from capture_rig.truth import Truth
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
 
 # (start, end) reference points of each drawn line: spine, head, shoulders, hips, arms, legs
 BONES = (
@@ -35,7 +32,42 @@ BONES = (
 )
 LEFT, RIGHT = {3, 5, 7, 9, 11, 13}, {4, 6, 8, 10, 12, 14}
 LEFT_BGR, RIGHT_BGR, MIDDLE_BGR, TRUTH_BGR = (255, 160, 40), (60, 90, 255), (60, 230, 60), (255, 255, 255)
+JOINT_BGR = (40, 40, 40)
+FAR_PX = 1e4  # beyond which nothing is drawn
+MARGIN, SMALLEST_WINDOW_PX = 0.15, 60.0
 SILHOUETTE_TINT_BGR = np.array([60.0, 190.0, 60.0])
+
+
+@dataclass(frozen=True)
+class Window:
+    """A picture (width, height) of a part of a camera's image: its pixel p lies at (p - origin_px) scale."""
+
+    origin_px: tuple[float, float]
+    scale: float
+    size_px: tuple[int, int]
+
+    @classmethod
+    def whole(cls, camera: CameraModel, scale: float = 1.0) -> Window:
+        """All of the image."""
+        return cls((0.0, 0.0), scale, (round(camera.width * scale), round(camera.height * scale)))
+
+    @classmethod
+    def around(cls, camera: CameraModel, points_world: np.ndarray, side_px: int) -> Window:
+        """A square around what the camera sees of the points (n, 3), with a margin; the whole image if it sees none."""
+        pixels = camera.project(points_world)
+        limit = np.array([camera.width, camera.height], float)
+        seen = np.isfinite(pixels).all(1) & (pixels >= 0.0).all(1) & (pixels < limit).all(1)
+        low, high = (pixels[seen].min(0), pixels[seen].max(0)) if seen.any() else (np.zeros(2), limit)
+        side = max(float((high - low).max()) * (1.0 + 2.0 * MARGIN), SMALLEST_WINDOW_PX)
+        x, y = (0.5 * (low + high) - 0.5 * side).tolist()
+        return cls((x, y), side_px / side, (side_px, side_px))
+
+    def cut(self, image: np.ndarray) -> np.ndarray:
+        """The picture; black beyond the image."""
+        (x, y), s = self.origin_px, self.scale
+        if (x, y, s) == (0.0, 0.0, 1.0):
+            return image
+        return cv2.warpAffine(image, np.array([[s, 0.0, -s * x], [0.0, s, -s * y]]), self.size_px)
 
 
 def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
@@ -56,17 +88,26 @@ def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
 
 
 def draw_skeleton(
-    image: np.ndarray, camera: CameraModel, points_world: np.ndarray, colour: tuple | None = None
+    image: np.ndarray,
+    camera: CameraModel,
+    points_world: np.ndarray,
+    colour: tuple | None = None,
+    window: Window | None = None,
 ) -> None:
-    """Draw the 15 points (15, 3) into a (distorted) BGR image: left limbs blue, right limbs red, or one ``colour``."""
-    pixels = camera.project(points_world)
-    thick = max(1, round(camera.height / 240))
+    """Draw the 15 points (15, 3) into a (distorted) BGR image, or a window of it.
+
+    Left limbs blue, right limbs red, joints dark; or thin lines of one ``colour``.
+    """
+    view = window or Window.whole(camera)
+    pixels = (camera.project(points_world) - view.origin_px) * view.scale
+    drawable = np.isfinite(pixels).all(1) & (np.abs(np.nan_to_num(pixels)) < FAR_PX).all(1)
+    thick = max(2, round(image.shape[0] / 240))
     for a, b in BONES:
-        if np.isfinite(pixels[[a, b]]).all():
+        if drawable[[a, b]].all():
             cv2.line(image, _rounded(pixels[a]), _rounded(pixels[b]), colour or _side_colour(a, b),
-                     1 if colour else thick, cv2.LINE_AA)  # fmt: skip
-    for pixel in pixels[np.isfinite(pixels).all(1)]:
-        cv2.circle(image, _rounded(pixel), thick + 1, colour or (255, 255, 255), -1, cv2.LINE_AA)
+                     max(1, thick // 3) if colour else thick, cv2.LINE_AA)  # fmt: skip
+    for pixel in pixels[drawable] if colour is None else ():
+        cv2.circle(image, _rounded(pixel), thick, JOINT_BGR, -1, cv2.LINE_AA)
 
 
 def _rounded(pixel: np.ndarray) -> tuple[int, int]:
@@ -94,14 +135,17 @@ def overlay(
     mask: np.ndarray | None,
     points_world: np.ndarray,
     truth_world: np.ndarray | None,
+    window: Window | None = None,
 ) -> np.ndarray:
-    """One camera's picture: footage, silhouette (in the image's own pixels), truth in white, skeleton in colour."""
+    """One camera's picture: footage, silhouette (in the image's own pixels), skeleton in colour, truth in white."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     if mask is not None:
         picture = tint(picture, mask)
+    if window is not None:
+        picture = window.cut(picture)
+    draw_skeleton(picture, camera, points_world, window=window)
     if truth_world is not None:
-        draw_skeleton(picture, camera, truth_world, TRUTH_BGR)
-    draw_skeleton(picture, camera, points_world)
+        draw_skeleton(picture, camera, truth_world, TRUTH_BGR, window)
     cv2.putText(picture, camera.name, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 2, cv2.LINE_AA)
     return picture
 
@@ -141,45 +185,3 @@ def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | No
         return [None] * len(frames)
     row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
     return [truth.points_world[row_of[f]] if f in row_of else None for f in frames]
-
-
-def plot_angles(
-    path: Path, names: Sequence[str], seconds: np.ndarray, angles: np.ndarray,
-    truth_seconds: np.ndarray | None = None, truth_angles: np.ndarray | None = None,
-) -> None:  # fmt: skip
-    """Angles (F, 18) rad over time against the truth, one panel each, in degrees (like thesis fig. 7.4 to 7.7)."""
-    figure, axes = plt.subplots(6, 3, figsize=(13, 13), sharex=True, constrained_layout=True)
-    for index, (axis, name) in enumerate(zip(axes.flat, names, strict=True)):
-        if truth_angles is not None and truth_seconds is not None:
-            axis.plot(
-                truth_seconds, np.rad2deg(unwrapped(truth_angles[:, index])), color="0.7", linewidth=3, label="truth"
-            )
-        axis.plot(seconds, np.rad2deg(unwrapped(angles[:, index])), color="C0", linewidth=1.1, label="estimate")
-        axis.set_title(name.replace("_", " "), fontsize=9)
-        axis.grid(alpha=0.3)
-    axes.flat[0].legend(fontsize=8)
-    figure.supxlabel("time [s]")
-    figure.supylabel("angle [deg]")
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
-
-
-def plot_point_errors(path: Path, names: Sequence[str], seconds: np.ndarray, errors_mm: np.ndarray) -> None:
-    """Error (F, 15) in mm of each reference point over time (like thesis fig. 7.9 to 7.13)."""
-    figure, axes = plt.subplots(5, 3, figsize=(13, 11), sharex=True, sharey=True, constrained_layout=True)
-    for axis, name, error in zip(axes.flat, names, errors_mm.T, strict=True):
-        axis.plot(seconds, error, linewidth=1)
-        axis.set_title(f"{name.replace('_', ' ')}: mean {np.nanmean(error):.0f} mm", fontsize=9)
-        axis.grid(alpha=0.3)
-    figure.supxlabel("time [s]")
-    figure.supylabel("error [mm]")
-    figure.savefig(path, dpi=100)
-    plt.close(figure)
-
-
-def unwrapped(angles: np.ndarray) -> np.ndarray:
-    """Angles (F,) rad without jumps of 2 pi, for plotting; NaN gaps stay gaps."""
-    known = np.isfinite(angles)
-    out = np.full(len(angles), np.nan)
-    out[known] = np.unwrap(angles[known])
-    return out

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,44 +13,65 @@ from capture_rig.truth import Truth
 from stick_figure import metrics
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
+from .angles import AngleScores, angle_truth, score_angles
+from .honesty import Honesty, honesty
 from .track import Track
 
-CHI2_95_3DOF = 7.814727903251179
+OVERALL = ("mean_mm", "median_mm", "p95_mm", "over_200mm", "rmse_mean_mm", "mean_mm_without_offset", "inside_95")
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Errors in mm and degrees over the truth's frames; NaN where nothing could be compared.
+    """Errors over the truth's frames, metres as mm; NaN where nothing could be compared.
 
-    frames : truth frames; tracked : those for which the track has a body.
-    mean_mm, p95_mm : over all points of all tracked frames; over_200mm : share of tracked frames with any point
-    further off; rmse_mean_mm : mean over the points of each point's RMSE (thesis Table 7.2).
-    point_mm, point_mm_without_offset : (15,) mean error of each point, as it is and after its constant offset in the
-    pelvis frame is taken out. angle_rmse_deg : (18,) or None. inside_95 : share of point errors inside the track's own
-    95 % ellipsoid.
+    frames : truth frames; tracked : those for which the track has a body. Everything else is over these:
+    mean_mm, median_mm, p95_mm : of all points together; over_200mm : share of frames with any point further off;
+    rmse_mean_mm : mean over the points of each point's RMSE (thesis Table 7.2).
+    mean_mm_without_offset : after each point's constant offset in the pelvis frame is taken out: where truth and stick
+    figure mean different places by "shoulder" or "hip", that part says nothing about tracking.
+    point_... : (15,) the same of each point; point_over_200mm : share of frames in which it is further off.
+    honesty : the errors against the track's own covariances. angles : the joint angles.
+    errors_mm : (frames, 15) every error, NaN where there is none.
     """
 
     frames: int
     tracked: int
     mean_mm: float
+    median_mm: float
     p95_mm: float
     over_200mm: float
     rmse_mean_mm: float
     mean_mm_without_offset: float
     point_mm: np.ndarray
+    point_rmse_mm: np.ndarray
+    point_median_mm: np.ndarray
+    point_p95_mm: np.ndarray
+    point_over_200mm: np.ndarray
     point_mm_without_offset: np.ndarray
-    angle_rmse_deg: np.ndarray | None
-    inside_95: float
+    honesty: Honesty
+    angles: AngleScores
     errors_mm: np.ndarray
+
+    @property
+    def inside_95(self) -> float:
+        """Share of all errors inside the track's own 95 % ellipsoids."""
+        return self.honesty.inside_95
+
+    @property
+    def angle_rmse_deg(self) -> np.ndarray:
+        """(18,) RMSE of each angle where the truth defines it."""
+        return np.rad2deg(self.angles.rmse_rad)
 
     def figures(self) -> dict[str, object]:
         """Name to number, for a line of JSON."""
         whole: dict[str, object] = {"frames": self.frames, "tracked": self.tracked}
-        numbers = ("mean_mm", "p95_mm", "over_200mm", "rmse_mean_mm", "mean_mm_without_offset", "inside_95")
-        whole.update({name: round(float(getattr(self, name)), 4) for name in numbers})
-        whole["point_mm"] = dict(zip(POINT_NAMES, np.round(self.point_mm, 1).tolist(), strict=True))
-        if self.angle_rmse_deg is not None:
-            whole["angle_rmse_deg"] = dict(zip(ANGLE_NAMES, np.round(self.angle_rmse_deg, 1).tolist(), strict=True))
+        whole.update({name: number(getattr(self, name)) for name in OVERALL})
+        whole["nees"] = number(self.honesty.nees)
+        whole["point_mm"] = _named(POINT_NAMES, self.point_mm, 1)
+        whole["point_rmse_mm"] = _named(POINT_NAMES, self.point_rmse_mm, 1)
+        whole["point_inside_95"] = _named(POINT_NAMES, self.honesty.point_inside_95, 3)
+        whole["angle_rmse_deg"] = _named(ANGLE_NAMES, self.angle_rmse_deg, 1)
+        whole["torso_rmse_deg"] = number(np.rad2deg(self.angles.torso_rmse_rad))
         return whole
 
 
@@ -62,32 +85,42 @@ def score(track: Track, truth: Truth) -> Scores:
             where=str(truth.source),
             remedy="Check that track and truth are of the same session.",
         )
-    estimate, reference = truth.comparable(aligned.points_world[tracked]), truth.points_world[tracked]
-    summary = metrics.summary(estimate, reference)
-    centred = metrics.without_offsets(estimate, reference)
-    errors = metrics.point_errors(estimate, reference)
+    estimate, reference = truth.comparable(aligned.points_world), truth.points_world
+    centred = metrics.without_offsets(estimate[tracked], reference[tracked])
+    summary = metrics.summary(estimate[tracked], reference[tracked])
+    errors_mm = 1e3 * metrics.point_errors(estimate, reference)
+    errors_centred = metrics.point_errors(centred, reference[tracked])
     return Scores(
         frames=len(truth.frames),
         tracked=int(tracked.sum()),
         mean_mm=1e3 * summary.mean,
+        median_mm=1e3 * summary.median,
         p95_mm=1e3 * summary.p95,
         over_200mm=summary.share_over,
         rmse_mean_mm=1e3 * summary.thesis_mean,
-        mean_mm_without_offset=1e3 * metrics.summary(centred, reference).mean,
-        point_mm=1e3 * np.nanmean(errors, axis=0),
-        point_mm_without_offset=1e3 * np.nanmean(metrics.point_errors(centred, reference), axis=0),
-        angle_rmse_deg=_angle_rmse_deg(aligned.angles[tracked], truth, tracked),
-        inside_95=_share_inside(estimate - reference, aligned.covariance[tracked]),
-        errors_mm=1e3 * metrics.point_errors(truth.comparable(aligned.points_world), truth.points_world),
+        mean_mm_without_offset=1e3 * metrics.summary(centred, reference[tracked]).mean,
+        point_mm=_by_point(errors_mm, np.mean),
+        point_rmse_mm=1e3 * summary.rmse_per_point,
+        point_median_mm=_by_point(errors_mm, np.median),
+        point_p95_mm=_by_point(errors_mm, lambda known: np.percentile(known, 95)),
+        point_over_200mm=_by_point(errors_mm, lambda known: np.mean(known > 1e3 * metrics.LARGE_ERROR_M)),
+        point_mm_without_offset=1e3 * _by_point(errors_centred, np.mean),
+        honesty=honesty(estimate - reference, aligned.covariance),
+        angles=score_angles(aligned.angles, aligned.points_world, angle_truth(truth)),
+        errors_mm=errors_mm,
     )
 
 
-def _angle_rmse_deg(angles: np.ndarray, truth: Truth, tracked: np.ndarray) -> np.ndarray | None:
-    return None if truth.angles is None else np.rad2deg(metrics.rmse_angles(angles, truth.angles[tracked]))
+def _by_point(errors: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> np.ndarray:
+    """(15,) the statistic of each point's known errors (F, 15); NaN for a point that has none."""
+    columns = [column[np.isfinite(column)] for column in errors.T]
+    return np.array([statistic(known) if len(known) else np.nan for known in columns])
 
 
-def _share_inside(errors: np.ndarray, covariance: np.ndarray) -> float:
-    known = np.isfinite(errors).all(-1)
-    solved = np.linalg.solve(covariance[known], errors[known][..., None])[..., 0]
-    distance = np.einsum("ni,ni->n", errors[known], solved)
-    return float((distance <= CHI2_95_3DOF).mean())
+def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str, float | None]:
+    return {name: number(value, digits) for name, value in zip(names, values, strict=True)}
+
+
+def number(value: float, digits: int = 4) -> float | None:
+    """As JSON knows numbers: None for what is not finite."""
+    return round(float(value), digits) if np.isfinite(value) else None

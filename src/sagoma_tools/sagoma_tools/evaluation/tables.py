@@ -11,36 +11,119 @@ from rich.table import Table
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..processes import Usage
+from .angles import AngleScores
+from .judgement import Judgement
 from .scores import Scores
+
+PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
+"""Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""
 
 
 def print_scores(console: Console, scores: Scores) -> None:
-    """Point errors (mean, and without constant offsets) and angle errors, one row each."""
-    table = Table(title="error against the truth", title_justify="left", box=None, pad_edge=False)
-    for title in ("point", "mean mm", "without offset mm"):
-        table.add_column(title, justify="left" if title == "point" else "right")
-    for name, plain, centred in zip(POINT_NAMES, scores.point_mm, scores.point_mm_without_offset, strict=True):
-        table.add_row(name.replace("_", " "), f"{plain:.1f}", f"{centred:.1f}")
-    table.add_row("mean of all", f"{scores.mean_mm:.1f}", f"{scores.mean_mm_without_offset:.1f}", style="bold")
-    console.print(table)
+    """The errors of points (thesis Table 7.2, and more) and angles (Table 7.1), and how sure the track was."""
+    console.print(_points(scores))
+    honesty = scores.honesty
     console.print(
-        f"{scores.tracked} of {scores.frames} frames tracked; 95 % of errors below {scores.p95_mm:.0f} mm; "
-        f"{100 * scores.over_200mm:.1f} % of frames with a point over 200 mm; "
-        f"{100 * scores.inside_95:.0f} % of errors inside their 95 % ellipsoid"
+        f"{scores.tracked} of {scores.frames} frames tracked; mean error {scores.mean_mm:.1f} mm, median "
+        f"{scores.median_mm:.1f}, 95 % below {scores.p95_mm:.0f}; {scores.mean_mm_without_offset:.1f} mm without "
+        f"constant offsets; {100 * scores.over_200mm:.1f} % of the frames have a point over 200 mm"
     )
-    if scores.angle_rmse_deg is not None:
-        _print_angles(console, scores.angle_rmse_deg)
+    console.print(
+        f"covariance: {100 * honesty.inside_95:.0f} % of the errors inside their 95 % ellipsoid; NEES "
+        f"{honesty.nees:.1f}, where 3 is honest ({honesty.nees_95[0]:.1f} to {honesty.nees_95[1]:.1f} for a point, "
+        "if frames erred independently)"
+    )
+    console.print(_angles(scores.angles))
 
 
-def _print_angles(console: Console, rmse_deg: np.ndarray) -> None:
-    table = Table(title="RMSE of the angles, degrees", title_justify="left", box=None, pad_edge=False)
-    for _ in range(3):
-        table.add_column("angle")
-        table.add_column("RMSE", justify="right")
-    cells = [(name.replace("_", " "), f"{value:.1f}") for name, value in zip(ANGLE_NAMES, rmse_deg, strict=True)]
-    for row in range(0, len(cells), 3):
-        table.add_row(*(text for cell in cells[row : row + 3] for text in cell))
+def _points(scores: Scores) -> Table:
+    table = _table("error of the points (RMSE: thesis Table 7.2)", "point", "RMSE mm", "mean", "median", "95 %",
+                   ">200 mm", "no offset", "in 95 %", "NEES")  # fmt: skip
+    columns = (
+        scores.point_rmse_mm, scores.point_mm, scores.point_median_mm, scores.point_p95_mm, scores.point_over_200mm,
+        scores.point_mm_without_offset, scores.honesty.point_inside_95, scores.honesty.point_nees,
+    )  # fmt: skip
+    for name, row in zip(POINT_NAMES, zip(*columns, strict=True), strict=True):
+        table.add_row(name.replace("_", " "), *_point_cells(*row))
+    whole = (
+        scores.rmse_mean_mm, scores.mean_mm, scores.median_mm, scores.p95_mm, scores.over_200mm,
+        scores.mean_mm_without_offset, scores.honesty.inside_95, scores.honesty.nees,
+    )  # fmt: skip
+    table.add_row("all", *_point_cells(*whole), style="bold")
+    return table
+
+
+def _point_cells(
+    rmse: float, mean: float, median: float, p95: float, over: float, centred: float, inside: float, nees: float
+) -> tuple[str, ...]:
+    millimetres = (f"{value:.1f}" for value in (rmse, mean, median, p95))
+    return *millimetres, f"{100 * over:.1f} %", f"{centred:.1f}", f"{100 * inside:.0f} %", f"{nees:.1f}"
+
+
+def _angles(angles: AngleScores) -> Table:
+    title = f"RMSE of the angles, rad (thesis Table 7.1); truth: {angles.source}"
+    table = _table(title, "angle", "left", "right", "left deg", "right deg", "left frames", "right frames")
+    torso = angles.torso_rmse_rad
+    table.add_row("torso", f"{torso:.2f}", "", f"{np.rad2deg(torso):.1f}", "", "100 %", "")
+    for slot, axis in enumerate("xy"):
+        rmse, share = angles.rmse_rad[slot], angles.share_defined[slot]
+        table.add_row(f"neck {axis}", f"{rmse:.2f}", "", f"{np.rad2deg(rmse):.1f}", "", f"{100 * share:.0f} %", "")
+    for slot in PAIRED_ANGLES:
+        name = ANGLE_NAMES[slot].removeprefix("left_").replace("_", " ")
+        rmse, share = angles.rmse_rad[slot : slot + 2], angles.share_defined[slot : slot + 2]
+        table.add_row(name, *(f"{r:.2f}" for r in rmse), *(f"{np.rad2deg(r):.1f}" for r in rmse),
+                      *(f"{100 * s:.0f} %" for s in share))  # fmt: skip
+    table.caption = "frames: where the truth determines the angle (see docs/evaluate.md)"
+    table.caption_justify = "left"
+    return table
+
+
+def print_judgement(console: Console, judged: Judgement) -> None:
+    """All of ``sagoma evaluate``: scores where there is a truth, and what can be said without."""
+    console.print(f"session {judged.session.folder}", style="bold")
+    if judged.scores is not None:
+        print_scores(console, judged.scores)
+    else:
+        console.print(f"{len(judged.track)} of {judged.frames} frames have a body; there is no truth to compare with")
+    states = ", ".join(f"{state} in {count} frames" for state, count in judged.states.items())
+    console.print(f"tracking {judged.time_to_track_s:.2f} s after the first frame; {states}")
+    resting = int(judged.jitter.at_rest.sum())
+    console.print(
+        f"jitter at rest: {judged.jitter.rms_mm:.2f} mm rms ({resting} points in frames)" if resting
+        else "jitter at rest: nothing rests long enough to say"
+    )  # fmt: skip
+    if judged.scores is not None and judged.thesis is not None:
+        ratio = judged.thesis.mean_mm / judged.scores.mean_mm
+        console.print(
+            f"the thesis's method on the same hulls: mean {judged.thesis.mean_mm:.1f} mm, {ratio:.1f} times ours",
+            style="bold",
+        )
+
+
+def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
+    """One row a configuration, None where it found no body; ratio: the first row's mean to this one's."""
+    table = _table("ablation: each row adds one part to the row above", "method", "mean", "median", "95 %",
+                   ">200 mm", "no offset", "in 95 %", "NEES", "ratio")  # fmt: skip
+    first = next(iter(rows.values()), None)
+    for name, scores in rows.items():
+        if scores is None:
+            table.add_row(name, "no body")
+            continue
+        better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
+        table.add_row(
+            name, f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}",
+            f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}",
+            f"{100 * scores.inside_95:.0f} %", f"{scores.honesty.nees:.1f}", better,
+        )  # fmt: skip
     console.print(table)
+
+
+def _table(title: str, first: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    table.add_column(first, no_wrap=True)
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table
 
 
 def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> None:

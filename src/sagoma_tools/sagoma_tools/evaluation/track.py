@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
+from ekf_tracker.state import EkfState
 from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, split_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..bags import read_messages
 
-POINTS_TOPIC, ANGLES_TOPIC = "/mocap/reference_points", "/mocap/joint_states"
+POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC = "/mocap/reference_points", "/mocap/joint_states", "/mocap/state"
+NO_STATE = "tracking"
+"""What a bag without the tracker's opinion of itself is taken to say wherever it holds a body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,37 +31,68 @@ class Track:
     frames : (F,) 0-based video frame of each row.
     points_world : (F, 15, 3) metres, map frame; covariance : (F, 15, 3, 3) m^2.
     angles : (F, 18) rad.
+    states : (F,) what the tracker thought of itself: "acquiring", "tracking", ...; empty where a frame has no row.
     """
 
     frames: np.ndarray
     points_world: np.ndarray
     covariance: np.ndarray
     angles: np.ndarray
+    states: np.ndarray
+
+    @classmethod
+    def of_states(cls, rows: Sequence[tuple[int, EkfState]]) -> Track:
+        """From frames and the filter's states at them; no rows make an empty track."""
+        frames, states = [frame for frame, _ in rows], [state for _, state in rows]
+
+        def column(values: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+            return np.array(values, dtype=float).reshape(-1, *shape)
+
+        return cls(
+            np.array(frames, dtype=int),
+            column([state.points_world for state in states], (15, 3)),
+            column([state.point_covariance for state in states], (15, 3, 3)),
+            column([state.angles for state in states], (18,)),
+            np.array([str(state.tracking) for state in states], dtype=str),
+        )
+
+    def __len__(self) -> int:
+        return len(self.frames)
 
     def between(self, first: int, end: int) -> Track:
         """The rows of frames first, first + 1, ... end - 1."""
         rows = (self.frames >= first) & (self.frames < end)
-        return Track(self.frames[rows], self.points_world[rows], self.covariance[rows], self.angles[rows])
+        return Track(*(column[rows] for column in self._columns))
 
     def at(self, frames: np.ndarray) -> Track:
-        """The rows of the given frames, NaN where the track has none."""
+        """The rows of the given frames, NaN (and no state) where the track has none."""
         row_of = {int(frame): row for row, frame in enumerate(self.frames)}
-        rows = np.array([row_of.get(int(frame), -1) for frame in frames])
-        absent = rows < 0
+        rows = np.array([row_of.get(int(frame), -1) for frame in frames], dtype=int)
 
         def pick(values: np.ndarray) -> np.ndarray:
-            picked = values[rows] if len(values) else np.full((len(rows), *values.shape[1:]), np.nan)
-            picked[absent] = np.nan
+            absent = "" if values.dtype.kind == "U" else np.nan
+            picked = values[rows] if len(values) else np.empty((len(rows), *values.shape[1:]), values.dtype)
+            picked[rows < 0] = absent
             return picked
 
-        return Track(np.asarray(frames), pick(self.points_world), pick(self.covariance), pick(self.angles))
+        return Track(np.asarray(frames), *(pick(column) for column in self._columns[1:]))
+
+    @property
+    def _columns(self) -> tuple[np.ndarray, ...]:
+        return self.frames, self.points_world, self.covariance, self.angles, self.states
 
 
 def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Track:
     """The track that a bag of the graph's topics holds; ``frame_of_stamp`` turns a stamp in ns into a frame number."""
     points: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     angles: dict[int, np.ndarray] = {}
-    for message in read_messages(bag, {POINTS_TOPIC, ANGLES_TOPIC}.__contains__):
+    states: dict[int, str] = {}
+    for message in read_messages(bag, {POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC}.__contains__):
+        if message.topic == STATE_TOPIC:  # without a header: its values say of which set it speaks
+            status = deserialize_message(message.data, DiagnosticStatus)
+            stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
+            states.update((frame_of_stamp(stamp_ns), status.message) for stamp_ns in stamps)
+            continue
         frame = frame_of_stamp(message.stamp_ns)
         if message.topic == POINTS_TOPIC:
             cloud = from_cloud(
@@ -75,6 +110,7 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
         np.stack([points[f][0] for f in frames]),
         np.stack([points[f][1] for f in frames]),
         np.stack([angles[f] for f in frames]),
+        np.array([states.get(f, NO_STATE) for f in frames], dtype=str),
     )
 
 

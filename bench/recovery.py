@@ -1,0 +1,127 @@
+"""Recovery drills: break a track on purpose, and measure the time until it is good again.
+
+    python bench/recovery.py [SESSION ...] [--exact] [--motion NAME ...] [--set NODE.PARAMETER=VALUE ...]
+
+Each drill disturbs a running track once: 1 s of blank silhouettes, 10 missing frame sets, a camera lost for 1 s, or a
+wrong pose put into filter and tracker (heading flipped, left and right swapped, an arm folded away, 0.4 m off). Motions
+of the virtual studio are seen by five cameras around and one above (exact silhouettes); sessions bring their own. Two
+more drills are motions themselves: an arm against the chest for 2 s, and leaving the volume and coming back.
+
+A cell is the time in seconds from the end of the disturbance to a good track (all points < 200 mm and their mean
+< 60 mm for 0.2 s), or "never"; then the mean error in mm after that time; then the share of frames that were bad
+although tracker and filter both said that they track, "of" the share that was bad. The row "undisturbed" gives the
+share of good frames and the mean error of the same stretch without a drill: what recovery can hope for. The last line
+is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from clips import Clip, session_clip, studio_clip
+from drills import DRILLS, Outcome, is_good, play
+
+from sagoma_tools.commands.common import parse_settings
+from virtual_studio.motion import HARD_CASES
+
+MOTION_S = 6.0
+MOTION_DRILLS = {"arm against the chest 2 s": "arm_on_chest", "left and came back": "leave_and_return"}
+LEFT_HAND_POINT, NECK_POINT, ON_CHEST_M = 11, 2, 0.35
+DISTURBED_AT = 0.45
+"""Where in the clip the disturbance begins, as a share of its length."""
+
+Figures = dict[str, float | None]
+Table = dict[str, Figures]
+
+
+def drilled(clip: Clip, settings: dict[str, Any]) -> Table:
+    """The figures of the undisturbed clip and of every drill."""
+    begin, clouds = round(DISTURBED_AT * len(clip)), clip.carved(settings)
+    longest = begin + max(drill.frames(clip.fps) for drill in DRILLS)
+    calm = play(clip, clouds, settings).errors_m[longest:]
+    table: Table = {"undisturbed": {"good": round(float(is_good(calm).mean()), 3), "mean_mm": _mean_mm(calm)}}
+    for drill in DRILLS:
+        outcome = play(clip, clouds, settings, drill, begin)
+        table[drill.name] = figures_of(outcome, begin, begin + drill.frames(clip.fps), clip.fps)
+    return table
+
+
+def moved(name: str, settings: dict[str, Any]) -> Figures:
+    """The figures of a motion that is a drill in itself."""
+    clip = studio_clip(MOTION_DRILLS[name], HARD_CASES[MOTION_DRILLS[name]].once_s)
+    outcome = play(clip, clip.carved(settings), settings)
+    disturbed = np.flatnonzero(hidden(name, clip))
+    return figures_of(outcome, int(disturbed[0]), int(disturbed[-1]) + 1, clip.fps)
+
+
+def hidden(name: str, clip: Clip) -> np.ndarray:
+    """Frames (F,) at which the motion hides what is to be tracked: partly outside the volume, hand near the spine."""
+    if MOTION_DRILLS[name] == "leave_and_return":
+        xy, volume = clip.truth[..., :2], clip.rig.volume
+        return ~((xy > volume.low[:2]) & (xy < volume.high[:2])).all(axis=(1, 2))
+    return np.linalg.norm(clip.truth[:, LEFT_HAND_POINT] - clip.truth[:, NECK_POINT], axis=1) < ON_CHEST_M
+
+
+def figures_of(outcome: Outcome, begin: int, end: int, fps: float) -> Figures:
+    """Time to recovery from the end of a disturbance, mean error from then on, and bad frames that nobody admitted."""
+    recovered_s = outcome.time_to_good(end, fps)
+    bad = ~is_good(outcome.errors_m[begin:])
+    return {
+        "recovered_s": None if recovered_s is None else round(recovered_s, 3),
+        "mean_mm": _mean_mm(outcome.errors_m[end + round((recovered_s or 0.0) * fps) :]),
+        "bad": round(float(bad.mean()), 3),
+        "bad_but_sure": round(float((bad & outcome.sure[begin:]).mean()), 3),
+    }
+
+
+def _mean_mm(errors_m: np.ndarray) -> float | None:
+    return round(float(1e3 * np.nanmean(errors_m)), 1) if np.isfinite(errors_m).any() else None
+
+
+def print_table(table: Mapping[str, Table]) -> None:
+    """Rows are drills, columns are clips."""
+    print(f"| drill | {' | '.join(table)} |")
+    print("|---|" + "---|" * len(table))
+    for name in {name: None for column in table.values() for name in column}:
+        print(f"| {name} | {' | '.join(_cell(column.get(name)) for column in table.values())} |")
+
+
+def _cell(figures: Figures | None) -> str:
+    if figures is None:
+        return ""
+    if "good" in figures:
+        return f"{100 * (figures['good'] or 0.0):.0f} % good, {figures['mean_mm']} mm"
+    time = "never" if figures["recovered_s"] is None else f"{figures['recovered_s']:.2f} s"
+    share = f"{100 * (figures['bad_but_sure'] or 0.0):.0f} of {100 * (figures['bad'] or 0.0):.0f} %"
+    return f"{time}, {figures['mean_mm']} mm, {share}"
+
+
+def main() -> None:
+    """Print the table and the line of JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sessions", nargs="*", type=Path, help="session folders with a reference")
+    parser.add_argument("--exact", action="store_true", help="the sessions' exact silhouettes, not their footage")
+    parser.add_argument("--motion", nargs="*", default=["tour", "walk"], help="motions of the virtual studio")
+    parser.add_argument("--set", dest="settings", action="append", default=[], metavar="NODE.PARAMETER=VALUE")
+    arguments = parser.parse_args()
+    settings = parse_settings(arguments.settings)
+    motions = {name: moved(name, settings) for name in MOTION_DRILLS} if arguments.motion else {}
+    clips = [studio_clip(motion, MOTION_S) for motion in arguments.motion]
+    clips += [session_clip(folder, arguments.exact) for folder in arguments.sessions]
+    table = {clip.name: drilled(clip, settings) for clip in clips}
+    if motions:
+        table["itself"] = motions
+    print_table(table)
+    print(json.dumps(table))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""Hull, ICP fit and filter as the graph's nodes call them, one frame set after another in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from camera_client.settings import CameraClientSettings
+from capture_rig.errors import InputError
+from capture_rig.frame_set import FrameSet
+from capture_rig.rig import Rig, Volume
+from capture_rig.settings import build_settings
+from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.settings import EkfSettings
+from ekf_tracker.state import EkfState, NoState
+from hull_server.pipeline import HullPipeline, HullResult
+from hull_server.settings import HullSettings
+from icp_tracker.acquisition.one_body import BodyNumbers
+from icp_tracker.acquisition.pose_source import make_pose_source
+from icp_tracker.icp_node import IcpNodeSettings
+from icp_tracker.rim_rays import RimRays
+from icp_tracker.tracker import TRACKING, IcpResult, IcpTracker
+from icp_tracker.voxel_cloud import VoxelCloud
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+
+Masks = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """The settings of every stage; :meth:`of` takes the parameters of the graph's nodes as one flat mapping.
+
+    feedback : each fit starts from the filter's state, as in the graph; otherwise from the fit before (thesis 4.3).
+    """
+
+    camera: CameraClientSettings
+    hull: HullSettings
+    icp: IcpNodeSettings
+    ekf: EkfSettings
+    feedback: bool = True
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any], *, feedback: bool = True) -> Configuration:
+        """From NODE.PARAMETER keys, as ``sagoma up --set`` takes them; InputError for a node that does not exist."""
+        parts: dict[str, dict[str, Any]] = {"cameras": {}, "hull_server": {}, "icp_tracker": {}, "ekf_tracker": {}}
+        for key, value in settings.items():
+            node, _, parameter = key.partition(".")
+            if node not in parts:
+                raise InputError(f"'{key}' names no node", where="settings", remedy=f"Nodes: {', '.join(parts)}.")
+            parts[node][parameter.removeprefix("filter.") if node == "ekf_tracker" else parameter] = value
+        return cls(
+            build_settings(CameraClientSettings, parts["cameras"], "cameras"),
+            build_settings(HullSettings, parts["hull_server"], "hull_server"),
+            build_settings(IcpNodeSettings, parts["icp_tracker"], "icp_tracker"),
+            build_settings(EkfSettings, parts["ekf_tracker"], "ekf_tracker"),
+            feedback,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """The EKF's state after a set, as the ICP tracker takes it."""
+
+    stamp_ns: int
+    pose: Pose
+    velocity: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class HullClouds:
+    """What the hull node publishes of one frame set, as the ICP node reads it.
+
+    points_world (n, 3) m with sigma (n,) m: the centerline; voxels: samples of the hull; numbers: whose they are;
+    rims: rays that touch the body.
+    """
+
+    stamp_ns: int
+    points_world: np.ndarray
+    sigma: np.ndarray
+    voxels: VoxelCloud
+    numbers: BodyNumbers
+    rims: RimRays
+
+    @classmethod
+    def of(cls, result: HullResult) -> HullClouds:
+        """Rounded to float32, as the clouds between the nodes carry them."""
+        line, samples, rims, number_of_part = (
+            result.centerline, result.voxels, result.rims, result.bodies.number_of_part,
+        )  # fmt: skip
+        return cls(
+            result.stamp_ns,
+            _rounded(line.points_world),
+            _rounded(line.sigma),
+            VoxelCloud.checked(_rounded(samples.points_world), samples.surface),
+            BodyNumbers(number_of_part[line.part], number_of_part[samples.part]),
+            RimRays(
+                *(_rounded(part) for part in (rims.point_world, rims.direction, rims.normal)),
+                *(_rounded(part) for part in (rims.half_length, rims.sigma, number_of_part[rims.part])),
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ChainStep:
+    """What one frame set gave: the fit, and the filter's answer (None before there is a body to filter)."""
+
+    fit: IcpResult
+    answer: EkfState | NoState | None
+
+    @property
+    def state(self) -> EkfState | None:
+        """The filter's state, if it has one."""
+        return self.answer if isinstance(self.answer, EkfState) else None
+
+
+class TrackingChain:
+    """ICP tracker and filter: each fit starts from the filter's state after the set before, where that is fed back."""
+
+    def __init__(self, configuration: Configuration, volume: Volume | None = None) -> None:
+        settings = configuration.icp
+        self.icp = IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, volume), settings)
+        self.ekf: ArticulatedEkf | None = None
+        self._ekf_settings, self._feeds_back = configuration.ekf, configuration.feedback
+        self._feedback: Feedback | None = None
+
+    def step(self, clouds: HullClouds) -> ChainStep:
+        """Fit and filter one frame set; stamps must rise."""
+        fit = self.icp.step(
+            clouds.stamp_ns,
+            clouds.points_world,
+            clouds.sigma,
+            clouds.voxels,
+            self._feedback,
+            clouds.numbers,
+            clouds.rims,
+        )
+        return self._filtered(fit)
+
+    def mislead(self, stamp_ns: int, pose: Pose, sd_m: float = 0.02) -> ChainStep:
+        """A frame set at which filter and tracker begin anew at this pose, wrong or not, sure of it to ``sd_m``.
+
+        A drill, to see how they find back. Needs a body that is followed.
+        """
+        body = self.icp.body
+        if body is None:
+            raise ValueError("nobody is followed yet")
+        if self.ekf is not None:
+            self.ekf.reset()
+        covariance = np.broadcast_to(sd_m**2 * np.eye(3), (15, 3, 3)).copy()
+        visible = np.ones(15, dtype=bool)
+        claim = IcpResult(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
+        step = self._filtered(claim)
+        # a set without points leaves the tracker at the filter's prediction
+        self.icp.step(stamp_ns, np.empty((0, 3)), 0.0, None, self._feedback)
+        return step
+
+    def _filtered(self, fit: IcpResult) -> ChainStep:
+        body = self.icp.body
+        if body is not None and self.ekf is None:
+            self.ekf = ArticulatedEkf(body, self._ekf_settings)
+        if self.ekf is None:
+            return ChainStep(fit, None)
+        if body is not None and self.ekf.body is not body:
+            self.ekf.change_body(body)
+        answer = self.ekf.step(fit.stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
+        if self._feeds_back and isinstance(answer, EkfState):
+            self._feedback = Feedback(answer.stamp_ns, answer.pose, answer.drift)
+        return ChainStep(fit, answer)
+
+
+class Chain:
+    """The whole graph behind the cameras: silhouettes of a frame set in, fit and state out."""
+
+    def __init__(self, rig: Rig, configuration: Configuration) -> None:
+        self.hull = HullPipeline(rig, configuration.hull)
+        self.tracking = TrackingChain(configuration, rig.volume)
+
+    def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullClouds:
+        """The hull of canvas masks {camera: (h, w) uint8} of one instant; ``missing`` cameras delivered nothing."""
+        return HullClouds.of(self.hull.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), missing)))
+
+    def step(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> ChainStep:
+        """Carve, fit and filter one frame set; stamps must rise."""
+        return self.tracking.step(self.carve(stamp_ns, masks, missing))
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float32).astype(np.float64)

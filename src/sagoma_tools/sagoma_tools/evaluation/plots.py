@@ -1,0 +1,217 @@
+"""Plots of a judged track: angles against the truth, point errors over time and as a distribution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+from stick_figure import metrics
+from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
+
+from .angles import angle_truth, defined, torso_rotations
+from .judgement import TRACKING, Judgement
+from .scores import Scores
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+OURS, TRUTH, THESIS, DOUBT, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
+ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
+    "torso_neck_elbows": ("torso_heading", "torso_lean", "neck_x", "neck_y", "left_elbow", "right_elbow"),
+    "shoulders": (
+        "left_shoulder_x", "right_shoulder_x", "left_shoulder_z", "right_shoulder_z", "left_shoulder_y",
+        "right_shoulder_y",
+    ),
+    "hips": ("left_hip_x", "right_hip_x", "left_hip_y", "right_hip_y", "left_hip_z", "right_hip_z"),
+    "knees": ("left_knee", "right_knee"),
+}  # fmt: skip
+POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
+"""The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
+ROBUST = 99.5
+"""Percentile of the errors that the axes reach up to."""
+
+
+def draw_plots(folder: Path, judged: Judgement) -> list[Path]:
+    """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = angle_figures(judged)
+    if judged.scores is not None and judged.session.truth is not None:
+        figures |= {
+            "point_errors": _point_errors(judged, judged.scores),
+            "errors": _distribution(judged, judged.scores),
+        }
+    paths = []
+    for name, figure in figures.items():
+        paths.append(folder / f"{name}.png")
+        figure.savefig(paths[-1], dpi=100)
+        plt.close(figure)
+    return paths
+
+
+def angle_figures(judged: Judgement) -> dict[str, Figure]:
+    """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
+    track, session = judged.track, judged.session
+    ours = Curves.of(track.frames, track.angles, torso_rotations(track.points_world))
+    truth = None
+    if session.truth is not None:
+        known = angle_truth(session.truth)
+        truth = Curves.of(session.truth.frames, known.angles, known.R_world_torso)
+    return {f"angles_{page}": _angle_page(judged, ours, truth, page, names) for page, names in ANGLE_PAGES.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Angles over time: values, by name (F,) rad without jumps of full turns; sure, by name (F,) where determined.
+
+    Beside the stick figure's angles, the torso's heading (of its forward axis, from world x towards y) and lean (of its
+    upward axis from the vertical).
+    """
+
+    frames: np.ndarray
+    values: Mapping[str, np.ndarray]
+    sure: Mapping[str, np.ndarray]
+
+    @classmethod
+    def of(cls, frames: np.ndarray, angles: np.ndarray, R_world_torso: np.ndarray) -> Curves:
+        """From angles (F, 18) and the torso's rotations (F, 3, 3)."""
+        torso = {
+            "torso_heading": np.arctan2(R_world_torso[:, 1, 0], R_world_torso[:, 0, 0]),
+            "torso_lean": np.arccos(np.clip(R_world_torso[:, 2, 2], -1.0, 1.0)),
+        }
+        values = dict(zip(ANGLE_NAMES, angles.T, strict=True)) | torso
+        sure = dict(zip(ANGLE_NAMES, defined(angles).T, strict=True))
+        sure |= {name: np.isfinite(value) for name, value in torso.items()}
+        return cls(frames, {name: unwrapped(value) for name, value in values.items()}, sure)
+
+
+def _angle_page(judged: Judgement, ours: Curves, truth: Curves | None, page: str, names: Sequence[str]) -> Figure:
+    rows = -(-len(names) // 2)
+    figure, axes = plt.subplots(rows, 2, figsize=(12, 1.2 + 2.3 * rows), sharex=True, constrained_layout=True)
+    for axis, name in zip(np.ravel(axes), names, strict=True):
+        turns, title = 0.0, name.replace("_", " ")
+        if truth is not None:
+            _draw_curve(axis, truth, name, judged.session.fps, TRUTH, 3.5, "truth")
+            turns = _turns_between(ours.frames, ours.values[name], truth.frames, truth.values[name])
+        _draw_curve(axis, ours, name, judged.session.fps, OURS, 1.3, "ours", turns)
+        if judged.scores is not None and name in ANGLE_NAMES:
+            title += f": RMSE {judged.scores.angle_rmse_deg[ANGLE_NAMES.index(name)]:.1f} deg"
+        axis.set_title(title, fontsize=10)
+    _finish(figure, judged, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
+    return figure
+
+
+def _draw_curve(
+    axis: Axes, curves: Curves, name: str, fps: float, colour: str, width: float, label: str, turns: float = 0.0
+) -> None:
+    """One angle in degrees, thin dots where it is undetermined, and no line across frames that are missing."""
+    degrees = np.rad2deg(_with_gaps(curves.frames, curves.values[name] + turns))
+    seconds = curves.frames / fps
+    axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
+    sure = np.where(curves.sure[name], degrees, np.nan)
+    axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
+
+
+def _turns_between(frames: np.ndarray, ours: np.ndarray, truth_frames: np.ndarray, reference: np.ndarray) -> float:
+    """Whole turns, rad, that bring our unwrapped angle nearest to the truth's."""
+    both, here, there = np.intersect1d(frames, truth_frames, return_indices=True)
+    apart = reference[there] - ours[here]
+    apart = apart[np.isfinite(apart)]
+    return float(2.0 * np.pi * np.round(np.median(apart) / (2.0 * np.pi))) if len(both) and apart.size else 0.0
+
+
+def _with_gaps(frames: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The values, NaN at the first row behind frames that the track lacks, so that no line bridges them."""
+    usual = np.median(np.diff(frames)) if len(frames) > 1 else 1.0
+    return np.where(np.diff(frames, prepend=frames[:1]) > 3 * usual, np.nan, values)
+
+
+def _point_errors(judged: Judgement, scores: Scores) -> Figure:
+    """Error of each point over time (as thesis fig. 7.9 to 7.13), ours over the thesis's method."""
+    figure, axes = plt.subplots(5, 3, figsize=(13, 12), sharex=True, sharey=True, constrained_layout=True)
+    assert judged.session.truth is not None
+    seconds = judged.session.truth.frames / judged.session.fps
+    for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
+        if judged.thesis is not None:
+            label = "thesis's method"
+            axis.plot(seconds, judged.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label)
+        axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
+        axis.axhline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+        _shade_doubt(axis, judged)
+        axis.set_title(f"{_name(point)}: mean {scores.point_mm[point]:.0f} mm", fontsize=10)
+    top = np.nanpercentile(scores.errors_mm, ROBUST)
+    axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
+    _finish(figure, judged, "point errors", "error [mm]")
+    return figure
+
+
+def _shade_doubt(axis: Axes, judged: Judgement) -> None:
+    """Where the tracker itself does not say that it tracks."""
+    track, fps = judged.track, judged.session.fps
+    doubtful = track.frames[track.states != TRACKING]
+    runs = np.split(doubtful, np.flatnonzero(np.diff(doubtful) > 1) + 1) if len(doubtful) else []
+    for index, run in enumerate(runs):
+        label = "not sure of itself" if index == 0 else None
+        axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=DOUBT, alpha=0.3, linewidth=0, label=label)
+
+
+def _distribution(judged: Judgement, scores: Scores) -> Figure:
+    """Left: the share of errors below any bound; right: each point's mean, median and 95th percentile."""
+    figure, (curve, bars) = plt.subplots(1, 2, figsize=(13, 5.5), constrained_layout=True)
+    methods = [("ours", scores, OURS)]
+    methods += [("thesis's method", judged.thesis, THESIS)] if judged.thesis is not None else []
+    for label, found, colour in methods:
+        errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
+        share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
+        curve.plot(errors, share, color=colour, linewidth=2, label=f"{label}: median {found.median_mm:.0f} mm")
+    curve.axvline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+    widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
+    curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
+    places = np.arange(len(POINT_ORDER))[::-1]
+    order = list(POINT_ORDER)
+    bars.barh(places, scores.point_mm[order], color=OURS, label="ours: mean")
+    bars.plot(scores.point_p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
+    if judged.thesis is not None:
+        bars.plot(judged.thesis.point_mm[order], places, "D", color=THESIS, markersize=5, label="thesis's method: mean")
+    bars.set_yticks(places, [_name(point) for point in order])
+    bars.set_xlabel("error [mm]")
+    for axis in (curve, bars):
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=9, loc="lower right")
+    figure.suptitle(_title(judged, "errors"))
+    return figure
+
+
+def _finish(figure: Figure, judged: Judgement, what: str, unit: str) -> None:
+    """Title, units, grid and one legend for all panels."""
+    entries: dict[str, Artist] = {}
+    for axis in figure.axes:
+        axis.grid(alpha=0.3)
+        entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.suptitle(_title(judged, what), x=0.01, ha="left")
+    figure.supxlabel("time [s]", fontsize=10)
+    figure.supylabel(unit, fontsize=10)
+    figure.legend(list(entries.values()), list(entries), loc="outside upper right", ncols=len(entries), fontsize=9)
+
+
+def _title(judged: Judgement, what: str) -> str:
+    mean = "" if judged.scores is None else f" (mean error {judged.scores.mean_mm:.1f} mm)"
+    return f"{judged.session.folder.name}: {what}{mean}"
+
+
+def _name(point: int) -> str:
+    return POINT_NAMES[point].replace("_", " ")
+
+
+def unwrapped(angles: np.ndarray) -> np.ndarray:
+    """Angles (F,) rad without jumps of 2 pi, for plotting; NaN gaps stay gaps."""
+    known = np.isfinite(angles)
+    out = np.full(len(angles), np.nan)
+    out[known] = np.unwrap(angles[known])
+    return out

@@ -1,0 +1,91 @@
+"""The rows of the ablation, and tracks of several configurations over the same hulls."""
+
+from dataclasses import fields, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from capture_rig.session import Session, load_session
+from sagoma_tools.evaluation import in_process
+from sagoma_tools.evaluation.ablation import OURS, PARTS, ROWS, THESIS, ablation_rows, thesis_configuration
+from sagoma_tools.evaluation.chain import Configuration, TrackingChain
+from sagoma_tools.evaluation.in_process import track_session, track_variants
+from sagoma_tools.live_run import start_settings
+from stick_figure.body import Body
+from virtual_studio.rig import ring
+from virtual_studio.session import write_session
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Session:
+    """Half a second of T-pose and the first steps, seen by five cameras."""
+    folder = tmp_path_factory.mktemp("studio") / "session"
+    return load_session(write_session(folder, ring(4, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.6))
+
+
+def started(session: Session, **changes) -> Configuration:
+    settings = {**start_settings(session, "session"), "hull_server.backend": "cpu"}
+    return replace(Configuration.of(settings), **changes)
+
+
+def differing(a, b, prefix="") -> set[str]:
+    """Dotted names of the settings in which two configurations differ."""
+    if type(a) is not type(b) or not hasattr(a, "__dataclass_fields__"):
+        return set() if a == b else {prefix}
+    found = [differing(getattr(a, f.name), getattr(b, f.name), f"{prefix}.{f.name}".lstrip(".")) for f in fields(a)]
+    return set().union(*found)
+
+
+def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
+    settings = {"icp_tracker.min_points": 20}
+    rows = ablation_rows(settings)
+    assert tuple(rows) == ROWS
+    assert differing(rows[OURS], Configuration.of(settings)) == set()
+    assert differing(rows[THESIS], thesis_configuration(settings)) == set()
+    first = rows[THESIS]
+    assert (first.icp.method, first.ekf.motion_model, first.feedback) == ("hierarchical", "identity", False)
+    assert first.icp.min_points == 20
+
+
+def test_every_row_adds_exactly_one_part():
+    for (before, after), part in zip(pairwise(ablation_rows({}).values()), PARTS, strict=True):
+        changed = differing(before, after)
+        switched = {key.replace("icp_tracker.", "icp.").replace("ekf_tracker.", "ekf.") for key in part.without}
+        assert changed == switched | (set() if part.feedback else {"feedback"})
+
+
+def test_a_configuration_tracks_the_same_alone_and_beside_others(session):
+    alone = track_session(session, started(session), exact_masks=True)
+    beside = track_variants(session, {"a": started(session), "b": started(session, feedback=False)}, exact_masks=True)
+    assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
+    assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
+
+
+def test_variants_share_one_carving(session, monkeypatch):
+    carved = []
+    carve = in_process.Chain.carve
+    monkeypatch.setattr(in_process.Chain, "carve", lambda *args: carved.append(args[1]) or carve(*args))
+    tracks = track_variants(session, {name: started(session) for name in "abc"}, exact_masks=True)
+    assert len(carved) == len(set(carved)) == 12
+    assert tracks["a"].points_world.tobytes() == tracks["c"].points_world.tobytes()
+
+
+def test_variants_that_need_other_hulls_are_refused(session):
+    other = started(session)
+    other = replace(other, hull=replace(other.hull, voxel_size_m=0.03))
+    with pytest.raises(ValueError, match="differ in the settings of cameras or hull"):
+        track_variants(session, {"a": started(session), "b": other}, exact_masks=True)
+
+
+def test_without_feedback_every_fit_starts_from_the_fit_before(session):
+    graph = in_process.Chain(session.rig, started(session))
+    closed, opened = graph.tracking, TrackingChain(started(session, feedback=False))
+    starts: dict[str, list[str]] = {"closed": [], "opened": []}
+    for frame, masks in enumerate(in_process.exact_silhouettes(session)):
+        clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)
+        starts["closed"].append(closed.step(clouds).fit.started_from)
+        starts["opened"].append(opened.step(clouds).fit.started_from)
+    assert starts["opened"][1:] == ["own"] * 11
+    assert starts["closed"][1] == "1000000000"
+    assert "own" not in starts["closed"]

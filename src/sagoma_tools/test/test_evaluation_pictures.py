@@ -1,0 +1,130 @@
+"""Plots and overlays: everything that is promised is drawn, where it belongs."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from capture_rig.session import Session, load_session
+from sagoma_tools.evaluation.judgement import Judgement, judge
+from sagoma_tools.evaluation.overlays import caption, draw_stills, sheets, write_overlay
+from sagoma_tools.evaluation.pictures import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
+from sagoma_tools.evaluation.plots import Curves, draw_plots, unwrapped
+from sagoma_tools.evaluation.track import Track
+from stick_figure.body import Body
+from virtual_studio.rig import ring
+from virtual_studio.session import write_session
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory) -> Session:
+    folder = tmp_path_factory.mktemp("studio") / "session"
+    return load_session(write_session(folder, ring(2, False), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.3))
+
+
+@pytest.fixture()
+def judged(session) -> Judgement:
+    """A track that is the truth moved up by 30 mm, its left hand 250 mm off in frame 4, without frame 0."""
+    assert session.truth is not None and session.truth.angles is not None
+    points = session.truth.points_world[1:] + np.array([0.0, 0.0, 0.03])
+    points[3, 11] += [0.0, 0.0, 0.22]
+    states = np.array(["acquiring", "tracking", "tracking", "doubtful", "tracking"])
+    covariance = np.broadcast_to(np.eye(3) * 1e-3, (FRAMES - 1, 15, 3, 3)).copy()
+    track = Track(np.arange(1, FRAMES), points, covariance, session.truth.angles[1:].copy(), states)
+    return judge(session, FRAMES, track, thesis=track)
+
+
+def test_every_page_of_plots_is_written(judged, tmp_path):
+    paths = draw_plots(tmp_path, judged)
+    assert {path.stem for path in paths} == {
+        "angles_torso_neck_elbows", "angles_shoulders", "angles_hips", "angles_knees", "point_errors", "errors",
+    }  # fmt: skip
+    for path in paths:
+        assert cv2.imread(str(path)).std() > 5.0  # there is something on it
+
+
+def test_without_a_truth_the_angles_alone_are_plotted(judged, tmp_path):
+    session = replace(judged.session, truth=None)
+    paths = draw_plots(tmp_path, judge(session, FRAMES, judged.track))
+    assert all(path.stem.startswith("angles_") for path in paths)
+    assert len(paths) == 4
+
+
+def test_curves_hold_the_torsos_heading_and_lean():
+    heading, lean = np.deg2rad(30.0), np.deg2rad(10.0)
+    turn = cv2.Rodrigues(np.array([0.0, 0.0, heading]))[0] @ cv2.Rodrigues(np.array([lean, 0.0, 0.0]))[0]
+    curves = Curves.of(np.arange(1), np.zeros((1, 18)), turn[None])
+    assert np.rad2deg(curves.values["torso_heading"][0]) == pytest.approx(30.0)
+    assert np.rad2deg(curves.values["torso_lean"][0]) == pytest.approx(10.0)
+
+
+def test_unwrapped_leaves_gaps_and_takes_out_full_turns():
+    out = unwrapped(np.array([3.0, np.nan, 3.0 - 2 * np.pi, 3.1]))
+    assert np.isnan(out[1])
+    np.testing.assert_allclose(out[[0, 2, 3]], [3.0, 3.0, 3.1])
+
+
+def test_the_caption_says_frame_time_state_and_error(judged):
+    assert caption(judged, 0) == "session   frame 0   0.00 s   no body"
+    assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(judged, 4)
+
+
+def test_the_caption_of_a_session_without_truth_has_no_error(judged):
+    blind = judge(replace(judged.session, truth=None), FRAMES, judged.track)
+    assert caption(blind, 4) == "session   frame 4   0.20 s   doubtful"
+
+
+def test_the_overlay_video_has_every_frame(judged, tmp_path):
+    capture = cv2.VideoCapture(str(write_overlay(tmp_path / "deep" / "overlay.mp4", judged)))
+    assert (capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)) == (FRAMES, 20.0)
+    assert capture.read()[0]
+
+
+def test_the_overlay_video_works_without_a_truth(judged):
+    blind = judge(replace(judged.session, truth=None), FRAMES, judged.track)
+    sizes = {sheet.shape for sheet in sheets(blind)}
+    assert len(sizes) == 1
+    height, width, _ = sizes.pop()
+    assert height % 2 == width % 2 == 0
+
+
+def test_stills_show_frames_all_over_and_the_worst_one(judged, tmp_path):
+    assert [path.name for path in draw_stills(tmp_path, judged)] == ["overlay.png", "worst.png"]
+    blind = judge(replace(judged.session, truth=None), FRAMES, judged.track)
+    assert [path.name for path in draw_stills(tmp_path / "blind", blind)] == ["overlay.png"]
+
+
+def test_limbs_are_drawn_where_the_camera_sees_them_and_truth_over_them(session):
+    camera, points = session.rig.cameras[0], session.truth.points_world[0]
+    picture = overlay(camera, np.zeros((camera.height, camera.width), np.uint8), None, points, None)
+    x, y = np.round(camera.project(points[[3, 7]].mean(0)[None])[0]).astype(int)  # half way along the left upper arm
+    np.testing.assert_allclose(picture[y, x], LEFT_BGR, atol=30)  # lines have soft edges
+    draw_skeleton(picture, camera, points, TRUTH_BGR)
+    np.testing.assert_allclose(picture[y, x], TRUTH_BGR, atol=30)
+
+
+def test_a_window_puts_the_body_into_the_middle_at_the_same_places(session):
+    camera, points = session.rig.cameras[0], session.truth.points_world[0]
+    window = Window.around(camera, points, 300)
+    pixels = (camera.project(points) - window.origin_px) * window.scale
+    assert pixels.min() > 20.0
+    assert pixels.max() < 280.0
+    image = np.zeros((camera.height, camera.width), np.uint8)
+    x, y = np.round(camera.project(points)[1]).astype(int)
+    image[y - 3 : y + 4, x - 3 : x + 4] = 255  # around the head
+    bright = np.argwhere(window.cut(image) > 128).mean(0)[::-1]
+    np.testing.assert_allclose(bright, pixels[1], atol=2.0 * window.scale)
+
+
+def test_a_body_behind_the_camera_is_drawn_nowhere_and_the_window_is_the_whole_image(session):
+    camera = session.rig.cameras[0]
+    R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
+    behind = (session.truth.points_world[0] * [1, 1, 0.1] - [0, 0, 9.0] - t) @ R  # world points 9 m behind the lens
+    picture = np.zeros((camera.height, camera.width, 3), np.uint8)
+    draw_skeleton(picture, camera, behind)
+    assert not picture.any()
+    window = Window.around(camera, behind, 100)
+    assert window.scale * max(camera.width, camera.height) < 100
