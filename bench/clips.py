@@ -64,9 +64,7 @@ class Clip:
         return [chain.carve(self.stamp_ns(frame), self.masks(frame)) for frame in range(len(self))]
 
 
-def studio_clip(
-    motion: str, seconds: float, cameras: int = 6, body: Body | None = None, build: float = 1.0
-) -> Clip:
+def studio_clip(motion: str, seconds: float, cameras: int = 6, body: Body | None = None, build: float = 1.0) -> Clip:
     """A named motion of the virtual studio, exact silhouettes of a ring of cameras and one on the ceiling."""
     rig, body = ring(cameras - 1), body or Body.from_stature(STATURE_M)
     person, eyes = VolumetricBody(body, build), ExactSilhouettes(rig)

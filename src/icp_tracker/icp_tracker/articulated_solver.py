@@ -32,6 +32,7 @@ from .gauss_newton import (
     GEMAN_MCCLURE,
     X84,
     Data,
+    Rims,
     Stop,
     Weights,
     flesh_distances,
@@ -40,8 +41,10 @@ from .gauss_newton import (
     points_and_covariances,
 )
 from .normal_equations import TANGENT, mirror_upper
+from .rim_rays import NO_RIMS, RimRays
 from .voxel_cloud import NO_VOXELS, VoxelCloud
 
+GATE_SIGMAS = 3.0  # the gate of a point is wider by so many of its own standard deviations
 HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 
 
@@ -97,6 +100,26 @@ class VolumeSettings:
 
 
 @dataclass(frozen=True)
+class RimSettings:
+    """The silhouettes' rims against the figure's flesh."""
+
+    worth: float = setting(
+        10000.0, "centerline points that all rims together are worth; 0 leaves the rims out", low=0.0, high=1e6
+    )
+    rays: int = setting(1200, "rays that are looked at", low=10, high=100000)
+    flesh_sd_m: float = setting(
+        0.01,
+        "distance of the flesh from a body's surface: a ray less certain than this counts less",
+        unit="m",
+        low=1e-4,
+    )
+    gate_m: float = setting(0.06, "misfit at which a ray's weight has fallen to 1/4", unit="m", low=1e-3)
+    slack_m: float = setting(
+        0.05, "the flesh may touch a ray this far from the stretch where the ray touches the hull", unit="m", low=0.0
+    )
+
+
+@dataclass(frozen=True)
 class ArticulatedSettings:
     """Settings of the all-joints solve."""
 
@@ -121,12 +144,9 @@ class ArticulatedSettings:
     support_voxels: int = setting(
         5, "surface voxels on the flesh of a point's stick that make it visible without inliers", low=1
     )
-    joint_sd_m: float = setting(
-        0.05, "distance of the figure's joints from the body's, each direction: added to the points' covariance",
-        unit="m", low=0.0, high=1.0,
-    )  # fmt: skip
     prior: PriorSettings = setting(PriorSettings, "prior about the start of the fit")
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
+    rim: RimSettings = setting(RimSettings, "the silhouettes' rims")
 
 
 def fit_articulated(
@@ -136,10 +156,11 @@ def fit_articulated(
     sigma_m: np.ndarray | float = 0.0,
     voxels: VoxelCloud = NO_VOXELS,
     settings: ArticulatedSettings | None = None,
+    rims: RimRays = NO_RIMS,
 ) -> FitResult:
-    """Fit the figure to ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and to ``voxels``, from ``start``."""
+    """Fit the figure to ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), voxels and rims, from ``start``."""
     settings = settings or ArticulatedSettings()
-    data = make_data(points_world, sigma_m, voxels, settings)
+    data = make_data(points_world, sigma_m, voxels, settings, rims)
     pose, iterations, moved = minimise(body, start, data, settings)
     return assess(body, pose, data, iterations, moved < settings.tolerance_m, settings)
 
@@ -175,10 +196,9 @@ def assess(
     """What the data say about ``pose``: residuals, information matrix, reference points and their covariance.
 
     The covariance is ``correlation * J (H + Lambda)^-1 J^T`` per point, and larger by the reduced chi-square where the
-    inliers lie farther off than their own sigma says. It serves any fit, also the hierarchical one. ``joint_sd_m`` is
-    added: hull and stick figure share errors (a hull is fatter than the body, a shoulder is no single point) that no
-    number of voxels averages out. They last for many sets, and a filter that takes sets as independent shrinks them:
-    the default leaves about half of it in the filtered covariance.
+    inliers lie farther off than their own sigma says. It serves any fit, also the hierarchical one. What
+    hull and stick figure share (a hull is fatter than the body, a shoulder is no single point) is not in it: it lasts
+    for many sets, and the filter accounts for it.
     """
     state, (figure, flesh) = State.of(pose), _figure(body)
     weights = with_trust_in_hull(make_weights(data, settings), body, pose, data, settings)
@@ -191,7 +211,6 @@ def assess(
     scale = settings.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
     P, covariance = np.empty((15, 3)), np.empty((15, 3, 3))
     points_and_covariances(*state, figure, H + np.diag(weights.prior), scale, P, covariance)
-    covariance += settings.joint_sd_m**2 * np.eye(3)
     return FitResult(
         pose, bool(converged), int(iterations), len(data.points), inliers, float(np.sqrt(total / max(inliers, 1))),
         counts, H, P, covariance, _visible(counts, state, body, data, settings),
@@ -199,7 +218,11 @@ def assess(
 
 
 def make_data(
-    points_world: np.ndarray, sigma_m: np.ndarray | float, voxels: VoxelCloud, settings: ArticulatedSettings
+    points_world: np.ndarray,
+    sigma_m: np.ndarray | float,
+    voxels: VoxelCloud,
+    settings: ArticulatedSettings,
+    rims: RimRays = NO_RIMS,
 ) -> Data:
     """The data as arrays. A point's variance is its own noise and the model's misfit, added in quadrature."""
     points = np.ascontiguousarray(points_world, dtype=np.float64)
@@ -207,7 +230,18 @@ def make_data(
     volume = settings.volume
     surface = (voxels if volume.worth > 0.0 else NO_VOXELS).surface_points(volume.samples)
     hull = (voxels if volume.inside_worth > 0.0 else NO_VOXELS).hull_points(volume.inside_samples)
-    return Data(points, 1.0 / (settings.model_sigma_m**2 + sigma**2), surface, hull)
+    gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
+    return Data(points, 1.0 / (settings.model_sigma_m**2 + sigma**2), gate2, surface, hull, _rims(rims, settings))
+
+
+def _rims(rays: RimRays, settings: ArticulatedSettings) -> Rims:
+    """The rays with their share of what all of them are worth."""
+    rays = (rays if settings.rim.worth > 0.0 else NO_RIMS).thinned(settings.rim.rays)
+    trust = settings.rim.flesh_sd_m**2 / (settings.rim.flesh_sd_m**2 + rays.sigma**2)
+    information = trust * (settings.rim.worth / settings.model_sigma_m**2 / max(len(rays), 1))
+    tangents = np.cross(rays.normals, rays.directions)
+    columns = (np.ascontiguousarray(a.T) for a in (rays.points_world, rays.directions, rays.normals, tangents))
+    return Rims(*columns, rays.half_lengths, information)
 
 
 def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
@@ -217,10 +251,11 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     return Weights(
         prior=prior.information(),
         robust=X84 if settings.robust == "x84" else GEMAN_MCCLURE,
-        gate=settings.gate_m,
         floor=settings.rejection_floor_m,
         voxel=volume.worth * one / voxels if voxels else 0.0,
         voxel_gate=volume.gate_m,
+        rim_gate=settings.rim.gate_m,
+        rim_slack=settings.rim.slack_m,
         clearance=volume.clearance_worth * one if voxels else 0.0,
         inside=volume.inside_worth * one if len(data.hull) else 0.0,
         inside_slack=volume.inside_slack_m,

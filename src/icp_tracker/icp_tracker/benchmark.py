@@ -18,9 +18,9 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
 from stick_figure.pose import Pose
 
+from .acquisition.initial_pose import rotation_matrix
 from .articulated_solver import ArticulatedSettings, fit_articulated
 from .hierarchical_icp import HierarchicalSettings, fit_hierarchical
-from .initial_pose import rotation_matrix
 
 FPS, SECONDS, MOTIONS = 40.0, 4.0, 4
 SIGMA_M = 0.034

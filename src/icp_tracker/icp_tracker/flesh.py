@@ -1,8 +1,8 @@
-"""The flesh around the sticks: tapered capsules fixed to them, so that a hull's voxels can be compared with a body.
+"""The flesh around the sticks: tapered capsules fixed to them, which silhouettes and hulls can be compared with.
 
-Radii and offsets are round fractions of an average adult's stature; on a rendered body they meet the surface within a
-centimetre. The torso is three capsules side by side, wider than deep, which is what shows its heading; feet point
-forward of the ankles.
+Radii and offsets are round fractions of an average adult's stature; on a rendered body most of them meet the surface
+within a centimetre. They follow anatomy where it matters: the trunk is wider than deep and lies in front of the line
+from hips to neck, the thigh bulges forward, the calf backward; feet point forward of the ankles.
 """
 
 from __future__ import annotations
@@ -13,21 +13,38 @@ import numpy as np
 from numba import njit
 
 from stick_figure.body import Body
-from stick_figure.skeleton import HEAD, STICK_AXIS, STICK_SIGN
+from stick_figure.skeleton import (
+    HEAD,
+    L_CALF,
+    L_FOREARM,
+    L_THIGH,
+    L_UPPER_ARM,
+    R_CALF,
+    R_FOREARM,
+    R_THIGH,
+    R_UPPER_ARM,
+    STICK_AXIS,
+    STICK_SIGN,
+)
 
-TORSO_CAPSULES = 3  # the first ones of the table
-_CHEST_RADIUS, _PELVIS_RADIUS, _SPINE_RADIUS, _SIDE = 0.063, 0.066, 0.062, 0.45
-_SHOULDER_DROP, _NECK_DROP = 0.03, 0.02  # the torso's capsules end this far below shoulders and neck
-_HEAD_RADII, _HEAD_START, _CROWN = (0.045, 0.052), 0.25, 0.05
-# stick: (start, end) as fractions of the stick, (radius at start, radius at end) over the stature
-_LIMBS = {
-    2: ((0.0, 1.0), (0.033, 0.025)), 3: ((0.0, 1.0), (0.033, 0.025)),
-    6: ((0.0, 0.85), (0.025, 0.020)), 7: ((0.0, 0.85), (0.025, 0.020)),
-    4: ((0.1, 1.0), (0.050, 0.034)), 5: ((0.1, 1.0), (0.050, 0.034)),
-    8: ((0.0, 1.0), (0.034, 0.024)), 9: ((0.0, 1.0), (0.034, 0.024)),
-}  # fmt: skip
-_FOOT_RADIUS, _HEEL, _TOE, _SOLE = 0.020, -0.02, 0.09, 0.018
-_CALVES = (8, 9)
+TORSO_CAPSULES = 3  # the first ones of the table: both sides and the spine
+# of the stature, unless said otherwise
+_SIDE, _CHEST_FORWARD, _PELVIS_FORWARD = 0.27, 0.008, 0.011  # the sides' place: of half the shoulders' width
+_CHEST_RADIUS, _PELVIS_RADIUS, _SPINE_RADII = 0.068, 0.065, (0.062, 0.072)
+_SHOULDER_DROP, _NECK_DROP = 0.007, 0.027  # sides and spine end this far below shoulders and neck
+_GIRDLE_BACK, _GIRDLE_RISE, _GIRDLE_DROP, _GIRDLE_RADII = -0.007, 0.014, 0.007, (0.046, 0.043)
+_HEAD_RADII, _CHIN_FORWARD, _CHIN, _CROWN = (0.045, 0.052), 0.014, 0.35, 0.052  # the chin's height: of the stick
+# sticks: (start, end) as fractions of the stick, offsets (of legs forward, of arms to the back of the hand: relaxed
+# fingers bend to the palm, so that the wrist lies off the line from elbow to finger tips) and radii over the stature
+_LIMBS = (
+    ((L_UPPER_ARM, R_UPPER_ARM), (0.0, 0.92), (0.0, 0.0), (0.034, 0.026)),
+    ((L_FOREARM, R_FOREARM), (0.0, 0.57), (0.0, 0.008), (0.026, 0.016)),
+    ((L_FOREARM, R_FOREARM), (0.62, 0.925), (0.009, 0.003), (0.018, 0.014)),
+    ((L_THIGH, R_THIGH), (0.22, 0.93), (0.017, 0.003), (0.057, 0.037)),
+    ((L_CALF, R_CALF), (0.16, 0.94), (-0.017, -0.006), (0.039, 0.023)),
+)
+_OFFSET = {L_FOREARM: (2, 1.0), R_FOREARM: (2, -1.0)}  # the axis of a stick's frame that points there; else forward
+_FOOT_RADII, _HEEL, _TOE, _SOLE = (0.019, 0.022), -0.015, 0.08, (0.021, 0.017)
 
 
 class Flesh(NamedTuple):
@@ -42,30 +59,40 @@ class Flesh(NamedTuple):
     @staticmethod
     def of(body: Body) -> Flesh:
         """The flesh of a body of average build."""
-        capsules = [*_torso(body), _head(body), *_limbs(body), *_feet(body)]
+        capsules = [*_torso(body), *_girdle(body), _head(body), *_limbs(body), *_feet(body)]
         stick, start, end, radii = zip(*capsules, strict=True)
         return Flesh(np.array(stick), np.array(start, float), np.array(end, float), np.array(radii) * body.stature)
 
 
 def _torso(body: Body) -> list[tuple]:
     H, h, y = body.stature, body.half_lengths[0], _SIDE * body.half_shoulder_width
-    shoulders = (1.0 + body.shoulder_height_ratio) * h - _SHOULDER_DROP * H
-    neck = 1.9 * h - _NECK_DROP * H
-    sides = [(0, (0.0, s * y, shoulders), (0.0, s * y, 0.0), (_CHEST_RADIUS, _PELVIS_RADIUS)) for s in (1.0, -1.0)]
-    return [*sides, (0, (0.0, 0.0, neck), (0.0, 0.0, 0.0), (_SPINE_RADIUS, _PELVIS_RADIUS))]
+    shoulders, neck = (1.0 + body.shoulder_height_ratio) * h - _SHOULDER_DROP * H, 1.9 * h - _NECK_DROP * H
+    chest, pelvis = _CHEST_FORWARD * H, _PELVIS_FORWARD * H
+    sides = [(0, (chest, s * y, shoulders), (pelvis, s * y, 0.0), (_CHEST_RADIUS, _PELVIS_RADIUS)) for s in (1.0, -1.0)]
+    return [*sides, (0, (pelvis, 0.0, neck), (pelvis, 0.0, 0.0), _SPINE_RADII)]
+
+
+def _girdle(body: Body) -> list[tuple]:
+    """From the foot of the neck to each shoulder."""
+    H, w, height = body.stature, body.half_shoulder_width, (1.0 + body.shoulder_height_ratio) * body.half_lengths[0]
+    inner, outer = (_GIRDLE_BACK * H, 0.3 * w, height + _GIRDLE_RISE * H), (0.0, 0.9 * w, height - _GIRDLE_DROP * H)
+    return [(0, _to_side(inner, s), _to_side(outer, s), _GIRDLE_RADII) for s in (1.0, -1.0)]
 
 
 def _head(body: Body) -> tuple:
-    length = body.lengths[HEAD]
-    return HEAD, (0.0, 0.0, _HEAD_START * length), (0.0, 0.0, length - _CROWN * body.stature), _HEAD_RADII
+    length, H = body.lengths[HEAD], body.stature
+    return HEAD, (_CHIN_FORWARD * H, 0.0, _CHIN * length), (0.0, 0.0, length - _CROWN * H), _HEAD_RADII
 
 
 def _limbs(body: Body) -> list[tuple]:
     capsules = []
-    for stick, (extent, radii) in _LIMBS.items():
-        along = np.zeros((2, 3))
-        along[:, STICK_AXIS[stick]] = np.array(extent) * STICK_SIGN[stick] * body.lengths[stick]
-        capsules.append((stick, tuple(along[0]), tuple(along[1]), radii))
+    for sticks, extent, offset, radii in _LIMBS:
+        for stick in sticks:
+            ends = np.zeros((2, 3))
+            axis, sign = _OFFSET.get(stick, (0, 1.0))
+            ends[:, axis] = sign * np.array(offset) * body.stature
+            ends[:, STICK_AXIS[stick]] = np.array(extent) * STICK_SIGN[stick] * body.lengths[stick]
+            capsules.append((stick, tuple(ends[0]), tuple(ends[1]), radii))
     return capsules
 
 
@@ -74,12 +101,16 @@ def _feet(body: Body) -> list[tuple]:
     return [
         (
             calf,
-            (_HEEL * H, 0.0, -body.lengths[calf] - _SOLE * H),
-            (_TOE * H, 0.0, -body.lengths[calf] - _SOLE * H),
-            (_FOOT_RADIUS, _FOOT_RADIUS),
+            (_HEEL * H, 0.0, -body.lengths[calf] - _SOLE[0] * H),
+            (_TOE * H, 0.0, -body.lengths[calf] - _SOLE[1] * H),
+            _FOOT_RADII,
         )
-        for calf in _CALVES
+        for calf in (L_CALF, R_CALF)
     ]
+
+
+def _to_side(point: tuple[float, float, float], side: float) -> tuple[float, float, float]:
+    return point[0], side * point[1], point[2]
 
 
 @njit(cache=True)

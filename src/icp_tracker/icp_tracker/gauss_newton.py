@@ -13,6 +13,7 @@ from .flesh import nearest_flesh, place_flesh
 from .foot_points import STICKS, columns, foot_points
 from .inside_term import add_inside_residuals
 from .normal_equations import TANGENT, add_point_residuals, mirror_upper, point_covariances
+from .rim_term import add_rim_residuals, match_rims, rim_weights
 from .small_algebra import solve_positive
 from .soft_constraints import add_joint_limits, add_neck_rest
 from .volume_term import add_arm_clearance, add_voxel_residuals
@@ -21,14 +22,29 @@ from .x84 import x84_keep
 GEMAN_MCCLURE, X84 = 0, 1
 
 
+class Rims(NamedTuple):
+    """Rays along the silhouettes' rims, as :class:`rim_rays.RimRays` but a column (3, r) each: points, directions,
+    normals, and tangents = normals x directions along the rim; half_lengths (r,) m and information (r,) 1/m^2."""
+
+    points: np.ndarray
+    directions: np.ndarray
+    normals: np.ndarray
+    tangents: np.ndarray
+    half_lengths: np.ndarray
+    information: np.ndarray
+
+
 class Data(NamedTuple):
-    """What was measured: centerline points (n, 3) m with information (n,) 1/m^2; voxels (m, 3) m of the hull's surface,
-    and samples (k, 3) m of the whole hull."""
+    """What was measured: centerline points (n, 3) m with information (n,) 1/m^2 and
+    squared gate (n,) m^2; voxels (m, 3) m of the hull's surface,
+    samples (k, 3) m of the whole hull, and rims."""
 
     points: np.ndarray
     information: np.ndarray
+    gate2: np.ndarray
     voxels: np.ndarray
     hull: np.ndarray
+    rims: Rims
 
 
 class Weights(NamedTuple):
@@ -36,10 +52,11 @@ class Weights(NamedTuple):
 
     prior: np.ndarray
     robust: int
-    gate: float
     floor: float
     voxel: float
     voxel_gate: float
+    rim_gate: float
+    rim_slack: float
     clearance: float
     inside: float
     inside_slack: float
@@ -118,12 +135,14 @@ def measure(data, t0, R0, RJ, hinges, figure, flesh, weights, H, g, distances, c
     kernels.stick_frames(R0, RJ, hinges, G, axes)
     kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
     foot_points(data.points, A, B, stick, along, feet, squared)
-    robust_weights(stick, squared, data.information, weights, keep, weight)
+    robust_weights(stick, squared, data.information, data.gate2, weights, keep, weight)
     H[:] = 0.0
     g[:] = 0.0
     add_point_residuals(data.points, weight, stick, along, feet, A, B, t0, axes, H, g)
     if weights.voxel > 0.0:
         add_voxels(data, flesh, weights, G, t0, A, axes, H, g)
+    if data.rims.information.shape[0] > 0:
+        add_rims(data.rims, flesh, weights, G, t0, A, axes, H, g)
     if weights.inside > 0.0:
         add_inside_residuals(data.hull, weights.inside_slack, weights.inside, weights.inside_gate, A, B, t0, axes, H, g)
     distances[:] = np.sqrt(squared)
@@ -140,6 +159,19 @@ def add_voxels(data, flesh, weights, G, t0, A, axes, H, g):
     place_flesh(flesh, G, A, P, Q)
     nearest_flesh(x, y, z, P, Q, flesh.radii, match[0], match[1], match[2])
     add_voxel_residuals(data.voxels, flesh, P, Q, match, weights.voxel, weights.voxel_gate, t0, A, axes, H, g)
+
+
+@njit(cache=True)
+def add_rims(rims, flesh, weights, G, t0, A, axes, H, g):
+    """The rims' part of the normal equations."""
+    n, k = rims.information.shape[0], flesh.stick.shape[0]
+    P, Q = np.empty((k, 3)), np.empty((k, 3))
+    match = (np.zeros(n, np.int64), np.zeros(n), np.empty(n), np.empty(n))
+    weight = np.empty(n)
+    place_flesh(flesh, G, A, P, Q)
+    match_rims(rims, P, Q, flesh.radii, weights.rim_slack, match)
+    rim_weights(match[3], rims.information, weights.rim_gate, weight)
+    add_rim_residuals(rims, flesh, P, Q, match, weight, t0, A, axes, H, g)
 
 
 @njit(cache=True)
@@ -172,18 +204,18 @@ def keep_arms_clear(t0, R0, RJ, hinges, figure, flesh, information, H, g):
 
 
 @njit(cache=True)
-def robust_weights(stick, squared, information, weights, keep, weight):
+def robust_weights(stick, squared, information, gate2, weights, keep, weight):
     """Weights (n,) 1/m^2 of the points, and ``keep`` (n,) for those that count as inliers."""
-    n, gate2 = squared.shape[0], weights.gate**2
+    n = squared.shape[0]
     if weights.robust == X84:
         x84_keep(np.sqrt(squared), stick, STICKS, weights.floor, keep)
         for i in range(n):
             weight[i] = information[i] if keep[i] else 0.0
         return
     for i in range(n):
-        ratio = 1.0 + squared[i] / gate2
+        ratio = 1.0 + squared[i] / gate2[i]
         weight[i] = information[i] / (ratio * ratio)
-        keep[i] = squared[i] <= gate2
+        keep[i] = squared[i] <= gate2[i]
 
 
 @njit(cache=True)

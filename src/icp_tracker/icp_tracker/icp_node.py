@@ -1,4 +1,4 @@
-"""The node: hull/centerline in, icp/reference_points and icp/fit out, one of each for every centerline."""
+"""The node: hull/centerline, hull/voxels and hull/rims in; icp/reference_points and icp/fit out, one for every set."""
 
 from __future__ import annotations
 
@@ -15,7 +15,16 @@ from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, reference_points_array, to_cloud, xyz
+from sagoma_ros.clouds import (
+    CENTERLINE,
+    REFERENCE_POINTS,
+    RIMS,
+    VOXELS,
+    from_cloud,
+    reference_points_array,
+    to_cloud,
+    xyz,
+)
 from sagoma_ros.health import OK, WARN
 from sagoma_ros.joints import read_prediction
 from sagoma_ros.main import run_node
@@ -26,15 +35,18 @@ from sagoma_ros.worker import Worker
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
+from .acquisition.body_desk import BodyDesk, BodyDeskSettings, SavedBody
+from .acquisition.one_body import BodyNumbers
+from .acquisition.pose_source import InitialPoseSettings, make_pose_source
 from .filter_feedback import FilterFeedback
 from .finite_rows import only_finite
 from .mailbox import Mailbox
-from .one_body import BodyNumbers
-from .pose_source import InitialPoseSettings, make_pose_source
-from .tracker import TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
+from .recovery.evidence import PART_NAMES
+from .rim_rays import NO_RIMS, RimRays
+from .tracker import ACQUIRING, TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
 from .voxel_cloud import VoxelCloud
 
-VOXEL_CLOUDS_KEPT = 8
+CLOUDS_KEPT = 8
 
 
 @dataclass(frozen=True)
@@ -43,11 +55,12 @@ class IcpNodeSettings(TrackerSettings):
 
     body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
     initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
+    bodies: BodyDeskSettings = setting(BodyDeskSettings, "where bodies are saved")
     prediction_wait_s: float = setting(
         0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
     )
     voxels_wait_s: float = setting(
-        0.05, "a fit that looks at voxels waits at most this long for those of its set", unit="s", low=0.0
+        0.05, "a fit that looks at voxels or rims waits at most this long for those of its set", unit="s", low=0.0
     )
     queue_depth: int = setting(4, "frame sets that may wait; one more drops the oldest", low=1, high=1000)
 
@@ -79,11 +92,13 @@ class IcpNode(SagomaNode):
         self._body_publisher = self.create_publisher(String, "icp/body", LATCHED)
         self._publishers_held = [self._points_publisher, self._fit_publisher, self._body_publisher]
         self._reset_service = self.create_service(Trigger, "~/reset", self._on_reset)
+        self._desk = BodyDesk(self, settings.bodies)
 
     def activate(self) -> None:
         settings: IcpNodeSettings = self.settings
         self._feedback = FilterFeedback(settings.prediction_wait_s)
-        self._voxels: Mailbox[PointCloud2] = Mailbox(VOXEL_CLOUDS_KEPT, settings.voxels_wait_s)
+        self._voxels: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
+        self._rims: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
         self._last_stamp_ns = -1
         self._worker = Worker(
             "icp", self._process, settings.queue_depth,
@@ -92,6 +107,7 @@ class IcpNode(SagomaNode):
         self._subscriptions_held = [
             self.create_subscription(PointCloud2, "hull/centerline", self._on_centerline, RESULT),
             self.create_subscription(PointCloud2, "hull/voxels", self._on_voxels, RESULT),
+            self.create_subscription(PointCloud2, "hull/rims", self._on_rims, RESULT),
             self.create_subscription(JointState, "ekf/prediction", self._on_prediction, RESULT),
         ]
 
@@ -102,6 +118,7 @@ class IcpNode(SagomaNode):
         if self._worker is not None:
             self._feedback.mailbox.close()
             self._voxels.close()
+            self._rims.close()
             self._worker.close()
             self._worker = None
 
@@ -110,6 +127,7 @@ class IcpNode(SagomaNode):
             self.destroy_publisher(publisher)
         if self._publishers_held:
             self.destroy_service(self._reset_service)
+            self._desk.close()
         self._publishers_held = []
         self._published_body = None
         self._tracker = None
@@ -123,6 +141,10 @@ class IcpNode(SagomaNode):
     def _on_voxels(self, message: PointCloud2) -> None:
         if self._tracker is not None and self._tracker.needs_voxels:
             self._voxels.put(to_ns(message.header.stamp), message)
+
+    def _on_rims(self, message: PointCloud2) -> None:
+        if self._tracker is not None and self._tracker.needs_rims:
+            self._rims.put(to_ns(message.header.stamp), message)
 
     def _on_prediction(self, message: JointState) -> None:
         try:
@@ -146,8 +168,9 @@ class IcpNode(SagomaNode):
         if stamp_ns <= self._last_stamp_ns:
             self.health.count("backward_stamps")
             return
-        points, sigma, points_body = self._centerline(message)
+        line = self._table(message, CENTERLINE, "centerline")
         voxels, voxels_body = self._voxels_of(stamp_ns)
+        rims = self._rims_of(stamp_ns)
         prediction = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:
@@ -155,51 +178,55 @@ class IcpNode(SagomaNode):
             self._last_stamp_ns = stamp_ns
             began = time.perf_counter()
             result = self._tracker.step(
-                stamp_ns, points, sigma, voxels, prediction, BodyNumbers(points_body, voxels_body)
-            )
+                stamp_ns, xyz(line), line["sigma"].astype(np.float64), voxels, prediction,
+                BodyNumbers(line["body"], voxels_body), rims,
+            )  # fmt: skip
             body = self._tracker.body
             self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
         self._feedback.asked(stamp_ns)
-        self._publish_body(body)
+        self._publish_body(stamp_ns, body)
         self._publish(result, message.header.frame_id)
-
-    def _centerline(self, message: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points, their sigma, and the body each belongs to."""
-        where = self.resolve_topic_name("hull/centerline")
-        try:
-            cloud, dropped = only_finite(message, CENTERLINE.names or ())
-            table = from_cloud(cloud, CENTERLINE, where)
-        except InputError as error:  # the set still gets its answer, so that nobody waits for it
-            self._refuse("bad_centerlines", error)
-            return np.empty((0, 3)), np.empty(0), np.empty(0)
-        if dropped:
-            self.health.count("dropped_points", dropped)
-        return xyz(table), table["sigma"].astype(np.float64), table["body"]
 
     def _voxels_of(self, stamp_ns: int) -> tuple[VoxelCloud | None, np.ndarray]:
         """The set's voxels, if they are wanted and there, and the body each belongs to."""
-        nothing = None, np.empty(0)
         if self._tracker is None or not self._tracker.needs_voxels:
-            return nothing
+            return None, np.empty(0)
         message = self._voxels.take(stamp_ns)
         if message is None:
             self.health.count("sets_without_voxels")
-            return nothing
-        try:
-            cloud, dropped = only_finite(message, VOXELS.names or ())
-            table = from_cloud(cloud, VOXELS, self.resolve_topic_name("hull/voxels"))
-        except InputError as error:
-            self._refuse("bad_voxels", error)
-            return nothing
-        if dropped:
-            self.health.count("dropped_voxels", dropped)
+            return None, np.empty(0)
+        table = self._table(message, VOXELS, "voxels")
         return VoxelCloud.checked(xyz(table), table["surface"] > 0.5), table["body"]
 
-    def _publish_body(self, body: Body | None) -> None:
+    def _rims_of(self, stamp_ns: int) -> RimRays:
+        """The set's rims, if they are wanted and there."""
+        if self._tracker is None or not self._tracker.needs_rims:
+            return NO_RIMS
+        message = self._rims.take(stamp_ns)
+        if message is None:
+            self.health.count("sets_without_rims")
+            return NO_RIMS
+        return RimRays.of(self._table(message, RIMS, "rims"))
+
+    def _table(self, message: PointCloud2, layout: np.dtype, name: str) -> np.ndarray:
+        """A cloud's rows of finite numbers; none when the cloud is damaged: the set still gets its answer, so that
+        nobody waits for it."""
+        try:
+            cloud, dropped = only_finite(message, layout.names or ())
+            table = from_cloud(cloud, layout, self.resolve_topic_name(f"hull/{name}"))
+        except InputError as error:
+            self._refuse(f"bad_{name}", error)
+            return np.empty(0, layout)
+        if dropped:
+            self.health.count("dropped_points" if name == "centerline" else f"dropped_{name}", dropped)
+        return table
+
+    def _publish_body(self, stamp_ns: int, body: Body | None) -> None:
         """The body as latched YAML, before the first points that were fitted with it: the filter takes the same."""
         if body is not None and body is not self._published_body:
             self._body_publisher.publish(String(data=format_body(body, source="icp_tracker")))
             self._published_body = body
+            self._desk.keep(SavedBody(stamp_ns, body))
 
     def _publish(self, result: IcpResult, frame_id: str) -> None:
         self._fit_publisher.publish(fit_message(result, self.settings.method))
@@ -209,10 +236,15 @@ class IcpNode(SagomaNode):
         self.health.tick(result.stamp_ns)
         self.health.set("late_predictions", self._feedback.mailbox.timeouts)
         summary = f"{result.state}: {result.reason}" if result.reason else result.state
-        if summary != self._state:
-            self._state = summary
-            self.health.status(OK if result.state == TRACKING and not result.reason else WARN, summary)
+        self.health.status(OK if result.state == TRACKING else WARN, summary)
+        # while looking for a first pose every new reason tells the person what to do; later ones hold changing figures
+        told = summary if result.state == ACQUIRING else result.state
+        if told != self._state:
+            self._state = told
             self.get_logger().info(summary)
+        if result.recovered:
+            self.health.count("recoveries")
+            self.get_logger().info(f"found again: {result.recovered}")
 
     def _refuse(self, counter: str, error: InputError) -> None:
         self.health.count(counter)
@@ -232,8 +264,15 @@ def fit_message(result: IcpResult, method: str) -> DiagnosticArray:
             "iterations": result.fit.iterations, "converged": result.fit.converged,
         }  # fmt: skip
     values |= {"visible": int(result.visible.sum()), "dropped_points": result.dropped_points}
+    if result.fit is not None:
+        quality = result.quality
+        values |= {"explained": f"{quality.explained:.3f}", "recovered": result.recovered}
+        values |= dict(zip(PART_NAMES, quality.parts, strict=True))
+        if quality.rival_lead is not None:
+            values["rival_lead"] = f"{quality.rival_lead:.1f}"
+    trusted = result.fit is not None and result.state == TRACKING
     status = DiagnosticStatus(
-        level=DiagnosticStatus.OK if result.fit is not None else DiagnosticStatus.WARN,
+        level=DiagnosticStatus.OK if trusted else DiagnosticStatus.WARN,
         name="icp_tracker: fit",
         message=result.reason or "fitted",
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],

@@ -79,6 +79,8 @@ def limb_twist(m, R, row):
     else:  # hip: R e_z = (sb, -sa cb, ca cb)
         c = np.hypot(R[1, 2], R[2, 2])
         twist = np.arctan2(-R[0, 1], R[0, 0])
+        if R[2, 2] < 0.0:  # the thigh points up: the other cover (a + pi, pi - b) is the joint's, its twist is pi away
+            twist = np.arctan2(R[0, 1], -R[0, 0])
         y, z = R[1, 2], R[2, 2]
     if c < FLATTEST:
         return 0.0, False

@@ -12,16 +12,27 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
-from .articulated_solver import ArticulatedSettings, assess, fit_articulated, make_data
+from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
+from .acquisition.one_body import BodyNumbers, of_one_body
+from .acquisition.sighting import Sighting
+from .articulated_solver import ArticulatedSettings, assess, make_data, minimise
 from .fit_result import FitResult, unknown_covariance
+from .gauss_newton import Data
 from .hierarchical_icp import HierarchicalSettings, fit_hierarchical
-from .initial_pose import KnownPose, PoseSource
-from .one_body import BodyNumbers, of_one_body
+from .recovery.doubts import with_doubts
+from .recovery.quality import GOOD, LOST, UNKNOWN, TrackQuality
+from .recovery.settings import RecoverySettings
+from .recovery.watch import Watch
+from .refinement.body_refiner import BodyRefiner, RefinedBody, rehearse
+from .refinement.settings import RefinementSettings
+from .rim_rays import NO_RIMS, RimRays
 from .voxel_cloud import NO_VOXELS, VoxelCloud
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 NS_PER_S = 1e9
+AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
+FOLLOW_SETS = 15  # and it is waited for that long
 
 
 @dataclass(frozen=True)
@@ -34,6 +45,8 @@ class TrackerSettings:
     )  # fmt: skip
     articulated: ArticulatedSettings = setting(ArticulatedSettings, "the all-joints solve")
     hierarchical: HierarchicalSettings = setting(HierarchicalSettings, "the hierarchical ICP")
+    refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
+    recovery: RecoverySettings = setting(RecoverySettings, "how a lost track is noticed and found again")
     min_points: int = setting(15, "fewer centerline points than this count as none", low=3)
     extrapolation_limit_s: float = setting(
         0.1, "the predicted motion is followed for at most this long", unit="s", low=0.0, high=10.0
@@ -59,10 +72,13 @@ class Predicted(Protocol):
 class IcpResult:
     """What one frame set gave.
 
-    state : "acquiring" or "tracking"; started_from : "nothing", "initial", "own", or the stamp (ns) of the filter's
-    state; reason : why there is no fit, else empty; dropped_points : points that were not finite.
+    state : "acquiring", "tracking", "doubtful" or "lost"; started_from : "nothing", "initial", "own", or the stamp (ns)
+    of the filter's state; reason : why there is no fit, or why it is not quite believed, else empty;
+    dropped_points : points that were not finite.
     reference_points_world (15, 3) m, covariance (15, 3, 3) m^2, visible (15,): zeros, huge and False before the first
-    pose; the unmoved prediction, huge and False when the set has too few points. fit : the solver's result, if any.
+    pose; the unmoved prediction, huge and False when the set has too few points; not visible when lost.
+    fit : the solver's result, if any. quality : how far it explains what the cameras saw; recovered : what was found
+    anew with this set, else empty.
     """
 
     stamp_ns: int
@@ -75,6 +91,8 @@ class IcpResult:
     visible: np.ndarray
     pose: Pose | None
     fit: FitResult | None
+    quality: TrackQuality = UNKNOWN
+    recovered: str = ""
 
 
 class IcpTracker:
@@ -85,11 +103,19 @@ class IcpTracker:
         self._settings = settings or TrackerSettings()
         self._body: Body | None = None
         self._pose: Pose | None = None
+        self._refiner: BodyRefiner | None = None
+        self._watch = Watch(self._settings.recovery)
+        self._own_sets = 0  # fits that still start from the own pose, because the filter has to follow first
 
     @property
     def body(self) -> Body | None:
-        """The body being followed; None before the first pose."""
+        """The body being followed; None before the first pose. It changes when its sizes become known better."""
         return self._body
+
+    @property
+    def refined_body(self) -> RefinedBody | None:
+        """How well the sizes of a measured body are known by now; None for a body whose sizes were given."""
+        return None if self._refiner is None else self._refiner.refined
 
     @property
     def needs_voxels(self) -> bool:
@@ -99,9 +125,16 @@ class IcpTracker:
         volume = self._settings.articulated.volume
         return self._settings.method == "articulated" and max(volume.worth, volume.inside_worth) > 0.0
 
+    @property
+    def needs_rims(self) -> bool:
+        """Whether the next step looks at the silhouettes' rims."""
+        return self._settings.method == "articulated" and self._settings.articulated.rim.worth > 0.0
+
     def reset(self) -> None:
         """Forget the pose and look for a first one again."""
-        self._body = self._pose = None
+        self._body = self._pose = self._refiner = None
+        self._watch.reset()
+        self._own_sets = 0
 
     def step(
         self,
@@ -111,6 +144,7 @@ class IcpTracker:
         voxels: VoxelCloud | None = None,
         prediction: Predicted | None = None,
         numbers: BodyNumbers | None = None,
+        rims: RimRays = NO_RIMS,
     ) -> IcpResult:
         """Fit one frame set: centerline ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and hull voxels.
 
@@ -119,33 +153,77 @@ class IcpTracker:
         points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
         sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
         if self._pose is None or self._body is None:
-            if numbers is not None:
-                points, sigma, voxels = of_one_body(points, sigma, voxels, numbers, None)
+            found = self._source.look(Sighting(stamp_ns, points, voxels, numbers))
+            if numbers is not None and found.pose is not None and found.body is not None:
+                reference = forward(found.body, found.pose)
+                points, sigma, voxels, rims = of_one_body(points, sigma, voxels, numbers, reference, rims)
             points, sigma, dropped = _finite(points, sigma)
-            return self._acquire(stamp_ns, points, sigma, voxels, dropped)
+            return self._acquire(found, stamp_ns, points, sigma, voxels, rims, dropped)
         start, started_from = self._start(stamp_ns, self._pose, prediction)
         if numbers is not None:
-            points, sigma, voxels = of_one_body(points, sigma, voxels, numbers, forward(self._body, start))
+            reference = forward(self._body, start)
+            points, sigma, voxels, rims = of_one_body(points, sigma, voxels, numbers, reference, rims)
         points, sigma, dropped = _finite(points, sigma)
         if len(points) < self._settings.min_points:
             self._pose = start
-            reason = f"{len(points)} centerline points, {self._settings.min_points} needed"
-            return _unseen(stamp_ns, TRACKING, started_from, reason, dropped, start, forward(self._body, start))
-        fit = self._fit(self._body, start, points, sigma, voxels or NO_VOXELS, self._settings)
+            reason = f"nobody in the volume: {len(points)} centerline points, {self._settings.min_points} needed"
+            return _unseen(stamp_ns, LOST, started_from, reason, dropped, start, forward(self._body, start))
+        data = self._data(points, sigma, voxels, rims)
+        fit = self._fit(self._body, start, data, self._settings)
+        return self._watched(stamp_ns, started_from, dropped, fit, data)
+
+    def _watched(self, stamp_ns: int, started_from: str, dropped: int, fit: FitResult, data: Data) -> IcpResult:
+        """What comes of a fit once it is judged: itself, a better one, or that the body is lost."""
+        assert self._body is not None
+        found = self._watch.examine(self._body, fit.pose, data, self._settings.articulated)
+        if found.better is not None:
+            fit = assess(self._body, found.better, data, fit.iterations, fit.converged, self._settings.articulated)
+            self._own_sets = FOLLOW_SETS
+        elif found.quality.state == GOOD:
+            fit = self._refined(stamp_ns, fit, data)
         self._pose = fit.pose
-        return _seen(stamp_ns, started_from, dropped, fit)
+        if found.quality.state == LOST:
+            self._own_sets = FOLLOW_SETS
+            fit = replace(fit, visible=np.zeros(15, dtype=bool))
+        rival = None if found.rival is None else forward(self._body, found.rival)
+        covariance = with_doubts(fit.covariance, found.quality, fit.reference_points_world, rival)
+        seen = _seen(stamp_ns, started_from, dropped, replace(fit, covariance=covariance))
+        state = TRACKING if found.quality.state == GOOD else found.quality.state
+        return replace(seen, state=state, reason=found.quality.reason, quality=found.quality, recovered=found.change)
+
+    def _refined(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
+        """The fit, done again with a better known body when there is one."""
+        body = None if self._refiner is None else self._refiner.step(stamp_ns, fit.pose, data.rims)
+        if body is None:
+            return fit
+        self._body = body
+        return self._fit(body, fit.pose, data, self._settings)
+
+    def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
+        """What refines the body that was found: nothing where its sizes are given and not measured."""
+        settings = self._settings
+        if found.estimate is None or settings.refinement.keyframes == 0 or not self.needs_rims:
+            return None
+        return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
 
     def _acquire(
-        self, stamp_ns: int, points: np.ndarray, sigma: np.ndarray, voxels: VoxelCloud | None, dropped: int
+        self,
+        found: InitialPose,
+        stamp_ns: int,
+        points: np.ndarray,
+        sigma: np.ndarray,
+        voxels: VoxelCloud | None,
+        rims: RimRays,
+        dropped: int,
     ) -> IcpResult:
-        found = self._source.look(points, None if voxels is None else voxels.points_world)
         reason = found.reason
         if found.pose is not None and found.body is not None:
             if len(points) >= self._settings.min_points:
-                fit = self._fit(found.body, found.pose, points, sigma, voxels or NO_VOXELS, self._patient())
+                fit = self._fit(found.body, found.pose, self._data(points, sigma, voxels, rims), self._patient())
                 explained = fit.inliers / fit.points
                 if explained >= self._settings.acquire_inliers:
                     self._body, self._pose = found.body, fit.pose
+                    self._refiner = self._new_refiner(found)
                     # the first pose is itself a measurement of every point, also of those the hull hides
                     seen_whole = replace(fit, visible=np.ones(15, dtype=bool))
                     return _seen(stamp_ns, FROM_INITIAL, dropped, seen_whole)
@@ -163,26 +241,42 @@ class IcpTracker:
             return own, FROM_OWN
         ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
         ahead_s = min(max(ahead_s, 0.0), self._settings.extrapolation_limit_s)
-        return prediction.pose.retract(prediction.velocity * ahead_s), str(prediction.stamp_ns)
+        predicted = prediction.pose.retract(prediction.velocity * ahead_s)
+        if self._own_sets > 0 and self._body is not None:
+            apart = np.linalg.norm(forward(self._body, predicted) - forward(self._body, own), axis=1).max()
+            self._own_sets = self._own_sets - 1 if apart > AGREES_M else 0
+            if self._own_sets > 0:
+                return own, FROM_OWN
+        return predicted, str(prediction.stamp_ns)
+
+    def _data(self, points: np.ndarray, sigma: np.ndarray, voxels: VoxelCloud | None, rims: RimRays) -> Data:
+        """What the fit looks at."""
+        if self._settings.method != "articulated":
+            voxels, rims = NO_VOXELS, NO_RIMS
+        return make_data(points, sigma, voxels or NO_VOXELS, self._settings.articulated, rims)
 
     @staticmethod
-    def _fit(
-        body: Body, start: Pose, points: np.ndarray, sigma: np.ndarray, voxels: VoxelCloud, settings: TrackerSettings
-    ) -> FitResult:
+    def _fit(body: Body, start: Pose, data: Data, settings: TrackerSettings) -> FitResult:
         if settings.method == "articulated":
-            return fit_articulated(body, start, points, sigma, voxels, settings.articulated)
-        found = fit_hierarchical(body, start, points, settings.hierarchical)
-        data = make_data(points, sigma, NO_VOXELS, settings.articulated)
+            pose, iterations, moved = minimise(body, start, data, settings.articulated)
+            return assess(body, pose, data, iterations, moved < settings.articulated.tolerance_m, settings.articulated)
+        found = fit_hierarchical(body, start, data.points, settings.hierarchical)
         return assess(body, found.pose, data, found.iterations, found.converged, settings.articulated)
 
 
 def warm_up(settings: TrackerSettings) -> None:
-    """Run one fit on made-up points, so that compiled code is loaded before the first frame set arrives."""
+    """Run some fits on made-up data, so that compiled code is loaded before the first frame set arrives."""
     body = Body.from_stature(1.7)
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     tracker = IcpTracker(KnownPose(pose, body), replace(settings, acquire_inliers=0.0))
     points = forward(body, pose)
-    tracker.step(0, points, 0.01, VoxelCloud.checked(points, np.ones(len(points))))
+    voxels = VoxelCloud.checked(points, np.ones(len(points)))
+    ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
+    rims = RimRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), np.zeros(15))
+    for k in range(3):  # acquisition, a fit, and a look for another pose
+        tracker.step(k, points, 0.01, voxels, rims=rims)
+    if settings.refinement.keyframes > 0:
+        rehearse(settings.refinement, settings.articulated.prior)
 
 
 def _finite(points: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:

@@ -34,6 +34,12 @@ def add_voxel_residuals(voxels, flesh, P, Q, match, information, gate, t0, A, ax
     """
     squares, pulls = np.zeros((STICKS, LINE, LINE)), np.zeros((STICKS, LINE))
     sum_lines(voxels, flesh, P, Q, match, information, gate, squares, pulls)
+    spread_lines(squares, pulls, t0, A, axes, H, g)
+
+
+@njit(cache=True)
+def spread_lines(squares, pulls, t0, A, axes, H, g):
+    """Add each stick's sums over lines, squares (10, 6, 6) and pulls (10, 6), to upper H and g of what moves it."""
     twists, slots = np.empty((CHAIN_COLUMNS, LINE)), np.empty(CHAIN_COLUMNS, np.int64)
     half = np.empty(LINE)
     for j in range(STICKS):

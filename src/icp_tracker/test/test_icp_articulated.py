@@ -229,7 +229,7 @@ def test_pose_inside_its_limits_feels_no_limits(synthetic):
 @pytest.mark.parametrize("robust", ["x84", "geman_mcclure"])
 def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, robust):
     """Independent noise of known size, correlation factor 1: 95 % ellipsoids hold the truth 85 to 99 % of the time."""
-    settings = ArticulatedSettings(robust=robust, model_sigma_m=SIGMA, correlation=1.0, joint_sd_m=0.0, prior=FREE)
+    settings = ArticulatedSettings(robust=robust, model_sigma_m=SIGMA, correlation=1.0, prior=FREE)
     inside = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -244,7 +244,7 @@ def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, ro
 
 def test_covariance_grows_where_the_points_do_not_fit(body, synthetic):
     truth = synthetic.t_pose()
-    settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3, joint_sd_m=0.0)
+    settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3)
     small, large = (
         fit_articulated(
             body, truth, synthetic.stick_cloud(body, truth, np.random.default_rng(14), 300, noise), settings=settings
@@ -260,7 +260,7 @@ def test_limb_without_points_is_invisible_and_uncertain(body, synthetic):
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(15), 300, 0.01)
     stick, _, _ = nearest_on_sticks(sticks(body, truth), points)
     points = points[(stick != HEAD) & (stick != 6)]  # no head, no left forearm
-    fit = fit_articulated(body, truth, points, settings=ArticulatedSettings(joint_sd_m=0.0, prior=LOOSE))
+    fit = fit_articulated(body, truth, points, settings=ArticulatedSettings(prior=LOOSE))
     assert not fit.visible[[1, 11]].any()
     assert fit.visible[[0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14]].all()
     sd = np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2))

@@ -1,28 +1,13 @@
-"""First poses: from a file, from a reference, and from a T-pose in the hull."""
+"""First poses from a file and from a reference."""
 
 import numpy as np
 import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from icp_tracker.initial_pose import load_initial_pose, pose_from_reference, save_initial_pose
-from icp_tracker.t_pose import TPoseSettings, TPoseSource, body_of, measure_t_pose, pose_of
-from stick_figure.body import Body
+from icp_tracker.acquisition.initial_pose import load_initial_pose, pose_from_reference, save_initial_pose
 from stick_figure.kinematics import forward
-from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
-
-
-def degrees_between(R, S):
-    return np.degrees(np.arccos(np.clip((np.trace(R.T @ S) - 1) / 2, -1, 1)))
-
-
-def bent(pose, **angles):
-    values = pose.angles()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    return Pose.from_angles(pose.position_world, pose.R_world_torso, values)
-
 
 # --- file ------------------------------------------------------------------------------------------------------------
 
@@ -115,71 +100,3 @@ def test_frame_outside_the_reference_is_refused_with_its_range(reference):
     frames, points, _ = reference
     with pytest.raises(InputError, match=r"no frame 5\..*100 to 139"):
         pose_from_reference(frames, points, 5, "truth.csv")
-
-
-# --- T-pose ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("heading", [0.0, 1.0, 2.5, -2.0])
-@pytest.mark.parametrize("stature", [1.55, 1.90])
-def test_t_pose_gives_heading_place_and_size(synthetic, stature, heading):
-    body = Body.from_stature(stature)
-    truth = synthetic.t_pose((0.3, -0.8, 0.53 * stature + body.half_lengths[0]), heading)
-    measured = measure_t_pose(synthetic.flesh(body, truth))
-    assert measured.reason == ""
-    found = pose_of(measured, body_of([measured]))
-    assert degrees_between(found.R_world_torso, truth.R_world_torso) < 5
-    assert np.linalg.norm(found.position_world - truth.position_world) < 0.06
-    assert measured.stature == pytest.approx(np.ptp(synthetic.flesh(body, truth)[:, 2]), abs=0.02)
-    assert body_of([measured]).lengths.sum() == pytest.approx(body.lengths.sum(), rel=0.08)
-    error = np.linalg.norm(forward(body_of([measured]), found) - forward(body, truth), axis=1)
-    assert error.mean() < 0.06
-
-
-@pytest.mark.parametrize(
-    ("angles", "reason"),
-    [
-        ({"left_shoulder_x": -1.3, "right_shoulder_x": np.pi + 1.3}, "arms not stretched"),
-        ({"left_shoulder_x": -0.5, "right_shoulder_x": np.pi + 0.5}, "arms not level"),
-        ({"left_shoulder_x": 0.5, "right_shoulder_x": np.pi - 0.5}, "arms not level"),
-        ({"left_shoulder_x": -1.5}, "arms not"),
-        ({"left_elbow": -2.0}, "arms"),
-        ({"left_elbow": -1.57, "right_elbow": -1.57}, "arms not stretched"),
-    ],
-)
-def test_other_poses_are_refused_with_a_reason(body, synthetic, angles, reason):
-    pose = bent(synthetic.t_pose((0, 0, 0.53 * 1.75 + body.half_lengths[0])), **angles)
-    measured = measure_t_pose(synthetic.flesh(body, pose))
-    assert reason in measured.reason
-
-
-def test_no_hull_and_small_hull_are_refused(body, synthetic):
-    voxels = synthetic.flesh(body, synthetic.t_pose())
-    assert measure_t_pose(None).reason == "no hull"
-    assert measure_t_pose(np.empty((0, 3))).reason == "no hull"
-    assert "too small" in measure_t_pose(voxels[:50]).reason
-    assert "too small: 0." in measure_t_pose(0.5 * voxels).reason
-    assert "too large: 3." in measure_t_pose(2.0 * voxels).reason
-
-
-def test_person_without_feet_cannot_tell_front_from_back(body, synthetic):
-    voxels = synthetic.flesh(body, synthetic.t_pose())
-    toes = (voxels[:, 2] < voxels[:, 2].min() + 0.08) & (np.abs(voxels[:, 0]) > 0.05)
-    assert "front and back look alike" in measure_t_pose(voxels[~toes]).reason
-
-
-def test_t_pose_must_be_held(body, synthetic):
-    source = TPoseSource(TPoseSettings(hold_sets=3))
-    voxels, none = synthetic.flesh(body, synthetic.t_pose()), np.empty((0, 3))
-    reasons = [source.look(none, cloud).reason for cloud in (voxels, voxels, None, voxels, voxels)]
-    assert reasons == [
-        "T-pose seen, hold it (1 of 3)", "T-pose seen, hold it (2 of 3)", "no hull",
-        "T-pose seen, hold it (1 of 3)", "T-pose seen, hold it (2 of 3)",
-    ]  # fmt: skip
-    found = source.look(none, voxels)
-    assert found.reason == "" and found.pose is not None
-
-
-def test_given_body_is_kept(body, synthetic):
-    source = TPoseSource(TPoseSettings(hold_sets=1), body)
-    assert source.look(np.empty((0, 3)), synthetic.flesh(body, synthetic.t_pose())).body is body

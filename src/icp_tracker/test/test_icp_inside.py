@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_solver import (
     ArticulatedSettings,
     VolumeSettings,
@@ -14,7 +15,6 @@ from icp_tracker.articulated_solver import (
     with_trust_in_hull,
 )
 from icp_tracker.figure_arrays import Figure, State
-from icp_tracker.initial_pose import KnownPose
 from icp_tracker.inside_term import SAMPLES, add_inside_residuals
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from icp_tracker.voxel_cloud import VoxelCloud
@@ -129,16 +129,6 @@ def test_fat_hull_is_trusted_less_than_a_tight_one(body, synthetic):
 
     assert trust(tight) > 0.8
     assert trust(fat) < 0.5 * trust(tight)
-
-
-def test_covariance_of_every_point_holds_the_joints_own_distance(body, synthetic):
-    truth = synthetic.t_pose()
-    points = synthetic.stick_cloud(body, truth, np.random.default_rng(6), 300, 0.01)
-    with_floor, without = (
-        fit_articulated(body, truth, points, settings=ArticulatedSettings(joint_sd_m=sd)).covariance
-        for sd in (0.05, 0.0)
-    )
-    assert np.allclose(with_floor - without, 0.05**2 * np.eye(3), atol=1e-15)
 
 
 def test_limb_that_only_the_hull_shows_is_visible(body, synthetic):

@@ -14,8 +14,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 
+from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
 from icp_tracker.icp_node import IcpNode, fit_message
-from icp_tracker.initial_pose import KnownPose, save_initial_pose
 from icp_tracker.tracker import IcpTracker
 from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, split_reference_points, to_cloud
 from sagoma_ros.joints import prediction_message
@@ -53,8 +53,9 @@ class Bench:
     """An IcpNode, and a node beside it that plays hull server and filter."""
 
     def __init__(self, context, **parameters):
-        without_voxels = {"articulated.volume.worth": 0.0}  # but where a test is about them
-        overrides = [Parameter(key, value=value) for key, value in {**without_voxels, **parameters}.items()]
+        # neither voxels nor rims, but where a test is about them
+        points_alone = {"articulated.volume.worth": 0.0, "articulated.rim.worth": 0.0}
+        overrides = [Parameter(key, value=value) for key, value in {**points_alone, **parameters}.items()]
         self.node = IcpNode(context=context, namespace=NAMESPACE, parameter_overrides=overrides)
         self.peer = rclpy.create_node("peer", context=context, namespace=NAMESPACE)
         self.executor = SingleThreadedExecutor(context=context)
@@ -206,7 +207,7 @@ def test_damaged_centerline_is_counted_and_the_graph_goes_on(bench, walk):
     short = centerline(walk.clouds[2], 2)
     short.width += 5
     assert not node.answer(short).visible.any()
-    assert node.node.health.counter("bad_centerlines") == 2
+    assert node.node.health.counter("bad_centerline") == 2
     assert node.answer(centerline(walk.clouds[3], 3)).visible.all()
 
 

@@ -9,7 +9,8 @@ import pytest
 from capture_rig import FrameSet, load_session
 from hull_server.pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.t_pose import TPoseSettings, TPoseSource
+from icp_tracker.acquisition.t_pose import TPoseSource
+from icp_tracker.acquisition.t_pose_shape import TPoseSettings
 from icp_tracker.tracker import IcpTracker
 from icp_tracker.voxel_cloud import VoxelCloud
 

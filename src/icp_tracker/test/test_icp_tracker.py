@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from icp_tracker.acquisition.initial_pose import InitialPose, KnownPose
+from icp_tracker.acquisition.one_body import BodyNumbers
+from icp_tracker.acquisition.t_pose import TPoseSource
+from icp_tracker.acquisition.t_pose_shape import TPoseSettings
 from icp_tracker.articulated_solver import ArticulatedSettings
-from icp_tracker.initial_pose import InitialPose, KnownPose
-from icp_tracker.one_body import BodyNumbers
-from icp_tracker.t_pose import TPoseSettings, TPoseSource
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from icp_tracker.voxel_cloud import VoxelCloud
 from stick_figure.kinematics import forward
@@ -66,7 +67,7 @@ def test_set_without_points_keeps_the_prediction_and_says_so(body, motion):
     prediction = SimpleNamespace(stamp_ns=stamp(0), pose=poses[0], velocity=velocity)
     result = tracker.step(stamp(1), np.empty((0, 3)), prediction=prediction)
     assert np.abs(result.reference_points_world - forward(body, poses[1])).max() < 1e-9
-    assert result.state == "tracking" and result.fit is None
+    assert result.state == "lost" and result.fit is None
     assert "0 centerline points" in result.reason
     assert not result.visible.any()
     assert (np.linalg.eigvalsh(result.covariance) >= 99.0).all()
@@ -112,7 +113,7 @@ def test_before_the_first_pose_the_points_are_zero_invisible_and_unknown(motion)
     class Nothing:
         needs_voxels = True
 
-        def look(self, points_world, voxels_world):
+        def look(self, seen):
             return InitialPose(reason="arms not level")
 
     tracker = IcpTracker(Nothing())
@@ -188,17 +189,20 @@ def test_second_person_does_not_draw_the_figure_off_even_when_the_numbers_change
         np.testing.assert_array_equal(result.reference_points_world, expected.reference_points_world)
 
 
-def test_first_pose_is_looked_for_on_the_body_that_came_first(motion):
-    seen = []
+def test_first_pose_is_looked_for_on_everybody_and_fitted_to_the_body_that_shows_it(body, motion):
+    poses, clouds = motion
 
-    class Recorder:
+    class OfTheSecond:
         needs_voxels = True
 
-        def look(self, points_world, voxels_world):
-            seen.append((points_world, voxels_world))
-            return InitialPose(reason="no")
+        def look(self, seen):
+            self.seen = seen
+            return InitialPose(poses[0], body)
 
-    cloud = motion[1][0]
-    both, numbers = np.concatenate([cloud + 2.0, cloud]), np.repeat([1, 0], len(cloud))
-    IcpTracker(Recorder()).step(0, both, 0.01, VoxelCloud(both, numbers == 0), numbers=BodyNumbers(numbers, numbers))
-    assert all(np.array_equal(part, cloud) for part in seen[0])
+    source, cloud = OfTheSecond(), clouds[0]
+    both, numbers = np.concatenate([cloud + 2.0, cloud]), np.repeat([0, 1], len(cloud))
+    voxels = VoxelCloud(both, numbers == 0)
+    result = IcpTracker(source, SETTINGS).step(0, both, 0.01, voxels, numbers=BodyNumbers(numbers, numbers))
+    assert sorted(source.seen.voxels_of_bodies()) == [0, 1]
+    assert result.state == "tracking" and result.fit.points == len(cloud)
+    assert error_mm(body, result, poses[0]) < 40

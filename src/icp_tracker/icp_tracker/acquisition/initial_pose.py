@@ -18,6 +18,10 @@ from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
+from .body_estimate import BodyEstimate
+from .flesh_sizes import FleshSizes
+from .sighting import Sighting
+
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
 NEIGHBOUR_FRAMES = 5
 """A point that the reference lacks at the chosen frame may come from a frame this near."""
@@ -25,11 +29,16 @@ NEIGHBOUR_FRAMES = 5
 
 @dataclass(frozen=True, eq=False)
 class InitialPose:
-    """A first pose with the body it is meant for, or the reason why there is none yet."""
+    """A first pose with the body it is meant for, or the reason why there is none yet.
+
+    estimate : how sure the sizes of ``body`` are, where they were measured; flesh : how thick its limbs are, likewise.
+    """
 
     pose: Pose | None = None
     body: Body | None = None
     reason: str = ""
+    estimate: BodyEstimate | None = None
+    flesh: FleshSizes | None = None
 
 
 class PoseSource(Protocol):
@@ -40,8 +49,8 @@ class PoseSource(Protocol):
         """Whether it looks at the hull's voxels."""
         ...
 
-    def look(self, points_world: np.ndarray, voxels_world: np.ndarray | None) -> InitialPose:
-        """Centerline points (n, 3) and voxels (m, 3) of one frame set, m, world frame (None: not there)."""
+    def look(self, seen: Sighting) -> InitialPose:
+        """The first pose, if this frame set brings it."""
         ...
 
 
@@ -56,7 +65,7 @@ class KnownPose:
     def needs_voxels(self) -> bool:
         return False
 
-    def look(self, points_world: np.ndarray, voxels_world: np.ndarray | None) -> InitialPose:
+    def look(self, seen: Sighting) -> InitialPose:
         return InitialPose(self.pose, self.body)
 
 

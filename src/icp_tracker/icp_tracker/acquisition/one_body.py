@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .voxel_cloud import VoxelCloud
+from ..rim_rays import NO_RIMS, RimRays
+from ..voxel_cloud import VoxelCloud
 
 REACH_M = 0.35  # flesh and half a limb: farther from all 15 reference points is somebody else
 
@@ -27,24 +28,22 @@ def of_one_body(
     sigma: np.ndarray,
     voxels: VoxelCloud | None,
     numbers: BodyNumbers,
-    reference_points_world: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray, VoxelCloud | None]:
-    """Points (n, 3), their sigma (n,) and voxels of one body: the one followed, or the one to begin with.
+    reference_points_world: np.ndarray,
+    rims: RimRays = NO_RIMS,
+) -> tuple[np.ndarray, np.ndarray, VoxelCloud | None, RimRays]:
+    """Points (n, 3), their sigma (n,), voxels and rims of the body that is followed.
 
-    The followed body is the one with most points near the expected reference points (15, 3), not the one with the same
-    number as before: numbers may change hands when people touch. Without a pose yet, it is the body of lowest number,
-    who is here for longest.
+    It is the one with most points near the expected reference points (15, 3), not the one with the same number as
+    before: numbers may change hands when people touch.
     """
     bodies = np.unique(numbers.points)
     if len(bodies) < 2:
-        return points_world, sigma, voxels
-    chosen = bodies[bodies >= 0].min()
-    if reference_points_world is not None:
-        offsets = points_world[:, None] - reference_points_world
-        near = np.einsum("npk,npk->np", offsets, offsets).min(axis=1) < REACH_M**2
-        chosen = bodies[np.argmax([np.count_nonzero(near & (numbers.points == body)) for body in bodies])]
+        return points_world, sigma, voxels, rims
+    offsets = points_world[:, None] - reference_points_world
+    near = np.einsum("npk,npk->np", offsets, offsets).min(axis=1) < REACH_M**2
+    chosen = bodies[np.argmax([np.count_nonzero(near & (numbers.points == body)) for body in bodies])]
     kept = numbers.points == chosen
     if voxels is not None:
         mine = numbers.voxels == chosen
         voxels = VoxelCloud(np.ascontiguousarray(voxels.points_world[mine]), voxels.surface[mine])
-    return points_world[kept], sigma[kept], voxels
+    return points_world[kept], sigma[kept], voxels, rims.of_body(chosen)

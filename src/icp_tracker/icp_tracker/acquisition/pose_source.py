@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from capture_rig.errors import InputError
+from capture_rig.rig import Volume, load_rig
 from capture_rig.settings import setting
 from stick_figure.body import Body
-from stick_figure.body_file import load_body
+from stick_figure.body_file import load_body, load_thickness
 
+from .flesh_sizes import FleshSizes
 from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_reference
-from .t_pose import TPoseSettings, TPoseSource
+from .known_body import KnownBodySource
+from .t_pose import TPoseSource
+from .t_pose_shape import TPoseSettings
 
 WHERE = "parameters of the ICP tracker"
 
@@ -20,23 +24,31 @@ class InitialPoseSettings:
     """Where the first pose comes from."""
 
     source: str = setting(
-        "t_pose", "where the first pose comes from: the hull of a T-pose, a pose file, or a session's reference",
+        "t_pose", "where the first pose comes from: the hull of a T-pose (with body_file: anything near one), a pose "
+        "file, or a session's reference",
         choices=("t_pose", "file", "session"),
     )  # fmt: skip
     file: str = setting("", "pose file (YAML), for source 'file'")
     session: str = setting("", "session folder with a reference, for source 'session'")
     frame: int = setting(0, "video frame of the reference, for source 'session'", low=0)
+    rig_file: str = setting(
+        "", "rig (YAML) whose volume a person must be inside of to be measured; empty: its borders are not known"
+    )
     t_pose: TPoseSettings = setting(TPoseSettings, "what counts as a T-pose")
 
 
-def make_pose_source(settings: InitialPoseSettings, body_file: str = "") -> PoseSource:
+def make_pose_source(settings: InitialPoseSettings, body_file: str = "", volume: Volume | None = None) -> PoseSource:
     """The source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
 
-    Raises InputError naming parameter or file, value and remedy.
+    A known body needs no T-pose: anything near one will do. ``volume`` (or that of the settings' rig file) is where
+    hulls end. Raises InputError naming parameter or file, value and remedy.
     """
     body = load_body(body_file) if body_file else None
     if settings.source == "t_pose":
-        return TPoseSource(settings.t_pose, body)
+        volume = load_rig(settings.rig_file).volume if settings.rig_file else volume
+        if body is None:
+            return TPoseSource(settings.t_pose, volume)
+        return KnownBodySource(settings.t_pose, body, volume, FleshSizes.of(load_thickness(body_file)))
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)

@@ -1,0 +1,160 @@
+"""What the T-pose tells: limb lengths against the truth, sets needed, what is taken back to front.
+
+    python bench/acquisition.py [SESSION ...] [--quick]
+
+For every session that begins with a T-pose, from exact and from segmented silhouettes, and for people of random
+stature, proportions, build, place and heading in the virtual studio, with six and with three cameras. A row of the
+table is one input; a cell is the error of a size in mm (of many people: mean and rms). The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from capture_rig import FrameSet
+from capture_rig.session import Session, footage_stamp_ns, load_session
+from hull_server.pipeline import HullPipeline
+from hull_server.settings import HullSettings
+from icp_tracker.acquisition.body_estimate import BodyEstimate, estimate_body
+from icp_tracker.acquisition.proportions import MEAN_OVER_STATURE, SIZES, body_of_sizes, sizes_of_body
+from icp_tracker.acquisition.refusal import Refusal
+from icp_tracker.acquisition.sighting import Sighting
+from icp_tracker.acquisition.t_pose import TPoseSource
+from icp_tracker.acquisition.t_pose_shape import TPoseSettings, measure_t_pose
+from icp_tracker.voxel_cloud import VoxelCloud
+from sagoma_tools.evaluation.in_process import EPOCH_NS, Configuration, exact_silhouettes, silhouettes
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
+from virtual_studio.body import VolumetricBody
+from virtual_studio.render import VirtualCamera
+from virtual_studio.rig import ring
+
+LONGEST = 60  # sets of a session that are looked at
+
+
+def of_session(session: Session, exact: bool) -> dict[str, object]:
+    """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
+    masks = exact_silhouettes(session) if exact else silhouettes(session, Configuration.of({}).camera)
+    pipeline, source = (
+        HullPipeline(session.rig, HullSettings(backend="cpu")),
+        TPoseSource(TPoseSettings(), session.rig.volume),
+    )
+    points = session.truth.stick_figure_points()
+    for frame, frame_masks in enumerate(islice(masks, LONGEST)):
+        stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
+        hull = pipeline.run(FrameSet(stamp_ns, frame_masks, dict.fromkeys(frame_masks, stamp_ns), ()))
+        voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
+        answer = source.look(Sighting(stamp_ns, hull.centerline.points_world, voxels))
+        if answer.pose is not None:
+            truth = points[frame]
+            left = truth[3] - truth[4]
+            found = forward(answer.body, answer.pose)
+            return {
+                "sets": frame + 1,
+                "sizes_mm": errors_mm(answer.estimate, sizes_of_body(Body.from_points(points))),
+                "points_mm": round(1e3 * float(np.linalg.norm(found - truth, axis=1).mean()), 1),
+                "heading_deg": round(float(np.degrees(angle(found[3] - found[4], left))), 1),
+            }
+    return {"sets": None, "reason": answer.reason}
+
+
+def errors_mm(estimate: BodyEstimate, truth: np.ndarray) -> list[float]:
+    return [round(1e3 * float(error), 1) for error in estimate.sizes - truth]
+
+
+def angle(first: np.ndarray, second: np.ndarray) -> float:
+    return float(np.arctan2(first[0] * second[1] - first[1] * second[0], first[:2] @ second[:2]))
+
+
+def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
+    """Many people in the studio: mean and rms error of each size, refusals, and how many are taken back to front."""
+    rng, errors, claims, refused, backward = np.random.default_rng(cameras), [], [], [], 0
+    for body, pose, voxels, volume in people(cameras, ceiling, number, rng):
+        try:
+            measured = measure_t_pose(voxels, TPoseSettings(), volume)
+        except Refusal as refusal:
+            refused.append(refusal.reason)
+            continue
+        if measured.facing < TPoseSettings().sureness:
+            refused.append("front and back look alike")
+            continue
+        backward += int(measured.body.forward_world @ pose.R_world_torso[:2, 0] < 0.0)
+        estimate, truth = estimate_body([measured]), sizes_of_body(body)
+        truth[SIZES.index("ankle_height")] = VolumetricBody(body).ankle_height
+        errors.append(estimate.sizes - truth)
+        claims.append(errors[-1] / estimate.sd)
+    return {
+        "people": number, "found": len(errors), "refused": refused, "back_to_front": backward,
+        "mean_mm": np.round(1e3 * np.mean(errors, axis=0), 1).tolist(),
+        "rms_mm": np.round(1e3 * np.sqrt(np.mean(np.square(errors), axis=0)), 1).tolist(),
+        "rms_over_sd": np.round(np.sqrt(np.mean(np.square(claims), axis=0)), 2).tolist(),
+    }  # fmt: skip
+
+
+def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
+    """Body, pose and hull voxels of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
+    rig = ring(cameras, ceiling=ceiling)
+    eyes = [(camera.name, VirtualCamera(camera), camera.undistorted_view()) for camera in rig.cameras]
+    pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
+    for k in range(number):
+        body = body_of_sizes(MEAN_OVER_STATURE * rng.uniform(1.4, 2.05) * rng.uniform(0.95, 1.05, len(SIZES)))
+        pose = t_pose(body, rng)
+        parts = VolumetricBody(body).place(pose)
+        parts.radii[:] *= rng.uniform(0.85, 1.25)
+        masks = {name: view.undistort_mask(eye.see(parts, None)[1]) for name, eye, view in eyes}
+        stamp_ns = (k + 1) * 1_000_000_000
+        hull = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ()))
+        yield body, pose, hull.voxels.points_world, rig.volume
+
+
+def t_pose(body: Body, rng: np.random.Generator) -> Pose:
+    u, angles = rng.uniform, T_POSE_ANGLES.copy()
+    raised, spread = u(-0.26, 0.26), u(0.0, 0.15)
+    values = {
+        "left_shoulder_x": raised, "right_shoulder_x": np.pi - raised + u(-0.05, 0.05), "left_elbow": -u(0.0, 0.3),
+        "right_elbow": -u(0.0, 0.3), "left_hip_x": spread, "right_hip_x": -spread,
+    }  # fmt: skip
+    for name, value in values.items():
+        angles[ANGLE_NAMES.index(name)] = value
+    heading = u(-np.pi, np.pi)
+    R = np.array([[np.cos(heading), -np.sin(heading), 0.0], [np.sin(heading), np.cos(heading), 0.0], [0.0, 0.0, 1.0]])
+    lowest = forward(body, Pose.from_angles(np.zeros(3), R, angles))[13:, 2].min()
+    return Pose.from_angles(np.r_[u(-0.2, 0.2, 2), VolumetricBody(body).ankle_height - lowest], R, angles)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sessions", nargs="*", type=Path)
+    parser.add_argument("--quick", action="store_true", help="fewer people, exact silhouettes only")
+    given = parser.parse_args()
+    results: dict[str, dict[str, object]] = {}
+    for folder in given.sessions:
+        session = load_session(folder)
+        for exact in (True,) if given.quick else (True, False):
+            results[f"{folder.name}, {'exact' if exact else 'own'} silhouettes"] = of_session(session, exact)
+    for cameras, ceiling in ((5, True), (3, False)):
+        name = f"studio, {cameras + ceiling} cameras"
+        results[name] = of_people(cameras, ceiling, 10 if given.quick else 60)
+    print(" " * 40 + " ".join(f"{name[:9]:>9}" for name in SIZES))
+    for name, result in results.items():
+        for key in ("sizes_mm", "mean_mm", "rms_mm", "rms_over_sd"):
+            if key in result:
+                print(f"{name[:30]:30} {key:9}" + " ".join(f"{value:9.4g}" for value in result[key]))
+        rest = {key: value for key, value in result.items() if not isinstance(value, list) or key == "refused"}
+        print(f"{name[:30]:30} {rest}")
+    print(json.dumps({"sizes": list(SIZES), **results}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""How tracking begins: whose hull, which body, which first pose."""

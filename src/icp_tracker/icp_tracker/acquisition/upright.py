@@ -1,0 +1,157 @@
+"""One body's voxels in a frame of its own: standing on a floor, the axis from hand to hand across.
+
+Nothing here knows front from back: the frame's x axis is one of the two directions across the arms' axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.rig import Volume
+
+from .refusal import Refusal
+
+FEWEST_VOXELS, FEWEST_OF_A_PART = 200, 8
+TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
+SAGGING_M = 0.08  # cameras look down: a hull reaches this far below the soles
+# heights over the stature between which a part of a standing body is looked for
+HEAD_FROM, ARMS_FROM, TRUNK, SHINS, FEET_TO = 0.92, 0.45, (0.55, 0.75), (0.08, 0.20), 0.045
+LEAN, HEAD_RADIUS = 0.13, 0.085  # over the stature: head off the feet; a head with what few cameras add to it
+TALLER = 1.08  # of the known stature: hair, shoes and voxels add so much
+RAISED_HANDS_FROM = 0.3  # over the stature, from the spine: hands of arms a little above level
+ONE_HEAD = 0.75  # share of the topmost voxels that are within that radius where there is one head
+
+
+@dataclass(frozen=True, eq=False)
+class Upright:
+    """A standing body.
+
+    local : (m, 3) voxels, x forward (or backward), y left, z up from the floor, metres, from the trunk's middle.
+    centre_world (2,), forward_world (2,), floor_world : that frame, metres. stature, pitch : metres; pitch is the edge
+    of a voxel.
+    """
+
+    local: np.ndarray
+    centre_world: np.ndarray
+    forward_world: np.ndarray
+    floor_world: float
+    stature: float
+    pitch: float
+
+    @property
+    def height(self) -> np.ndarray:
+        """(m,) heights over the stature."""
+        return self.local[:, 2] / self.stature
+
+    def between(self, low: float, high: float) -> np.ndarray:
+        """(n, 3) the voxels between two heights over the stature."""
+        return self.local[(self.height > low) & (self.height < high)]
+
+    def turned_round(self) -> Upright:
+        """The same body taken the other way round."""
+        return replace(self, local=self.local * [-1.0, -1.0, 1.0], forward_world=-self.forward_world)
+
+
+def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, volume: Volume | None) -> Upright:
+    """Find floor, stature and the axis of the arms on hull voxels (m, 3) of one body, z up.
+
+    Raises Refusal when the hull is cut off by the ``volume`` or is no single upright body.
+    """
+    pitch = _pitch(voxels_world)
+    refuse_cut_off(voxels_world, pitch, volume)
+    low, high = np.percentile(voxels_world[:, 2], [TRIMMED, 100.0 - TRIMMED])
+    low, high = low - pitch / 2, high + pitch / 2
+    floor = _floor(low)
+    stature = float(high - floor)
+    if not stature_low_m <= stature <= stature_high_m:
+        size = "small" if stature < stature_low_m else "large"
+        raise Refusal(f"the hull is too {size}: {stature:.2f} m high")
+    body = _in_its_frame(voxels_world, floor, stature, pitch)
+    _refuse_several_heads(body)
+    return body
+
+
+def stand_known(
+    voxels_world: np.ndarray, stature_m: float, crouch: float, volume: Volume | None
+) -> tuple[Upright, float]:
+    """The same for a body of known stature, whose hands may be above its head; and its crown's height over the floor.
+
+    Raises Refusal when the hull is cut off by the ``volume``, or the crown lower than ``crouch`` of the stature.
+    """
+    pitch = _pitch(voxels_world)
+    refuse_cut_off(voxels_world, pitch, volume)
+    body = _in_its_frame(
+        voxels_world, _floor(float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2), stature_m, pitch
+    )
+    column = body.local[np.linalg.norm(body.local[:, :2], axis=1) < HEAD_RADIUS * stature_m, 2]
+    crown = float(np.percentile(column, 100.0 - TRIMMED)) + pitch / 2 if len(column) else 0.0
+    if not crouch * stature_m <= crown <= TALLER * stature_m:
+        raise Refusal(f"the known body does not fit: it is {stature_m:.2f} m tall, and this one {crown:.2f} m")
+    return body, crown
+
+
+def _floor(lowest: float) -> float:
+    """The floor's height, world, metres: the map's floor where the hull sags below it."""
+    return 0.0 if -SAGGING_M < lowest < 0.0 else float(lowest)
+
+
+def _in_its_frame(voxels_world: np.ndarray, floor: float, stature: float, pitch: float) -> Upright:
+    centre, axis = _arms_axis(voxels_world[:, :2], (voxels_world[:, 2] - floor) / stature)
+    forward = np.array([axis[1], -axis[0]])
+    flat = voxels_world[:, :2] - centre
+    local = np.column_stack([flat @ forward, flat @ axis, voxels_world[:, 2] - floor])
+    return Upright(local, centre, forward, floor, stature, pitch)
+
+
+def _pitch(voxels_world: np.ndarray) -> float:
+    """Edge of a voxel, metres: the least distance of two layers."""
+    layers = np.unique(np.round(voxels_world[:, 2], 4))
+    return float(np.diff(layers).min()) if len(layers) > 1 else 0.0
+
+
+def refuse_cut_off(voxels_world: np.ndarray, pitch: float, volume: Volume | None) -> None:
+    """Raises Refusal when the body touches a wall or the ceiling of the volume (its floor may)."""
+    if volume is None:
+        return
+    beyond_low = voxels_world.min(axis=0) - pitch < volume.low
+    beyond_high = voxels_world.max(axis=0) + pitch > volume.high
+    for k, name in enumerate("xyz"):
+        if beyond_high[k] or (beyond_low[k] and name != "z"):
+            wall = volume.high[k] if beyond_high[k] else volume.low[k]
+            raise Refusal(f"partly outside the volume, which ends at {name} = {wall:.2f} m")
+
+
+def _arms_axis(flat: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle of the trunk (2,) and the longest horizontal direction (2,) of the upper body."""
+    trunk = flat[(height > TRUNK[0]) & (height < TRUNK[1])]
+    if len(trunk) < FEWEST_OF_A_PART:
+        raise Refusal("no trunk in the hull")
+    centre = np.median(trunk, axis=0)
+    return centre, np.linalg.eigh(np.cov((flat[height > ARMS_FROM] - centre).T))[1][:, -1]
+
+
+def _refuse_several_heads(body: Upright) -> None:
+    head = body.between(HEAD_FROM, 2.0)[:, :2]
+    head = head[np.linalg.norm(head, axis=1) < RAISED_HANDS_FROM * body.stature]
+    if len(head) < FEWEST_OF_A_PART:
+        raise Refusal("no head above the trunk")
+    near = np.linalg.norm(head - np.median(head, axis=0), axis=1) < HEAD_RADIUS * body.stature
+    if np.mean(near) < ONE_HEAD:
+        raise Refusal("no single head at the top: more than one body, or hands beside the head?")
+
+
+def refuse_leaning(body: Upright) -> None:
+    """Raises Refusal unless the head is above the feet."""
+    feet = body.between(*SHINS)[:, :2]
+    if len(feet) < FEWEST_OF_A_PART:
+        raise Refusal("no feet in the hull")
+    lean = float(np.linalg.norm(np.median(body.between(HEAD_FROM, 2.0)[:, :2], axis=0) - _middle(feet)))
+    if lean > LEAN * body.stature:
+        raise Refusal(f"not upright: the head is {lean:.2f} m off the feet")
+
+
+def _middle(points: np.ndarray) -> np.ndarray:
+    """Halfway between the ends, stray points apart."""
+    return np.percentile(points, [5, 95], axis=0).mean(axis=0)

@@ -1,0 +1,93 @@
+"""People with volume, carved from their exact silhouettes, for the tests of the first pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from capture_rig import FrameSet
+from hull_server.pipeline import HullPipeline
+from hull_server.settings import HullSettings
+from icp_tracker.acquisition.one_body import BodyNumbers
+from icp_tracker.acquisition.sighting import Sighting
+from icp_tracker.voxel_cloud import VoxelCloud
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_NAMES, mirror_angles
+from virtual_studio.body import Capsules, VolumetricBody
+from virtual_studio.render import VirtualCamera
+from virtual_studio.rig import ring
+
+DOWN = -np.pi / 2  # of an arm's elevation
+SET_NS = 16_666_667
+
+
+def both_sides(**left):
+    """The angles (18,) of a symmetric pose, from the left side's; the T-pose's where not given."""
+    angles = np.zeros(18)
+    for name, value in left.items():
+        angles[ANGLE_NAMES.index(f"left_{name}")] = value
+    right = np.array([name.startswith("right") for name in ANGLE_NAMES])
+    return np.where(right, mirror_angles(angles), angles)
+
+
+def with_angles(angles, **changed):
+    """The angles with some of them changed, by name."""
+    angles = angles.copy()
+    for name, value in changed.items():
+        angles[ANGLE_NAMES.index(name)] = value
+    return angles
+
+
+def standing(body, angles, heading=0.0, place=(0.0, 0.0), lean=0.0):
+    """The pose on the floor, hips above ``place``, leaning forward by ``lean`` rad."""
+    R = (Rotation.from_rotvec([0, 0, heading]) * Rotation.from_rotvec([0, lean, 0])).as_matrix()
+    points = forward(body, Pose.from_angles(np.zeros(3), R, angles))
+    hips = points[5:7].mean(axis=0)
+    height = VolumetricBody(body).ankle_height - points[13:, 2].min()
+    return Pose.from_angles(np.r_[np.array(place) - hips[:2], height], R, angles)
+
+
+def person(body, pose, build=1.0):
+    """The parts of a person; ``build`` widens them."""
+    parts = VolumetricBody(body).place(pose)
+    return replace(parts, radii=parts.radii * build)
+
+
+def box(low, high, radius=0.15):
+    """A cart: upright capsules side by side."""
+    x, y = np.meshgrid(np.arange(low[0], high[0], radius), np.arange(low[1], high[1], radius))
+    feet = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, low[2] + radius)])
+    tops = feet * [1, 1, 0] + [0, 0, high[2] - radius]
+    return Capsules(feet, tops, np.full((len(feet), 2), radius), np.full(len(feet), 0.3))
+
+
+class Studio:
+    """A rig of cameras around the volume and what it shows of people."""
+
+    def __init__(self, cameras, ceiling):
+        self.rig = ring(cameras, ceiling=ceiling)
+        self._eyes = [(c.name, VirtualCamera(c), c.undistorted_view()) for c in self.rig.cameras]
+        self._pipeline = HullPipeline(self.rig, HullSettings(backend="cpu"))
+        self._stamp_ns = 0
+
+    def see(self, *people, apart_ns=1_000_000_000):
+        """The sighting of people (Capsules), ``apart_ns`` after the last one."""
+        self._stamp_ns += apart_ns
+        masks = {}
+        for name, eye, view in self._eyes:
+            seen = [eye.see(parts, None)[1] for parts in people]
+            masks[name] = view.undistort_mask(np.maximum.reduce(seen))
+        hull = self._pipeline.run(FrameSet(self._stamp_ns, masks, dict.fromkeys(masks, self._stamp_ns), ()))
+        numbers = BodyNumbers(*(hull.bodies.number_of_part[part] for part in (hull.centerline.part, hull.voxels.part)))
+        voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
+        return Sighting(self._stamp_ns, hull.centerline.points_world, voxels, numbers)
+
+
+@lru_cache
+def studio(cameras=5, ceiling=True):
+    """A rig; made once."""
+    return Studio(cameras, ceiling)

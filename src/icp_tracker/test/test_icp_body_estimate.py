@@ -1,0 +1,96 @@
+"""Sizes and thickness of a body from its T-pose, against the bodies that the hulls were carved from."""
+
+import numpy as np
+import pytest
+from t_pose_studio import both_sides, person, standing, studio
+
+from icp_tracker.acquisition.body_estimate import estimate_body, prior_sizes
+from icp_tracker.acquisition.flesh_sizes import FleshSizes, measure_flesh
+from icp_tracker.acquisition.proportions import MEAN_OVER_STATURE, SIZES, body_of_sizes, sizes_of_body
+from icp_tracker.acquisition.t_pose_shape import measure_t_pose
+from icp_tracker.flesh import TORSO_CAPSULES, Flesh
+from stick_figure.body import Body
+from stick_figure.body_file import format_body, parse_thickness
+from virtual_studio.body import VolumetricBody
+
+SIX, THREE = (5, True), (3, False)
+
+
+def measured(rig, body, build=1.0, heading=0.4, **angles):
+    parts = person(body, standing(body, both_sides(hip_x=0.1, **angles), heading), build)
+    return measure_t_pose(studio(*rig).see(parts).voxels.points_world)
+
+
+def test_sizes_and_body_are_each_others_reverse():
+    body = Body.from_stature(1.8)
+    sizes = sizes_of_body(body)
+    again = body_of_sizes(sizes)
+    assert np.allclose(again.lengths, body.lengths)
+    assert again.shoulder_height_ratio == pytest.approx(body.shoulder_height_ratio)
+    assert again.hip_width_ratio == pytest.approx(body.hip_width_ratio)
+    stature = sizes[[SIZES.index(name) for name in ("head", "torso", "thigh", "calf", "ankle_height")]].sum()
+    assert stature == pytest.approx(1.8, abs=0.002)
+
+
+@pytest.mark.parametrize("rig", [SIX, THREE])
+def test_sizes_of_people_of_other_proportions_are_within_what_is_claimed(rig):
+    rng = np.random.default_rng(7)
+    errors, claims, blind = [], [], []
+    for _ in range(10):
+        stature = rng.uniform(1.45, 1.95)
+        truth = MEAN_OVER_STATURE * stature * rng.uniform(0.95, 1.05, len(SIZES))
+        body = body_of_sizes(truth)
+        t_pose = measured(
+            rig, body, rng.uniform(0.85, 1.2), rng.uniform(-3, 3), shoulder_x=rng.uniform(-0.2, 0.2), elbow=-0.1
+        )
+        estimate = estimate_body([t_pose])
+        truth[SIZES.index("ankle_height")] = VolumetricBody(body).ankle_height
+        errors.append(estimate.sizes - truth)
+        claims.append(estimate.sd)
+        blind.append(prior_sizes(1.70).sizes - truth)
+    rms_mm, blind_mm = (1e3 * np.sqrt(np.mean(np.square(e), axis=0)) for e in (errors, blind))
+    assert rms_mm.max() < 22 and rms_mm.mean() < 12
+    assert rms_mm.mean() < 0.6 * blind_mm.mean()  # than an average adult of 1.70 m
+    assert 0.3 < np.sqrt(np.mean(np.square(np.array(errors) / np.array(claims)))) < 1.3
+
+
+def test_claimed_uncertainty_shrinks_where_the_hull_speaks_and_not_where_it_is_silent():
+    prior, estimate = prior_sizes(1.75), estimate_body([measured(SIX, Body.from_stature(1.75))])
+    ratio = dict(zip(SIZES, estimate.sd / prior.sd, strict=True))
+    assert ratio["forearm"] < 0.95 and ratio["half_shoulder_width"] < 0.75 and ratio["half_hip_width"] < 0.85
+    assert ratio["ankle_height"] > 0.9
+    # a sum that is seen is better known than its parts
+    arm = np.array([name in ("upper_arm", "forearm", "half_shoulder_width") for name in SIZES], float)
+    assert np.sqrt(arm @ estimate.covariance @ arm) < estimate.sd[SIZES.index("upper_arm")] * 1.2
+    assert (np.linalg.eigvalsh(estimate.covariance) > 0.0).all()
+
+
+@pytest.mark.parametrize("rig", [SIX, THREE])
+def test_heavier_people_are_measured_thicker(rig):
+    body = body_of_sizes(MEAN_OVER_STATURE * 1.75)
+    slim, heavy = (measure_flesh([measured(rig, body, build)], body) for build in (0.9, 1.3))
+    for name in ("upper_arm", "forearm", "thigh", "calf"):
+        assert getattr(heavy, name) / getattr(slim, name) == pytest.approx(1.3 / 0.9, rel=0.2), name
+    assert heavy.trunk > 1.1 * slim.trunk
+
+
+def test_thickness_nobody_has_is_not_believed():
+    body = body_of_sizes(MEAN_OVER_STATURE * 1.75)
+    sizes = measure_flesh([measured(SIX, body, 2.0)], body)
+    assert "thigh" not in sizes.measured and sizes.thigh == 1.0
+
+
+def test_thickness_widens_the_limbs_it_names_and_no_other():
+    body = Body.from_stature(1.75)
+    plain, thick = Flesh.of(body), FleshSizes(thigh=1.2, trunk=1.1).on(Flesh.of(body))
+    ratio = thick.radii / plain.radii
+    expected = np.where(np.isin(plain.stick, [4, 5]), 1.2, np.where(plain.stick == 0, 1.1, 1.0))
+    assert np.allclose(ratio, expected[:, None])
+    assert np.allclose(thick.start[:TORSO_CAPSULES, 1], 1.1 * plain.start[:TORSO_CAPSULES, 1])
+    assert np.array_equal(thick.start[TORSO_CAPSULES:], plain.start[TORSO_CAPSULES:])
+
+
+def test_thickness_survives_the_body_file():
+    sizes = FleshSizes.of({"thigh": 1.15, "calf": 0.9})
+    text = format_body(Body.from_stature(1.7), thickness=sizes.by_name())
+    assert FleshSizes.of(parse_thickness(text, "body.yaml")) == sizes

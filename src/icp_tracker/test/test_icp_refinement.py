@@ -1,0 +1,248 @@
+"""A body's sizes from rims that a known body made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import refinement_rims as made
+
+from icp_tracker.acquisition.body_estimate import BodyEstimate, prior_sizes
+from icp_tracker.acquisition.initial_pose import InitialPose
+from icp_tracker.acquisition.proportions import FOREARM, SIZES, THIGH, UPPER_ARM
+from icp_tracker.articulated_solver import PriorSettings
+from icp_tracker.figure_arrays import State
+from icp_tracker.flesh import Flesh
+from icp_tracker.recovery.settings import RecoverySettings
+from icp_tracker.refinement.body_refiner import BodyRefiner
+from icp_tracker.refinement.rim_system import rim_system
+from icp_tracker.refinement.settings import RefinementSettings
+from icp_tracker.refinement.shape import SIZE, THICKNESS, ShapeModel, ShapePrior, body_of, thickness_of
+from icp_tracker.tracker import IcpTracker, TrackerSettings
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+
+H = 1.75
+SEEN = slice(0, len(SIZES) - 1)  # all but the ankles' height, which no ray of a foot fixed to the calf can tell
+EXACT = RefinementSettings(keyframes=12, independent_rays=400.0, flesh_sd_m=0.005, turn=0.05, least_change_m=0.002)
+
+
+def wrong_start(rng):
+    """A prior and a body drawn from it."""
+    estimate = prior_sizes(H)
+    prior = ShapePrior.of(estimate, 0.12)
+    truth = prior.mean + rng.normal(size=len(prior.mean)) * np.sqrt(np.diag(prior.covariance)) * 0.8
+    return estimate, truth
+
+
+def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=16):
+    refiner, body = BodyRefiner(estimate, settings, PriorSettings()), body_of(truth)
+    flesh, given, stamp = thickness_of(truth).on(Flesh.of(body)), [], 0
+    sets = [(pose, made.tangent_rays(body, flesh, pose, rng, each, sd_m)) for pose in poses]
+    for _ in range(rounds):
+        for pose, rims in sets:
+            stamp += 50_000_000
+            given.append(refiner.step(stamp, pose, rims))
+    return refiner, given
+
+
+def error(refiner, truth):
+    return refiner.refined.estimate.sizes - truth[SIZE]
+
+
+def test_sizes_converge_to_the_body_that_made_the_rims_when_all_joints_bend():
+    rng = np.random.default_rng(3)
+    estimate, truth = wrong_start(rng)
+    refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng)
+    before, after = np.abs(estimate.sizes - truth[SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
+    assert before.mean() > 0.008
+    assert after.mean() < 0.003
+    assert after.max() < 0.008
+    thickness = refiner.refined.thickness.by_name()
+    for name, value in zip(thickness, truth[THICKNESS], strict=True):
+        assert thickness[name] == pytest.approx(value, abs=0.04)
+
+
+def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it():
+    rng = np.random.default_rng(4)
+    estimate = prior_sizes(H)
+    straight = Pose.from_angles([0.0, 0.0, 1.1], np.eye(3), T_POSE_ANGLES)
+    truth = ShapePrior.of(estimate, 0.12).mean
+    coarse = RefinementSettings(keyframes=12, turn=0.05, independent_rays=24.0)
+    held, _ = refined_by(estimate, truth, [straight], coarse, rng)
+    moved, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], coarse, rng)
+    split = np.zeros(len(SIZES))
+    split[UPPER_ARM], split[FOREARM] = 1.0, -1.0
+
+    def sd(covariance):
+        return np.sqrt(split @ covariance @ split)
+
+    assert sd(held.refined.estimate.covariance) > 0.75 * sd(estimate.covariance)
+    assert sd(moved.refined.estimate.covariance) < 0.5 * sd(estimate.covariance)
+
+
+def test_covariance_is_honest_over_bodies_drawn_from_the_prior():
+    settings = RefinementSettings(keyframes=6, turn=0.05, flesh_sd_m=0.006, independent_rays=100.0, explained=0.5)
+    nees = []
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        estimate, truth = wrong_start(rng)
+        poses = [made.moving_pose(rng) for _ in range(6)]
+        refiner, _ = refined_by(estimate, truth, poses, settings, rng, sd_m=0.006, each=10)
+        e, P = error(refiner, truth)[SEEN], refiner.refined.estimate.covariance[SEEN, SEEN]
+        nees.append(e @ np.linalg.solve(P, e) / len(e))
+    assert 0.4 < np.mean(nees) < 1.8
+
+
+def test_no_size_leaves_the_prior_by_more_than_its_limit_when_rims_are_of_somebody_else():
+    rng = np.random.default_rng(5)
+    estimate = prior_sizes(H)
+    truth = ShapePrior.of(estimate, 0.12).mean
+    truth[THIGH] += 6.0 * estimate.sd[THIGH]
+    settings = RefinementSettings(keyframes=6, turn=0.05, explained=0.0, independent_rays=400.0, farthest_sd=2.0)
+    refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(6)], settings, rng)
+    off = np.abs(refiner.refined.estimate.sizes - estimate.sizes) / estimate.sd
+    assert off.max() <= 2.0 + 1e-9
+    assert off[THIGH] > 1.0
+
+
+def test_pose_whose_arm_the_flesh_does_not_explain_has_no_say():
+    rng = np.random.default_rng(6)
+    estimate = prior_sizes(H)
+    truth = ShapePrior.of(estimate, 0.12).mean
+    body, pose = body_of(truth), made.moving_pose(rng)
+    rims = made.tangent_rays(body, thickness_of(truth).on(Flesh.of(body)), pose, rng)
+    angles = pose.angles()
+    angles[3] += 1.5  # the left arm is fitted elsewhere
+    refiner = BodyRefiner(estimate, RefinementSettings(), PriorSettings())
+    refiner.step(1, Pose.from_angles(pose.position_world, pose.R_world_torso, angles), rims)
+    assert refiner.refined.keyframes == 0
+    np.testing.assert_allclose(refiner.refined.estimate.sizes, estimate.sizes, atol=1e-12)
+    refiner.step(2, pose, rims)
+    assert refiner.refined.keyframes == 1
+
+
+def test_body_is_given_only_when_it_changed_enough_and_not_again_before_the_pause():
+    rng = np.random.default_rng(7)
+    estimate, truth = wrong_start(rng)
+    _, given = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng, rounds=6)
+    at = np.flatnonzero([body is not None for body in given])
+    assert 1 <= len(at) <= 4  # 3.6 s, at most one a second
+    assert np.diff(at).min(initial=20) >= 20  # sets are 50 ms apart
+    assert at[0] >= 20
+
+
+def test_refinement_is_done_and_costs_nothing_once_all_kept_poses_have_settled():
+    rng = np.random.default_rng(8)
+    estimate, truth = wrong_start(rng)
+    refiner, given = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng, rounds=7)
+    assert refiner.done
+    assert given[-1] is None
+
+
+def test_equal_sets_give_equal_bytes():
+    results = []
+    for _ in range(2):
+        rng = np.random.default_rng(9)
+        estimate, truth = wrong_start(rng)
+        refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(4)], EXACT, rng, rounds=2)
+        results.append(refiner.refined.estimate.sizes.tobytes() + refiner.refined.estimate.covariance.tobytes())
+    assert results[0] == results[1]
+
+
+def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one():
+    rng = np.random.default_rng(10)
+    estimate, truth = wrong_start(rng)
+    body, pose = body_of(truth), made.moving_pose(rng)
+    rims = made.tangent_rays(body, thickness_of(truth).on(Flesh.of(body)), pose, rng, each=6)
+    values = ShapePrior.of(estimate, 0.12).mean
+    model, n = ShapeModel(values), 24 + len(values)
+    H_, g = np.empty((n, n)), np.empty(n)
+    wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
+    rim_system(rims, *State.of(pose), *model.at(values), model.derivatives, wide, H_, g)
+
+    place = matched(rims, *capsules_at(values, pose))
+
+    def cost(step):
+        return sum_of_squares(rims, place, *capsules_at(values + step[24:], pose.retract(step[:24])))
+
+    for k in range(n):
+        step = np.zeros(n)
+        step[k] = 1e-6
+        slope = (cost(step) - cost(-step)) / 2e-6
+        assert -2.0 * g[k] == pytest.approx(slope, rel=2e-3, abs=1e-3 * np.abs(g).max())
+
+
+def capsules_at(values, pose):
+    body = body_of(values)
+    flesh = thickness_of(values).on(Flesh.of(body))
+    return *made.capsules_world(body, flesh, pose), flesh.radii
+
+
+def matched(rims, P, Q, radii):
+    """The capsule that is off least from each ray, and where along its axis."""
+    found = []
+    for o, d, n, t, half in zip(
+        rims.points.T, rims.directions.T, rims.normals.T, rims.tangents.T, rims.half_lengths, strict=True
+    ):
+        flat, off = np.array([n, t]), []
+        for k in range(len(P)):
+            s = flat @ (Q[k] - P[k])
+            u = np.clip(-s @ (flat @ (P[k] - o)) / (s @ s + 1e-12), 0.0, 1.0)
+            c = P[k] + u * (Q[k] - P[k]) - o
+            beyond = max(abs(d @ c) - half - 0.05, 0.0)
+            off.append(((-n @ c - radii[k] @ [1 - u, u]) ** 2 + (t @ c) ** 2 + beyond**2, k, u))
+        found.append(min(off)[1:])
+    return found
+
+
+def sum_of_squares(rims, place, P, Q, radii):
+    """Information times squared distance across, each ray against its place on a capsule."""
+    total = 0.0
+    for i, (k, u) in enumerate(place):
+        c = P[k] + u * (Q[k] - P[k])
+        across = rims.normals[:, i] @ (rims.points[:, i] - c) - radii[k] @ [1 - u, u]
+        total += rims.information[i] * across**2
+    return total
+
+
+def test_refinement_starts_from_the_sizes_that_a_t_pose_measured():
+    estimate = BodyEstimate(prior_sizes(H).sizes * 1.01, prior_sizes(H).covariance)
+    refined = BodyRefiner(estimate, RefinementSettings(), PriorSettings()).refined
+    np.testing.assert_allclose(refined.estimate.sizes, estimate.sizes, rtol=1e-12)
+    np.testing.assert_allclose(refined.estimate.covariance, estimate.covariance, rtol=1e-6, atol=1e-12)
+    assert refined.thickness.trunk == 1.0
+
+
+class FixedSource:
+    """A first pose that is there at once."""
+
+    needs_voxels = False
+
+    def __init__(self, found):
+        self._found = found
+
+    def look(self, seen):
+        return self._found
+
+
+@pytest.mark.parametrize("was_measured", [True, False])
+def test_tracker_takes_over_better_sizes_of_a_measured_body_and_none_of_a_given_one(was_measured):
+    rng = np.random.default_rng(12)
+    estimate, truth = wrong_start(rng)
+    body, first = body_of(truth), made.moving_pose(rng)
+    flesh = thickness_of(truth).on(Flesh.of(body))
+    source = FixedSource(InitialPose(first, estimate.body, "", estimate if was_measured else None))
+    refinement = replace(EXACT, pause_s=0.1, explained=0.5)
+    tracker = IcpTracker(source, TrackerSettings(refinement=refinement, recovery=RecoverySettings(search=False)))
+    for k in range(40 if was_measured else 12):
+        pose = first.retract(np.r_[np.zeros(6), np.full(18, 0.03 * abs(k % 20 - 10))])
+        rays = made.rays_on(body, flesh, pose, rng, each=8)
+        tracker.step(k * 16_666_667, forward(body, pose), 0.02, rims=rays)
+    error = np.abs(tracker.body.lengths - body.lengths).mean()
+    start = np.abs(estimate.body.lengths - body.lengths).mean()
+    if was_measured:
+        assert error < 0.8 * start
+        assert tracker.refined_body.keyframes > 3
+    else:
+        assert error == start
+        assert tracker.refined_body is None
