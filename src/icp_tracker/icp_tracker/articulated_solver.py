@@ -240,8 +240,10 @@ def _rims(rays: RimRays, settings: ArticulatedSettings) -> Rims:
     trust = settings.rim.flesh_sd_m**2 / (settings.rim.flesh_sd_m**2 + rays.sigma**2)
     information = trust * (settings.rim.worth / settings.model_sigma_m**2 / max(len(rays), 1))
     tangents = np.cross(rays.normals, rays.directions)
-    columns = (np.ascontiguousarray(a.T) for a in (rays.points_world, rays.directions, rays.normals, tangents))
-    return Rims(*columns, rays.half_lengths, information)
+    points, directions, normals, along = (
+        np.ascontiguousarray(a.T) for a in (rays.points_world, rays.directions, rays.normals, tangents)
+    )
+    return Rims(points, directions, normals, along, rays.half_lengths, information)
 
 
 def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:

@@ -100,7 +100,7 @@ def draw_skeleton(
     """
     view = window or Window.whole(camera)
     pixels = (camera.project(points_world) - view.origin_px) * view.scale
-    drawable = np.isfinite(pixels).all(1) & (np.abs(np.nan_to_num(pixels)) < FAR_PX).all(1)
+    drawable = np.asarray(np.isfinite(pixels).all(axis=1) & (np.abs(np.nan_to_num(pixels)) < FAR_PX).all(axis=1))
     thick = max(2, round(image.shape[0] / 240))
     for a, b in BONES:
         if drawable[[a, b]].all():

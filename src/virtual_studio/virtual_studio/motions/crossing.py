@@ -7,7 +7,7 @@ import numpy as np
 from ..body import VolumetricBody
 from .everyday import STANDING
 from .keys import Key, activity_of, hold
-from .limbs import ARM, Array, both_sides, legs, with_left, with_right
+from .limbs import ARM, Array, Side, both_sides, legs, with_left, with_right
 from .timeline import Timeline
 
 LEG = ("hip_x", "hip_y", "hip_z", "knee")
@@ -56,11 +56,11 @@ def _forward_arms(raised: float, bend: float = -0.3) -> Array:
     return both_sides(shoulder_x=-np.pi / 2 + 0.2, shoulder_z=-raised, shoulder_y=0.2, elbow=bend)
 
 
-def _crossed(front, behind) -> Array:
+def _crossed(front: Side, behind: Side) -> Array:
     before = both_sides(hip_x=-0.26, hip_y=-0.30, knee=0.14)
     after = both_sides(hip_x=-0.12, hip_y=0.08, knee=0.04)
     return behind(front(STANDING, before, LEG), after, LEG)
 
 
-def _lifted(side) -> Array:
+def _lifted(side: Side) -> Array:
     return side(STANDING, both_sides(hip_x=0.02, hip_y=-0.75, knee=0.85), LEG)

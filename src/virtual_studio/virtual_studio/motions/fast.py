@@ -8,7 +8,7 @@ from ..body import VolumetricBody
 from .crossing import posture
 from .everyday import STANDING
 from .keys import Key, activity_of, hold
-from .limbs import ARM, Array, both_sides, legs, reaching, with_left, with_right
+from .limbs import ARM, Array, Side, both_sides, legs, reaching, with_left, with_right
 from .timeline import Activity, Timeline, ease
 
 G_M_S2 = 9.81
@@ -89,7 +89,7 @@ def kick(person: VolumetricBody) -> Timeline:
     return Timeline((hold(0.9, STANDING), activity_of(keys, 3.8)))
 
 
-def _kicks(ready: Array, side, at_s: float) -> list[Key]:
+def _kicks(ready: Array, side: Side, at_s: float) -> list[Key]:
     leg = ("hip_x", "hip_y", "knee")
     bent = side(ready, both_sides(hip_x=0.04, hip_y=-1.35, knee=1.7), leg)
     out = side(ready, both_sides(hip_x=0.04, hip_y=-1.45, knee=0.15), leg)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def activity_of(keys: Sequence[Key], duration_s: float, turning: float = 0.0) ->
     """Goes from key to key, smoothly and with a stop at each; holds the first before it and the last after it."""
     times = np.array([key.at_s for key in keys])
 
-    def between(values: list, t: float):
+    def between(values: list, t: float) -> Any:
         after = int(np.searchsorted(times, t))
         if after == 0 or after == len(times):
             return values[min(after, len(times) - 1)]

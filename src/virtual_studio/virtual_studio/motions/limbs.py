@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, L_FOREARM, L_UPPER_ARM, T_POSE_ANGLES, mirror_angles
 
 Array = NDArray[np.float64]
+Side = Callable[[Array, Array, tuple[str, ...]], Array]
+"""with_left or with_right."""
 
 L_SHOULDER_POINT, L_ELBOW_POINT, L_HAND_POINT = 3, 7, 11
 ARM = ("shoulder_x", "shoulder_z", "shoulder_y", "elbow")
