@@ -42,7 +42,7 @@ def test_cameras_that_run_free_expose_in_step(live):
 
 
 def test_the_body_seen_by_simulated_cameras_follows_the_truth(live):
-    scores = judged(live)
+    scores = judged(live).scores
     assert len(live.track.frames) >= 10
     assert scores.mean_mm < 100.0
 
