@@ -25,11 +25,9 @@ def main() -> None:
             Path(folder) / "session", ring(4, True), Body.from_stature(1.75), "t_pose_only", FPS, FRAMES / FPS
         )
         session = load_session(path)
-        settings = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "session"}
         for method in ("hierarchical", "articulated"):
-            track_session(session, Configuration.of({
-                **settings, "icp_tracker.initial_pose.session": str(path), "icp_tracker.method": method,
-            }))  # fmt: skip
+            # from the T-pose, so that a person is measured and the sizes refined as well
+            track_session(session, Configuration.of({"hull_server.backend": "cpu", "icp_tracker.method": method}))
 
 
 if __name__ == "__main__":
