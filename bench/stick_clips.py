@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from icp_tracker.benchmark import motion as random_motion
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
 from stick_figure.pose import Pose
+from stick_figure.rotations import rotation_matrix
 from virtual_studio.motion import MOTIONS, T_POSE_S
 from virtual_studio.motion_files.to_stick_figure import ReadingOptions, read_stick_motion
 
@@ -26,6 +26,12 @@ FPS = 40.0
 POINTS = 300
 STATURE_M = 1.75
 SIGMA_OVER_HIPS = 1.0 / 6.0
+RANDOM_SECONDS = 4.0
+# a range of motion well inside the joints' (rad), in the order of the angles
+_MIDDLE = np.array([
+    0.0, 0.2, -0.4, np.pi + 0.4, -0.35, -0.35, 0.1, -0.1, -1.0, -1.0, 0.2, -0.2, -0.45, -0.45, 0.9, 0.9, 0.0, 0.0,
+])  # fmt: skip
+_SWING = np.array([0.4, 0.4, 1.0, 1.0, 0.65, 0.65, 0.7, 0.7, 0.9, 0.9, 0.3, 0.3, 0.85, 0.85, 0.8, 0.8, 0.3, 0.3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +63,22 @@ def studio_clip(name: str, seconds: float) -> Clip:
     return Clip(name, body, MOTIONS[name](body, seconds + T_POSE_S, FPS).poses[round(T_POSE_S * FPS) :])
 
 
+def _random_motion(seed: int) -> list[Pose]:
+    """Poses of a smooth random motion."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(FPS * RANDOM_SECONDS)) / FPS
+    frequency, phase = rng.uniform(0.1, 0.9, (24, 3, 1)), rng.uniform(0, 2 * np.pi, (24, 3, 1))
+    wave = np.sin(2 * np.pi * frequency * t + phase).mean(1).T
+    angles, positions, turns = _MIDDLE + _SWING * wave[:, :18], [0, 0, 1.2] + 0.5 * wave[:, 18:21], wave[:, 21:]
+    return [
+        Pose.from_angles(p, rotation_matrix(r * [0.15, 0.15, 1.5]), a)
+        for p, r, a in zip(positions, turns, angles, strict=True)
+    ]
+
+
 def random_clip(seed: int) -> Clip:
     """Every joint swinging at random, through most of its range."""
-    return Clip(f"random {seed}", Body.from_stature(STATURE_M), tuple(random_motion(seed)))
+    return Clip(f"random {seed}", Body.from_stature(STATURE_M), tuple(_random_motion(seed)))
 
 
 def file_clip(path: Path, options: ReadingOptions) -> Clip:

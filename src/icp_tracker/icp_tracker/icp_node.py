@@ -226,7 +226,9 @@ class IcpNode(SagomaNode):
         if body is not None and body is not self._published_body:
             self._body_publisher.publish(String(data=format_body(body, source="icp_tracker")))
             self._published_body = body
-            self._desk.keep(SavedBody(stamp_ns, body))
+            refined = self._tracker.refined_body if self._tracker is not None else None
+            known = refined is not None and refined.keyframes > 0  # else thickness is but the average's
+            self._desk.keep(SavedBody(stamp_ns, body, refined.thickness if refined and known else None))
 
     def _publish(self, result: IcpResult, frame_id: str) -> None:
         self._fit_publisher.publish(fit_message(result, self.settings.method))
