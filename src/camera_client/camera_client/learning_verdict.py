@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.verdict import REDO, USABLE, Finding, Verdict, judge
+
 from .background_model import BackgroundModel
 from .frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL, grid_sample
 from .frame_source import Image
 
-GOOD, USABLE, REDO = "good", "usable", "redo"
 FEW_FRAMES = 25  # sigma is known to 14 %
 HIGH_NOISE, LOW_NOISE = 6.0, 0.3  # grey levels, of the typical pixel
 MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
@@ -22,29 +23,6 @@ FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, chan
 BRIDGE_OF_HEIGHT = 1 / 30  # what moved this near to each other is one place
 SMALLEST_PLACE = 2e-4  # of the pixels; fewer vary much by chance
 MAX_PLACES = 3
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What is wrong, how much it matters (USABLE or REDO), and what to do."""
-
-    grade: str
-    what: str
-    remedy: str
-
-    def __str__(self) -> str:
-        return f"{self.what} ({self.remedy})"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """``grade`` is GOOD, USABLE (works, but worse than it could) or REDO (do not use it); ``findings`` say why."""
-
-    grade: str
-    findings: tuple[Finding, ...]
-
-    def __str__(self) -> str:
-        return "; ".join([self.grade, *map(str, self.findings)]).replace(";", ":", 1)
 
 
 @dataclass(frozen=True)
@@ -79,9 +57,7 @@ class LearningJudge:
 
     def verdict(self, model: BackgroundModel) -> Verdict:
         """On the model learned from the frames so far."""
-        found = [*_light(model), *_frames(model), *_moved(model), *_noise(model), *_steadiness(self._brightness)]
-        grades = {finding.grade for finding in found}
-        return Verdict(next((grade for grade in (REDO, USABLE) if grade in grades), GOOD), tuple(found))
+        return judge([*_light(model), *_frames(model), *_moved(model), *_noise(model), *_steadiness(self._brightness)])
 
 
 def moving_places(model: BackgroundModel) -> list[MovingPlace]:

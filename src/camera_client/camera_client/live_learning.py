@@ -6,11 +6,12 @@ import threading
 from dataclasses import replace
 
 from capture_rig.errors import InputError
+from capture_rig.verdict import REDO, Verdict
 
 from .background_files import SOFTWARE
 from .background_model import BackgroundLearner, BackgroundModel
 from .frame_source import Image
-from .learning_verdict import REDO, LearningJudge, Verdict
+from .learning_verdict import LearningJudge
 
 
 class LiveLearning:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from camera_client.background_model import load_background
-from camera_client.learning_verdict import GOOD, REDO, USABLE
 from camera_client.live_learning import LiveLearning, describe
+from capture_rig.verdict import GOOD, REDO, USABLE
 
 
 def learn(images):

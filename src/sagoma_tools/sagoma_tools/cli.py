@@ -8,10 +8,23 @@ from collections.abc import Sequence
 
 from capture_rig.errors import InputError
 
-from .commands import compare, control, demo, doctor, evaluate, import_session, record, recover, replay, studio, up
+from .commands import (
+    calibrate,
+    compare,
+    control,
+    demo,
+    doctor,
+    evaluate,
+    import_session,
+    record,
+    recover,
+    replay,
+    studio,
+    up,
+)
 from .supervisor import GraphError
 
-COMMANDS = (demo, evaluate, up, control, record, replay, compare, recover, import_session, doctor, studio)
+COMMANDS = (demo, calibrate, evaluate, up, control, record, replay, compare, recover, import_session, doctor, studio)
 GRAPH_FAILED, BAD_INPUT = 1, 2
 
 

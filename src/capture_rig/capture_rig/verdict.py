@@ -1,0 +1,38 @@
+"""Is something that was just learned or calibrated good enough to work with, and if not, what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+GOOD, USABLE, REDO = "good", "usable", "redo"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong, how much it matters (USABLE or REDO), and what to do."""
+
+    grade: str
+    what: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.what} ({self.remedy})"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``grade`` is GOOD, USABLE (works, but worse than it could) or REDO (do not use it); ``findings`` say why."""
+
+    grade: str
+    findings: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        return "; ".join([self.grade, *map(str, self.findings)]).replace(";", ":", 1)
+
+
+def judge(findings: Iterable[Finding]) -> Verdict:
+    """The verdict is as bad as the worst finding; GOOD when there is none."""
+    found = tuple(findings)
+    grades = {finding.grade for finding in found}
+    return Verdict(next((grade for grade in (REDO, USABLE) if grade in grades), GOOD), found)

@@ -1,0 +1,72 @@
+"""The calibration boards: plain checkerboards, and ChArUco boards, whose corners say which they are.
+
+Board frame: seen from in front, x to the right along the rows of the print, y up, z out of the print towards the
+viewer (so z is up when the board lies on the floor); origin at the first corner, the upper left one; metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Checkerboard:
+    """A checkerboard of ``columns`` x ``rows`` inner corners; ``field_m`` is (width, height) of one field.
+
+    Fields need not be square: a floor board may be made of sheets of paper.
+    """
+
+    columns: int
+    rows: int
+    field_m: tuple[float, float]
+
+    @property
+    def corners_board(self) -> Array:
+        """(columns * rows, 3) inner corners in reading order, board frame."""
+        return _grid(self.columns, self.rows, self.field_m)
+
+    @property
+    def half_turn_is_visible(self) -> bool:
+        """Does the board look different when it is turned by half a turn? So when one of its numbers is odd and the
+        other even: the colours of opposite outer fields differ then."""
+        return (self.columns + self.rows) % 2 == 1
+
+
+@dataclass(frozen=True)
+class CharucoBoard:
+    """A ChArUco board (Garrido-Jurado et al. 2014; OpenCV's aruco module) of ``columns`` x ``rows`` fields.
+
+    ``square_m`` and ``marker_m`` are the sides of a field and of a marker; ``dictionary`` is OpenCV's name, as
+    "DICT_5X5_100"; ``legacy`` boards (OpenCV before 4.6) begin with a white field where the number of rows is even.
+    """
+
+    columns: int
+    rows: int
+    square_m: float
+    marker_m: float
+    dictionary: str
+    legacy: bool = False
+
+    @property
+    def corners_board(self) -> Array:
+        """((columns - 1) * (rows - 1), 3) inner corners in reading order, board frame."""
+        return _grid(self.columns - 1, self.rows - 1, (self.square_m, self.square_m))
+
+    @property
+    def half_turn_is_visible(self) -> bool:
+        """Its markers tell."""
+        return True
+
+
+Board: TypeAlias = Checkerboard | CharucoBoard
+
+
+def _grid(columns: int, rows: int, field_m: tuple[float, float]) -> Array:
+    row, column = np.mgrid[:rows, :columns].reshape(2, -1)
+    return np.column_stack([column * field_m[0], -row * field_m[1], np.zeros(columns * rows)])

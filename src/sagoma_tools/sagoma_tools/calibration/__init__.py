@@ -1,0 +1,1 @@
+"""What the commands of `sagoma calibrate` share: reading footage of boards, live and from files."""
