@@ -27,9 +27,9 @@ from hull_server.settings import HullSettings
 from icp_tracker.acquisition.body_estimate import BodyEstimate, estimate_body
 from icp_tracker.acquisition.proportions import MEAN_OVER_STATURE, SIZES, body_of_sizes, sizes_of_body
 from icp_tracker.acquisition.refusal import Refusal
-from icp_tracker.acquisition.sighting import Sighting
 from icp_tracker.acquisition.t_pose import TPoseSource
 from icp_tracker.acquisition.t_pose_shape import TPoseSettings, measure_t_pose
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.voxel_cloud import VoxelCloud
 from sagoma_tools.evaluation.in_process import EPOCH_NS, Configuration, exact_silhouettes, silhouettes
 from stick_figure.body import Body
@@ -55,7 +55,7 @@ def of_session(session: Session, exact: bool) -> dict[str, object]:
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
         hull = pipeline.run(FrameSet(stamp_ns, frame_masks, dict.fromkeys(frame_masks, stamp_ns), ()))
         voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        answer = source.look(Sighting(stamp_ns, hull.centerline.points_world, voxels))
+        answer = source.look(HullClouds(stamp_ns, hull.centerline.points_world, voxels=voxels))
         if answer.pose is not None:
             truth = points[frame]
             left = truth[3] - truth[4]

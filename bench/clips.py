@@ -13,7 +13,8 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import footage_stamp_ns, load_session
-from sagoma_tools.evaluation.chain import Chain, Configuration, HullClouds, Masks
+from icp_tracker.hull_clouds import HullClouds
+from sagoma_tools.evaluation.chain import Chain, Configuration, Masks
 from sagoma_tools.evaluation.in_process import EPOCH_NS, exact_silhouettes, silhouettes
 from sagoma_tools.live_run import start_settings
 from stick_figure.body import Body

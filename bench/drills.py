@@ -10,8 +10,9 @@ import numpy as np
 from clips import Clip
 
 from ekf_tracker.state import Tracking
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.tracker import TRACKING
-from sagoma_tools.evaluation.chain import Chain, ChainStep, HullClouds
+from sagoma_tools.evaluation.chain import Chain, ChainStep
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import Pose

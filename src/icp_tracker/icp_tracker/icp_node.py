@@ -36,15 +36,15 @@ from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
 from .acquisition.body_desk import BodyDesk, BodyDeskSettings, SavedBody
-from .acquisition.one_body import BodyNumbers
 from .acquisition.pose_source import InitialPoseSettings, make_pose_source
 from .filter_feedback import FilterFeedback
 from .finite_rows import only_finite
+from .hull_clouds import BodyNumbers, HullClouds
 from .mailbox import Mailbox
 from .recovery.evidence import PART_NAMES
 from .rim_rays import NO_RIMS, RimRays
 from .tracker import ACQUIRING, TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
-from .voxel_cloud import VoxelCloud
+from .voxel_cloud import NO_VOXELS, VoxelCloud
 
 CLOUDS_KEPT = 8
 
@@ -170,31 +170,30 @@ class IcpNode(SagomaNode):
             return
         line = self._table(message, CENTERLINE, "centerline")
         voxels, voxels_body = self._voxels_of(stamp_ns)
-        rims = self._rims_of(stamp_ns)
+        numbers = BodyNumbers(line["body"], voxels_body)
+        sigma_m = line["sigma"].astype(np.float64)
+        seen = HullClouds(stamp_ns, xyz(line), sigma_m, voxels, numbers, self._rims_of(stamp_ns))
         prediction = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:
                 return
             self._last_stamp_ns = stamp_ns
             began = time.perf_counter()
-            result = self._tracker.step(
-                stamp_ns, xyz(line), line["sigma"].astype(np.float64), voxels, prediction,
-                BodyNumbers(line["body"], voxels_body), rims,
-            )  # fmt: skip
+            result = self._tracker.step(seen, prediction)
             body = self._tracker.body
             self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
         self._feedback.asked(stamp_ns)
         self._publish_body(stamp_ns, body)
         self._publish(result, message.header.frame_id)
 
-    def _voxels_of(self, stamp_ns: int) -> tuple[VoxelCloud | None, np.ndarray]:
+    def _voxels_of(self, stamp_ns: int) -> tuple[VoxelCloud, np.ndarray]:
         """The set's voxels, if they are wanted and there, and the body each belongs to."""
         if self._tracker is None or not self._tracker.needs_voxels:
-            return None, np.empty(0)
+            return NO_VOXELS, np.empty(0)
         message = self._voxels.take(stamp_ns)
         if message is None:
             self.health.count("sets_without_voxels")
-            return None, np.empty(0)
+            return NO_VOXELS, np.empty(0)
         table = self._table(message, VOXELS, "voxels")
         return VoxelCloud.checked(xyz(table), table["surface"] > 0.5), table["body"]
 

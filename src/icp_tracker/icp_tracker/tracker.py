@@ -13,12 +13,11 @@ from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
-from .acquisition.one_body import BodyNumbers, of_one_body
-from .acquisition.sighting import Sighting
 from .articulated_solver import ArticulatedSettings, assess, make_data, minimise
 from .fit_result import FitResult, unknown_covariance
 from .gauss_newton import Data
 from .hierarchical_icp import HierarchicalSettings, fit_hierarchical
+from .hull_clouds import HullClouds
 from .recovery.doubts import with_doubts
 from .recovery.quality import GOOD, LOST, UNKNOWN, TrackQuality
 from .recovery.settings import RecoverySettings
@@ -136,41 +135,26 @@ class IcpTracker:
         self._watch.reset()
         self._own_sets = 0
 
-    def step(
-        self,
-        stamp_ns: int,
-        points_world: np.ndarray,
-        sigma_m: np.ndarray | float = 0.0,
-        voxels: VoxelCloud | None = None,
-        prediction: Predicted | None = None,
-        numbers: BodyNumbers | None = None,
-        rims: RimRays = NO_RIMS,
-    ) -> IcpResult:
-        """Fit one frame set: centerline ``points_world`` (n, 3) m with noise ``sigma_m`` (n,), and hull voxels.
-
-        ``numbers`` says whose they are when there may be several people; one is followed.
-        """
-        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
-        sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
+    def step(self, seen: HullClouds, prediction: Predicted | None = None) -> IcpResult:
+        """Fit what one frame set shows. Of several people one is followed."""
+        seen, dropped = seen.finite()
         if self._pose is None or self._body is None:
-            found = self._source.look(Sighting(stamp_ns, points, voxels, numbers))
-            if numbers is not None and found.pose is not None and found.body is not None:
-                reference = forward(found.body, found.pose)
-                points, sigma, voxels, rims = of_one_body(points, sigma, voxels, numbers, reference, rims)
-            points, sigma, dropped = _finite(points, sigma)
-            return self._acquire(found, stamp_ns, points, sigma, voxels, rims, dropped)
-        start, started_from = self._start(stamp_ns, self._pose, prediction)
-        if numbers is not None:
-            reference = forward(self._body, start)
-            points, sigma, voxels, rims = of_one_body(points, sigma, voxels, numbers, reference, rims)
-        points, sigma, dropped = _finite(points, sigma)
-        if len(points) < self._settings.min_points:
+            found = self._source.look(seen)
+            if found.pose is not None and found.body is not None:
+                seen = seen.of_body_at(forward(found.body, found.pose))
+            return self._acquire(found, seen, dropped)
+        start, started_from = self._start(seen.stamp_ns, self._pose, prediction)
+        seen = seen.of_body_at(forward(self._body, start))
+        if len(seen.points_world) < self._settings.min_points:
             self._pose = start
-            reason = f"nobody in the volume: {len(points)} centerline points, {self._settings.min_points} needed"
-            return _unseen(stamp_ns, LOST, started_from, reason, dropped, start, forward(self._body, start))
-        data = self._data(points, sigma, voxels, rims)
+            reason = f"nobody in the volume: {self._too_few(seen)}"
+            return _unseen(seen.stamp_ns, LOST, started_from, reason, dropped, start, forward(self._body, start))
+        data = self._data(seen)
         fit = self._fit(self._body, start, data, self._settings)
-        return self._watched(stamp_ns, started_from, dropped, fit, data)
+        return self._watched(seen.stamp_ns, started_from, dropped, fit, data)
+
+    def _too_few(self, seen: HullClouds) -> str:
+        return f"{len(seen.points_world)} centerline points, {self._settings.min_points} needed"
 
     def _watched(self, stamp_ns: int, started_from: str, dropped: int, fit: FitResult, data: Data) -> IcpResult:
         """What comes of a fit once it is judged: itself, a better one, or that the body is lost."""
@@ -206,31 +190,22 @@ class IcpTracker:
             return None
         return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
 
-    def _acquire(
-        self,
-        found: InitialPose,
-        stamp_ns: int,
-        points: np.ndarray,
-        sigma: np.ndarray,
-        voxels: VoxelCloud | None,
-        rims: RimRays,
-        dropped: int,
-    ) -> IcpResult:
+    def _acquire(self, found: InitialPose, seen: HullClouds, dropped: int) -> IcpResult:
         reason = found.reason
         if found.pose is not None and found.body is not None:
-            if len(points) >= self._settings.min_points:
-                fit = self._fit(found.body, found.pose, self._data(points, sigma, voxels, rims), self._patient())
+            if len(seen.points_world) >= self._settings.min_points:
+                fit = self._fit(found.body, found.pose, self._data(seen), self._patient())
                 explained = fit.inliers / fit.points
                 if explained >= self._settings.acquire_inliers:
                     self._body, self._pose = found.body, fit.pose
                     self._refiner = self._new_refiner(found)
                     # the first pose is itself a measurement of every point, also of those the hull hides
                     seen_whole = replace(fit, visible=np.ones(15, dtype=bool))
-                    return _seen(stamp_ns, FROM_INITIAL, dropped, seen_whole)
+                    return _seen(seen.stamp_ns, FROM_INITIAL, dropped, seen_whole)
                 reason = f"the first pose explains only {100 * explained:.0f} % of the points"
             else:
-                reason = f"{len(points)} centerline points, {self._settings.min_points} needed"
-        return _unseen(stamp_ns, ACQUIRING, FROM_NOTHING, reason, dropped, None, np.zeros((15, 3)))
+                reason = self._too_few(seen)
+        return _unseen(seen.stamp_ns, ACQUIRING, FROM_NOTHING, reason, dropped, None, np.zeros((15, 3)))
 
     def _patient(self) -> TrackerSettings:
         articulated = replace(self._settings.articulated, max_iterations=self._settings.acquire_iterations)
@@ -249,11 +224,11 @@ class IcpTracker:
                 return own, FROM_OWN
         return predicted, str(prediction.stamp_ns)
 
-    def _data(self, points: np.ndarray, sigma: np.ndarray, voxels: VoxelCloud | None, rims: RimRays) -> Data:
+    def _data(self, seen: HullClouds) -> Data:
         """What the fit looks at."""
-        if self._settings.method != "articulated":
-            voxels, rims = NO_VOXELS, NO_RIMS
-        return make_data(points, sigma, voxels or NO_VOXELS, self._settings.articulated, rims)
+        all_joints = self._settings.method == "articulated"
+        voxels, rims = (seen.voxels, seen.rims) if all_joints else (NO_VOXELS, NO_RIMS)
+        return make_data(seen.points_world, np.asarray(seen.sigma_m), voxels, self._settings.articulated, rims)
 
     @staticmethod
     def _fit(body: Body, start: Pose, data: Data, settings: TrackerSettings) -> FitResult:
@@ -274,15 +249,9 @@ def warm_up(settings: TrackerSettings) -> None:
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
     rims = RimRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), np.zeros(15))
     for k in range(3):  # acquisition, a fit, and a look for another pose
-        tracker.step(k, points, 0.01, voxels, rims=rims)
+        tracker.step(HullClouds(k, points, 0.01, voxels, rims=rims))
     if settings.refinement.keyframes > 0:
         rehearse(settings.refinement, settings.articulated.prior)
-
-
-def _finite(points: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """Points (n, 3) and sigmas (n,) that are finite numbers, and how many were not."""
-    good = np.isfinite(points).all(axis=1) & np.isfinite(sigma)
-    return np.ascontiguousarray(points[good]), np.ascontiguousarray(sigma[good]), int((~good).sum())
 
 
 def _seen(stamp_ns: int, started_from: str, dropped: int, fit: FitResult) -> IcpResult:

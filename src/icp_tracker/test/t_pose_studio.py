@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from capture_rig import FrameSet
 from hull_server.pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.one_body import BodyNumbers
-from icp_tracker.acquisition.sighting import Sighting
+from icp_tracker.hull_clouds import BodyNumbers, HullClouds
 from icp_tracker.voxel_cloud import VoxelCloud
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
@@ -84,7 +83,7 @@ class Studio:
         hull = self._pipeline.run(FrameSet(self._stamp_ns, masks, dict.fromkeys(masks, self._stamp_ns), ()))
         numbers = BodyNumbers(*(hull.bodies.number_of_part[part] for part in (hull.centerline.part, hull.voxels.part)))
         voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        return Sighting(self._stamp_ns, hull.centerline.points_world, voxels, numbers)
+        return HullClouds(self._stamp_ns, hull.centerline.points_world, 0.0, voxels, numbers)
 
 
 @lru_cache

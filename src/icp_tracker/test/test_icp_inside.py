@@ -15,6 +15,7 @@ from icp_tracker.articulated_solver import (
     with_trust_in_hull,
 )
 from icp_tracker.figure_arrays import Figure, State
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.inside_term import SAMPLES, add_inside_residuals
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from icp_tracker.voxel_cloud import VoxelCloud
@@ -146,8 +147,8 @@ def test_first_pose_shows_all_points(body, synthetic):
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(8), 300, 0.01)
     points = points[points[:, 1] < 0.25]
     tracker = IcpTracker(KnownPose(truth, body), TrackerSettings())
-    assert tracker.step(1, points).visible.all()
-    assert not tracker.step(2, points).visible.all()
+    assert tracker.step(HullClouds(1, points)).visible.all()
+    assert not tracker.step(HullClouds(2, points)).visible.all()
 
 
 def test_same_hull_gives_the_same_bytes(body, synthetic, away):

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker
 from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, split_reference_points, to_cloud
@@ -326,6 +327,6 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
         answer = node.answer(message)
         table = from_cloud(message, CENTERLINE, "test")
         points = np.stack([table[name] for name in "xyz"], axis=1).astype(float)
-        expected = tracker.step(stamp(k), points, table["sigma"].astype(float))
+        expected = tracker.step(HullClouds(stamp(k), points, table["sigma"].astype(float)))
         assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
         assert fit_message(expected, "articulated") == node.fits[-1]

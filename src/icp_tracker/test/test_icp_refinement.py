@@ -12,6 +12,7 @@ from icp_tracker.acquisition.proportions import FOREARM, SIZES, THIGH, UPPER_ARM
 from icp_tracker.articulated_solver import PriorSettings
 from icp_tracker.figure_arrays import State
 from icp_tracker.flesh import Flesh
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.recovery.settings import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner
 from icp_tracker.refinement.rim_system import rim_system
@@ -237,7 +238,7 @@ def test_tracker_takes_over_better_sizes_of_a_measured_body_and_none_of_a_given_
     for k in range(40 if was_measured else 12):
         pose = first.retract(np.r_[np.zeros(6), np.full(18, 0.03 * abs(k % 20 - 10))])
         rays = made.rays_on(body, flesh, pose, rng, each=8)
-        tracker.step(k * 16_666_667, forward(body, pose), 0.02, rims=rays)
+        tracker.step(HullClouds(k * 16_666_667, forward(body, pose), 0.02, rims=rays))
     error = np.abs(tracker.body.lengths - body.lengths).mean()
     start = np.abs(estimate.body.lengths - body.lengths).mean()
     if was_measured:

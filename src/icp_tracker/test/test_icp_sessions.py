@@ -11,6 +11,7 @@ from hull_server.pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.t_pose import TPoseSource
 from icp_tracker.acquisition.t_pose_shape import TPoseSettings
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.tracker import IcpTracker
 from icp_tracker.voxel_cloud import VoxelCloud
 
@@ -25,7 +26,7 @@ def test_t_pose_of_a_rendered_person_is_found_and_fitted(name):
     session = load_session(SESSIONS / name)
     truth = session.truth.stick_figure_points()
     tracker = IcpTracker(TPoseSource(TPoseSettings()))
-    results = [tracker.step(*step) for step in steps(session, HELD_SETS)]
+    results = [tracker.step(seen) for seen in hulls(session, HELD_SETS)]
     assert [r.state for r in results] == ["acquiring"] * 4 + ["tracking"] * 2
     found, expected = results[-1].reference_points_world, truth[HELD_SETS - 1]
     error_mm = 1e3 * np.linalg.norm(found - expected, axis=1)
@@ -35,8 +36,8 @@ def test_t_pose_of_a_rendered_person_is_found_and_fitted(name):
     assert np.degrees(np.arccos(across[0] @ across[1])) < 8
 
 
-def steps(session, count):
-    """The arguments of ``IcpTracker.step`` for the first frame sets: stamp, centerline, sigma, voxels."""
+def hulls(session, count):
+    """What the hull shows of the first frame sets."""
     pipeline = HullPipeline(session.rig, HullSettings(backend="cpu"))
     videos = {name: cv2.VideoCapture(str(session.masks[name])) for name in session.rig.names}
     for frame in range(count):
@@ -48,4 +49,4 @@ def steps(session, count):
             masks[name] = session.rig.camera(name).undistorted_view().undistort_mask(exact)
         hull = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ()))
         voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        yield stamp_ns, hull.centerline.points_world, hull.centerline.sigma, voxels
+        yield HullClouds(stamp_ns, hull.centerline.points_world, hull.centerline.sigma, voxels)

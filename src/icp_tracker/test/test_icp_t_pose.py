@@ -7,9 +7,9 @@ import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, box, person, standing, studio, with_angles
 
 from icp_tracker.acquisition.refusal import Refusal
-from icp_tracker.acquisition.sighting import Sighting
 from icp_tracker.acquisition.t_pose import TPoseSource, find_t_pose, pose_of
 from icp_tracker.acquisition.t_pose_shape import TPoseSettings, measure_t_pose
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.voxel_cloud import VoxelCloud
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -65,7 +65,7 @@ def test_floor_shadow_on_one_side_makes_the_heading_unsure_rather_than_wrong():
         slab[:, 2] = 0.02 * np.round(slab[:, 2] / 0.02)
         voxels = np.concatenate([seen.voxels.points_world, slab])
         cloud = VoxelCloud(voxels, np.ones(len(voxels), bool))
-        answer = TPoseSource(TPoseSettings(hold_sets=1)).look(Sighting(0, np.empty((0, 3)), cloud))
+        answer = TPoseSource(TPoseSettings(hold_sets=1)).look(HullClouds(0, np.empty((0, 3)), voxels=cloud))
         if answer.pose is None:
             assert "front and back look alike" in answer.reason
         else:
@@ -178,7 +178,7 @@ def test_people_who_touch_are_refused(rig):
 
 def moved(seen, stamp_ns, shift):
     voxels = VoxelCloud(seen.voxels.points_world + shift, seen.voxels.surface)
-    return Sighting(stamp_ns, seen.points_world + shift, voxels)
+    return HullClouds(stamp_ns, seen.points_world + shift, voxels=voxels)
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +188,7 @@ def t_pose():
 
 def test_t_pose_must_be_held(t_pose):
     source = TPoseSource(TPoseSettings(hold_sets=3))
-    nobody = Sighting(0, np.empty((0, 3)), None)
+    nobody = HullClouds(0, np.empty((0, 3)))
     sets = [moved(t_pose, k * SET_NS, 0.0) if seen else nobody for k, seen in enumerate([1, 1, 0, 1, 1, 1])]
     answers = [source.look(seen) for seen in sets]
     assert [answer.reason for answer in answers] == [
@@ -219,5 +219,5 @@ def test_somebody_else_starts_holding_anew(t_pose):
 def test_person_without_feet_cannot_tell_front_from_back(t_pose):
     voxels = t_pose.voxels.points_world[t_pose.voxels.points_world[:, 2] > 0.12]
     cloud = VoxelCloud(voxels, np.ones(len(voxels), bool))
-    answer = TPoseSource(TPoseSettings(hold_sets=1)).look(Sighting(0, np.empty((0, 3)), cloud))
+    answer = TPoseSource(TPoseSettings(hold_sets=1)).look(HullClouds(0, np.empty((0, 3)), voxels=cloud))
     assert answer.pose is None and "front and back look alike" in answer.reason

@@ -12,6 +12,7 @@ from test_icp_rims import grazing_rays
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_solver import ArticulatedSettings, make_data, minimise
 from icp_tracker.flesh import Flesh
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.recovery.body_library import about_face, arms_exchanged, sides_exchanged
 from icp_tracker.recovery.doubts import with_doubts
 from icp_tracker.recovery.evidence import LEFT_ARM, PART_NAMES, PART_POINTS, RIGHT_LEG, weigh
@@ -99,7 +100,7 @@ def follow(person, sets, start=None, wrong_at=None, wrong=None, settings=None):
         prediction = None
         if k == wrong_at:
             prediction = SimpleNamespace(stamp_ns=stamp(k), pose=wrong(truth), velocity=np.zeros(24))
-        results.append(tracker.step(stamp(k), line, 0.03, voxels, prediction, rims=rays))
+        results.append(tracker.step(HullClouds(stamp(k), line, 0.03, voxels, rims=rays), prediction))
         truths.append(forward(person.body, truth))
     return results, truths
 
@@ -242,14 +243,14 @@ def test_who_left_is_lost_and_found_again_elsewhere(person):
     tracker = IcpTracker(KnownPose(person.pose, person.body), TrackerSettings(acquire_inliers=0.0))
     rng = np.random.default_rng(2)
     line, voxels, rays = seen(person, 0, rng)
-    tracker.step(stamp(0), line, 0.03, voxels, rims=rays)
-    empty = tracker.step(stamp(1), np.empty((0, 3)), 0.0, None)
+    tracker.step(HullClouds(stamp(0), line, 0.03, voxels, rims=rays))
+    empty = tracker.step(HullClouds(stamp(1), np.empty((0, 3))))
     assert empty.state == LOST and empty.reason.startswith("nobody in the volume") and not empty.visible.any()
     R, t = Rotation.from_rotvec([0.0, 0.0, 2.2]).as_matrix(), np.array([-1.1, 0.7, 0.0])
     truth, states = forward(person.body, moved(person.pose, R, t)), []
     for k in range(60, 120):
         line, voxels, rays = seen(person, k, rng, R, t)
-        result = tracker.step(stamp(k), line, 0.03, voxels, rims=rays)
+        result = tracker.step(HullClouds(stamp(k), line, 0.03, voxels, rims=rays))
         states.append(result.state)
         assert result.state != LOST or not result.visible.any()
     assert states[0] in (DOUBTFUL, LOST)
@@ -265,7 +266,7 @@ def test_a_stale_prediction_does_not_undo_a_recovery(person):
         line, voxels, rays = seen(person, k, rng)
         pose = posed(FOLDED, truth) if found is None or k < found + 6 else truth
         prediction = SimpleNamespace(stamp_ns=stamp(k), pose=pose, velocity=np.zeros(24))
-        result = tracker.step(stamp(k), line, 0.03, voxels, prediction if k else None, rims=rays)
+        result = tracker.step(HullClouds(stamp(k), line, 0.03, voxels, rims=rays), prediction if k else None)
         good = k > 0 and worst_m(result, forward(person.body, truth)) < 0.06
         assert good or found is None
         found = k if good and found is None else found

@@ -18,9 +18,9 @@ from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
+from ..hull_clouds import HullClouds
 from .body_estimate import BodyEstimate
 from .flesh_sizes import FleshSizes
-from .sighting import Sighting
 
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
 NEIGHBOUR_FRAMES = 5
@@ -49,7 +49,7 @@ class PoseSource(Protocol):
         """Whether it looks at the hull's voxels."""
         ...
 
-    def look(self, seen: Sighting) -> InitialPose:
+    def look(self, seen: HullClouds) -> InitialPose:
         """The first pose, if this frame set brings it."""
         ...
 
@@ -65,7 +65,7 @@ class KnownPose:
     def needs_voxels(self) -> bool:
         return False
 
-    def look(self, seen: Sighting) -> InitialPose:
+    def look(self, seen: HullClouds) -> InitialPose:
         return InitialPose(self.pose, self.body)
 
 

@@ -21,13 +21,13 @@ from stick_figure.skeleton import ANGLE_NAMES, HEAD, mirror_angles
 
 from ..articulated_solver import ArticulatedSettings, PriorSettings, fit_articulated
 from ..flesh import Flesh
+from ..hull_clouds import HullClouds
 from ..voxel_cloud import VoxelCloud
 from .facing import evidence_of_feet, evidence_of_head
 from .flesh_match import FleshMatch, match_flesh
 from .flesh_sizes import FleshSizes
 from .initial_pose import InitialPose
 from .refusal import Refusal, reasons_of_bodies
-from .sighting import Sighting
 from .t_pose_shape import TPoseSettings
 from .upright import FEWEST_VOXELS, Upright, stand_known
 
@@ -66,7 +66,7 @@ class KnownBodySource:
         self._flesh = (thickness or FleshSizes()).on(Flesh.of(body))
         self._agreed: list[np.ndarray] = []
 
-    def look(self, seen: Sighting) -> InitialPose:
+    def look(self, seen: HullClouds) -> InitialPose:
         """The pose, or the reason why there is none yet."""
         found, reasons = [], {}
         for number in seen.voxels_of_bodies():
@@ -90,11 +90,11 @@ class KnownBodySource:
         self._agreed.clear()
         return InitialPose(fitted.pose, self._body, flesh=self._thickness)
 
-    def _fit(self, seen: Sighting) -> Fitted:
+    def _fit(self, seen: HullClouds) -> Fitted:
         """The best fit to one body. Raises Refusal when it is not believed."""
         voxels = seen.voxels
-        if voxels is None or len(voxels) < FEWEST_VOXELS:
-            raise Refusal("no hull" if voxels is None or len(voxels) == 0 else "the hull is too small")
+        if len(voxels) < FEWEST_VOXELS:
+            raise Refusal("no hull" if len(voxels) == 0 else "the hull is too small")
         upright, crown = stand_known(voxels.points_world, self._body.stature, CROUCH, self._volume)
         start = self._best_start(upright, crown, voxels)
         fits = [self._fitted(seen, voxels, upright, pose) for pose in (start, _turned_round(start))]
@@ -115,7 +115,7 @@ class KnownBodySource:
         poses = [_rough_pose(self._body, upright, crown, *limbs) for limbs in product(ELEVATIONS, ELEVATIONS, SPREADS)]
         return min(poses, key=lambda pose: match_flesh(self._body, self._flesh, pose, surface, surface).cost)
 
-    def _fitted(self, seen: Sighting, voxels: VoxelCloud, upright: Upright, start: Pose) -> Fitted:
+    def _fitted(self, seen: HullClouds, voxels: VoxelCloud, upright: Upright, start: Pose) -> Fitted:
         settings = replace(ArticulatedSettings(), prior=FREE, max_iterations=ITERATIONS)
         points = seen.points_world[np.isfinite(seen.points_world).all(axis=1)]
         pose = fit_articulated(self._body, start, points, 0.0, voxels, settings=settings).pose

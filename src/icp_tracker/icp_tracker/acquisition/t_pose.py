@@ -11,12 +11,12 @@ from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, mirror_angles
 
+from ..hull_clouds import HullClouds
 from .body_estimate import estimate_body
 from .flesh_sizes import measure_flesh
 from .initial_pose import InitialPose
 from .proportions import ANKLE, MEAN_OVER_STATURE
 from .refusal import Refusal, reasons_of_bodies
-from .sighting import Sighting
 from .t_pose_shape import LEVEL, TPose, TPoseSettings, measure_t_pose
 from .upright import SHINS, TRUNK
 
@@ -38,7 +38,7 @@ class TPoseSource:
         self._settings, self._volume = settings, volume
         self._held: deque[tuple[int, TPose]] = deque(maxlen=settings.hold_sets)
 
-    def look(self, seen: Sighting) -> InitialPose:
+    def look(self, seen: HullClouds) -> InitialPose:
         """The pose and the measured body, or the reason why there is none yet."""
         measured, reason = find_t_pose(seen, self._settings, self._volume)
         if measured is None:
@@ -69,7 +69,7 @@ class TPoseSource:
         return ""
 
 
-def find_t_pose(seen: Sighting, settings: TPoseSettings, volume: Volume | None = None) -> tuple[TPose | None, str]:
+def find_t_pose(seen: HullClouds, settings: TPoseSettings, volume: Volume | None = None) -> tuple[TPose | None, str]:
     """The one body that stands in the pose; or None, and of each body the reason why it does not."""
     found, reasons = [], {}
     for number, voxels in seen.voxels_of_bodies().items():

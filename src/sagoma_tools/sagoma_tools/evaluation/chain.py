@@ -18,8 +18,8 @@ from ekf_tracker.settings import EkfSettings
 from ekf_tracker.state import EkfState, NoState
 from hull_server.pipeline import HullPipeline, HullResult
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.one_body import BodyNumbers
 from icp_tracker.acquisition.pose_source import make_pose_source
+from icp_tracker.hull_clouds import BodyNumbers, HullClouds
 from icp_tracker.icp_node import IcpNodeSettings
 from icp_tracker.rim_rays import RimRays
 from icp_tracker.tracker import TRACKING, IcpResult, IcpTracker
@@ -71,40 +71,6 @@ class Feedback:
 
 
 @dataclass(frozen=True, eq=False)
-class HullClouds:
-    """What the hull node publishes of one frame set, as the ICP node reads it.
-
-    points_world (n, 3) m with sigma (n,) m: the centerline; voxels: samples of the hull; numbers: whose they are;
-    rims: rays that touch the body.
-    """
-
-    stamp_ns: int
-    points_world: np.ndarray
-    sigma: np.ndarray
-    voxels: VoxelCloud
-    numbers: BodyNumbers
-    rims: RimRays
-
-    @classmethod
-    def of(cls, result: HullResult) -> HullClouds:
-        """Rounded to float32, as the clouds between the nodes carry them."""
-        line, samples, rims, number_of_part = (
-            result.centerline, result.voxels, result.rims, result.bodies.number_of_part,
-        )  # fmt: skip
-        return cls(
-            result.stamp_ns,
-            _rounded(line.points_world),
-            _rounded(line.sigma),
-            VoxelCloud.checked(_rounded(samples.points_world), samples.surface),
-            BodyNumbers(number_of_part[line.part], number_of_part[samples.part]),
-            RimRays(
-                *(_rounded(part) for part in (rims.point_world, rims.direction, rims.normal)),
-                *(_rounded(part) for part in (rims.half_length, rims.sigma, number_of_part[rims.part])),
-            ),
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class ChainStep:
     """What one frame set gave: the fit, and the filter's answer (None before there is a body to filter)."""
 
@@ -129,16 +95,7 @@ class TrackingChain:
 
     def step(self, clouds: HullClouds) -> ChainStep:
         """Fit and filter one frame set; stamps must rise."""
-        fit = self.icp.step(
-            clouds.stamp_ns,
-            clouds.points_world,
-            clouds.sigma,
-            clouds.voxels,
-            self._feedback,
-            clouds.numbers,
-            clouds.rims,
-        )
-        return self._filtered(fit)
+        return self._filtered(self.icp.step(clouds, self._feedback))
 
     def mislead(self, stamp_ns: int, pose: Pose, sd_m: float = 0.02) -> ChainStep:
         """A frame set at which filter and tracker begin anew at this pose, wrong or not, sure of it to ``sd_m``.
@@ -155,7 +112,7 @@ class TrackingChain:
         claim = IcpResult(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
         step = self._filtered(claim)
         # a set without points leaves the tracker at the filter's prediction
-        self.icp.step(stamp_ns, np.empty((0, 3)), 0.0, None, self._feedback)
+        self.icp.step(HullClouds(stamp_ns, np.empty((0, 3))), self._feedback)
         return step
 
     def _filtered(self, fit: IcpResult) -> ChainStep:
@@ -181,11 +138,27 @@ class Chain:
 
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullClouds:
         """The hull of canvas masks {camera: (h, w) uint8} of one instant; ``missing`` cameras delivered nothing."""
-        return HullClouds.of(self.hull.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), missing)))
+        return as_published(self.hull.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), missing)))
 
     def step(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> ChainStep:
         """Carve, fit and filter one frame set; stamps must rise."""
         return self.tracking.step(self.carve(stamp_ns, masks, missing))
+
+
+def as_published(result: HullResult) -> HullClouds:
+    """What the ICP node reads of a hull: rounded to float32, as the clouds between the nodes carry it."""
+    line, samples, rims, number_of_part = result.centerline, result.voxels, result.rims, result.bodies.number_of_part
+    return HullClouds(
+        result.stamp_ns,
+        _rounded(line.points_world),
+        _rounded(line.sigma),
+        VoxelCloud.checked(_rounded(samples.points_world), samples.surface),
+        BodyNumbers(number_of_part[line.part], number_of_part[samples.part]),
+        RimRays(
+            *(_rounded(part) for part in (rims.point_world, rims.direction, rims.normal)),
+            *(_rounded(part) for part in (rims.half_length, rims.sigma, number_of_part[rims.part])),
+        ),
+    )
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

@@ -17,12 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from stick_clips import FPS, Clip, SpreadPoints
 
 from ekf_tracker.motion_model import DampedVelocity
 from stick_figure.body import Body
 from stick_figure.kinematics import jacobian
 from stick_figure.pose import Pose
+
+from .clips import FPS, Clip, SpreadPoints
 
 POSE = slice(0, 24)
 MOTION = DampedVelocity()

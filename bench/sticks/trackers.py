@@ -6,16 +6,18 @@ import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from stick_clips import FPS, Clip
 
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.state import EkfState
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.hierarchical_icp import HierarchicalSettings
+from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from icp_tracker.voxel_cloud import VoxelCloud
+from icp_tracker.voxel_cloud import NO_VOXELS, VoxelCloud
 from stick_figure.pose import Pose
+
+from .clips import FPS, Clip
 
 NS = 1e9
 INSIDE_95 = 7.815
@@ -90,9 +92,9 @@ def track(
     feedback: Feedback | None = None
     errors, times, inside = [], [], []
     for frame, (cloud, true) in enumerate(zip(points, clip.points_world, strict=True)):
-        stamp_ns, seen = round(frame * NS / FPS), None if voxels is None else voxels[frame]
+        stamp_ns, samples = round(frame * NS / FPS), voxels[frame] if voxels else NO_VOXELS
         began = time.thread_time()
-        fit = icp.step(stamp_ns, cloud, sigma_m, seen, feedback if method.feedback else None)
+        fit = icp.step(HullClouds(stamp_ns, cloud, sigma_m, samples), feedback if method.feedback else None)
         fitted = time.thread_time()
         state = ekf.step(stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
         times.append((1e3 * (fitted - began), 1e3 * (time.thread_time() - fitted)))

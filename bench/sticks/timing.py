@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from stick_clips import Clip, clouds
-from stick_trackers import chain, track
 
 from icp_tracker.voxel_cloud import VoxelCloud
 from virtual_studio.body import Capsules, VolumetricBody
+
+from .clips import Clip, clouds
+from .trackers import chain, track
 
 POINTS, VOXELS = 500, 1500
 VOXEL_M = 0.02

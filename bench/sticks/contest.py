@@ -7,12 +7,13 @@ from collections.abc import Callable
 from importlib import import_module
 
 import numpy as np
-from stick_clips import FPS, Clip, clouds
-from stick_rivals import Solver, our_inverse_kinematics, our_solve, scipy_inverse_kinematics, scipy_solve
 
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.state import EkfState
+
+from .clips import FPS, Clip, clouds
+from .rivals import Solver, our_inverse_kinematics, our_solve, scipy_inverse_kinematics, scipy_solve
 
 LABELLED_SIGMA_M = 0.02
 
@@ -24,7 +25,7 @@ def unlabelled_contest(clip: Clip) -> None:
     print(f"\n{task}; {clip.name}, {len(points)} frames")
     _header()
     _row("all joints at once (ours)", lambda: our_solve(clip), points, clip)
-    _row("pinocchio Jacobians + numpy", lambda: import_module("stick_pinocchio").articulated_icp(clip), points, clip)
+    _row("pinocchio Jacobians + numpy", lambda: import_module("sticks.pinocchio").articulated_icp(clip), points, clip)
     _row("scipy.optimize.least_squares in an ICP loop", lambda: scipy_solve(clip), points, clip)
 
 
@@ -37,8 +38,8 @@ def labelled_contest(clip: Clip) -> None:
     _row("closed form (ours)", lambda: our_inverse_kinematics(clip), z, clip)
     for model in ("identity", "constant_velocity"):
         _row(f"EKF, {model} (ours)", lambda model=model: _filter(clip, model), z, clip)
-    _row("pinocchio Jacobians + numpy", lambda: import_module("stick_pinocchio").inverse_kinematics(clip), z, clip)
-    _row("OpenSim inverse kinematics", lambda: import_module("stick_opensim").inverse_kinematics(clip, z), z, clip)
+    _row("pinocchio Jacobians + numpy", lambda: import_module("sticks.pinocchio").inverse_kinematics(clip), z, clip)
+    _row("OpenSim inverse kinematics", lambda: import_module("sticks.opensim").inverse_kinematics(clip, z), z, clip)
     _row("scipy.optimize.least_squares", lambda: scipy_inverse_kinematics(clip), z, clip)
 
 

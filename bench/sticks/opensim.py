@@ -6,12 +6,13 @@ from itertools import count
 
 import numpy as np
 import opensim as osim
-from stick_clips import FPS, Clip
-from stick_model import POINT_ENDS, along_stick, local_ends
-from stick_rivals import Solver
 
 from stick_figure.body import Body
 from stick_figure.skeleton import PARENT
+
+from .clips import FPS, Clip
+from .model import POINT_ENDS, along_stick, local_ends
+from .rivals import Solver
 
 ACCURACY = 1e-4
 ZERO = (0.0, 0.0, 0.0)

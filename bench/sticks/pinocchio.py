@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from stick_clips import Clip
-from stick_model import POINT_ENDS, along_stick, local_ends
-from stick_rivals import ASSIGNMENTS, PRIOR, STOP_M, Solver
 
 from icp_tracker.foot_points import foot_points
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 from stick_figure.skeleton import BALL_ANGLES, HINGE_ANGLES, PARENT
+
+from .clips import Clip
+from .model import POINT_ENDS, along_stick, local_ends
+from .rivals import ASSIGNMENTS, PRIOR, STOP_M, Solver
 
 BALL_AXES = ("xy", "xzy", "xzy", "xyz", "xyz")
 HINGE_AXES = ("z", "z", "y", "y")

@@ -1,6 +1,6 @@
 """Solvers of one frame after another, each from its last pose: ours, and scipy's least squares on the same residuals.
 
-stick_pinocchio.py and stick_opensim.py hold the others.
+pinocchio.py and opensim.py hold the others.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
-from stick_clips import Clip
 
 from icp_tracker.articulated_solver import ArticulatedSettings, PriorSettings, fit_articulated
 from icp_tracker.foot_points import foot_points
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse, sticks
 from stick_figure.pose import Pose
+
+from .clips import Clip
 
 Solver = Callable[[np.ndarray], np.ndarray]
 """Points of one frame (n, 3) to the 15 reference points (15, 3), m; remembers its last pose."""
