@@ -25,6 +25,7 @@ from .yaml_file import read_mapping
 
 MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 KEYS = ("image_width", "image_height", "camera_name", "distortion_model", "distortion_coefficients", *MATRICES)
+READABLE = 0o644  # temporary files are for their owner alone
 RECTIFIED = 1e-6  # a rectification matrix may depart from the identity by so much
 _REMEDY = "Give a camera_info YAML, as camera_calibration writes it, or leave camera_info_file empty."
 
@@ -35,14 +36,37 @@ def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
     Raises InputError with file, key, value and remedy: no such file, another camera's name or image size, a matrix
     that is none.
     """
-    where = str(path)
+    document = _read(path)
+    if document["camera_name"] != camera.name:
+        raise InputError(f"camera_name = {document['camera_name']!r} is not this camera, '{camera.name}'",
+                         where=str(path), remedy="Name the file of this camera.")  # fmt: skip
+    return _with_document(camera, document, str(path))
+
+
+def read_camera_info(path: str | Path) -> CameraModel:
+    """The camera that the camera_info YAML at ``path`` describes: name, image size and intrinsics from the file, pose
+    the identity.
+
+    Raises InputError with file, key, value and remedy: no such file, a camera without a name, a matrix that is none.
+    """
+    document, where = _read(path), str(path)
+    name = document["camera_name"]
+    if not isinstance(name, str) or not name:
+        raise InputError(f"camera_name = {name!r} is not a name", where=where, remedy="Write the camera's name there.")
+    width, height = (document[key] for key in ("image_width", "image_height"))
+    anything = CameraModel(name, width, height, np.eye(3), "plumb_bob", np.zeros(5), np.eye(4))
+    return _with_document(anything, document, where)
+
+
+def _read(path: str | Path) -> Mapping[str, Any]:
     document = read_mapping(Path(path), _REMEDY)
     missing = [key for key in KEYS if key not in document]
     if missing:
-        raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=_REMEDY)
-    if document["camera_name"] != camera.name:
-        raise InputError(f"camera_name = {document['camera_name']!r} is not this camera, '{camera.name}'", where=where,
-                         remedy="Name the file of this camera.")  # fmt: skip
+        raise InputError(f"key '{missing[0]}' is missing", where=str(path), remedy=_REMEDY)
+    return document
+
+
+def _with_document(camera: CameraModel, document: Mapping[str, Any], where: str) -> CameraModel:
     matrices = {key: _matrix(document, key, shape, where) for key, shape in MATRICES.items()}
     return with_intrinsics(
         camera, document["image_width"], document["image_height"], matrices["camera_matrix"].tolist(),
@@ -97,6 +121,7 @@ def save_camera_info(path: str | Path, camera: CameraModel) -> None:
     try:
         with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
             yaml.safe_dump(document, file, sort_keys=False, default_flow_style=None, width=120)
+        os.chmod(file.name, READABLE)
         os.replace(file.name, path)
     except OSError as error:
         raise InputError(f"cannot be written ({error.strerror})", where=str(path),

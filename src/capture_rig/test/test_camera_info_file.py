@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from capture_rig.camera import CameraModel
-from capture_rig.camera_info_file import load_camera_info, save_camera_info
+from capture_rig.camera_info_file import load_camera_info, read_camera_info, save_camera_info
 from capture_rig.errors import InputError
 
 # written by hand after the calibrator's own output
@@ -76,6 +76,7 @@ def test_saved_file_reads_back_the_same_numbers(camera, tmp_path, model, D):
     read = load_camera_info(tmp_path / "out.yaml", camera)
     assert np.array_equal(read.K, K) and np.array_equal(read.D, D) and read.distortion_model == model
     assert [path.name for path in tmp_path.iterdir()] == ["out.yaml"]
+    assert (tmp_path / "out.yaml").stat().st_mode & 0o777 == 0o644
 
 
 def test_pinhole_without_coefficients_has_no_distortion(camera, file):
@@ -114,3 +115,24 @@ def test_missing_file_is_refused(camera, tmp_path):
 def test_file_that_cannot_be_written_is_refused_and_leaves_nothing(camera, tmp_path):
     with pytest.raises(InputError, match=r"nowhere/out\.yaml: cannot be written"):
         save_camera_info(tmp_path / "nowhere" / "out.yaml", camera)
+
+
+def test_camera_read_from_a_file_alone_has_its_name_and_size_and_no_pose(file):
+    read = read_camera_info(file())
+    assert (read.name, read.width, read.height) == ("cam01", 640, 480)
+    assert read.K[0].tolist() == [438.78356, 0, 305.59331] and read.D[0] == -0.361976
+    assert np.array_equal(read.T_camera_world, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    "change, text",
+    [
+        (("camera_name: cam01", "camera_name: 7"), "camera_name = 7 is not a name"),
+        (("image_width: 640", "image_width: wide"), "image_width = 'wide' is not a positive whole number"),
+        (("438.78356,    0. ", "0.,    0. "), "is not an intrinsic matrix"),
+    ],
+)
+def test_file_of_no_camera_is_refused(file, change, text):
+    with pytest.raises(InputError, match=text) as refused:
+        read_camera_info(file(change))
+    assert "cam01.yaml" in str(refused.value)

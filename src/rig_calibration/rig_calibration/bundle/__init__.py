@@ -1,1 +1,1 @@
-"""Poses of all cameras from targets that several of them see: initialisation, sparse bundle adjustment, covariance."""
+"""The solver of the rig: poses of cameras and targets from what many cameras saw of targets of known size."""

@@ -1,1 +1,1 @@
-"""One camera's focal length, principal point and lens distortion, from views of a board (thesis 6.1)."""
+"""One camera's lens from views of a board: which views, the adjustment, how sure it is, and whether it will do."""

@@ -1,6 +1,163 @@
+"""``sagoma calibrate extrinsics``: where the cameras stand, from a board on the floor and one carried about."""
+
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from capture_rig.errors import InputError
+from capture_rig.verdict import REDO
+
+from ...calibration.rig_request import (
+    RigRequest,
+    read_boards,
+    read_choice,
+    read_floor_at,
+    read_marks,
+    read_tape,
+)
+
+NOT_GOOD_ENOUGH = 1
+WIDTH = 120
+EPILOG = """\
+A SOURCE is a folder (cam01.mp4, cam02.png, cam03/*.jpg ...), one video or still, or NAME=PATH.
+The world: z up, origin on the floor in the middle of the floor board, x along its rows.
+Exit status: 0 when the verdict is good or usable, 1 when it is redo, 2 for input that cannot be used."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction) -> None: ...
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "extrinsics", help="where the cameras stand: a board on the floor, a board carried through the room",
+        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    _add_pictures(parser)
+    _add_world(parser)
+    _add_by_hand(parser)
+    parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="leave these cameras out")
+    parser.add_argument("--check", nargs=3, action="append", default=[], metavar=("NAME", "NAME", "METRES"),
+                        help="distance between two lenses, measured with a tape")  # fmt: skip
+    parser.add_argument("--check-height", nargs=2, action="append", default=[], metavar=("NAME", "METRES"),
+                        help="height of a lens above the floor, measured with a tape")  # fmt: skip
+    parser.add_argument("--output", default="rig.yaml", metavar="FILE",
+                        help="rig file to write; report and pictures come beside it (default: rig.yaml)")  # fmt: skip
+    parser.set_defaults(run=run)
+
+
+def _add_pictures(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("pictures")
+    group.add_argument("--intrinsics", required=True, metavar="FOLDER",
+                       help="one NAME.yaml (camera_info) a camera; or a rig file to take the lenses from")  # fmt: skip
+    group.add_argument("--floor", nargs="+", default=[], metavar="SOURCE", help="the board lying still on the floor")
+    group.add_argument("--moving", nargs="*", default=None, metavar="SOURCE",
+                       help="a board carried through the room; same frame number = same moment")  # fmt: skip
+    group.add_argument("--wand", nargs="+", default=[], metavar="SOURCE", help="a wand with bright markers, carried")
+    group.add_argument("--wand-marks", metavar="M,M,...", help="positions of its markers along it, metres")
+    group.add_argument(
+        "--board", metavar="TEXT|FILE", help='e.g. "checkerboard 9x6 25mm" (inner corners), or a YAML file'
+    )
+    group.add_argument("--floor-board", metavar="TEXT|FILE", help="the board on the floor, where it is another one")
+    group.add_argument(
+        "--live", action="store_true", help="take the pictures from the running cameras' image_raw topics"
+    )
+    group.add_argument("--cameras", nargs="+", default=[], metavar="NAME",
+                       help="with --live: these cameras (default: all that publish)")  # fmt: skip
+
+
+def _add_world(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("world")
+    group.add_argument("--origin", default="centre", metavar="WHERE",
+                       help="on the floor board: centre (default), first-corner, or x,y in metres from its first "
+                       "corner, along its rows and towards the top of the print")  # fmt: skip
+    group.add_argument("--heading", type=float, default=0.0, metavar="DEG",
+                       help="from the board's rows to world x, counterclockwise from above")  # fmt: skip
+    group.add_argument("--board-thickness", type=float, default=0.0, metavar="METRES", help="of the floor board")
+    group.add_argument("--floor-at", metavar="WHEN",
+                       help="without --floor: when the carried board lies on the floor: a frame's number, first, last, "
+                       "lowest (default: found), or none (no floor is known)")  # fmt: skip
+    group.add_argument(
+        "--floor-points", metavar="FILE", help="YAML of points measured on the floor and seen by cameras"
+    )
+
+
+def _add_by_hand(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("where the floor board is not found")
+    group.add_argument("--corners", metavar="FILE", help="YAML: NAME: four [x, y] outer corners, in pixels")
+    group.add_argument("--click", nargs="*", default=None, metavar="NAME",
+                       help="click the outer corners, of these cameras or of all in which it is not found")  # fmt: skip
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate; 0 when the rig can be used, 1 when it should be calibrated again."""
+    request = request_from(args)
+    console = Console()
+    console = console if console.is_terminal else Console(width=WIDTH)
+    grade = _from_cameras(request, console) if request.live else _from_footage(request, console)
+    return NOT_GOOD_ENOUGH if grade == REDO else 0
+
+
+def _from_footage(request: RigRequest, console: Console) -> str:
+    from ...calibration.rig_run import calibrate_extrinsics  # the solver and numba take a second to load
+    from ...calibration.rig_sources import FootageSources
+
+    sources = FootageSources(request.floor, request.moving, request.wand, request.without, Console(stderr=True))
+    return calibrate_extrinsics(request, sources, console).verdict.grade
+
+
+def _from_cameras(request: RigRequest, console: Console) -> str:
+    from ...calibration.rig_live import LiveSources
+    from ...calibration.rig_run import calibrate_extrinsics
+    from ...ros_link import RosLink
+    from ..common import StopOnSignal
+
+    def ask(what: str) -> None:
+        if sys.stdin.isatty():
+            console.input(f"{what}, then press Enter: ")
+        else:
+            console.print(what)
+
+    with RosLink("sagoma_calibrate") as link, StopOnSignal() as stop:
+        sources = LiveSources(
+            link.node, request.live_cameras, request.without, request.carried_live, console, ask, stop
+        )
+        return calibrate_extrinsics(request, sources, console).verdict.grade
+
+
+def request_from(args: argparse.Namespace) -> RigRequest:
+    """The arguments, checked. Raises InputError."""
+    moving = tuple(args.moving or ())
+    if args.moving == [] and not args.live:
+        raise InputError("no footage is given", where="--moving", remedy="Name its folder, or add --live.")
+    if not args.live and not (args.floor or moving or args.wand or args.floor_points):
+        raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
+    if args.live and (args.floor or moving or args.wand):
+        raise InputError("pictures come from the cameras", where="--live",
+                         remedy="Leave out the footage; write --moving alone to record a carried board.")  # fmt: skip
+    if args.floor and args.floor_points:
+        raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
+    has_floor = bool(args.floor or args.floor_points or args.live)
+    board, floor_board = read_boards(args.board, args.floor_board, bool(args.floor or moving or args.live))
+    return RigRequest(
+        intrinsics=Path(args.intrinsics),
+        output=Path(args.output),
+        floor=tuple(args.floor),
+        moving=moving,
+        wand=tuple(args.wand),
+        wand_marks_m=read_marks(args.wand_marks, bool(args.wand)),
+        board=board,
+        floor_board=floor_board,
+        floor_points=Path(args.floor_points) if args.floor_points else None,
+        floor_at=read_floor_at(args.floor_at, has_floor, bool(moving)),
+        corners=Path(args.corners) if args.corners else None,
+        click=None if args.click is None else tuple(args.click),
+        without=tuple(args.without),
+        choice=read_choice(args.origin, args.heading, args.board_thickness),
+        live=args.live,
+        carried_live=args.live and args.moving is not None,
+        live_cameras=tuple(args.cameras),
+        tape=read_tape(args.check, args.check_height),
+        text={key: value for key, value in vars(args).items() if key != "run" and value not in (None, [], False)},
+    )

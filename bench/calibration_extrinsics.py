@@ -1,0 +1,224 @@
+"""Extrinsic calibration against rigs that are known: used by bench/calibration.py, and by itself.
+
+    python bench/calibration_extrinsics.py [--quick] [--rendered]
+
+Corners of a board on the floor (15 frames averaged) and of one carried about are projected through the studio's rigs
+with noise, and the cameras are placed from them. Errors are those of the cameras in the floor board's frame; "in sd"
+is the root of the squared Mahalanobis distance over its 6 degrees of freedom (1 where the covariance is honest).
+--rendered films the studio's boards instead of projecting corners, and finds them (minutes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+ROOT = Path(__file__).resolve().parent.parent
+sys.path += [str(package) for package in sorted((ROOT / "src").iterdir())]  # runs where nothing is installed
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from capture_rig.camera import CameraModel
+from capture_rig.rig import Rig, load_rig
+from rig_calibration.boards.board import Board, Checkerboard
+from rig_calibration.boards.sighting import Sighting
+from rig_calibration.bundle.rigid import inverse
+from rig_calibration.extrinsics.calibrate import (
+    FLOOR,
+    MOVING,
+    FloorTarget,
+    RigCalibration,
+    Target,
+    calibrate_rig,
+)
+from rig_calibration.extrinsics.still_board import average_still_board
+from rig_calibration.extrinsics.world import WorldChoice
+from virtual_studio.rig import ring
+
+NOISE_PX = 0.2
+FLOOR_BOARD, CARRIED_BOARD = Checkerboard(7, 4, (0.12, 0.12)), Checkerboard(9, 6, (0.08, 0.08))
+FLOOR_FRAMES, MOMENTS, QUICK_MOMENTS = 15, 150, 60
+MARGIN_PX = 3.0
+REAL_RIG = ROOT.parent / "shared" / "data" / "real_4cam" / "rig.yaml"
+
+
+@dataclass(frozen=True)
+class ExtrinsicRow:
+    """How well one rig was calibrated: the worst camera's errors, and the mean of the errors in standard deviations."""
+
+    rig: str
+    boards: str
+    cameras: int
+    rms_px: float
+    noise_px: float
+    worst_mm: float
+    worst_deg: float
+    worst_in_sd: float
+    mean_in_sd: float
+    verdict: str
+
+
+def synthetic_rows(quick: bool) -> Iterator[ExtrinsicRow]:
+    """The studio's rings, and a real rig of portrait cameras where its file is at hand."""
+    rigs = {f"ring of {n}{', ceiling' if top else ''}": ring(n, top) for n in range(3, 9) for top in (False, True)}
+    if quick:
+        rigs = {name: rigs[name] for name in ("ring of 3", "ring of 5, ceiling")}
+    if REAL_RIG.is_file():
+        rigs["real, 4 portrait cameras"] = load_rig(REAL_RIG)
+    for seed, (name, rig) in enumerate(rigs.items()):
+        floor, carried = floor_sightings(rig, seed), carried_sightings(rig, QUICK_MOMENTS if quick else MOMENTS, seed)
+        cameras = {camera.name: camera for camera in rig.cameras}
+        targets = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
+        both = calibrate_rig(cameras, floor + carried, targets)
+        yield row(name, "floor, carried", rig, both, floor_of(rig), NOISE_PX)
+        seen = {sighting.camera: cameras[sighting.camera] for sighting in floor}
+        yield row(
+            name, "floor alone", rig, calibrate_rig(seen, floor, {FLOOR: targets[FLOOR]}), floor_of(rig), NOISE_PX
+        )
+
+
+def rendered_row() -> ExtrinsicRow:
+    """Filmed boards, true lenses."""
+    from sagoma_tools.calibration.rig_request import RigRequest
+    from sagoma_tools.calibration.rig_run import calibrate_extrinsics
+    from sagoma_tools.calibration.rig_sources import FootageSources
+    from virtual_studio.calibration.footage import FootagePlan, write_calibration_footage
+    from virtual_studio.calibration.truth_files import read_truth_floor
+
+    rig, quiet = ring(4, True), Console(file=open(os.devnull, "w"))  # noqa: SIM115
+    with tempfile.TemporaryDirectory() as folder:
+        footage = write_calibration_footage(Path(folder) / "room", rig, FootagePlan(brief=True, moving_s=16.0))
+        board = FootagePlan().floor_board
+        request = RigRequest(footage / "truth_rig.yaml", Path(folder) / "rig.yaml", board=board, floor_board=board)
+        sources = FootageSources([str(footage / "floor")], [str(footage / "moving")], (), (), quiet)
+        found = calibrate_extrinsics(request, sources, quiet)
+        return row("rendered ring of 4, ceiling", "floor, carried", rig, found, read_truth_floor(footage), None)
+
+
+def row(
+    name: str, boards: str, rig: Rig, found: RigCalibration, T_world_floor: np.ndarray, noise_px: float | None
+) -> ExtrinsicRow:
+    """The errors of every camera in the frame of the floor board's middle."""
+    errors = np.array([_errors(camera, rig.camera(camera.name), T_world_floor) for camera in found.placed.rig.cameras])
+    covariances = [found.solution.covariance[camera.name] for camera in found.placed.rig.cameras]
+    in_sd = [np.sqrt(e @ np.linalg.solve(P, e) / 6) for e, P in zip(errors, covariances, strict=True)]
+    return ExtrinsicRow(
+        rig=name, boards=boards, cameras=len(errors), rms_px=round(found.figures.rms_px / np.sqrt(2), 4),
+        noise_px=noise_px or float("nan"), worst_mm=round(1e3 * np.linalg.norm(errors[:, 3:], axis=1).max(), 3),
+        worst_deg=round(float(np.rad2deg(np.linalg.norm(errors[:, :3], axis=1).max())), 4),
+        worst_in_sd=round(float(max(in_sd)), 2), mean_in_sd=round(float(np.sqrt(np.mean(np.square(in_sd)))), 2),
+        verdict=found.verdict.grade,
+    )  # fmt: skip
+
+
+def floor_of(rig: Rig) -> np.ndarray:
+    """T_world_floor (4, 4): the floor board lies in the middle of the rig's volume."""
+    T = np.eye(4)
+    T[:2, 3] = (rig.volume.low + rig.volume.high)[:2] / 2
+    return T
+
+
+def floor_sightings(rig: Rig, seed: int) -> list[Sighting]:
+    """What each camera that sees the floor board whole sees of it, averaged over some frames."""
+    rng = np.random.default_rng([seed, 1])
+    T_world_board = floor_of(rig) @ _centred(FLOOR_BOARD)
+    found = []
+    for camera in rig.cameras:
+        frames = [project(camera, FLOOR_BOARD, T_world_board, FLOOR, m, rng) for m in range(FLOOR_FRAMES)]
+        seen = [sighting for sighting in frames if sighting is not None]
+        if seen:
+            found.append(average_still_board(seen, FLOOR_BOARD, target=FLOOR).sighting)
+    return found
+
+
+def carried_sightings(rig: Rig, moments: int, seed: int) -> list[Sighting]:
+    """What the cameras see of a board that a person carries: mostly upright, leaning, 0.5 to 1.8 m high."""
+    rng = np.random.default_rng([seed, 2])
+    found = []
+    for moment in range(moments):
+        upright = cv2.Rodrigues(np.array([np.pi / 2, 0.0, 0.0]))[0]
+        facing = cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))[0]
+        T = np.eye(4)
+        T[:3, :3] = cv2.Rodrigues(rng.normal(0.0, 0.5, 3))[0] @ facing @ upright
+        T[:3, 3] = [*rng.uniform(-1.0, 1.0, 2), rng.uniform(0.5, 1.8)]
+        T_world_board = floor_of(rig) @ T @ _centred(CARRIED_BOARD)
+        found += [project(camera, CARRIED_BOARD, T_world_board, MOVING, moment, rng) for camera in rig.cameras]
+    return [sighting for sighting in found if sighting is not None]
+
+
+def project(
+    camera: CameraModel, board: Board, T_world_board: np.ndarray, target: str, moment: int, rng: np.random.Generator
+) -> Sighting | None:
+    """The corners with noise; None unless the camera sees the print's front and all of it."""
+    points = board.corners_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
+    pixels = camera.project(points)
+    facing = (camera.centre_world - points.mean(axis=0)) @ T_world_board[:3, 2] > 0.15
+    inside = np.isfinite(pixels).all() and (pixels > MARGIN_PX).all()
+    if not facing or not inside or (pixels > np.array([camera.width, camera.height]) - MARGIN_PX).any():
+        return None
+    pixels = pixels + NOISE_PX * rng.standard_normal(pixels.shape)
+    ids, size = np.arange(len(points)), (camera.width, camera.height)
+    return Sighting(camera.name, moment, ids, pixels, size, target, NOISE_PX)
+
+
+def print_rows(console: Console, rows: list[ExtrinsicRow]) -> None:
+    """As a table."""
+    table = Table(title="extrinsics: the worst camera of each rig", title_justify="left")
+    for heading in ("rig", "boards", "cameras", "noise px", "residual px", "place mm", "turn deg", "worst in sd",
+                    "mean in sd", "verdict"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading in ("rig", "boards") else "right")
+    for r in rows:
+        noise = "filmed" if np.isnan(r.noise_px) else f"{r.noise_px:.2f}"
+        table.add_row(r.rig, r.boards, str(r.cameras), noise, f"{r.rms_px:.3f}", f"{r.worst_mm:.2f}",
+                      f"{r.worst_deg:.3f}", f"{r.worst_in_sd:.2f}", f"{r.mean_in_sd:.2f}", r.verdict)  # fmt: skip
+    console.print(table)
+
+
+def figures(rows: list[ExtrinsicRow]) -> dict[str, object]:
+    """For the line of JSON: over all rigs that saw a carried board, and every row."""
+    carried = [r for r in rows if r.boards != "floor alone"]
+    return {
+        "extrinsics_worst_mm": max(r.worst_mm for r in carried),
+        "extrinsics_worst_deg": max(r.worst_deg for r in carried),
+        "extrinsics_mean_in_sd": round(float(np.sqrt(np.mean([r.mean_in_sd**2 for r in carried]))), 2),
+        "extrinsics": [{k: None if v != v else v for k, v in asdict(r).items()} for r in rows],
+    }
+
+
+def _errors(found: CameraModel, truth: CameraModel, T_world_floor: np.ndarray) -> np.ndarray:
+    """(6,) rotation vector in the camera's frame, rad, and centre, m; the truth moved into the floor's frame."""
+    T_camera_floor = truth.T_camera_world @ T_world_floor
+    turn = cv2.Rodrigues(found.R_camera_world @ T_camera_floor[:3, :3].T)[0].ravel()
+    return np.concatenate([turn, found.centre_world - inverse(T_camera_floor)[:3, 3]])
+
+
+def _centred(board: Board) -> np.ndarray:
+    """The board's middle to the origin."""
+    T = np.eye(4)
+    T[:3, 3] = -board.corners_board.mean(axis=0)
+    return T
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="three rigs, fewer moments")
+    parser.add_argument("--rendered", action="store_true", help="also find boards in rendered footage")
+    args = parser.parse_args()
+    rows = [*synthetic_rows(args.quick), *([rendered_row()] if args.rendered else [])]
+    print_rows(Console(width=120), rows)
+    print(json.dumps(figures(rows)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,207 @@
+"""Finds a board from its four outer corners, roughly pointed at, where it cannot be found by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+
+from .board import Board, CharucoBoard
+from .charuco import marker_margin
+from .checkerboard import complete, possible_orders
+from .corner_grid import CornerGrid, empty_grid, fitted, is_black_first, turned
+from .detection import as_grey, sighting_of
+from .grid import jogs, predict, steps
+from .image_variants import Variant
+from .lattice import find_saddles
+from .sighting import Sighting
+
+Array = npt.NDArray[np.float64]
+
+POINTING_ERROR_PX = 6.0
+POINTING_ERROR_FIELDS = 0.6
+CANDIDATES = 3  # saddles looked at near each click
+HIT_FIELDS, MIN_HIT_PX = 0.25, 1.0  # how near a saddle must lie to where a corner is expected
+MIN_FOUND = 0.5  # of a board's corners
+ROUNDS = 12
+LOOKS = (Variant(), Variant(1, 2), Variant(1, 3), Variant(1, 1, 2.5))
+ORDER = "Give the outermost inner corners in reading order: first, end of first row, last, start of last row."
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """How a flat board appears: through the lens ``model`` (pose: identity) where it is known, else as a pinhole."""
+
+    places: Array  # (n, 2) corners on the board, m
+    shape: tuple[int, int]  # rows, columns
+    model: CameraModel | None
+
+    @property
+    def outer(self) -> npt.NDArray[np.int64]:
+        rows, columns = self.shape
+        return np.array([0, columns - 1, rows * columns - 1, (rows - 1) * columns])
+
+    def ideal(self, pixels: Array) -> Array:
+        """Pixels (n, 2) without what the lens does."""
+        if self.model is None:
+            return pixels
+        rays = self.model.rays_world(pixels)
+        return rays[:, :2] / rays[:, 2:]
+
+    def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
+        """All corners (rows, columns, 2) of the flat board whose corners ``ids`` lie at ``pixels``."""
+        ideal = self.ideal(pixels)
+        known = np.isfinite(ideal).all(axis=1)
+        if known.sum() < 4:
+            return np.full((*self.shape, 2), np.nan)
+        scale = 1.0 if self.model is None else 1000.0  # OpenCV takes differences below 1e-6 for none
+        homography, _ = cv2.findHomography(self.places[ids][known], scale * ideal[known], 0)
+        if homography is None:
+            return np.full((*self.shape, 2), np.nan)
+        there: Array = cv2.perspectiveTransform(self.places[:, None], homography).reshape(-1, 2).astype(float) / scale
+        if self.model is not None:
+            there = self.model.project(np.column_stack([there, np.ones(len(there))]))
+        return there.reshape(*self.shape, 2)
+
+
+def find_from_outer_corners(
+    image: npt.NDArray[np.uint8], board: Board, outer_px: npt.ArrayLike, *, camera: str = "", moment: int = 0,
+    target: str = "", model: CameraModel | None = None,
+) -> Sighting:  # fmt: skip
+    """The board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order: first,
+    end of the first row, last, start of the last row; up to 6 pixels or half a field off.
+
+    ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
+    the right places then. The sighting holds those corners that are seen to be corners, to a part of a pixel; where the
+    colours tell, they also decide which of the corners is the first. InputError when there is no such board.
+    """
+    where = f"camera '{camera}', frame {moment}" if camera else ""
+    grey = as_grey(image)
+    outer = _checked(outer_px, where)
+    shape = (board.rows - 1, board.columns - 1) if isinstance(board, CharucoBoard) else (board.rows, board.columns)
+    lens = None if model is None else replace(model, T_camera_world=np.eye(4))
+    view = _View(board.corners_board[:, :2], shape, lens)
+    margin = marker_margin(board) if isinstance(board, CharucoBoard) else 1.0
+    snapped = _snapped(grey, view, outer)
+    grid = _followed(grey, view, snapped, margin)
+    if grid.count < MIN_FOUND * grid.found.size:
+        raise InputError(
+            f"only {grid.count} of {grid.found.size} corners are seen where the four given ones put the board",
+            where=where, remedy=f"{ORDER} Check that the board has {shape[1]} x {shape[0]} of them, and is in focus.",
+        )  # fmt: skip
+    ordered = _ordered(_whole(grey, grid, board), board, outer, where)
+    return sighting_of(ordered, grey.shape, camera=camera, moment=moment, target=target)
+
+
+def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
+    outer = np.asarray(outer_px, float)
+    if outer.shape != (4, 2) or not np.isfinite(outer).all():
+        raise InputError(
+            f"four corners (x, y) in pixels are needed, not {np.shape(outer_px)}", where=where, remedy=ORDER
+        )
+    sides = np.roll(outer, -1, axis=0) - outer
+    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+    if np.all(turns < 0):
+        raise InputError("the four corners run round the board the wrong way", where=where, remedy=ORDER)
+    if not np.all(turns > 0):
+        raise InputError("the four corners are no convex quadrilateral", where=where, remedy=ORDER)
+    return outer
+
+
+def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
+    """The four saddles near the given corners with which most of the board's corners fall onto saddles."""
+    found = [look.to_raw(find_saddles(look.make(grey), look.smoothing_px).pixels) for look in LOOKS]
+    saddles = np.concatenate([*found, outer])
+    tree = cKDTree(saddles)
+    expected = view.corners(view.outer, outer)
+    choices = []
+    for corner, field in zip(outer, _fields_px(expected)[_outer_index(view.shape)], strict=True):
+        reach = max(POINTING_ERROR_PX, POINTING_ERROR_FIELDS * float(np.nan_to_num(field)))
+        distance, index = tree.query(corner, k=min(3 * CANDIDATES, len(saddles)), distance_upper_bound=reach)
+        choices.append([corner, *_distinct(saddles[index[np.isfinite(distance)]], corner)])
+    tries = [np.array(four) for four in product(*choices)]
+    return max(tries, key=lambda four: _hits(view, four, tree))
+
+
+def _distinct(saddles: Array, corner: Array) -> list[Array]:
+    """The nearest few, those that several looks show only once."""
+    kept: list[Array] = []
+    for saddle in saddles:
+        if all(np.hypot(*(saddle - other)) > 0.7 for other in [corner, *kept]):
+            kept.append(saddle)
+    return kept[:CANDIDATES]
+
+
+def _hits(view: _View, four: Array, tree: cKDTree) -> tuple[int, float]:
+    """How many corners fall onto saddles; and, less being better, how far from them they lie."""
+    expected = view.corners(view.outer, four)
+    near = np.maximum(HIT_FIELDS * _fields_px(expected), MIN_HIT_PX).ravel()
+    distance, _ = tree.query(np.nan_to_num(expected.reshape(-1, 2), nan=-1e6))
+    hit = distance < near
+    return int(hit.sum()), -float(distance[hit].mean()) if hit.any() else 0.0
+
+
+def _fields_px(corners: Array) -> Array:
+    """The shorter side of the field at each corner, px (rows, columns)."""
+    along, down = steps(corners)
+    return np.fmin(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
+
+
+def _outer_index(shape: tuple[int, int]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    rows, columns = shape
+    return np.array([0, 0, rows - 1, rows - 1]), np.array([0, columns - 1, columns - 1, 0])
+
+
+def _followed(grey: npt.NDArray[np.uint8], view: _View, outer: Array, margin: float) -> CornerGrid:
+    """Fit corners where they are expected; expect the others from those found; until nothing is added."""
+    grid, expected = empty_grid(*view.shape), view.corners(view.outer, outer)
+    for _ in range(ROUNDS):
+        before = grid.count
+        grid = fitted(grey, expected, grid, margin)
+        if grid.count < 4:
+            return grid
+        near = predict(grid.pixels)
+        flat = view.corners(np.flatnonzero(grid.found), grid.pixels[grid.found])
+        expected = np.where(np.isfinite(near), near, flat)
+        if grid.count <= before:
+            break
+    smooth = np.where(jogs(grid.pixels)[:, :, None], np.nan, grid.pixels)
+    return fitted(grey, smooth, empty_grid(*view.shape), margin)
+
+
+def _whole(grey: npt.NDArray[np.uint8], grid: CornerGrid, board: Board) -> CornerGrid:
+    """A checkerboard that grew to its full size from what was found: corners given a field off do no harm then."""
+    if isinstance(board, CharucoBoard) or grid.found.all():
+        return grid
+    full = complete(grey, grid.pixels, max(board.columns, board.rows))
+    return full if full is not None and possible_orders(full, board) else grid
+
+
+def _ordered(grid: CornerGrid, board: Board, outer: Array, where: str) -> CornerGrid:
+    """With the first corner first, where colours tell; else as given."""
+    if isinstance(board, CharucoBoard):
+        black_first = not (board.legacy and board.rows % 2 == 0)
+        choices = [each for each in (grid, turned(grid, 2)) if is_black_first(each) == black_first]
+    else:
+        choices = possible_orders(grid, board)
+    lines = [grid.found[0], grid.found[-1], grid.found[:, 0], grid.found[:, -1]]
+    if not choices or not all(line.any() for line in lines):
+        raise InputError("the corners given seem to be a field off: colours are wrong there, or an outer line of "
+                         "corners is not seen", where=where, remedy=ORDER)  # fmt: skip
+    return min(choices, key=lambda choice: _off(choice, outer))
+
+
+def _off(grid: CornerGrid, outer: Array) -> float:
+    """Sum of the distances from the corners given to the found ones next in line, px."""
+    rows, columns = _outer_index((grid.pixels.shape[0], grid.pixels.shape[1]))
+    filled = grid.pixels
+    for _ in range(3):
+        filled = predict(filled)
+    return float(np.nansum(np.linalg.norm(filled[rows, columns] - outer, axis=1)))

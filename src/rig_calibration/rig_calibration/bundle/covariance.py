@@ -1,0 +1,96 @@
+"""Step 6: how well the cameras' poses are known.
+
+From the normal equations of all corners, in the gauge of the solution: the reference (a camera, or one pose of a
+target) is exact by definition, everything else is known relative to it.
+
+    covariance = S^-1 v F + sum over cameras of G Sigma_lens G^T,    G = -S^-1 S_lens
+
+S: reduced normal equations of the free unknowns; v: variance factor of the robust residuals; F >= 1: by how much
+cameras contradict one another (:mod:`.pose_misfit`) beyond the noise of corners and what displacements explain; G: what
+an error of the lens parameters, held fixed, does to the poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .adjustment import HUBER, Adjusted, Prior, huber_weights, normalised_lengths
+from .displacement import whitened
+from .normal_equations import Bools, Free, normal_equations, reduce
+from .observations import Layout, Observations
+from .pose_misfit import pose_freedom, pose_misfit
+from .projection import linearise
+from .rigid import Array
+
+LEAST_FREEDOM = 18  # of the comparison between cameras: with less it tells nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """cameras (c, 6, 6): rotation vector (rad, in the camera's frame) and centre (m, in the reference's frame).
+
+    scale (k,): standard deviations of the targets' scales, 0 where fixed. variance_factor: the corners' variance over
+    the one assumed. inflation: the factor F by which the covariance exceeds what independent corners would leave.
+    redundancy: the share of the corners' coordinates that the unknowns do not use up.
+    """
+
+    cameras: Array
+    scale: Array
+    variance_factor: float
+    inflation: float
+    redundancy: float
+
+
+def covariance(
+    fit: Adjusted, seen: Observations, free: Free, lens_covariance: Mapping[int, Array], displacement: Array,
+    prior: Prior | None = None,
+) -> Covariance:  # fmt: skip
+    """Covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were refined).
+
+    ``lens_covariance``: by row of the camera, (12, 12) of its lens parameters, where these were held fixed;
+    ``displacement`` (s,): how far the target may have moved between exposures, sd, m.
+    """
+    layout = Layout(len(fit.state.centre), len(fit.state.scale), with_lens=True)
+    scaled = seen.weighted(np.array(1 / fit.scale))
+    lengths = normalised_lengths(fit.state, scaled)
+    weighted = scaled.weighted(np.sqrt(huber_weights(lengths)))
+    linear = whitened(linearise(fit.state, weighted, with_lens=True), displacement)
+    equations = normal_equations(linear, weighted, layout, len(free.poses))
+    S = reduce(equations, Free(np.ones(layout.size, bool), free.poses)).S
+    inverse = _inverse(S if prior is None else S + prior.information, free.shared)
+    misfit, shared = pose_misfit(linear), int(free.shared.sum())
+    corners = scaled.weight > 0
+    unknowns, coordinates = shared + pose_freedom(scaled.pose, misfit.freedom), 2 * int(corners.sum())
+    factor = _variance_factor(lengths[corners], unknowns)
+    ratio, freedom = misfit.ratio(linear.residual, int(corners.sum()), scaled.pose, shared)
+    inflation = max(ratio, 1.0) if freedom >= LEAST_FREEDOM else 1.0
+    total = inverse * factor * inflation + _lens_effect(inverse, S, layout, lens_covariance)
+    blocks = [layout.camera(c) for c in range(layout.cameras)]
+    scales = np.sqrt(np.diag(total)[layout.size - layout.targets :])
+    redundancy = max(coordinates - unknowns, 1) / coordinates
+    return Covariance(np.array([total[b, b] for b in blocks]), scales, factor * fit.scale**2, inflation, redundancy)
+
+
+def _inverse(information: Array, free: Bools) -> Array:
+    """The inverse over the free unknowns, zeros elsewhere."""
+    full = np.zeros_like(information)
+    full[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-14, hermitian=True)
+    return full
+
+
+def _variance_factor(lengths: Array, unknowns: int) -> float:
+    """Huber's estimate: squared clipped residuals over the degrees of freedom, by the square of the share inside."""
+    freedom = max(2 * len(lengths) - unknowns, 1)
+    inside = max(float(np.mean(lengths <= HUBER)), 0.5)
+    return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / freedom / inside**2
+
+
+def _lens_effect(inverse: Array, S: Array, layout: Layout, lens_covariance: Mapping[int, Array]) -> Array:
+    total = np.zeros_like(S)
+    for camera, Sigma in sorted(lens_covariance.items()):
+        G = -inverse @ S[:, layout.lens(camera)]
+        total += G @ Sigma @ G.T
+    return total

@@ -1,0 +1,119 @@
+"""Step 3: first poses of all cameras and targets.
+
+Relative poses of pairs of cameras are chained along the best supported pairs (a maximum spanning tree from the best
+seen camera). Then the views vote for the pose of each target at each moment, and for the way round it lies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+
+from ..boards.sighting import Sighting
+from .line_targets import line_pose, relative_pose_of_line
+from .relative_poses import RelativePose, kernel, relative_pose
+from .rigid import Array, angle_between, inverse, transform
+from .target_shape import LINE
+from .view import View
+from .view_graph import Key
+
+
+@dataclass(frozen=True, eq=False)
+class InitialPoses:
+    """First poses in the frame of camera ``root``; ``turns`` says, view by view, which hidden turn its ids need."""
+
+    root: str
+    T_camera_root: dict[str, Array]
+    T_root_target: dict[Key, Array]
+    turns: tuple[int, ...]
+
+
+def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
+    """Poses good enough to start the adjustment from; InputError when the pairs do not hang together."""
+    pairs = relative_poses(cameras, views)
+    root, T_camera_root = chain(sorted(cameras), pairs)
+    T_root_target: dict[Key, Array] = {}
+    turns = dict.fromkeys(range(len(views)), 0)
+    for key, rows in _rows_by_key(views).items():
+        find = line_pose if views[rows[0]].shape.dimension == LINE else _vote
+        pose, turned = find([(views[i], T_camera_root[views[i].sighting.camera]) for i in rows])
+        if pose is not None:
+            T_root_target[key] = pose
+            turns.update(zip(rows, turned, strict=True))
+    return InitialPoses(root, T_camera_root, T_root_target, tuple(turns[i] for i in range(len(views))))
+
+
+def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
+    """The relative pose of each pair of cameras (a < b) with common moments, by boards or, where better, by wands."""
+    by_camera: dict[str, dict[Key, View]] = {name: {} for name in sorted(cameras)}
+    for view in views:
+        by_camera[view.sighting.camera][view.key] = view
+    pairs = {}
+    for a in by_camera:
+        for b in (name for name in by_camera if name > a):
+            common = [(by_camera[a][key], by_camera[b][key]) for key in sorted(by_camera[a].keys() & by_camera[b])]
+            boards = [(u.poses, v.poses) for u, v in common if u.poses is not None and v.poses is not None]
+            lines = [(u, v) for u, v in common if u.shape.dimension == LINE]
+            found = [relative_pose(boards)] if boards else []
+            found += [pose for pose in [relative_pose_of_line(lines, cameras[a], cameras[b])] if pose]
+            if found:
+                pairs[a, b] = max(found, key=lambda pose: pose.support)
+    return pairs
+
+
+def chain(names: Sequence[str], pairs: Mapping[tuple[str, str], RelativePose]) -> tuple[str, dict[str, Array]]:
+    """The best supported camera and the poses of all cameras in its frame, along the maximum spanning tree."""
+    support = {name: sum(pose.support for pair, pose in pairs.items() if name in pair) for name in names}
+    root = max(names, key=lambda name: support[name])
+    T_camera_root = {root: np.eye(4)}
+    while len(T_camera_root) < len(names):
+        edges = [(pose.support, (a, b)) for (a, b), pose in pairs.items()
+                 if (a in T_camera_root) != (b in T_camera_root)]  # fmt: skip
+        if not edges:
+            lost = ", ".join(name for name in names if name not in T_camera_root)
+            raise InputError(f"{lost}: too few common views of the wand to tie it to the other cameras",
+                             remedy="Wave it longer where cameras see it at the same time.")  # fmt: skip
+        _, (a, b) = max(edges, key=lambda edge: edge[0])
+        if a in T_camera_root:
+            T_camera_root[b] = pairs[a, b].T_b_a @ T_camera_root[a]
+        else:
+            T_camera_root[a] = inverse(pairs[a, b].T_b_a) @ T_camera_root[b]
+    return root, T_camera_root
+
+
+def numbered_right(view: View, turn: int) -> Sighting:
+    """The sighting with the ids that its turn calls for."""
+    return replace(view.sighting, ids=view.shape.turns[turn].permutation[view.sighting.ids])
+
+
+def _rows_by_key(views: Sequence[View]) -> dict[Key, list[int]]:
+    rows: dict[Key, list[int]] = {}
+    for index, view in enumerate(views):
+        rows.setdefault(view.key, []).append(index)
+    return rows
+
+
+def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
+    """The pose of one target at one moment that its views agree on best, and the turn that each view needs."""
+    usable = [(view.poses, T_camera_root) for view, T_camera_root in seen if view.poses is not None]
+    if not usable:
+        return None, [0] * len(seen)
+    offers = [inverse(T) @ transform(poses.R, poses.t) for poses, T in usable]  # (h, 4, 4) per view
+    candidates = np.concatenate(offers)
+    scores, best = np.zeros(len(candidates)), []
+    for (poses, _), offer in zip(usable, offers, strict=True):
+        distance = np.linalg.norm(poses.t, axis=1)
+        miss = np.linalg.norm(candidates[:, None, :3, 3] - offer[None, :, :3, 3], axis=2) / distance
+        agreement = poses.weight * kernel(angle_between(candidates[:, :3, :3], offer[:, :3, :3]), miss)
+        scores += agreement.max(axis=1)
+        best.append(poses.turn[agreement.argmax(axis=1)])
+    turns = np.array(best)
+    scores -= 1e-6 * (turns > 0).sum(axis=0)  # of two that fit alike, the one that leaves the numbering alone
+    winner = int(np.argmax(np.round(scores, 9)))
+    chosen = iter(turns[:, winner].tolist())
+    return candidates[winner], [next(chosen) if view.poses is not None else 0 for view, _ in seen]

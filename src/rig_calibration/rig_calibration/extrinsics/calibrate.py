@@ -1,0 +1,191 @@
+"""From sightings of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.verdict import Verdict, judge
+
+from ..boards.board import Board
+from ..boards.sighting import Sighting
+from ..bundle.explain import explain
+from ..bundle.solution import RigSolution
+from ..bundle.solve import solve_rig
+from ..bundle.target_shape import turns_of
+from .evidence import Evidence
+from .figures import Adjusted, RigFigures, rig_figures
+from .floor import FloorView, see_floor
+from .rig import PlacedRig, place_rig
+from .tape import TapeCheck, TapeMeasure
+from .verdict import judge_rig
+from .world import WorldChoice, board_in_world, world_from_floor, world_of_level_camera
+
+Array = npt.NDArray[np.float64]
+
+FLOOR, MOVING, WAND = "floor", "moving", "wand"
+"""Names of the targets."""
+FLOOR_POSE = (FLOOR, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Something of known shape: points (n, 3) in its own frame, metres; ``turns``: how many ways round it may lie
+    without a picture showing it (1: its points are told apart)."""
+
+    points: Array
+    turns: int = 1
+
+    @classmethod
+    def of(cls, board: Board) -> Target:
+        """A board as a target."""
+        return cls(board.corners_board, turns_of(board))
+
+
+@dataclass(frozen=True, eq=False)
+class FloorTarget(Target):
+    """What lies on the floor, and where it lies in the world: ``T_world_floor`` (4, 4)."""
+
+    T_world_floor: Array = field(default_factory=lambda: np.eye(4))
+
+    @classmethod
+    def of_board(cls, board: Board, choice: WorldChoice) -> FloorTarget:
+        """A board, from which the world is measured as ``choice`` says."""
+        return cls(board.corners_board, turns_of(board), board_in_world(board.corners_board, choice))
+
+
+@dataclass(frozen=True, eq=False)
+class RigCalibration:
+    """The rig (``placed.rig``) and everything that is known about it.
+
+    floor : how each camera that shows the floor target sees it. floor_world (n, 3) : its points; None without a floor.
+    """
+
+    placed: PlacedRig
+    solution: RigSolution
+    floor: Mapping[str, FloorView]
+    floor_world: Array | None
+    figures: RigFigures
+    evidence: Evidence
+    verdict: Verdict
+
+
+def calibrate_rig(
+    cameras: Mapping[str, CameraModel],
+    sightings: Sequence[Sighting],
+    targets: Mapping[str, Target],
+    *,
+    intrinsics_covariance: Mapping[str, npt.ArrayLike] | None = None,
+    strays: Mapping[str, tuple[int, int]] | None = None,
+    floor_guess: tuple[int, ...] = (),
+    tape: Iterable[TapeMeasure] = (),
+) -> RigCalibration:
+    """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.
+
+    The target called FLOOR, a FloorTarget seen at moment 0, tells where the world is; without it the first camera is
+    taken for level. Every sighting names its target. ``intrinsics_covariance`` : as :func:`solve_rig` takes it.
+    ``strays``, ``floor_guess`` : as Evidence. Raises InputError naming cameras that see nothing, or groups that share
+    no view.
+    """
+    floor = _floor_target(targets)
+    require_way_round(sightings, targets)
+    # all cameras and targets at once, in the frame of what lies on the floor
+    solution = solve_rig(
+        cameras, sightings, {name: target.points for name, target in targets.items()},
+        reference=FLOOR_POSE if floor is not None else None,
+        turnable={name: target.turns for name, target in targets.items()}, intrinsics_covariance=intrinsics_covariance,
+    )  # fmt: skip
+    # z up, the origin on the floor (thesis 6.1)
+    placed = place_rig(solution.cameras, solution.T_camera_reference, _world(solution, floor))
+    views = {} if floor is None else _floor_views(solution, cameras, floor)
+    # figures and verdict
+    figures = rig_figures(placed, _adjusted(solution), views)
+    checks = tuple(measure.check(placed.rig) for measure in tape)
+    evidence = replace(
+        _evidence(placed, solution, figures, views, checks),
+        floor_known=floor is not None, floor_guess=floor_guess, strays=strays or {},
+    )  # fmt: skip
+    on_floor = None if floor is None else floor.points @ floor.T_world_floor[:3, :3].T + floor.T_world_floor[:3, 3]
+    return RigCalibration(placed, solution, views, on_floor, figures, evidence, _verdict(evidence, solution))
+
+
+def require_way_round(sightings: Iterable[Sighting], targets: Mapping[str, Target]) -> None:
+    """Raises InputError when only the floor target ties the cameras together and no picture tells which way round it
+    lies: each camera might as well stand on the other side of it."""
+    seen = {(sighting.target, sighting.camera) for sighting in sightings}
+    on_floor = sorted(camera for target, camera in seen if target == FLOOR)
+    floor = targets.get(FLOOR)
+    if floor is None or floor.turns == 1 or len(on_floor) < 2 or any(target != FLOOR for target, _ in seen):
+        return
+    raise InputError(
+        f"the floor board looks the same after 1/{floor.turns} of a turn, so that {', '.join(on_floor)} may as well "
+        "stand on the other side of it",
+        remedy="Use a board with an odd and an even number of inner corners, or a ChArUco board; or carry a board "
+        "through the room (--moving); or give its outer corners in each picture, the same one first (--corners).",
+    )
+
+
+def _verdict(evidence: Evidence, solution: RigSolution) -> Verdict:
+    """The rig's findings, and what its footage was like. (A floor board alone shares one view with every camera: there
+    is nothing in it that could contradict.)"""
+    shared = any(sighting.target != FLOOR for sighting in solution.sightings)
+    return judge([*judge_rig(evidence).findings, *(explain(solution) if shared else ())])
+
+
+def _floor_target(targets: Mapping[str, Target]) -> FloorTarget | None:
+    floor = targets.get(FLOOR)
+    if floor is not None and not isinstance(floor, FloorTarget):
+        raise TypeError(f"the target called '{FLOOR}' must be a FloorTarget, which knows where it lies in the world")
+    return floor
+
+
+def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
+    """T_world_reference."""
+    if floor is None:
+        return world_of_level_camera(solution.T_camera_reference[min(solution.T_camera_reference)])
+    return world_from_floor(solution.T_reference_target[FLOOR_POSE], floor.T_world_floor)
+
+
+def _floor_views(solution: RigSolution, cameras: Mapping[str, CameraModel], floor: Target) -> dict[str, FloorView]:
+    views = {}
+    for sighting in solution.sightings:  # numbered as the solver found right
+        if sighting.target == FLOOR:
+            views[sighting.camera] = see_floor(sighting, floor.points, cameras[sighting.camera])
+    return views
+
+
+def _adjusted(solution: RigSolution) -> dict[str, Adjusted]:
+    used = [sighting.camera for sighting in solution.sightings]
+    return {
+        name: Adjusted(solution.rms_px[name], used.count(name), solution.covariance[name])
+        for name in solution.T_camera_reference
+    }
+
+
+def _evidence(
+    placed: PlacedRig, solution: RigSolution, figures: RigFigures, views: Mapping[str, FloorView],
+    checks: tuple[TapeCheck, ...],
+) -> Evidence:  # fmt: skip
+    tied = {sighting.camera for sighting in solution.sightings if sighting.target != FLOOR}
+    left_out: dict[str, tuple[str, ...]] = {}
+    for left in solution.left_out:
+        left_out[left.sighting.camera] = (*left_out.get(left.sighting.camera, ()), left.reason)
+    return Evidence(
+        figures=figures,
+        widths_px={camera.name: camera.width for camera in placed.rig.cameras},
+        usable_volume=placed.common.usable,
+        floor=views,
+        by_floor_alone=frozenset(set(views) - tied),
+        undecided=solution.undecided,
+        left_out=left_out,
+        floor_left_out={
+            left.sighting.camera: left.reason for left in solution.left_out if left.sighting.target == FLOOR
+        },
+        scales={name: scale for name, scale in solution.scale_of.items() if name != solution.scale_base},
+        tape=checks,
+    )

@@ -1,0 +1,97 @@
+"""What the views of a board cover: the image, the four directions of tilt, distances; and what to show next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .parameters import Array
+from .pose import BoardView
+from .views import View
+
+CELLS_ACROSS = 8
+TILT_WANTED_DEG = 25.0
+SIZES_WANTED = 1.6  # largest board in the image over the smallest
+IMAGE_WANTED = 0.85
+SIDES = ("left", "right", "top", "bottom")
+ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "centre", "right")
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """cells (rows, columns): which parts of the image the board has been in. tilt_deg: by side of the board as the
+    image shows it, the strongest lean of that side towards the camera. sizes: largest over smallest."""
+
+    cells: npt.NDArray[np.bool_]
+    tilt_deg: dict[str, float]
+    sizes: float
+
+    @property
+    def image(self) -> float:
+        """Share of the image."""
+        return float(self.cells.mean())
+
+    def progress(self) -> dict[str, float]:
+        """Each goal's name and how far it is reached, 0 to 1."""
+        tilts = {f"tilt {side}": min(self.tilt_deg[side] / TILT_WANTED_DEG, 1.0) for side in SIDES}
+        sizes = min(np.log(self.sizes) / np.log(SIZES_WANTED), 1.0)
+        return {"image": min(self.image / IMAGE_WANTED, 1.0), **tilts, "distance": float(sizes)}
+
+    @property
+    def complete(self) -> bool:
+        return min(self.progress().values()) >= 1.0
+
+    def advice(self) -> str:
+        """What to show next; "" when nothing is missing."""
+        progress = self.progress()
+        goal = min(progress, key=lambda name: progress[name])
+        if progress[goal] >= 1.0:
+            return ""
+        if goal == "image":
+            return f"bring the board into the {self.emptiest()} of the image"
+        if goal == "distance":
+            return "show the board nearer to the camera, or farther away"
+        side = goal.removeprefix("tilt ")
+        return f"tilt the board by 30 to 45 degrees, its {side} edge towards the camera"
+
+    def emptiest(self) -> str:
+        """The ninth of the image that lacks most, in words."""
+        rows = np.array_split(self.cells, 3, axis=0)
+        filled = np.array([[part.mean() for part in np.array_split(row, 3, axis=1)] for row in rows])
+        row, column = np.unravel_index(int(np.argmin(filled)), filled.shape)
+        if (row, column) == (1, 1):
+            return "centre"
+        if row == 1:
+            return f"{COLUMN_NAMES[column]} edge"
+        return f"{ROW_NAMES[row]} edge" if column == 1 else f"{ROW_NAMES[row]} {COLUMN_NAMES[column]} corner"
+
+
+def coverage_of(views: Sequence[View], looks: Sequence[BoardView], image_size: tuple[int, int]) -> Coverage:
+    """Of views and how each shows the board."""
+    width, height = image_size
+    cells = np.zeros((max(round(CELLS_ACROSS * height / width), 2), CELLS_ACROSS), bool)
+    for view in views:
+        cells |= covered_cells(view.pixels, image_size, cells.shape)
+    leans = np.rad2deg(np.array([look.nearer for look in looks]).reshape(-1, 2))
+    x, y = leans.T
+    tilt = {"left": (-x).max(initial=0.0), "right": x.max(initial=0.0),
+            "top": (-y).max(initial=0.0), "bottom": y.max(initial=0.0)}  # fmt: skip
+    sizes = [max(look.size, 1e-6) for look in looks] or [1.0]
+    return Coverage(cells, {side: float(lean) for side, lean in tilt.items()}, max(sizes) / min(sizes))
+
+
+def covered_cells(pixels: Array, image_size: tuple[int, int], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """(rows, columns) the cells that hold a corner, or whose middle lies among the corners."""
+    cell = np.array(image_size) / (shape[1], shape[0])
+    column, row = np.clip(((pixels + 0.5) / cell).astype(int), 0, (shape[1] - 1, shape[0] - 1)).T
+    cells = np.zeros(shape, bool)
+    cells[row, column] = True
+    hull = cv2.convexHull(pixels.astype(np.float32))
+    for i, j in np.ndindex(*shape):
+        middle = (np.array([j, i]) + 0.5) * cell
+        cells[i, j] |= cv2.pointPolygonTest(hull, (float(middle[0]), float(middle[1])), False) >= 0
+    return cells

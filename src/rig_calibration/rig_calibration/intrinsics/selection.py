@@ -1,0 +1,237 @@
+"""Which views of many to calibrate from: sharp, still, unlike each other, and telling about the camera.
+
+Views are offered one by one, from a video or live, and each is answered at once. How much they tell is measured by what
+they add to the normal matrix of the adjustment, so that collecting can end when focal length and principal point are
+known well enough, not after some number of views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_rig.errors import InputError
+
+from ..boards.board import Board
+from ..boards.sighting import Sighting
+from .adjustment import view_information
+from .coverage import Coverage, coverage_of
+from .parameters import Array, LensModel, Prior, prior_of
+from .pose import BoardView, board_pose, look_of
+from .robust_fit import robust_fit
+from .uncertainty import honest_covariance
+from .views import View, view_of
+
+REFERENCE_WIDTH_PX = 640
+BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
+MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of width
+ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  # of the width; of its logarithm
+BETTER = 0.7  # an alike view takes another's place when it is that much stiller and sharper
+FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
+POOL, PLENTY, WANTED = 150, 80, 60
+LEAST_VIEWS = 12
+
+
+@dataclass(frozen=True)
+class Targets:
+    """When enough is known: sd of the focal length (share), of the principal point (px)."""
+
+    focal_sd: float = 0.001
+    centre_sd_px: float = 1.0
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a calibration from the views so far would know: sd of focal length (share) and principal point (px)."""
+
+    focal_sd: float
+    centre_sd_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """Whether a view was taken; if not, why."""
+
+    taken: bool
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    view: View
+    pose: Array
+    look: BoardView
+    roll: float
+    unrest: float  # of blur and motion, px
+
+    def unlike(self, other: _Held) -> float:
+        """1 and more: another view; less: the same again."""
+        width = self.view.sighting.image_size[0]
+        turn = np.rad2deg(np.angle(np.exp(1j * (self.roll - other.roll))))
+        differences = (
+            np.hypot(*(self.look.centre_px - other.look.centre_px)) / (ALIKE_PLACE * width),
+            np.log(self.look.size / other.look.size) / ALIKE_SIZE,
+            np.rad2deg(np.hypot(*(self.look.nearer - other.look.nearer))) / ALIKE_LEAN_DEG,
+            turn / ALIKE_ROLL_DEG,
+        )
+        return float(np.linalg.norm(differences))
+
+
+class ViewCollector:
+    """Collects views of ``board`` by one camera. ``every`` : take alike views, too (a few chosen photographs)."""
+
+    def __init__(self, board: Board, *, model: str = "plumb_bob", every: bool = False,
+                 targets: Targets | None = None) -> None:  # fmt: skip
+        self._board, self._model, self._every = board, LensModel(model), every
+        self.targets = targets or Targets()
+        self._held: list[_Held] = []
+        self._theta: Array | None = None
+        self._prior: Prior | None = None
+        self._precision: Array | None = None  # of what has been taken
+        self._noise = 1.0  # sigma of corners, jackknife included, over what the views say of themselves
+        self._next_fit = FIRST_FIT
+        self.refused = 0
+
+    @property
+    def sightings(self) -> list[Sighting]:
+        return [held.view.sighting for held in self._held]
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def offer(self, sighting: Sighting, *, blur_px: float = 0.0, motion_px: float = 0.0) -> Offer:
+        """Take the view, or say why not. Raises InputError for an image of another size, corners the board has not."""
+        answer = self._take(sighting, blur_px, motion_px)
+        self.refused += not answer.taken
+        return answer
+
+    @property
+    def coverage(self) -> Coverage:
+        """Of what has been taken."""
+        size = self._held[0].view.sighting.image_size if self._held else (4, 3)
+        return coverage_of([held.view for held in self._held], [held.look for held in self._held], size)
+
+    @property
+    def expected(self) -> Expected | None:
+        """None until there are enough views to tell."""
+        if self._theta is None or self._precision is None:
+            return None
+        sd = np.sqrt(np.diag(np.linalg.inv(self._precision))) * self._noise
+        return Expected(float((sd[:2] / self._theta[:2]).max()), float(sd[2:4].max()))
+
+    @property
+    def enough(self) -> bool:
+        """Is everything covered and known well enough, or have there been so many views that more help little?"""
+        expected = self.expected
+        if expected is None or len(self) < LEAST_VIEWS or not self.coverage.complete:
+            return False
+        focal, centre = expected.focal_sd <= self.targets.focal_sd, expected.centre_sd_px <= self.targets.centre_sd_px
+        return (focal and centre) or len(self) >= PLENTY
+
+    def advice(self) -> str:
+        """What to show next; "" when it is enough."""
+        if self.enough:
+            return ""
+        if not self._held:
+            return "show the whole board to the camera and hold it still"
+        return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
+
+    def best(self, wanted: int = WANTED) -> list[Sighting]:
+        """The views to calibrate from, in the order of their moments: at most ``wanted``, those that tell most."""
+        if len(self) <= wanted or self._theta is None or self._prior is None:
+            return sorted(self.sightings, key=lambda sighting: sighting.moment)
+        information = self._information(self._held)
+        chosen = most_telling(information, self._prior.precision, wanted)
+        return sorted((self._held[i].view.sighting for i in chosen), key=lambda sighting: sighting.moment)
+
+    def _take(self, sighting: Sighting, blur_px: float, motion_px: float) -> Offer:
+        scale = max(sighting.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
+        limit = max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest())
+        if not blur_px <= limit:
+            how = "beyond measure" if np.isnan(blur_px) else f"by {blur_px:.1f} px"
+            return Offer(False, f"too blurred: {how}; hold it still, check focus and exposure")
+        if not motion_px <= MOTION_PX * scale:
+            return Offer(False, "the board moves: hold it still")
+        view = view_of(sighting, self._board)
+        if isinstance(view, str):
+            return Offer(False, view)
+        if self._held and sighting.image_size != self._held[0].view.sighting.image_size:
+            raise InputError("the images have several sizes: "
+                             f"{self._held[0].view.sighting.image_size}, then {sighting.image_size}",
+                             where=sighting.camera, remedy="Give images of one size.")  # fmt: skip
+        held = self._looked_at(view, float(np.hypot(blur_px, motion_px)))
+        return Offer(False, "its pose cannot be told") if held is None else self._compare(held)
+
+    def _sharpest(self) -> float:
+        return float(np.percentile([held.unrest for held in self._held], 25)) if self._held else 0.0
+
+    def _looked_at(self, view: View, unrest: float) -> _Held | None:
+        pose = board_pose(self._lens(view.sighting.image_size), view, self._model)
+        if pose is None:
+            return None
+        # the turn in the image: that of the board's long way through its corners
+        along = view.pixels[-1] - view.pixels[0]
+        return _Held(view, pose, look_of(pose, view), float(np.arctan2(along[1], along[0])), unrest)
+
+    def _lens(self, size: tuple[int, int]) -> Array:
+        return self._model.start(float(max(size)), size) if self._theta is None else self._theta
+
+    def _compare(self, held: _Held) -> Offer:
+        distances = [held.unlike(other) for other in self._held]
+        if not self._every and distances and min(distances) < 1.0:
+            nearest = int(np.argmin(distances))
+            if held.unrest >= BETTER * self._held[nearest].unrest:
+                return Offer(False, "like one that is there already: show the board elsewhere or tilted otherwise")
+            self._held[nearest] = held
+            self._refresh()
+            return Offer(True, "in place of one less sharp")
+        if len(self._held) >= POOL:
+            return Offer(False, "there are views enough")
+        self._held.append(held)
+        self._refresh()
+        return Offer(True, "")
+
+    def _refresh(self) -> None:
+        """Fit now and then; in between, add up what the views tell about the camera as it is known."""
+        if len(self._held) >= self._next_fit:
+            self._next_fit = int(np.ceil(GROWTH * len(self._held)))
+            self._fit()
+        if self._theta is not None and self._prior is not None:
+            self._precision = self._information(self._held).sum(axis=0) + self._prior.precision
+
+    def _fit(self) -> None:
+        try:
+            robust = robust_fit([held.view for held in self._held], self._model, theta=self._start())
+        except InputError:
+            return
+        size = self._held[0].view.sighting.image_size
+        self._theta = robust.fit.theta
+        self._prior = prior_of(self._model, float(self._theta[:2].mean()), size)
+        given = float(np.median([held.view.sigma_px for held in self._held]))
+        self._noise = robust.sigma_px / given * honest_covariance(robust.fit)[1]
+        again = [self._looked_at(held.view, held.unrest) for held in self._held]
+        self._held = [held for held in again if held is not None]
+
+    def _start(self) -> Array | None:
+        """The lens as known, once there are views enough to trust it."""
+        return self._theta if len(self) > LEAST_VIEWS else None
+
+    def _information(self, held: Sequence[_Held]) -> Array:
+        assert self._theta is not None
+        poses = np.array([one.pose for one in held])
+        return view_information(self._theta, poses, [one.view for one in held], self._model)
+
+
+def most_telling(information: Array, precision: Array, wanted: int) -> list[int]:
+    """Indices of ``wanted`` of the views (V, p, p), chosen one by one so that the determinant of the normal matrix,
+    which begins as ``precision`` (p, p), grows most (D-optimal design)."""
+    chosen: list[int] = []
+    left = list(range(len(information)))
+    while left and len(chosen) < wanted:
+        gains = np.linalg.slogdet(precision + information[left])[1]
+        best = left.pop(int(np.argmax(gains)))
+        chosen.append(best)
+        precision = precision + information[best]
+    return sorted(chosen)

@@ -1,0 +1,90 @@
+"""A room for tests: cameras on a circle, a board on the floor, a board carried about; OpenCV projects the corners."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from rig_calibration.boards.board import Board, Checkerboard
+from rig_calibration.boards.sighting import Sighting
+
+FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
+CARRIED_BOARD = Checkerboard(9, 6, (0.08, 0.08))
+NOISE_PX = 0.2
+SIZE = (640, 480)
+
+
+def camera_at(name: str, centre_world: np.ndarray, look_at_world: np.ndarray) -> CameraModel:
+    """A camera with barrel distortion, level, that looks at a place."""
+    forward = (look_at_world - centre_world) / np.linalg.norm(look_at_world - centre_world)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, :3] = [right, np.cross(forward, right), forward]
+    T[:3, 3] = -T[:3, :3] @ centre_world
+    K = np.array([[470.0, 0.0, 318.0], [0.0, 472.0, 241.0], [0.0, 0.0, 1.0]])
+    return CameraModel(name, *SIZE, K, "plumb_bob", np.array([-0.19, 0.08, 3e-4, -2e-4, 0.0]), T)
+
+
+def circle(count: int, radius_m: float = 3.0) -> dict[str, CameraModel]:
+    """Cameras around the origin, 1.4 to 2.2 m high, none facing another."""
+    cameras = {}
+    for index in range(count):
+        azimuth = 2 * np.pi * (index + 0.15 * (index % 2)) / count + 0.3
+        place = np.array([radius_m * np.cos(azimuth), radius_m * np.sin(azimuth), 1.4 + 0.8 * (index % 3) / 2])
+        cameras[f"cam{index + 1:02d}"] = camera_at(f"cam{index + 1:02d}", place, np.array([0.0, 0.0, 0.8]))
+    return cameras
+
+
+def on_floor(board: Board, x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> np.ndarray:
+    """T_world_board of a board that lies on the floor, its middle at (x, y), its rows turned from world x."""
+    T = np.eye(4)
+    T[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
+    T[:3, 3] = [x, y, 0.0] - T[:3, :3] @ board.corners_board.mean(axis=0)
+    return T
+
+
+def carried_poses(count: int, seed: int = 3) -> list[np.ndarray]:
+    """T_world_board all over the volume, leaning every way, 0.5 to 1.7 m high."""
+    rng = np.random.default_rng(seed)
+    poses = []
+    for _ in range(count):
+        T = np.eye(4)
+        facing = rng.uniform(0, 2 * np.pi)
+        upright = cv2.Rodrigues(np.array([np.pi / 2, 0.0, 0.0]))[0]
+        lean = cv2.Rodrigues(rng.normal(0.0, 0.35, 3))[0]
+        T[:3, :3] = lean @ cv2.Rodrigues(np.array([0.0, 0.0, facing]))[0] @ upright
+        T[:3, 3] = [*rng.uniform(-0.9, 0.9, 2), rng.uniform(0.5, 1.7)]
+        poses.append(T)
+    return poses
+
+
+def see(
+    camera: CameraModel, board: Board, T_world_board: np.ndarray, target: str, moment: int, noise_px: float = NOISE_PX
+) -> Sighting | None:
+    """What the camera sees of the board; None where its back or a part beyond the image is seen."""
+    T = camera.T_camera_world @ T_world_board
+    points = board.corners_board
+    if T[:3, 2] @ T[:3, 3] >= 0 or (points @ T[2, :3] + T[2, 3]).min() < 0.3:
+        return None
+    pixels = cv2.projectPoints(points, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera.K, camera.D)[0].reshape(-1, 2)
+    if (pixels < 3).any() or (pixels > np.array(SIZE) - 4).any():
+        return None
+    seed = [moment, sum(camera.name.encode()), sum(target.encode())]
+    pixels = pixels + noise_px * np.random.default_rng(seed).standard_normal(pixels.shape)
+    return Sighting(camera.name, moment, np.arange(len(points)), pixels, SIZE, target, noise_px)
+
+
+def see_all(
+    cameras: dict[str, CameraModel], board: Board, poses: list[np.ndarray], target: str, noise_px: float = NOISE_PX
+) -> list[Sighting]:
+    """What all cameras see of a board at successive moments."""
+    seen = [see(c, board, T, target, m, noise_px) for m, T in enumerate(poses) for c in cameras.values()]
+    return [sighting for sighting in seen if sighting is not None]
+
+
+def pose_errors(found: CameraModel, truth: CameraModel) -> tuple[float, float]:
+    """Distance of the centres, mm, and angle between the orientations, degrees."""
+    turn = cv2.Rodrigues(found.R_camera_world @ truth.R_camera_world.T)[0]
+    return 1e3 * float(np.linalg.norm(found.centre_world - truth.centre_world)), float(np.rad2deg(np.linalg.norm(turn)))

@@ -1,0 +1,63 @@
+"""Views of a board by a known lens, projected by the camera model, which OpenCV's own projection checks elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from capture_rig.camera import CameraModel
+from rig_calibration.boards.board import Board, Checkerboard
+from rig_calibration.boards.sighting import Sighting
+
+BOARD = Checkerboard(9, 6, (0.025, 0.025))
+FACING = np.diag([1.0, -1.0, -1.0])
+EDGE_PX = 4
+
+
+def lens(D=(-0.185, 0.084, 3e-4, -2e-4, 0.0), model="plumb_bob", focal=467.0):
+    """A wide lens of 640 x 480 with its principal point off the middle."""
+    K = np.array([[focal, 0, 324.5], [0, focal * 0.999, 245.4], [0, 0, 1]])
+    return CameraModel("cam01", 640, 480, K, model, np.array(D), np.eye(4))
+
+
+def parameters(camera: CameraModel) -> np.ndarray:
+    """fx fy cx cy and the distortion coefficients."""
+    return np.array([*camera.K.diagonal()[:2], *camera.K[:2, 2], *camera.D])
+
+
+def shown(
+    camera: CameraModel, count: int, noise_px: float, seed: int, *, board: Board = BOARD, tilt_deg: float = 45.0,
+    reach: float = 1.0, sizes: tuple[float, float] = (0.35, 0.7), bow_m: float = 0.0, partial: bool = False,
+) -> list[Sighting]:  # fmt: skip
+    """``count`` views: places all over the image (``reach`` of it), tilts up to ``tilt_deg``, the board's diagonal
+    ``sizes`` of the image's width; ``bow_m``: its middle stands out along its rows; ``partial``: it may leave the
+    image."""
+    rng = np.random.default_rng(seed)
+    corners, views = board.corners_board, []
+    centred = corners - corners.mean(axis=0)
+    diagonal = np.linalg.norm(np.ptp(centred, axis=0))
+    centred[:, 2] = bow_m * (1 - (centred[:, 0] / np.abs(centred[:, 0]).max()) ** 2)
+    size = np.array([camera.width, camera.height])
+    while len(views) < count:
+        depth = camera.K[0, 0] * diagonal / (rng.uniform(*sizes) * camera.width)
+        place = (size - 1) / 2 + (rng.random(2) - 0.5) * size * reach
+        ray = camera.rays_world(place[None])[0]
+        around = rng.uniform(0, 2 * np.pi)
+        tilt = Rotation.from_rotvec(
+            np.deg2rad(rng.uniform(0, tilt_deg)) * np.array([np.cos(around), np.sin(around), 0])
+        )
+        R = tilt.as_matrix() @ Rotation.from_euler("z", rng.uniform(-0.5, 0.5)).as_matrix() @ FACING
+        pixels = camera.project(centred @ R.T + depth / ray[2] * ray)
+        inside = (np.isfinite(pixels) & (pixels > EDGE_PX) & (pixels < size - 1 - EDGE_PX)).all(axis=1)
+        if not (inside.all() or (partial and inside.sum() >= 12)):
+            continue
+        ids = np.flatnonzero(inside)
+        seen = pixels[inside] + rng.normal(0, noise_px, (len(ids), 2)) if noise_px else pixels[inside]
+        views.append(Sighting(camera.name, len(views), ids, seen, (camera.width, camera.height), "", noise_px or 0.1))
+    return views
+
+
+def with_pixels(sighting: Sighting, pixels: np.ndarray) -> Sighting:
+    return replace(sighting, pixels=pixels)

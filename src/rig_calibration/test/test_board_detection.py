@@ -1,0 +1,171 @@
+import cv2
+import numpy as np
+import pytest
+from board_renders import camera, looking_at_board, render, true_corners
+
+from rig_calibration.boards.detection import find_board
+from rig_calibration.boards.diagnosis import diagnose_board
+from rig_calibration.boards.sharpness import blur_px
+from rig_calibration.boards.specification import read_board
+
+BOARD = read_board("checkerboard 9x6 25mm")
+CHARUCO = read_board("charuco 8x6 30mm 22mm DICT_5X5_100")
+LENS = camera(D=(-0.2, 0.08, 0.001, -0.001, 0.0))
+
+
+def seen(board, distance=0.6, tilt=20, eye=LENS, *, thorough=False, roll=5, turn=0, offset=(0.0, 0.0), oversample=4,
+         **optics):  # fmt: skip
+    """The sighting and its errors (n, 2) in px against the projection of the board's corners."""
+    T = looking_at_board(board, distance, tilt, roll, turn, offset)
+    image = render(eye, board, T, oversample=oversample, **optics)
+    sighting = find_board(image, board, thorough=thorough)
+    errors = None if sighting is None else sighting.pixels - true_corners(eye, board, T)[sighting.ids]
+    return image, sighting, errors
+
+
+@pytest.mark.parametrize("tilt", [0, 40, 65])
+@pytest.mark.parametrize("blur", [0.5, 1.0])
+def test_corners_are_exact_to_hundredths_of_a_pixel_and_sigma_says_so(tilt, blur):
+    _, sighting, errors = seen(BOARD, tilt=tilt, blur=blur, noise=2.5, oversample=10)
+    rms = np.sqrt(np.mean(errors**2))
+    assert len(sighting) == 54
+    assert rms < 0.03
+    assert np.all(np.abs(errors.mean(axis=0)) < 0.01)
+    assert 0.4 * rms < sighting.sigma_px < 3 * rms
+
+
+def test_sigma_grows_with_the_noise():
+    quiet, loud = (seen(BOARD, noise=noise)[1].sigma_px for noise in (1.0, 8.0))
+    assert loud > 2 * quiet
+
+
+@pytest.mark.parametrize("turn", [0, 90, 180, 270])
+def test_ids_follow_the_board_s_colours_whichever_way_round_it_is_seen(turn):
+    _, sighting, errors = seen(BOARD, turn=turn, tilt=25)
+    assert len(sighting) == 54 and np.abs(errors).max() < 0.2
+
+
+@pytest.mark.parametrize("turn", [0, 180])
+def test_rows_run_to_the_right_where_the_half_turn_is_not_visible(turn):
+    board = read_board("checkerboard 7x5 30mm")
+    _, sighting, _ = seen(board, turn=turn)
+    assert not board.half_turn_is_visible
+    first, end_of_row = sighting.pixels[0], sighting.pixels[6]
+    assert end_of_row[0] - first[0] > 50
+
+
+def test_columns_and_rows_given_the_other_way_round_are_the_same_board_turned():
+    T = looking_at_board(BOARD, 0.6, 20)
+    image = render(LENS, BOARD, T, oversample=4)
+    swapped = find_board(image, read_board("checkerboard 6x9 25mm"))
+    as_is = find_board(image, BOARD)
+    assert {tuple(pixel) for pixel in swapped.pixels.round(3)} == {tuple(pixel) for pixel in as_is.pixels.round(3)}
+    along, down = swapped.pixels[1] - swapped.pixels[0], swapped.pixels[6] - swapped.pixels[0]
+    assert along[0] * down[1] - along[1] * down[0] > 0
+
+
+def test_fields_that_are_no_squares_keep_their_orientation():
+    board = read_board("checkerboard 4x3 60x40mm")
+    _, sighting, errors = seen(board, turn=90, distance=0.7)
+    assert len(sighting) == 12 and np.abs(errors).max() < 0.2
+
+
+@pytest.mark.parametrize(("tilt", "width_px"), [(70, 8), (75, 12), (80, 24)])
+def test_board_on_the_floor_is_found_at_a_grazing_angle_when_looked_for_thoroughly(tilt, width_px):
+    board = read_board("checkerboard 6x5 100mm")
+    _, sighting, errors = seen(board, 600 * 0.1 / width_px, tilt, thorough=True, roll=3, turn=15, noise=2.0)
+    assert len(sighting) >= 0.9 * 30
+    assert np.sqrt(np.mean(errors**2)) < 0.15
+
+
+def test_part_of_a_charuco_board_is_enough():
+    _, sighting, errors = seen(CHARUCO, distance=0.35, tilt=15, offset=(0.15, 0.03))
+    assert 8 <= len(sighting) < 35
+    assert np.sqrt(np.mean(errors**2)) < 0.05
+
+
+def test_charuco_whose_markers_cannot_be_read_is_found_by_its_fields():
+    board = read_board("charuco 8x7 30mm 22mm DICT_5X5_100")
+    _, sighting, errors = seen(board, distance=1.5, tilt=30, blur=1.2)
+    assert not board.columns % 2 and board.rows % 2 and len(sighting) >= 35
+    assert np.abs(errors).max() < 0.5
+
+
+def test_hand_over_some_corners_leaves_the_others():
+    T = looking_at_board(BOARD, 0.6, 15)
+    image, truth = render(LENS, BOARD, T, oversample=4), true_corners(LENS, BOARD, T)
+    middle = truth[3 * 9 + 4]
+    cv2.ellipse(image, tuple(int(v) for v in middle), (30, 22), 20, 0, 360, 160, -1)
+    sighting = find_board(image, BOARD)
+    assert 40 <= len(sighting) < 54
+    assert np.abs(sighting.pixels - truth[sighting.ids]).max() < 0.5
+    assert 3 * 9 + 4 not in sighting.ids
+
+
+def test_jpeg_colour_and_uneven_light_do_no_harm():
+    T = looking_at_board(BOARD, 0.7, 30, roll_deg=20)
+    grey = render(LENS, BOARD, T, oversample=4, shade=0.8, noise=3.0)
+    code = cv2.imencode(".jpg", cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 40])[1]
+    sighting = find_board(cv2.imdecode(code, cv2.IMREAD_COLOR), BOARD)
+    errors = sighting.pixels - true_corners(LENS, BOARD, T)[sighting.ids]
+    assert len(sighting) == 54 and np.sqrt(np.mean(errors**2)) < 0.1
+
+
+def test_same_image_gives_the_same_bytes():
+    image, first, _ = seen(BOARD)
+    again = find_board(image, BOARD)
+    assert first.pixels.tobytes() == again.pixels.tobytes() and first.sigma_px == again.sigma_px
+
+
+def test_image_without_a_board_gives_nothing():
+    noise = np.random.default_rng(3).integers(0, 256, (240, 320)).astype(np.uint8)
+    assert find_board(cv2.GaussianBlur(noise, (0, 0), 2), BOARD) is None
+    assert find_board(np.full((240, 320), 90, np.uint8), BOARD, thorough=True) is None
+
+
+@pytest.mark.parametrize("blur", [0.5, 1.0, 2.0])
+def test_blur_of_the_optics_is_measured(blur):
+    image, sighting, _ = seen(BOARD, blur=blur)
+    assert blur_px(image, sighting) == pytest.approx(blur, abs=0.15)
+
+
+def test_motion_counts_in_the_direction_of_the_worse_blur():
+    length = 6.0
+    image, sighting, _ = seen(BOARD, roll=0, tilt=0, blur=0.6, shutter_px=(length, 0.0))
+    assert blur_px(image, sighting) == pytest.approx(np.hypot(0.6, length / np.sqrt(12)), rel=0.25)
+
+
+def test_markers_do_not_spoil_the_measure_of_blur():
+    image, sighting, _ = seen(CHARUCO, distance=0.45, blur=1.0)
+    assert blur_px(image, sighting) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize(("asked", "says"), [
+    ("checkerboard 8x5 25mm", "9 x 6 inner corners was seen instead of 8 x 5"),
+    ("checkerboard 10x7 25mm", "number of fields"),
+    ("checkerboard 11x9 25mm", "9 x 6"),
+    ("charuco 8x6 30mm 22mm DICT_5X5_100", "no markers"),
+])  # fmt: skip
+def test_another_board_is_named(asked, says):
+    image = render(LENS, BOARD, looking_at_board(BOARD, 0.6, 20), oversample=3)
+    assert find_board(image, read_board(asked)) is None
+    assert says in diagnose_board(image, read_board(asked))
+
+
+def test_markers_of_another_dictionary_are_named():
+    image = render(LENS, CHARUCO, looking_at_board(CHARUCO, 0.5, 10), oversample=3)
+    other = read_board("charuco 8x6 30mm 22mm DICT_4X4_50")
+    assert "DICT_5X5" in diagnose_board(image, other)
+    assert "instead of a plain checkerboard" in diagnose_board(image, BOARD)
+
+
+def test_board_that_is_partly_outside_is_named():
+    image = render(LENS, BOARD, looking_at_board(BOARD, 0.5, 5, offset=(0.2, 0.0)), oversample=3)
+    assert find_board(image, BOARD) is None
+    assert "outside the image" in diagnose_board(image, BOARD)
+
+
+def test_found_board_and_dark_image_are_told_apart():
+    image = render(LENS, BOARD, looking_at_board(BOARD, 0.6, 20), oversample=3)
+    assert diagnose_board(image, BOARD) is None
+    assert "black" in diagnose_board(np.full((240, 320), 4, np.uint8), BOARD)

@@ -1,0 +1,107 @@
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from rig_calibration.boards.drawing import black_rectangles, draw_board, print_size_m, save_for_print
+from rig_calibration.boards.opencv_charuco import opencv_board
+from rig_calibration.boards.specification import read_board
+
+CHECKERBOARD = read_board("checkerboard 9x6 25mm")
+CHARUCO = read_board("charuco 5x7 30mm 21mm DICT_5X5_100")
+
+
+def rectangles(file):
+    root = ElementTree.parse(file).getroot()
+    found = [node for node in root.iter("{http://www.w3.org/2000/svg}rect") if "x" in node.attrib]
+    return root, np.array([[float(node.get(key)) for key in ("x", "y", "width", "height")] for node in found])
+
+
+def test_print_is_true_to_scale_and_its_ruler_is_100_mm_long(tmp_path):
+    (file,) = save_for_print(CHECKERBOARD, tmp_path / "board.svg")
+    root, black = rectangles(file)
+    assert (root.get("width"), root.get("height")) == ("297mm", "210mm")
+    fields = black[(np.abs(black[:, 2] - 25) < 1e-3) & (np.abs(black[:, 3] - 25) < 1e-3)]
+    assert len(fields) == 35
+    low, high = fields[:, :2].min(0), (fields[:, :2] + fields[:, 2:]).max(0)
+    np.testing.assert_allclose(high - low, [250, 175], atol=1e-3)
+    assert np.any(np.abs(black[:, 2] - 100) < 1e-9)
+
+
+def test_board_larger_than_the_paper_is_laid_over_pages_without_losing_any_black(tmp_path):
+    board = read_board("checkerboard 5x4 85mm")
+    files = save_for_print(board, tmp_path / "floor.svg")
+    assert len(files) > 1
+    area = 0.0
+    for file in files:
+        root, black = rectangles(file)
+        inside = black[(black[:, 2] > 1) & (black[:, 3] > 1)]
+        area += np.sum(inside[:, 2] * inside[:, 3])
+        size = [float(root.get(key).removesuffix("mm")) for key in ("width", "height")]
+        assert np.all(inside[:, :2] >= 10 - 1e-6)
+        assert np.all(inside[:, :2] + inside[:, 2:] <= np.array(size) - 10 + 1e-6)
+    assert area == pytest.approx(15 * 85 * 85, rel=1e-6)
+    assert len(save_for_print(board, tmp_path / "floor_a1.svg", "A1")) == 1
+
+
+def test_pdf_has_the_paper_s_size_in_points_and_a_sound_table_of_objects(tmp_path):
+    (file,) = save_for_print(CHECKERBOARD, tmp_path / "board.pdf")
+    content = file.read_bytes()
+    box = [float(number) for number in re.search(rb"MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", content).groups()]
+    np.testing.assert_allclose(np.array(box) / 72 * 25.4, [297, 210], atol=1e-3)
+    for number, offset in enumerate(re.findall(rb"(\d{10}) 00000 n", content), start=1):
+        assert content[int(offset) :].startswith(b"%d 0 obj" % number)
+
+
+def test_same_board_gives_the_same_bytes(tmp_path):
+    for suffix in (".svg", ".pdf"):
+        first, second = (save_for_print(CHARUCO, tmp_path / f"{name}{suffix}")[0] for name in "ab")
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_unknown_suffix_and_paper_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"neither \.svg nor"):
+        save_for_print(CHECKERBOARD, tmp_path / "board.docx")
+    with pytest.raises(InputError, match="A9"):
+        save_for_print(CHECKERBOARD, tmp_path / "board.svg", "A9")
+
+
+@pytest.mark.parametrize("text", ["charuco 5x7 30mm 21mm DICT_5X5_100", "charuco 6x4 30mm 18mm DICT_4X4_50 legacy"])
+def test_charuco_is_drawn_as_opencv_draws_it(text):
+    board = read_board(text)
+    cells = 6 if "4X4" in text else 7
+    per_field = round(30 * cells / (21 if cells == 7 else 18)) * 4
+    ours = draw_board(board, per_field / board.square_m, margin_m=0.0).image
+    theirs = opencv_board(board).generateImage((board.columns * per_field, board.rows * per_field), marginSize=0)
+    assert ours.shape == theirs.shape
+    assert np.mean((ours > 127) != (theirs > 127)) < 0.01
+
+
+def test_picture_says_where_the_board_s_corners_lie():
+    picture = draw_board(CHECKERBOARD, 1013.0)
+    corners = cv2.perspectiveTransform(CHECKERBOARD.corners_board[None, :, :2], picture.T_pixel_board)[0]
+    x, y = corners[0]
+    assert picture.image[int(y) - 5, int(x) - 5] == 0 and picture.image[int(y) + 5, int(x) + 5] == 0
+    assert picture.image[int(y) - 5, int(x) + 5] == 255
+    refined = cv2.cornerSubPix(picture.image, corners.astype(np.float32).reshape(-1, 1, 2), (5, 5), (-1, -1),
+                               (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4))  # fmt: skip
+    np.testing.assert_allclose(refined.reshape(-1, 2), corners, atol=0.1)  # of cornerSubPix itself
+
+
+def test_black_covers_half_of_a_board_with_an_even_number_of_fields():
+    width, height = print_size_m(CHECKERBOARD)
+    assert sum(w * h for _, _, w, h in black_rectangles(CHECKERBOARD)) == pytest.approx(0.5 * width * height)
+
+
+@pytest.mark.parametrize(("name", "paper"), [
+    ("checkerboard_a4", "A4"), ("charuco_a4", "A4"), ("floor_a3", "A3"), ("floor_a2", "A2"),
+])  # fmt: skip
+def test_boards_that_come_along_fit_on_one_page_of_the_paper_they_are_named_for(tmp_path, name, paper):
+    board = read_board(str(Path(__file__).parents[3] / "config/board" / f"{name}.yaml"))
+    assert len(save_for_print(board, tmp_path / "board.pdf", paper)) == 1
+    assert (tmp_path / "board.pdf").read_bytes().count(b"/Type /Page ") == 1
+    assert board.half_turn_is_visible

@@ -1,0 +1,88 @@
+"""The solver's projection against OpenCV's, and its derivatives against differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bundle_studio import rotation
+
+from rig_calibration.bundle.lens_derivatives import COEFFICIENTS
+from rig_calibration.bundle.normal_equations import Free, normal_equations, step
+from rig_calibration.bundle.observations import Layout, Observations, State
+from rig_calibration.bundle.projection import linearise, residuals_px
+
+RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
+
+
+def state_and_observations(rng: np.random.Generator) -> tuple[State, Observations]:
+    """Two cameras, three poses of two targets, four sightings."""
+    lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(COEFFICIENTS - 1)]])
+    state = State(rotation([0.1, -0.2, 0.05])[None] @ np.stack([np.eye(3), rotation([0, 0.3, 0])]),
+                  np.array([[0, 0, -2.0], [0.8, 0.1, -1.9]]), lens,
+                  np.stack([rotation(rng.normal(size=3) * 0.4) for _ in range(3)]), rng.normal(size=(3, 3)) * 0.2,
+                  np.array([1.0, 1.1]))  # fmt: skip
+    points = rng.uniform(-0.3, 0.3, size=(4, 7, 3))
+    seen = Observations(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 2]), np.array([0, 0, 1, 1]), points,
+                        rng.uniform(100, 400, size=(4, 7, 2)), rng.uniform(0.5, 4, size=(4, 7)))  # fmt: skip
+    return state, seen
+
+
+def test_corners_fall_where_opencv_projects_them():
+    import cv2
+
+    state, seen = state_and_observations(np.random.default_rng(0))
+    residual = residuals_px(state, seen)
+    for row in range(4):
+        camera, pose = seen.camera[row], seen.pose[row]
+        scaled = seen.points[row] * state.scale[seen.target[row]]
+        x = scaled @ state.R_pose[pose].T + state.position[pose] - state.centre[camera]
+        K = np.array([[state.lens[camera, 0], 0, state.lens[camera, 2]],
+                      [0, state.lens[camera, 1], state.lens[camera, 3]], [0, 0, 1]])  # fmt: skip
+        rvec = cv2.Rodrigues(state.R_camera[camera])[0]
+        pixels, _ = cv2.projectPoints(x.reshape(-1, 1, 3), rvec, np.zeros(3), K, state.lens[camera, 4:])
+        np.testing.assert_allclose(seen.pixels[row] - residual[row], pixels.reshape(-1, 2), atol=1e-8)
+
+
+def test_derivatives_match_central_differences():
+    state, seen = state_and_observations(np.random.default_rng(1))
+    layout = Layout(2, 2, with_lens=True)
+    linear = linearise(state, seen, with_lens=True)
+    columns = layout.columns(seen.camera, seen.target)
+    weight = np.repeat(seen.weight, 2, axis=1)
+
+    def difference(shared: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        ahead, behind = (residuals_px(state.moved(sign * shared, sign * poses), seen) for sign in (1, -1))
+        return -(ahead - behind).reshape(4, -1) / 2e-6 * weight
+
+    for column in range(layout.size):
+        shared = np.zeros(layout.size)
+        shared[column] = 1e-6
+        analytic = np.where(columns[:, None] == column, linear.by_shared, 0).sum(axis=2)
+        np.testing.assert_allclose(analytic, difference(shared, np.zeros((3, 6))), atol=2e-4, rtol=1e-6)
+    for pose in range(3):
+        for axis in range(6):
+            poses = np.zeros((3, 6))
+            poses[pose, axis] = 1e-6
+            analytic = np.where((seen.pose == pose)[:, None], linear.by_pose[:, :, axis], 0)
+            np.testing.assert_allclose(analytic, difference(np.zeros(layout.size), poses), atol=2e-4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_step_equals_that_of_the_full_normal_equations(damping: float):
+    state, seen = state_and_observations(np.random.default_rng(2))
+    layout = Layout(2, 2)
+    free = Free(np.ones(layout.size, bool), np.array([True, True, False]))
+    free.shared[:6], free.shared[-2] = False, False
+    linear = linearise(state, seen)
+    J = np.zeros((4, 14, layout.size + 18))
+    for row, columns in enumerate(layout.columns(seen.camera, seen.target)):
+        J[row][:, columns] = linear.by_shared[row]
+        start = layout.size + 6 * seen.pose[row]
+        J[row][:, start : start + 6] = linear.by_pose[row]
+    moving = np.concatenate([free.shared, np.repeat(free.poses, 6)])
+    A = J.reshape(-1, J.shape[2])[:, moving]
+    H = A.T @ A
+    expected = np.zeros(len(moving))
+    expected[moving] = np.linalg.solve(H + damping * np.diag(np.diag(H)), A.T @ linear.residual.ravel())
+    shared, poses = step(normal_equations(linear, seen, layout, 3), free, damping)
+    np.testing.assert_allclose(np.concatenate([shared, poses.ravel()]), expected, rtol=1e-5, atol=1e-8)

@@ -1,0 +1,75 @@
+"""Sizes of targets compared with one another, and targets whose turns a picture does not show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bundle_studio import T_WORLD_FLOOR, TARGETS, carried_and_floor, errors, ring, sightings_of, truth, worst
+
+from rig_calibration.boards.board import Checkerboard
+from rig_calibration.bundle.scales import comparable_targets
+from rig_calibration.bundle.solve import solve_rig
+
+CAMERAS = ring(4)
+
+
+def test_sizes_that_agree_are_reported_as_one_within_their_error():
+    solution = solve_rig(CAMERAS, carried_and_floor(CAMERAS, np.random.default_rng(1), 20), TARGETS)
+    ratio, sd = solution.scale_of["floor"]
+    assert solution.scale_base == "moving"
+    assert abs(ratio - 1) < 3 * sd and sd < 0.002
+
+
+@pytest.mark.parametrize("factor", [1.05, 1.25])
+def test_wrong_square_size_of_the_floor_board_is_measured(factor: float):
+    sightings = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    given = {**TARGETS, "floor": TARGETS["floor"] * factor}
+    solution = solve_rig(CAMERAS, sightings, given, reference="floor")
+    ratio, sd = solution.scale_of["floor"]
+    assert ratio * factor == pytest.approx(1.0, abs=3 * sd * factor)
+    assert solution.left_out == ()
+    assert worst(errors(solution, truth(CAMERAS)))[0] < 6  # the size of the board seen most is the one believed
+
+
+def test_target_seen_only_where_no_other_links_the_cameras_is_not_compared():
+    sightings = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    apart = [s for s in sightings if s.target == "floor" or s.camera in ("cam01", "cam02")]
+    assert comparable_targets(apart, ["floor", "moving"], "moving").tolist() == [True, False]
+    apart = [s for s in apart if s.target == "moving" or s.camera in ("cam03", "cam04", "cam02")]
+    assert not comparable_targets(apart, ["floor", "moving"], "moving").any()
+
+
+def test_hidden_half_turns_are_settled_by_what_cameras_agree_on():
+    rng = np.random.default_rng(3)
+    sightings = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    upset = [s.target == "moving" and rng.random() < 0.5 for s in sightings]
+    mixed = [replace(s, ids=s.ids[::-1].copy()) if u else s for s, u in zip(sightings, upset, strict=True)]
+    expected = solve_rig(CAMERAS, sightings, TARGETS, reference="floor")
+    found = solve_rig(CAMERAS, mixed, TARGETS, reference="floor", turnable={"moving": 2})
+    assert found.turned and found.undecided == () and found.left_out == ()
+    for name in CAMERAS:
+        np.testing.assert_allclose(found.T_camera_reference[name], expected.T_camera_reference[name], atol=1e-7)
+
+
+def test_quarter_turns_of_a_square_board_are_settled():
+    board = Checkerboard(6, 6, (0.07, 0.07))
+    from bundle_studio import carried
+
+    from rig_calibration.bundle.target_shape import target_shape
+
+    turns = target_shape("", board.corners_board, 4).turns
+    rng = np.random.default_rng(2)
+    sightings = sightings_of(CAMERAS, carried(rng, 30), "moving", rng, points=board.corners_board)
+    mixed = [replace(s, ids=turns[rng.integers(4)].permutation[s.ids]) for s in sightings]
+    found = solve_rig(CAMERAS, mixed, {"moving": board.corners_board}, reference="cam01", turnable={"moving": 4})
+    assert worst(errors(found, truth(CAMERAS, "cam01")))[0] < 10
+
+
+def test_half_turn_that_a_single_floor_board_cannot_tell_is_said_to_be_undecided():
+    floor = sightings_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    told = solve_rig(CAMERAS, floor, {"floor": TARGETS["floor"]}, reference="floor")
+    hidden = solve_rig(CAMERAS, floor, {"floor": TARGETS["floor"]}, reference="floor", turnable={"floor": 2})
+    assert told.undecided == () and hidden.undecided == tuple(CAMERAS)
+    assert worst(errors(hidden, truth(CAMERAS)))[0] < 20  # the numbering is left as it came

@@ -1,0 +1,151 @@
+"""A wand of bright markers: found in images, numbered, and a rig calibrated with nothing else."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from bundle_studio import SIZE, T_WORLD_FLOOR, TARGETS, camera_at, errors, project, ring, rotation, sightings_of, truth
+from bundle_studio import worst as worst_of
+
+from capture_rig.errors import InputError
+from rig_calibration.boards.sighting import Sighting
+from rig_calibration.bundle.solve import solve_rig
+from rig_calibration.bundle.wand import WAND, find_wand, wand_points, wand_turns
+from rig_calibration.bundle.wand_blobs import find_blobs
+
+UNEVEN, EVEN, TWO = (0.0, 0.25, 0.4), (0.0, 0.2, 0.4), (0.0, 0.4)
+CAMERA = camera_at("cam01", (3, 0, 1.5))
+
+
+def waved(rng: np.random.Generator, moments: int) -> dict[int, np.ndarray]:
+    poses = {}
+    for moment in range(moments):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation(2 * rng.normal(size=3)), rng.uniform([-1, -1, 0.3], [1, 1, 1.9])
+        poses[moment] = T
+    return poses
+
+
+def picture(pixels: np.ndarray, rng: np.random.Generator, radius_px: float = 3.0, room: float = 12.0) -> np.ndarray:
+    """Discs with soft edges in a dark, slightly noisy image."""
+    image = np.full((SIZE[1], SIZE[0]), room)
+    for u, v in pixels:
+        left, top = int(u - radius_px) - 2, int(v - radius_px) - 2
+        rows, columns = np.mgrid[top : top + int(2 * radius_px) + 6, left : left + int(2 * radius_px) + 6]
+        image[rows, columns] += 230 * np.clip(radius_px + 0.5 - np.hypot(columns - u, rows - v), 0, 1)
+    return np.clip(image + 2 * rng.normal(size=image.shape), 0, 255).astype(np.uint8)
+
+
+def wand_sightings(marks: tuple[float, ...], moments: int, seed: int) -> list[Sighting]:
+    """Markers with 0.1 px of noise; of a wand that looks the same from both ends, numbered at random."""
+    rng, found = np.random.default_rng(seed), []
+    for moment, T in waved(rng, moments).items():
+        for name, camera in ring(4).items():
+            pixels = project(camera, T, wand_points(marks))
+            if np.all((pixels > 2) & (pixels < np.array(SIZE) - 3)):
+                ids = np.arange(len(marks))[:: rng.choice([1, -1]) if wand_turns(marks) == 2 else 1].copy()
+                noisy = pixels + 0.1 * rng.normal(size=pixels.shape)
+                found.append(Sighting(name, moment, ids, noisy, SIZE, WAND, 0.1))
+    return found
+
+
+@pytest.mark.parametrize("radius_px", [1.0, 3.0, 6.0])
+def test_blobs_lie_where_the_markers_are(radius_px: float):
+    pixels = np.array([[100.3, 80.7], [320.1, 240.4], [500.8, 400.2]])
+    blobs = find_blobs(picture(pixels, np.random.default_rng(0), radius_px))
+    assert len(blobs) == 3
+    found = blobs.centroid[np.argsort(blobs.centroid[:, 0])]
+    assert np.abs(found - pixels).max() < 0.15
+
+
+def test_dark_image_has_no_blobs_and_streaks_are_none():
+    rng = np.random.default_rng(0)
+    assert len(find_blobs(picture(np.empty((0, 2)), rng))) == 0
+    streak = cv2.line(picture(np.array([[100.0, 100]]), rng), (200, 200), (260, 200), 250, 5)
+    np.testing.assert_allclose(find_blobs(streak).centroid, [[100, 100]], atol=0.1)
+
+
+def test_wand_is_found_before_a_lit_room_with_its_background():
+    rng = np.random.default_rng(1)
+    room = np.tile(np.linspace(40, 150, SIZE[0]), (SIZE[1], 1))
+    room[100:200, 300:330] = 245  # a window
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation([0, 0, 1.3]), (0.2, 0.1, 1.1)
+    pixels = project(CAMERA, T, wand_points(UNEVEN))
+    lamps = picture(pixels, rng, room=0.0).astype(float)
+    noise = 2 * rng.normal(size=(2, *room.shape))
+    image, background = (np.clip(i, 0, 255).astype(np.uint8) for i in (room + lamps + noise[0], room + noise[1]))
+    found = find_wand(image, UNEVEN, CAMERA, background=background)
+    assert found is not None
+    np.testing.assert_allclose(found.pixels, pixels, atol=0.3)
+    with pytest.raises(InputError, match="background has 320 x 240"):
+        find_wand(image, UNEVEN, CAMERA, background=background[::2, ::2])
+
+
+def test_uneven_wand_is_numbered_right_among_stray_lights():
+    rng, right, found = np.random.default_rng(2), 0, 0
+    for T in waved(rng, 30).values():
+        pixels = project(CAMERA, T, wand_points(UNEVEN))
+        length = np.linalg.norm(pixels[-1] - pixels[0])
+        if not np.all((pixels > 10) & (pixels < np.array(SIZE) - 10)) or length < 40:
+            continue
+        strays = rng.uniform([10, 10], np.array(SIZE) - 10, size=(2, 2))
+        sighting = find_wand(picture(np.concatenate([pixels, strays]), rng), UNEVEN, CAMERA, moment=3)
+        if sighting is not None:
+            found += 1
+            right += int(np.abs(sighting.pixels - pixels).max() < 1.0)
+    assert found >= 15 and right == found
+
+
+def test_spots_that_are_no_wand_are_not_taken_for_one():
+    crooked = np.array([[100.0, 100], [200, 180], [300, 100]])
+    wrong_spacing = np.array([[100.0, 100], [120, 100], [300, 100]])
+    for pixels in (crooked, wrong_spacing, crooked[:2]):
+        assert find_wand(picture(pixels, np.random.default_rng(0)), UNEVEN, CAMERA) is None
+
+
+@pytest.mark.parametrize("marks", [UNEVEN, EVEN, TWO])
+def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
+    cameras = ring(4)
+    solution = solve_rig(cameras, wand_sightings(marks, 30, seed=1), {WAND: wand_points(marks)}, reference="cam01",
+                         turnable={WAND: wand_turns(marks)})  # fmt: skip
+    found = errors(solution, truth(cameras, "cam01"))
+    centre_mm, rotation_deg = worst_of(found)
+    assert centre_mm < 5 and rotation_deg < 0.1
+    normalised = np.array([found[name] / np.sqrt(np.diag(solution.covariance[name])) for name in list(cameras)[1:]])
+    assert 0.5 < np.sqrt(np.mean(normalised**2)) < 1.7
+
+
+def test_wand_and_floor_board_together_give_the_world():
+    cameras = ring(4)
+    floor = sightings_of(cameras, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    solution = solve_rig(cameras, wand_sightings(TWO, 40, seed=2) + floor,
+                         {WAND: wand_points(TWO), "floor": TARGETS["floor"]}, reference="floor",
+                         turnable={WAND: 2})  # fmt: skip
+    centre_mm, rotation_deg = worst_of(errors(solution, truth(cameras)))
+    assert centre_mm < 7 and rotation_deg < 0.12
+    ratio, sd = solution.scale_of["floor"]
+    assert abs(ratio - 1) < 3 * sd
+
+
+def test_same_bytes_from_the_same_wand_in_another_order():
+    cameras, sightings = ring(3), [s for s in wand_sightings(TWO, 14, seed=3) if s.camera != "cam04"]
+    first, second = (solve_rig(cameras, order, {WAND: wand_points(TWO)}, turnable={WAND: 2})
+                     for order in (sightings, sightings[::-1]))  # fmt: skip
+    for name in cameras:
+        assert first.T_camera_reference[name].tobytes() == second.T_camera_reference[name].tobytes()
+
+
+def test_too_few_views_of_a_wand_are_an_error_that_names_the_cameras():
+    with pytest.raises(InputError, match=r"too few common views of the wand"):
+        solve_rig(ring(4), wand_sightings(UNEVEN, 3, seed=1), {WAND: wand_points(UNEVEN)})
+
+
+@pytest.mark.parametrize(
+    ("marks", "said"),
+    [((0.4,), "wand of 1 markers"), ((0.0, 0.4, 0.2), "do not rise"), ((0.0, 0.21, 0.4), "almost, but not quite")],
+)
+def test_impossible_wands_are_refused(marks: tuple[float, ...], said: str):
+    with pytest.raises(InputError, match=said):
+        wand_turns(marks)

@@ -1,0 +1,129 @@
+"""Where the world lies on the board, what the cameras see in common, when a carried board lies on the floor."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, camera_at, carried_poses, circle, on_floor, see_all
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from rig_calibration.extrinsics.lying import find_lying, resting_around
+from rig_calibration.extrinsics.moments import choose_moments
+from rig_calibration.extrinsics.volume import common_volume
+from rig_calibration.extrinsics.world import WorldChoice, board_in_world, world_from_floor, world_of_level_camera
+
+
+def test_world_origin_is_the_boards_middle_below_its_thickness() -> None:
+    corners = FLOOR_BOARD.corners_board
+    T = board_in_world(corners, WorldChoice(thickness_m=0.005))
+    corners_world = corners @ T[:3, :3].T + T[:3, 3]
+    assert corners_world.mean(axis=0) == pytest.approx([0.0, 0.0, 0.005], abs=1e-12)
+    assert corners_world[1] - corners_world[0] == pytest.approx([0.12, 0.0, 0.0]), "x runs along the rows"
+
+
+@pytest.mark.parametrize("origin, corner", [("first-corner", 0), ((0.12, -0.24), 2 * 7 + 1)])
+def test_world_origin_lies_where_it_is_asked_for(origin: str | tuple[float, float], corner: int) -> None:
+    corners = FLOOR_BOARD.corners_board
+    T = board_in_world(corners, WorldChoice(origin))  # type: ignore[arg-type]
+    assert T[:3, :3] @ corners[corner] + T[:3, 3] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+
+
+def test_heading_turns_world_x_counterclockwise_from_the_rows() -> None:
+    T = board_in_world(FLOOR_BOARD.corners_board, WorldChoice(heading=np.pi / 2))
+    assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12), "the board's y is world x"
+
+
+def test_world_from_floor_undoes_any_reference_frame() -> None:
+    T_reference_board = np.eye(4)
+    T_reference_board[:3, :3] = cv2.Rodrigues(np.array([0.4, -2.0, 1.1]))[0]
+    T_reference_board[:3, 3] = [1.0, -2.0, 7.0]
+    T_world_board = board_in_world(FLOOR_BOARD.corners_board, WorldChoice(heading=0.3, thickness_m=0.01))
+    assert world_from_floor(T_reference_board, T_world_board) @ T_reference_board == pytest.approx(T_world_board)
+
+
+def test_level_camera_looks_along_world_x_with_z_up() -> None:
+    T = world_of_level_camera(np.eye(4))
+    assert T[:3, :3] @ [0.0, 0.0, 1.0] == pytest.approx([1.0, 0.0, 0.0])
+    assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([0.0, 0.0, -1.0]), "the image's down is down"
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
+
+
+def ceiling_camera(name: str, x: float, y: float) -> CameraModel:
+    """Looks straight down from 3 m, with a square view of 90 degrees: at height z it sees |x|, |y| < 3 - z."""
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[:3, 3] = [-x, y, 3.0]
+    K = np.array([[200.0, 0.0, 199.5], [0.0, 200.0, 199.5], [0.0, 0.0, 1.0]])
+    return CameraModel(name, 400, 400, K, "plumb_bob", np.zeros(5), T)
+
+
+def test_common_volume_of_cameras_looking_down_is_the_pyramids_cut() -> None:
+    """Three pyramids 0.6 m apart: at height z all see x from -(3 - z) + 0.6 to (3 - z) - 0.6."""
+    common = common_volume([ceiling_camera(f"cam{i}", x, 0.0) for i, x in enumerate((-0.6, 0.0, 0.6))])
+    half = 3.0 - 1.65  # the highest level up to which a standing person is asked for
+    width, depth = 2 * (half - 0.6), 2 * half
+    assert common.enough == 3 and common.usable
+    assert common.floor_m2[2] == pytest.approx(width * depth, rel=0.1)
+    assert common.floor_m2[0] == pytest.approx((depth + 1.2) * depth, rel=0.1)
+    size = common.box.high - common.box.low
+    assert size[:2] == pytest.approx([width, depth], abs=0.25) and size[2] == pytest.approx(2.45)
+    heights = np.arange(0.15, 2.4, 0.25)
+    assert common.volume_m3 == pytest.approx(np.sum(2 * (2.4 - heights) * 2 * (3 - heights) * 0.25), rel=0.1)
+
+
+def test_common_volume_says_when_nobody_can_stand_in_it() -> None:
+    low = [
+        camera_at(f"cam{i}", np.array([np.cos(a), np.sin(a), 0.2]), np.array([0.0, 0.0, 0.2]))
+        for i, a in enumerate((0, 2, 4))
+    ]
+    common = common_volume(low)
+    assert not common.usable and common.floor_m2[2] == 0.0
+    assert (common.box.high > common.box.low).all()
+
+
+def test_carried_board_is_found_lying_at_the_place_where_nothing_was_below_it() -> None:
+    poses = dict(enumerate(carried_poses(60)))
+    lying = on_floor(CARRIED_BOARD, 0.3, -0.2, 0.5)
+    poses |= {moment: lying for moment in range(60, 66)}
+    poses[70] = on_floor(CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a moment
+    centres = [camera.centre_world for camera in circle(4).values()]
+    assert find_lying(poses, CARRIED_BOARD.corners_board, centres) == tuple(range(60, 66))
+
+
+def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> None:
+    poses = dict(enumerate(carried_poses(60)))
+    centres = [camera.centre_world for camera in circle(4).values()]
+    with pytest.raises(InputError, match="--floor-at"):
+        find_lying(poses, CARRIED_BOARD.corners_board, centres)
+
+
+def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
+    lying = on_floor(CARRIED_BOARD)
+    poses = [*carried_poses(4), lying, lying, lying, *carried_poses(3, seed=5)]
+    sightings = see_all(circle(4), CARRIED_BOARD, poses, "moving", noise_px=0.1)
+    assert resting_around(sightings, 5) == (4, 5, 6)
+    with pytest.raises(InputError, match="no camera shows the board in frame 77"):
+        resting_around(sightings, 77)
+
+
+def test_chosen_moments_are_shared_spread_and_independent_of_order() -> None:
+    cameras = circle(4)
+    sightings = see_all(cameras, CARRIED_BOARD, carried_poses(200), "moving")
+    chosen = choose_moments(sightings, most=30)
+    assert chosen == choose_moments(sightings[::-1], most=30) and len(chosen) == 30
+    seen_by = {m: {s.camera for s in sightings if s.moment == m} for m in chosen}
+    assert min(map(len, seen_by.values())) >= 2
+    pairs = {(a, b) for names in seen_by.values() for a in names for b in names if a < b}
+    available = {
+        (a.camera, b.camera) for a in sightings for b in sightings if a.moment == b.moment and a.camera < b.camera
+    }
+    assert pairs == available, "every pair of cameras that shares a view shares a chosen one"
+
+
+def test_moments_of_a_board_at_rest_are_preferred_to_those_of_one_that_is_swung() -> None:
+    cameras = circle(3)
+    slow = [on_floor(CARRIED_BOARD, 0.0, 0.002 * step) for step in range(20)]
+    fast = [on_floor(CARRIED_BOARD, 0.0, 0.5 - 0.05 * step) for step in range(20)]
+    chosen = choose_moments(see_all(cameras, CARRIED_BOARD, slow + fast, "moving"), most=10)
+    assert sum(moment < 20 for moment in chosen) >= 7

@@ -1,0 +1,140 @@
+"""A lens from corners of a board: against the lens that the corners were projected with, and against OpenCV."""
+
+import cv2
+import numpy as np
+import pytest
+from intrinsics_views import BOARD, lens, parameters, shown, with_pixels
+
+from rig_calibration.boards.board import CharucoBoard
+from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+
+RATIONAL = (0.3, -0.05, 3e-4, -2e-4, 0.01, 0.5, 0.02, 0.01)
+
+
+def found(sightings, board=BOARD, model="plumb_bob"):
+    return calibrate_intrinsics(sightings, board, name="cam01", model=model)
+
+
+def errors_in_sds(result, camera):
+    return (np.array(list(result.values.values())) - parameters(camera)) / np.array(list(result.sd.values()))
+
+
+@pytest.mark.parametrize("noise_px", [0.1, 0.3])
+def test_lens_is_found_within_its_own_standard_deviations(noise_px):
+    camera = lens()
+    result = found(shown(camera, 40, noise_px, seed=1))
+    error = np.array(list(result.values.values())) - parameters(camera)
+    assert np.abs(error[:2] / camera.K[0, 0]).max() < 0.002
+    assert np.abs(error[2:4]).max() < 1.0
+    assert np.abs(errors_in_sds(result, camera)).max() < 3.0
+    assert result.rms_px == pytest.approx(noise_px * np.sqrt(2), rel=0.1)
+    assert result.sigma_px == pytest.approx(noise_px, rel=0.1)
+    assert result.verdict.grade == "good", str(result.verdict)
+    assert np.array_equal(result.camera.T_camera_world, np.eye(4)) and result.camera.name == "cam01"
+
+
+@pytest.mark.parametrize(
+    "camera", [lens(), lens((-0.22, 0.06, -2e-4, 2e-4, 0.0), focal=330.0), lens((0.1, -0.3, 0, 0, 0), focal=2500.0),
+               lens(RATIONAL, "rational_polynomial")], ids=["wide", "wider", "long", "rational"],
+)  # fmt: skip
+def test_corners_without_noise_give_the_lens_back(camera):
+    result = found(shown(camera, 20, 0.0, seed=2), model=camera.distortion_model)
+    assert result.rms_px < 1e-3
+    assert pytest.approx(camera.K, rel=1e-4) == result.camera.K
+    if camera.distortion_model == "plumb_bob":
+        assert result.camera.project([[0.3, 0.2, 1.0]]) == pytest.approx(camera.project([[0.3, 0.2, 1.0]]), abs=0.01)
+
+
+def test_values_and_deviations_agree_with_opencv_where_its_assumptions_hold():
+    camera = lens()
+    sightings = shown(camera, 25, 0.2, seed=3)
+    ours = found(sightings)
+    points = [BOARD.corners_board.astype(np.float32)] * len(sightings)
+    pixels = [sighting.pixels.astype(np.float32) for sighting in sightings]
+    rms, K, D, _, _, sd, _, _ = cv2.calibrateCameraExtended(points, pixels, (640, 480), None, None)
+    theirs = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(D)[:5]])
+    difference = (np.array(list(ours.values.values())) - theirs) / np.ravel(sd)[:9]
+    assert np.abs(difference).max() < 0.7  # ours estimates the board's bending, too
+    assert ours.rms_px == pytest.approx(rms, rel=0.01)
+    ratio = np.array(list(ours.sd.values())) / ours.jackknife / np.ravel(sd)[:9]
+    assert (ratio > 0.95).all() and (ratio < 1.4).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["white", "correlated"])
+def test_errors_lie_where_the_standard_deviations_say(kind):
+    """25 calibrations each; correlated: all corners of a view err together, as in a view that is blurred by motion."""
+    camera, off = lens(), []
+    for seed in range(25):
+        sightings = shown(camera, 20, 0.2, seed=100 + seed)
+        if kind == "correlated":
+            rng = np.random.default_rng(seed)
+            sightings = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 1.5, (2, 2))) for s in sightings]
+        result = found(sightings)
+        assert kind == "white" or result.jackknife > 1.15
+        off.append(errors_in_sds(result, camera))
+    spread = np.sqrt(np.mean(np.square(off), axis=0))
+    # what views share enlarges all deviations: those of coefficients that it touches less are then too large
+    lowest, highest = (0.65, 1.35) if kind == "white" else (0.45, 1.4)
+    assert spread.min() > lowest and spread.max() < highest, spread
+    assert np.abs(off).max() < 4.0
+
+
+def test_errors_that_views_share_enlarge_the_standard_deviations():
+    camera, rng = lens(), np.random.default_rng(5)
+    white = shown(camera, 20, 0.2, seed=5)
+    together = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 2.5, (2, 2))) for s in white]
+    assert found(together).jackknife > 1.2 * found(white).jackknife
+    assert np.abs(errors_in_sds(found(together), camera)).max() < 4.0
+
+
+def _bend(pixels):
+    """(n, 2) smooth over the board."""
+    return ((pixels - pixels.mean(axis=0)) / np.ptp(pixels)) ** 2
+
+
+def test_bent_board_is_measured_and_does_not_spoil_the_lens():
+    camera = lens()
+    sightings = shown(camera, 30, 0.1, seed=6, bow_m=0.002)
+    result = found(sightings)
+    assert result.bow_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.bow_m[1]) < 2e-4
+    assert np.abs(errors_in_sds(result, camera)).max() < 3.5
+    assert any("bent along its rows" in finding.what for finding in result.verdict.findings)
+
+
+def test_partial_views_of_a_charuco_board_serve():
+    board, camera = CharucoBoard(11, 8, 0.03, 0.022, "DICT_5X5_100"), lens()
+    sightings = shown(camera, 30, 0.2, seed=7, board=board, sizes=(0.6, 1.1), partial=True)
+    assert min(map(len, sightings)) < 60
+    result = found(sightings, board)
+    assert np.abs(errors_in_sds(result, camera)).max() < 3.0
+    assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.002)
+
+
+def test_poses_of_the_board_are_those_it_was_shown_at():
+    camera = lens()
+    result = found(shown(camera, 12, 0.0, seed=8))
+    for view in result.views:
+        points = BOARD.corners_board @ view.T_camera_board[:3, :3].T + view.T_camera_board[:3, 3]
+        assert camera.project(points) == pytest.approx(view.sighting.pixels, abs=0.05)
+
+
+def test_same_sightings_in_any_order_give_the_same_bytes():
+    sightings = shown(lens(), 12, 0.2, seed=9)
+    one, other = found(sightings), found(sightings[::-1])
+    assert one.camera.K.tobytes() == other.camera.K.tobytes()
+    assert one.camera.D.tobytes() == other.camera.D.tobytes()
+    assert one.covariance.tobytes() == other.covariance.tobytes()
+
+
+def test_auto_keeps_the_simple_model_for_a_lens_that_it_describes():
+    plain = found(shown(lens(), 20, 0.2, seed=10), model="auto")
+    assert plain.camera.distortion_model == "plumb_bob" and "no better, so the simpler one" in plain.choice.reason
+
+
+@pytest.mark.slow
+def test_auto_takes_the_rational_model_for_a_lens_that_needs_it():
+    strong = lens((2.0, 0.7, 0.0, 0.0, 0.03, 2.4, 1.3, 0.2), "rational_polynomial", focal=300.0)
+    rich = found(shown(strong, 40, 0.05, seed=11, sizes=(0.3, 0.9)), model="auto")
+    assert rich.choice.held_out_px["rational_polynomial"] < 0.5 * rich.choice.held_out_px["plumb_bob"]
+    assert rich.camera.distortion_model == "rational_polynomial"

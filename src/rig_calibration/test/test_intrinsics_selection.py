@@ -1,0 +1,143 @@
+"""Which views are kept, what is said about the others, and when it is enough."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from intrinsics_views import BOARD, lens, shown
+
+from capture_rig.errors import InputError
+from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.coverage import coverage_of
+from rig_calibration.intrinsics.motion import motion_px
+from rig_calibration.intrinsics.parameters import LensModel
+from rig_calibration.intrinsics.pose import board_pose, look_of
+from rig_calibration.intrinsics.selection import Targets, ViewCollector, most_telling
+from rig_calibration.intrinsics.views import view_of
+
+
+def jittered(sighting, moment, seed=0):
+    """The same view a moment later."""
+    shake = np.random.default_rng(seed).normal(0, 0.2, sighting.pixels.shape)
+    return replace(sighting, pixels=sighting.pixels + shake, moment=moment)
+
+
+def test_views_alike_are_taken_once():
+    view = shown(lens(), 1, 0.1, seed=1)[0]
+    collector = ViewCollector(BOARD)
+    assert collector.offer(view).taken
+    offer = collector.offer(jittered(view, 1), blur_px=0.5)
+    assert not offer.taken and "like one that is there already" in offer.reason
+    assert len(collector) == 1 and collector.refused == 1
+
+
+def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
+    view = shown(lens(), 1, 0.1, seed=1)[0]
+    collector = ViewCollector(BOARD)
+    collector.offer(view, blur_px=1.5, motion_px=2.0)
+    assert collector.offer(jittered(view, 1), blur_px=0.5, motion_px=0.1).taken
+    assert [sighting.moment for sighting in collector.sightings] == [1]
+
+
+def test_chosen_pictures_are_all_taken():
+    view = shown(lens(), 1, 0.1, seed=1)[0]
+    collector = ViewCollector(BOARD, every=True)
+    assert collector.offer(view).taken and collector.offer(jittered(view, 1)).taken
+
+
+@pytest.mark.parametrize(
+    "blur_px, motion_px, said",
+    [(3.0, 0.0, "too blurred: by 3.0 px"), (np.nan, 0.0, "too blurred: beyond measure"),
+     (0.5, 8.0, "the board moves: hold it still"), (0.5, np.inf, "the board moves")],
+)  # fmt: skip
+def test_blurred_and_moving_boards_are_refused_with_the_reason(blur_px, motion_px, said):
+    collector = ViewCollector(BOARD)
+    offer = collector.offer(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px, motion_px=motion_px)
+    assert not offer.taken and said in offer.reason and len(collector) == 0
+
+
+def test_image_of_another_size_is_refused():
+    views = shown(lens(), 2, 0.1, seed=2)
+    collector = ViewCollector(BOARD)
+    collector.offer(views[0])
+    with pytest.raises(InputError, match=r"several sizes: \(640, 480\), then \(1280, 960\)"):
+        collector.offer(replace(views[1], image_size=(1280, 960)))
+
+
+def test_collecting_ends_when_lens_is_known_and_everything_covered():
+    camera, collector = lens(), ViewCollector(BOARD, targets=Targets(focal_sd=0.002, centre_sd_px=1.0))
+    for view in shown(camera, 120, 0.1, seed=3):
+        assert not collector.enough and collector.advice()
+        collector.offer(view, blur_px=0.5)
+        if collector.enough:
+            break
+    assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
+    expected, result = collector.expected, calibrate_intrinsics(collector.best(), BOARD, name="cam01")
+    assert expected.focal_sd <= 0.002 and expected.centre_sd_px <= 1.0
+    assert result.sd["fx"] / result.values["fx"] == pytest.approx(expected.focal_sd, rel=0.35)
+    assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.006)
+
+
+def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
+    collector = ViewCollector(BOARD)
+    for view in shown(lens(), 40, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
+        collector.offer(view)
+    assert not collector.enough
+    assert "tilt the board by 30 to 45 degrees, its" in collector.advice()
+
+
+def test_advice_names_the_part_of_the_image_that_lacks_most():
+    sightings = [s for s in shown(lens(), 200, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
+    views = [view_of(sighting, BOARD) for sighting in sightings]
+    model = LensModel("plumb_bob")
+    theta = model.start(467.0, (640, 480))
+    looks = [look_of(board_pose(theta, view, model), view) for view in views]
+    coverage = coverage_of(views, looks, (640, 480))
+    assert 0.3 < coverage.image < 0.6
+    assert "left" in coverage.emptiest() and "left" in coverage.advice()
+
+
+@pytest.mark.parametrize("side, axis, sign", [("top", 0, 1), ("bottom", 0, -1), ("left", 1, -1), ("right", 1, 1)])
+def test_tilt_is_named_by_the_side_that_comes_nearer(side, axis, sign):
+    """Independent of the code: the named side of the board has the smallest depth."""
+    tilt = np.zeros(3)
+    tilt[axis] = sign * np.deg2rad(30)
+    R = cv2.Rodrigues(tilt)[0] @ np.diag([1.0, -1.0, -1.0])
+    camera, corners = lens(), BOARD.corners_board - BOARD.corners_board.mean(axis=0)
+    points = corners @ R.T + [0, 0, 0.5]
+    nearest = points[np.argmin(points[:, 2])]
+    assert {"top": nearest[1] < 0, "bottom": nearest[1] > 0, "left": nearest[0] < 0, "right": nearest[0] > 0}[side]
+    sighting = replace(shown(camera, 1, 0.1, seed=1)[0], pixels=camera.project(points), ids=np.arange(54))
+    view, model = view_of(sighting, BOARD), LensModel("plumb_bob")
+    look = look_of(board_pose(model.start(467.0, (640, 480)), view, model), view)
+    tilts = coverage_of([view], [look], (640, 480)).tilt_deg
+    assert max(tilts, key=tilts.get) == side and tilts[side] == pytest.approx(30, abs=4)
+
+
+def test_most_telling_views_are_chosen_before_repetitions():
+    strong, weak = np.diag([10.0, 1.0]), np.diag([0.1, 5.0])
+    information = np.array([strong, strong, strong, weak])
+    assert most_telling(information, 1e-3 * np.eye(2), 2) == [0, 3]
+
+
+def test_motion_between_images_is_measured_in_pixels():
+    rng = np.random.default_rng(6)
+    picture = cv2.GaussianBlur(rng.integers(0, 255, (240, 320), np.uint8), (0, 0), 3)
+    picture = cv2.normalize(picture, None, 0, 255, cv2.NORM_MINMAX)
+    moved = cv2.warpAffine(picture, np.array([[1.0, 0, 2.5], [0, 1, -1.5]]), (320, 240))
+    corners = rng.uniform([80, 80], [240, 160], (30, 2))
+    assert motion_px(picture, moved, corners) == pytest.approx(np.hypot(2.5, 1.5), abs=0.1)
+    assert motion_px(picture, picture, corners) < 0.01
+    assert motion_px(picture, np.zeros((100, 100), np.uint8), corners) == np.inf
+
+
+def test_same_views_in_the_same_order_are_chosen_alike():
+    def chosen():
+        collector = ViewCollector(BOARD)
+        for view in shown(lens(), 22, 0.1, seed=7):
+            collector.offer(view, blur_px=0.5)
+        return [sighting.moment for sighting in collector.best(15)]
+
+    once = chosen()
+    assert once == chosen() and len(once) == 15

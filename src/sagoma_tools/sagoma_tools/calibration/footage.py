@@ -1,0 +1,227 @@
+"""Footage of boards, camera by camera: videos, stills, folders of them, with the moments that belong together.
+
+A source is NAME=PATH, the footage of one camera: a video, a still, a folder of stills, or a pattern such as
+``left=calib/left*.jpg``; or a PATH without a name, a folder (or pattern) with the footage of several cameras, or one
+file. There, cameras are named by their files:
+
+- ``camNN.*`` and ``camNN_ANYTHING.*`` belong to camera ``camNN``;
+- other stills are numbered views of one camera: ``left01.jpg``, ``left_02.jpg`` of camera ``left``;
+- other videos, stills without a number and sub-folders of stills are called as they are.
+
+What several cameras show in the same moment must carry the same moment: the frame of a video, counted from 0; the
+number in a still's name, where every camera has numbered stills and most of the numbers are shared, else its place in
+natural order (img2 before img10).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from camera_client.footage_reader import FootageReader, StillsReader, VideoReader
+from camera_client.frame_source import UndecodableFrame
+from capture_rig.errors import InputError
+from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
+
+STILLS = (*STILL_SUFFIXES, ".tiff", ".pgm", ".ppm", ".webp")
+VIDEOS = (*VIDEO_SUFFIXES, ".m4v", ".mpg", ".webm")
+HELP = "Give a folder with camNN.mp4, camNN.png or camNN/*.jpg, one video or still, or NAME=PATH such as left='l*.jpg'."
+MIN_SHARED_NUMBERS = 0.5
+
+
+@dataclass(frozen=True)
+class CameraFootage:
+    """The footage of one camera: its files (one video, or stills), and which moment each still shows.
+
+    Iterating gives ``(moment, image)``, image (H, W) uint8 grey; what cannot be decoded is left out and its moment with
+    it. ``count``: images, as far as it is known beforehand (0: unknown).
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    moments: tuple[int, ...] | None = None
+
+    @property
+    def is_video(self) -> bool:
+        return self.moments is None
+
+    @property
+    def count(self) -> int:
+        if self.moments is not None:
+            return len(self.moments)
+        reader = self._reader()
+        reader.close()
+        return reader.frame_count
+
+    @property
+    def where(self) -> str:
+        """For messages: the video or still, or the folder of the stills."""
+        return str(self.files[0] if len(self.files) == 1 else self.files[0].parent)
+
+    def __iter__(self) -> Iterator[tuple[int, npt.NDArray[np.uint8]]]:
+        reader, place = self._reader(), 0
+        try:
+            while True:
+                try:
+                    image = reader.read()
+                except UndecodableFrame:
+                    place += 1
+                    continue
+                if image is None:
+                    return
+                yield (place if self.moments is None else self.moments[place]), image
+                place += 1
+        finally:
+            reader.close()
+
+    def _reader(self) -> FootageReader:
+        if self.is_video:
+            return VideoReader(self.files[0], "mono")
+        return StillsReader(self.files[0].parent, list(self.files), "mono")
+
+
+def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
+    """Footage by camera, in the order of the names. InputError for what does not exist, is empty, or gives a camera
+    twice."""
+    found: dict[str, tuple[str, list[Path]]] = {}
+    for source in sources:
+        for name, files in _cameras_of(source):
+            if name in found:
+                raise InputError(f"camera '{name}' is given twice, by {found[name][0]} and by {source}",
+                                 remedy="Give each camera one source, and each its own name: NAME=PATH.")  # fmt: skip
+            found[name] = source, files
+    if not found:
+        raise InputError("no footage is given", remedy=HELP)
+    moments = _moments({name: files for name, (_, files) in found.items()})
+    return {name: CameraFootage(name, tuple(found[name][1]), moments[name]) for name in sorted(found, key=natural)}
+
+
+def natural(text: str) -> tuple[tuple[int, int | str], ...]:
+    """Sorting key: numbers in the text count as numbers."""
+    return tuple((0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", text) if part)
+
+
+def _cameras_of(source: str) -> list[tuple[str, list[Path]]]:
+    name, equals, path = source.partition("=")
+    if equals and "/" not in name:
+        if not name:
+            raise InputError("a source begins with '='", where=source, remedy="Give NAME=PATH.")
+        return [(name, _files_of_one(Path(path), source))]
+    paths = _entries(Path(source), source)
+    cameras: dict[str, list[Path]] = {}
+    for entry in paths:
+        cameras.setdefault(_camera_name(entry), []).append(entry)
+    return [(camera, _one_piece(camera, entries, source)) for camera, entries in cameras.items()]
+
+
+def _files_of_one(path: Path, source: str) -> list[Path]:
+    """The files of NAME=PATH: one video, or stills."""
+    if path.is_dir() or _is_pattern(path):
+        candidates = path.parent.glob(path.name) if _is_pattern(path) else path.iterdir()
+        files = sorted((file for file in candidates if _kind(file)), key=lambda file: natural(file.name))
+    else:
+        files = [_existing(path, source)]
+    return _video_or_stills(files, source)
+
+
+def _entries(path: Path, source: str) -> list[Path]:
+    """Videos, stills and folders of stills in a folder or pattern; or the one file."""
+    if not path.is_dir() and not _is_pattern(path):
+        return [_existing(path, source)]
+    inside = path.parent.glob(path.name) if _is_pattern(path) else path.iterdir()
+    usable = [entry for entry in inside if _kind(entry) or (entry.is_dir() and _stills_in(entry))]
+    if not usable:
+        raise InputError("holds no video and no still", where=source, remedy=HELP)
+    return sorted(usable, key=lambda entry: natural(entry.name))
+
+
+def _camera_name(entry: Path) -> str:
+    stem = entry.name if entry.is_dir() else entry.stem
+    if match := re.match(r"(cam(?:era)?[_-]?\d+)(?:[_-].*)?$", stem, re.I):
+        return match.group(1)
+    if _kind(entry) == "still" and (shared := re.sub(r"[_\-. ]*\d+$", "", stem)):
+        return shared
+    if _kind(entry) == "still" and stem.isdigit():
+        return entry.resolve().parent.name
+    return stem
+
+
+def _one_piece(camera: str, entries: list[Path], source: str) -> list[Path]:
+    """The files of one camera of a folder: one video, one folder, or stills that are numbered."""
+    if len(entries) == 1:
+        return _stills_in(entries[0]) if entries[0].is_dir() else entries
+    unnumbered = [entry for entry in entries if _kind(entry) != "still" or _number(entry, camera) is None]
+    if unnumbered:
+        others = ", ".join(entry.name for entry in entries[:4])
+        raise InputError(f"camera '{camera}' has several pieces of footage ({others})", where=source,
+                         remedy=f"Take one away, or name it: {camera}={unnumbered[0]}.")  # fmt: skip
+    return entries
+
+
+def _video_or_stills(files: list[Path], source: str) -> list[Path]:
+    videos = [file for file in files if _kind(file) == "video"]
+    if not files:
+        raise InputError("holds no video and no still", where=source, remedy=HELP)
+    if videos and len(files) > 1:
+        raise InputError(f"holds {len(files)} files, of which {videos[0].name} is a video", where=source,
+                         remedy="Give one video a camera, or stills only.")  # fmt: skip
+    return files
+
+
+def _existing(path: Path, source: str) -> Path:
+    if not path.is_file():
+        raise InputError("does not exist", where=source, remedy=HELP)
+    if not _kind(path):
+        raise InputError(f"'{path.suffix}' is neither a video nor a still", where=source,
+                         remedy=f"Known are {', '.join(VIDEOS + STILLS)}.")  # fmt: skip
+    return path
+
+
+def _stills_in(folder: Path) -> list[Path]:
+    return sorted((file for file in folder.iterdir() if _kind(file) == "still"), key=lambda file: natural(file.name))
+
+
+def _is_pattern(path: Path) -> bool:
+    return any(mark in path.name for mark in "*?[")
+
+
+def _kind(path: Path) -> str:
+    """ "video", "still", or "" for anything else."""
+    if path.suffix.lower() in VIDEOS and path.is_file():
+        return "video"
+    return "still" if path.suffix.lower() in STILLS and path.is_file() else ""
+
+
+def _number(file: Path, camera: str) -> int | None:
+    """The last number in a still's name that is not part of the camera's."""
+    stem = file.stem.removeprefix(camera)
+    numbers = re.findall(r"\d+", stem)
+    return int(numbers[-1]) if numbers else None
+
+
+def _moments(files: dict[str, list[Path]]) -> dict[str, tuple[int, ...] | None]:
+    """For each camera the moments of its stills, None for a video."""
+    numbers = {
+        name: [_number(file, name) for file in some] for name, some in files.items() if _kind(some[0]) == "still"
+    }
+    numbered = len(numbers) == len(files) and _numbers_are_moments(list(numbers.values()))
+    result: dict[str, tuple[int, ...] | None] = dict.fromkeys(files)
+    for name, some in numbers.items():
+        result[name] = tuple(n for n in some if n is not None) if numbered else tuple(range(len(some)))
+    return result
+
+
+def _numbers_are_moments(cameras: list[list[int | None]]) -> bool:
+    """Every still numbered, none twice in a camera, and most of each camera's numbers shared with another."""
+    if any(None in numbers or len(set(numbers)) < len(numbers) for numbers in cameras):
+        return False
+    for one in cameras:
+        others = set().union(*(set(other) for other in cameras if other is not one))
+        if len(cameras) > 1 and len(others & set(one)) < MIN_SHARED_NUMBERS * min(len(one), len(others)):
+            return False
+    return True

@@ -1,0 +1,217 @@
+"""``sagoma calibrate intrinsics`` on stills and live, and what it says when it cannot."""
+
+import json
+from itertools import count
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from board_pictures import BOARD, BOARD_TEXT, CENTRE_PX, FOCAL_PX, pictures
+from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.srv import SetCameraInfo
+
+from capture_rig.camera_info_file import read_camera_info
+from capture_rig.errors import InputError
+from rig_calibration.intrinsics.selection import ViewCollector
+from rig_calibration.intrinsics.watching import BoardWatcher
+from sagoma_ros.images import image_message
+from sagoma_ros.qos import RESULT
+from sagoma_tools.calibration.live_camera import camera_name_of, namespace_of
+from sagoma_tools.calibration.live_image import image_of
+from sagoma_tools.calibration.live_panel import panel, plain_line, state_of
+from sagoma_tools.calibration.live_preview import draw_preview
+from sagoma_tools.cli import main
+from sagoma_tools.ros_link import RosLink
+
+
+@pytest.fixture(scope="module")
+def shown():
+    return pictures()
+
+
+@pytest.fixture(scope="module")
+def stills(shown, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("footage")
+    write(folder / "cam01", shown)
+    return folder
+
+
+def write(folder, images):
+    folder.mkdir(parents=True)
+    for number, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{number:03d}.png"), image)
+
+
+def calibrated(capsys, *arguments):
+    """Exit status, figures, what was printed."""
+    status = main(["calibrate", "intrinsics", *map(str, arguments), "--json"])
+    printed = capsys.readouterr()
+    return status, json.loads(printed.out.splitlines()[-1]), printed.err
+
+
+def test_stills_give_the_lens_and_files_that_read_back(stills, tmp_path, capsys):
+    status, figures, _ = calibrated(capsys, stills, "--board", BOARD_TEXT, "--output", tmp_path)
+    (camera,) = figures["cameras"]
+    assert status == 0 and camera["camera"] == "cam01" and camera["views"] >= 12
+    assert camera["values"]["fx"] == pytest.approx(FOCAL_PX, rel=0.003)
+    assert abs(camera["values"]["cx"] - CENTRE_PX[0]) < 1.0 and abs(camera["values"]["cy"] - CENTRE_PX[1]) < 1.0
+    read = read_camera_info(tmp_path / "cam01.yaml")
+    assert read.name == "cam01" and read.K[0, 0] == pytest.approx(camera["values"]["fx"], abs=1e-5)
+    report = yaml.safe_load((tmp_path / "cam01.report.yaml").read_text())
+    assert report["verdict"] == camera["verdict"] and report["board"] == BOARD_TEXT
+    assert cv2.imread(str(tmp_path / "cam01.png")).shape[0] > 500
+
+
+def test_same_stills_give_the_same_bytes(shown, tmp_path, capsys):
+    write(tmp_path / "in/cam01", shown[:6])
+    for name in ("one", "other"):
+        calibrated(capsys, tmp_path / "in", "--board", BOARD_TEXT, "--output", tmp_path / name)
+    assert (tmp_path / "one/cam01.yaml").read_bytes() == (tmp_path / "other/cam01.yaml").read_bytes()
+
+
+def test_camera_that_cannot_be_calibrated_is_named_and_keeps_no_other_from_it(shown, tmp_path, capsys):
+    write(tmp_path / "in/cam01", shown[4:])
+    write(tmp_path / "in/cam02", [cv2.GaussianBlur(image, (0, 0), 9.0) for image in shown[:2]])
+    status, figures, err = calibrated(capsys, tmp_path / "in", "--board", BOARD_TEXT, "--output", tmp_path / "out")
+    assert status == 1 and [camera["camera"] for camera in figures["cameras"]] == ["cam01"]
+    assert "cam02: 0 of 2 images show the board usably" in err
+    assert not (tmp_path / "out/cam02.yaml").exists()
+
+
+def test_another_board_than_the_one_that_was_filmed_is_named(shown, tmp_path, capsys):
+    write(tmp_path / "cam01", shown[:1])
+    assert main(["calibrate", "intrinsics", f"cam01={tmp_path / 'cam01'}", "--board", "checkerboard 7x4 25mm"]) == 2
+    said = capsys.readouterr().err
+    assert "cam01: 0 of 1 images show the board usably" in said and "9 x 6" in said
+
+
+def test_images_of_several_sizes_are_refused(shown, tmp_path, capsys):
+    write(tmp_path / "cam01", [shown[0], shown[1], cv2.resize(shown[2], (800, 600))])
+    assert main(["calibrate", "intrinsics", f"cam01={tmp_path / 'cam01'}", "--board", BOARD_TEXT]) == 2
+    assert "several sizes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sources", [[], ["somewhere", "--topic", "/cam01/image_raw"]])
+def test_footage_and_topic_exclude_each_other(sources, capsys):
+    assert main(["calibrate", "intrinsics", *sources, "--board", BOARD_TEXT]) == 2
+    assert "give either footage or --topic" in capsys.readouterr().err
+
+
+# --- live
+
+
+class Camera:
+    """A camera's image topic, its set_camera_info service, and somebody who looks at the preview."""
+
+    def __init__(self, link, images):
+        self._images, self.given, self.previews = images, [], []
+        self._publisher = link.node.create_publisher(Image, "/cam01/image_raw", RESULT)
+        link.node.create_service(SetCameraInfo, "/cam01/set_camera_info", self._set)
+        link.node.create_subscription(CompressedImage, "/cam01/calibration/preview/compressed", self.previews.append, 5)
+        self._number = count()
+        link.node.create_timer(0.05, self._publish)
+
+    def _publish(self):
+        """Every picture stays for a while, as a board that is held still."""
+        number = next(self._number)
+        image = self._images[number // 20 % len(self._images)]
+        self._publisher.publish(image_message(image, 1_000_000 * number, "cam01_optical"))
+
+    def _set(self, request, response):
+        self.given.append(request.camera_info)
+        response.success, response.status_message = True, "in use"
+        return response
+
+
+def test_live_camera_is_calibrated_and_given_the_result(shown, tmp_path, capsys):
+    with RosLink("fake_camera") as link:
+        camera = Camera(link, shown)
+        status, figures, said = calibrated(
+            capsys, "--topic", "/cam01/image_raw", "--board", BOARD_TEXT, "--output", tmp_path, "--views", "8", "--set"
+        )
+    (found,) = figures["cameras"]
+    assert status == 0, said
+    assert found["camera"] == "cam01" and found["views"] == 8
+    assert found["values"]["fx"] == pytest.approx(FOCAL_PX, rel=0.01)
+    assert camera.given[0].k[0] == pytest.approx(found["values"]["fx"], abs=1e-5)
+    assert "the camera client took it: in use" in said
+    preview = cv2.imdecode(np.frombuffer(camera.previews[-1].data, np.uint8), cv2.IMREAD_COLOR)
+    assert preview.shape == (480, 640, 3) and np.ptp(preview.astype(int), axis=2).max() > 60  # drawn in colour
+    assert read_camera_info(tmp_path / "cam01.yaml").K[0, 0] == pytest.approx(found["values"]["fx"], abs=1e-5)
+
+
+def test_topic_without_images_is_named_with_those_there_are(shown, tmp_path, capsys):
+    with RosLink("fake_camera") as link:
+        Camera(link, shown)
+        arguments = ["--topic", "/cam02/image_raw", "--board", BOARD_TEXT, "--output", str(tmp_path), "--wait", "2"]
+        assert main(["calibrate", "intrinsics", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert "/cam02/image_raw: no image came for 2 s" in said and "/cam01/image_raw" in said
+
+
+def test_names_come_from_the_topic():
+    assert camera_name_of("/cam01/image_raw") == camera_name_of("/cam01/image_raw/compressed") == "cam01"
+    assert namespace_of("/room/cam01/image_raw") == "/room/cam01" and camera_name_of("/image_raw") == "camera"
+
+
+def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
+    watcher = BoardWatcher(BOARD, "cam01", ViewCollector(BOARD))
+    watcher.see(shown[0], None, 0)
+    seen = watcher.see(shown[0], shown[0], 1)
+    assert seen.sighting is not None and not seen.taken
+    state = state_of(watcher, seen.reason, 2, 0)
+    line = plain_line(state)
+    assert line.startswith("cam01: 1 views; image ") and "tilt" in line
+    shown_panel = panel(state)
+    assert state.advice in str(shown_panel.title) and state.last == seen.reason
+    picture = draw_preview(shown[0], seen, watcher.collector.coverage, state.advice)
+    marked = np.ptp(picture.astype(int), axis=2) > 100
+    corner = np.rint(seen.sighting.pixels[20]).astype(int)
+    assert marked[corner[1] - 6 : corner[1] + 7, corner[0] - 6 : corner[0] + 7].any()
+
+
+COLOURS = np.random.default_rng(0).integers(0, 255, (8, 12, 3), np.uint8)  # BGR
+
+
+@pytest.mark.parametrize(
+    "encoding, data, step",
+    [
+        ("bgr8", COLOURS, 36),
+        ("rgb8", COLOURS[:, :, ::-1], 36),
+        ("bgra8", np.dstack([COLOURS, np.full((8, 12), 255, np.uint8)]), 48),
+    ],
+)
+def test_colour_encodings_are_read_as_bgr(encoding, data, step):
+    message = Image(height=8, width=12, encoding=encoding, step=step, data=np.ascontiguousarray(data).tobytes())
+    assert np.array_equal(image_of(message, "/t"), COLOURS)
+
+
+def test_rows_with_padding_and_sixteen_bits_are_read():
+    grey = COLOURS[:, :, 0]
+    padded = np.pad(grey, ((0, 0), (0, 4)))
+    wide = Image(height=8, width=12, encoding="mono8", step=16, data=padded.tobytes())
+    assert np.array_equal(image_of(wide, "/t"), grey)
+    deep = grey.astype("<u2") * 16
+    read = image_of(Image(height=8, width=12, encoding="mono16", step=24, data=deep.tobytes()), "/t")
+    assert np.abs(read.astype(float) - grey * 255.0 / grey.max()).max() <= 1.0
+
+
+def test_red_pixels_of_a_bayer_sensor_stay_red():
+    mosaic = np.zeros((8, 12), np.uint8)
+    mosaic[::2, ::2] = 200  # RGGB: red at even rows and columns
+    colours = image_of(Image(height=8, width=12, encoding="bayer_rggb8", step=12, data=mosaic.tobytes()), "/t")
+    assert colours[3:5, 3:5, 2].min() > 90 and colours[:, :, 0].max() == 0
+
+
+@pytest.mark.parametrize(
+    "message, said",
+    [
+        (Image(height=2, width=2, encoding="theora", step=2, data=bytes(4)), "/t: encoding 'theora' is not known"),
+        (Image(height=9, width=2, encoding="mono8", step=2, data=bytes(4)), "2 x 9 with step 2 does not have 4 bytes"),
+        (CompressedImage(format="jpeg", data=b"nothing"), "cannot be decoded"),
+    ],
+)
+def test_images_that_are_none_are_refused(message, said):
+    with pytest.raises(InputError, match=said):
+        image_of(message, "/t")

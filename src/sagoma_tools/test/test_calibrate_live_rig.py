@@ -1,0 +1,99 @@
+"""The rig's calibration from running cameras: their pictures are published here."""
+
+from __future__ import annotations
+
+import threading
+import time
+from io import StringIO
+
+import numpy as np
+import pytest
+from calibration_room import held, on_floor, picture, three_cameras
+from rich.console import Console
+from sensor_msgs.msg import Image
+
+from capture_rig.errors import InputError
+from rig_calibration.boards.board import Checkerboard
+from rig_calibration.extrinsics import progress
+from sagoma_ros.images import image_message
+from sagoma_ros.qos import SILHOUETTE_PUBLISHER
+from sagoma_tools.calibration.rig_live import LiveSources, find_topics, grab
+from sagoma_tools.ros_link import RosLink
+
+BOARD = Checkerboard(7, 4, (0.12, 0.12))
+CAMERAS = three_cameras()
+POSES = [
+    held(BOARD, (0.1 * k - 0.2, 0.1 - 0.05 * k, 0.2 + 0.05 * k), (0.05 * k - 0.1, 0.05, 0.1 * k)) for k in range(4)
+]
+PERIOD_S = 0.15
+
+
+class PublishedCameras:
+    """Publishes the same instant of all cameras again and again: the board on the floor, or being carried."""
+
+    def __init__(self) -> None:
+        self.carried = False
+        self._count = 0
+        self._floor = {name: [picture(camera, BOARD, on_floor(BOARD))] for name, camera in CAMERAS.items()}
+        self._carried = {n: [picture(c, BOARD, pose, k) for k, pose in enumerate(POSES)] for n, c in CAMERAS.items()}
+        self._link = RosLink("published_cameras")
+        self._publishers = {
+            name: self._link.node.create_publisher(Image, f"/{name}/image_raw", SILHOUETTE_PUBLISHER)
+            for name in CAMERAS
+        }
+        self._link.node.create_timer(PERIOD_S, self._publish)
+
+    def _publish(self) -> None:
+        pictures, stamp_ns = self._carried if self.carried else self._floor, time.time_ns()
+        self._count += 1
+        for name, publisher in self._publishers.items():
+            image = pictures[name][self._count % len(pictures[name])]
+            publisher.publish(image_message(image, stamp_ns, f"{name}_optical"))
+
+    def close(self) -> None:
+        self._link.close()
+
+
+@pytest.fixture(scope="module")
+def published():
+    cameras = PublishedCameras()
+    yield cameras
+    cameras.close()
+
+
+def test_cameras_are_found_and_deliver_their_pictures(published: PublishedCameras, link: RosLink) -> None:
+    topics = find_topics(link.node, ())
+    assert topics == {name: f"/{name}/image_raw" for name in CAMERAS}
+    shots = grab(link.node, topics, 2)
+    assert {name: shot.count for name, shot in shots.items()} == dict.fromkeys(CAMERAS, 2)
+    assert np.array_equal(shots["cam02"].pictures[0], picture(CAMERAS["cam02"], BOARD, on_floor(BOARD)))
+
+
+def test_camera_that_does_not_publish_is_named(published: PublishedCameras, link: RosLink) -> None:
+    with pytest.raises(InputError, match=r"nobody publishes /cam09/image_raw.*cam01, cam02, cam03"):
+        find_topics(link.node, ["cam01", "cam09"], timeout_s=4.0)
+
+
+def test_floor_and_carried_board_are_seen_live_at_common_moments(
+    published: PublishedCameras, link: RosLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_MOMENTS", 5), ("ENOUGH_CELLS", 1)):
+        monkeypatch.setattr(progress, name, few)
+    asked: list[str] = []
+
+    def ask(what: str) -> None:
+        asked.append(what)
+        published.carried = "Carry" in what
+
+    out = StringIO()
+    sources = LiveSources(link.node, ("cam01", "cam02", "cam03"), (), True, Console(file=out), ask, threading.Event())
+    floor = sources.see_floor(BOARD, CAMERAS, {})
+    moving = sources.see_moving(BOARD, CAMERAS)
+    assert [what.split()[0] for what in asked] == ["Lay", "Carry"]
+    assert all(len(seen.sightings) == seen.examined for seen in floor.values())
+    moments = [{s.moment for s in moving[name].sightings} for name in CAMERAS]
+    assert len(moments[0] & moments[1] | moments[1] & moments[2] | moments[0] & moments[2]) >= 5
+    for name, camera in CAMERAS.items():
+        seen = moving[name].sightings[-1].pixels
+        true = [camera.project(BOARD.corners_board @ T[:3, :3].T + T[:3, 3]) for T in POSES]
+        assert min(np.abs(seen - pixels).max() for pixels in true) < 1.0, "corners of one of the published poses"
