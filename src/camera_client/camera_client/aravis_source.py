@@ -236,9 +236,9 @@ class AravisSource(FrameSource):
         details = {
             "camera_serial": device.serial, "camera_user_id": device.user_id, "camera_address": device.address,
             "camera_model": f"{device.manufacturer} {device.model}".strip(), "pixel_format": setup.pixel_format,
-            "exposure_us": "" if setup.exposure_us is None else f"{setup.exposure_us:g}",
-            "frame_rate": "" if setup.frame_rate is None else f"{setup.frame_rate:g}",
-            "gain": str(features.read("Gain") or ""), "sync": self._settings.sync, "stamps": self._time.name,
+            "exposure_us": _told(setup.exposure_us), "frame_rate": _told(setup.frame_rate),
+            "gain": _told(features.number("Gain")), "temperature_c": _told(features.number("DeviceTemperature")),
+            "sync": self._settings.sync, "stamps": self._time.name,
             "packet_size": str(self._device.get_packet_size()),
         }  # fmt: skip
         return {name: text for name, text in details.items() if text}
@@ -300,6 +300,11 @@ class AravisSource(FrameSource):
             kind = SourceUnavailable if silent or self._features is None else InputError
             raise kind(f"{'went silent' if silent else 'refuses'} {when} ({error.message})", where=self.description,
                        remedy=remedy) from None  # fmt: skip
+
+
+def _told(number: float | None) -> str:
+    """A number as text; "" where the camera did not tell it."""
+    return "" if number is None else f"{number:g}"
 
 
 def _controller(registers: AravisFeatures) -> str:

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from capture_rig.camera import CameraModel
-from capture_rig.camera_info_file import load_camera_info
+from capture_rig.camera_info_file import load_camera_info, read_camera_info
 from capture_rig.errors import InputError
 from capture_rig.rig import Volume, load_rig
 
 from .aravis_source import AravisSource
+from .calibration import Calibration
 from .footage_source import FootageSource
 from .frame_source import FrameSource
 from .settings import CameraClientSettings
@@ -20,6 +21,23 @@ from .supervised_source import SupervisedSource
 Accept = Callable[[FrameSource], None]
 
 STALL_PERIODS = 5  # a camera that is slow has not stalled
+
+
+def load_calibration(settings: CameraClientSettings, name: str) -> Calibration:
+    """What the settings tell of the camera ``name``: all with a rig, else the intrinsics of camera_info_file, if any.
+
+    Raises InputError naming the file: one that cannot be read, or does not know this camera.
+    """
+    if settings.rig_file:
+        return Calibration(name, *load_camera(settings, name))
+    path = settings.camera_info_file
+    if not path or not Path(path).exists():
+        return Calibration(name)
+    camera = read_camera_info(path)
+    if camera.name != name:
+        raise InputError(f"camera_name = {camera.name!r} is not this camera, '{name}'", where=path,
+                         remedy="Name the file of this camera.")  # fmt: skip
+    return Calibration(name, camera)
 
 
 def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel, Volume]:

@@ -32,6 +32,9 @@ class Provenance:
     """Where a background model comes from.
 
     ``mean_noise`` is the mean standard deviation, grey levels; ``verdict`` what was thought of it when it was learned.
+    ``created`` is the time in ISO 8601. ``calibration`` names the camera's calibrated place, and ``camera_turn_rad``
+    tells how far the camera had turned since then (see camera_moved_history). What the camera did not tell, or nobody
+    asked, is "".
     """
 
     source: str
@@ -40,8 +43,14 @@ class Provenance:
     software: str = ""
     created: str = ""
     camera_serial: str = ""
+    camera_model: str = ""
     exposure_us: str = ""
+    gain: str = ""
+    pixel_format: str = ""
+    temperature_c: str = ""
     verdict: str = ""
+    calibration: str = ""
+    camera_turn_rad: str = ""
 
 
 @dataclass(frozen=True, eq=False)

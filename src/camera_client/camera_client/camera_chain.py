@@ -1,16 +1,20 @@
-"""From a frame to a silhouette, with the calibration and the background in use; both may be replaced at any time."""
+"""From a frame to a silhouette, with the calibration and the background in use; both may come or change at any time."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 
 from .background_files import read_background
 from .background_model import BackgroundModel, load_background
+from .background_watch import BackgroundWatch
+from .camera_moved import CameraMovedWatch, Movement
+from .camera_moved_history import succeed, turn_when_learned
 from .footage_reader import open_footage
-from .frame_checks import FrameChecks
+from .frame_checks import PICTURELESS, FrameChecks
 from .frame_source import Frame
 from .settings import CameraClientSettings
 from .silhouette import Silhouette, SilhouettePipeline
@@ -20,36 +24,48 @@ from .silhouette import Silhouette, SilhouettePipeline
 class Seen:
     """What one frame gave: ``flags`` of the frame itself (see frame_checks.REMEDIES); no silhouette without background.
 
-    ``canvas`` is the undistorted camera that the silhouette's mask belongs to; ``gain`` how much brighter than learned
-    the scene has slowly become.
+    ``canvas`` is the undistorted camera that the silhouette's mask belongs to, None of a camera whose lens is unknown:
+    it has no silhouettes; ``gain`` how much brighter than learned the scene has slowly become; ``movement`` whether the
+    camera still stands where it stood, as far as that is known.
     """
 
-    canvas: CameraModel
+    canvas: CameraModel | None
     flags: tuple[str, ...]
     silhouette: Silhouette | None = None
     gain: float = 1.0
+    movement: Movement | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Tools:
     """Everything that is replaced as one, between two frames."""
 
-    camera: CameraModel
+    camera: CameraModel | None
     checks: FrameChecks
     pipeline: SilhouettePipeline | None = None
     background: BackgroundModel | None = None
+    watch: BackgroundWatch | None = None
+    moved: CameraMovedWatch | None = None
 
 
 class CameraChain:
     """Checks frames and finds silhouettes. Frames come on one thread; what is used may be replaced on another."""
 
-    def __init__(self, camera: CameraModel, settings: CameraClientSettings, volume: Volume | None = None) -> None:
-        self._settings, self._volume = settings, volume
+    def __init__(
+        self,
+        camera: CameraModel | None,
+        settings: CameraClientSettings,
+        volume: Volume | None = None,
+        placed: bool = True,
+    ) -> None:
+        """``camera``: None while its lens is unknown. ``placed``: its pose is known; without, nobody knows where the
+        floor is, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
+        self._settings, self._volume, self._placed = settings, volume, placed
         self._tools = _Tools(camera, FrameChecks(settings.frame_checks))
 
     @property
-    def camera(self) -> CameraModel:
-        """The calibrated camera in use."""
+    def camera(self) -> CameraModel | None:
+        """The calibrated camera in use; None while its lens is unknown."""
         return self._tools.camera
 
     @property
@@ -59,12 +75,24 @@ class CameraChain:
 
     @property
     def pipeline(self) -> SilhouettePipeline | None:
-        """The pipeline in use; None without a background."""
+        """The pipeline in use; None without a background or without a calibrated lens."""
         return self._tools.pipeline
+
+    @property
+    def watch(self) -> BackgroundWatch | None:
+        """Follows whether the background in use still fits; None without one."""
+        return self._tools.watch
 
     def use_background(self, model: BackgroundModel | None) -> None:
         """From the next frame on. Raises InputError when it does not fit the camera's image size."""
         self._tools = self._made(self.camera, model)
+
+    def use_learned_background(self, model: BackgroundModel) -> BackgroundModel:
+        """A background that was learned just now, from the next frame on; returns it as it should be saved: with what
+        the one before tells of how far the camera was moved. Raises InputError as :meth:`use_background` does."""
+        related = model if self.camera is None else succeed(model, self.background, self.camera)
+        self.use_background(related)
+        return related
 
     def use_camera(self, camera: CameraModel) -> None:
         """Another calibration of the same camera, from the next frame on."""
@@ -81,6 +109,17 @@ class CameraChain:
         self.use_background(read_background(path, shape, self._settings.background_model) if path else None)
         return bool(path)
 
+    def use_saved_background(self, shape: tuple[int, ...]) -> bool:
+        """Take the background that the last lesson saved, if there is one and the settings name no other.
+
+        True when it is in use now. Raises InputError when it cannot be read or does not fit images of ``shape``.
+        """
+        path = self._settings.background_file
+        if self._settings.background or self.background is not None or not path or not Path(path).exists():
+            return False
+        self.use_background(read_background(path, shape, self._settings.background_model))
+        return True
+
     def check_background_file(self) -> None:
         """Raises InputError when the background that the settings name is not there, whatever the images' shape."""
         path = self._settings.background
@@ -92,16 +131,27 @@ class CameraChain:
     def run(self, frame: Frame) -> Seen:
         """Raises InputError for a frame of another size or type."""
         tools = self._tools
-        canvas = tools.camera.undistorted_view().camera
-        if tools.pipeline is None:
-            return Seen(canvas, tools.checks.look(frame.image, frame.stamp_ns))
-        silhouette = tools.pipeline.run(frame.image, frame.stamp_ns)
-        gain = tools.pipeline.gain
-        return Seen(canvas, tools.checks.look(frame.image, frame.stamp_ns, gain), silhouette, gain)
+        canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
+        silhouette, gain = None, 1.0
+        if tools.pipeline is not None:
+            silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
+        flags = tools.checks.look(frame.image, frame.stamp_ns, gain)
+        if tools.watch is not None and not flags:
+            tools.watch.look(frame.image, frame.stamp_ns, gain)
+        moved = tools.moved
+        if moved is not None and not {*flags} & PICTURELESS:
+            moved.look(frame.image, frame.stamp_ns)
+        return Seen(canvas, flags, silhouette, gain, None if moved is None else moved.movement)
 
-    def _made(self, camera: CameraModel, model: BackgroundModel | None) -> _Tools:
+    def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Tools:
         s = self._settings
         if model is None:
             return _Tools(camera, FrameChecks(s.frame_checks))
-        pipeline = SilhouettePipeline(camera, model, s.silhouette, s.background_model, self._volume)
-        return _Tools(camera, FrameChecks(s.frame_checks, model.mean), pipeline, model)
+        checks, pipeline, limits, moved = FrameChecks(s.frame_checks, model.mean), None, None, None
+        if camera is not None:
+            silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
+            pipeline = SilhouettePipeline(camera, model, silhouette, s.background_model, self._volume)
+            limits = pipeline.limits
+            moved = CameraMovedWatch(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
+        watch = BackgroundWatch(model, limits or model.limits(s.background_model), s.background_watch)
+        return _Tools(camera, checks, pipeline, model, watch, moved)

@@ -1,4 +1,4 @@
-"""A sensor_msgs/CameraInfo as the calibration of one of our cameras."""
+"""sensor_msgs/CameraInfo: as the calibration of one of our cameras, and of one that has none yet."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from sensor_msgs.msg import CameraInfo
 
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import with_intrinsics
+from sagoma_ros.stamps import to_stamp
 
 
 def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
@@ -17,3 +18,10 @@ def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
     return with_intrinsics(
         camera, info.width, info.height, K.tolist(), info.distortion_model, list(info.d), R.tolist(), "set_camera_info"
     )
+
+
+def uncalibrated_message(shape: tuple[int, ...], stamp_ns: int, frame_id: str) -> CameraInfo:
+    """The camera_info of raw images of ``shape`` (H, W[, 3]) whose lens is unknown: K[0] = 0 says so (REP-104)."""
+    info = CameraInfo(height=shape[0], width=shape[1])
+    info.header.stamp, info.header.frame_id = to_stamp(stamp_ns), frame_id
+    return info

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import sys
 import time
 from collections.abc import Callable
@@ -13,11 +12,11 @@ import cv2
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.task import Future
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import CameraInfo, JointState
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
+from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from sagoma_ros.main import run_node
@@ -25,25 +24,27 @@ from sagoma_ros.node import SagomaNode
 from sagoma_ros.qos import RESULT
 from sagoma_ros.stamps import to_ns
 
-from .assembly import check_size, connect_source, load_camera
+from .assembly import check_size, connect_source, load_calibration
 from .background_model import BackgroundModel
+from .background_report import background_concerns, background_misfit, background_values
+from .calibration import unplaced_camera
 from .camera_chain import CameraChain, Seen
 from .camera_info import camera_from_message
 from .camera_topics import CameraTopics
 from .frame_source import Frame, FrameSource
 from .grab_loop import GrabLoop, GrabState
-from .learning_desk import LearningDesk
-from .live_learning import LiveLearning, describe
+from .learning_service import LearningService
+from .live_learning import describe
 from .memory import release_free_memory, return_large_blocks
 from .reports import CameraState, Level, RecentAccount, judge, seen_values, source_values
 from .settings import CameraClientSettings
+from .silhouette import Silhouette
 
 T = TypeVar("T")
 
 REPORT_PERIOD_S = 0.5
 LEARNING_PATIENCE_S = 10.0  # a camera that comes back sooner goes on being learned from
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
-PROVENANCE = ("camera_serial", "exposure_us")  # of the source's details
 
 
 class CameraNode(SagomaNode):
@@ -57,7 +58,7 @@ class CameraNode(SagomaNode):
         self._source: FrameSource | None = None
         self._loop: GrabLoop | None = None
         self._chain: CameraChain | None = None
-        self._desk = LearningDesk(self._keep)
+        self._learning = LearningService(self.health, self._use_background)
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
         self._last: tuple[Frame, Seen] | None = None
         self._matched_s: float | None = None
@@ -74,9 +75,9 @@ class CameraNode(SagomaNode):
     def configure(self) -> None:
         settings: CameraClientSettings = self.settings
         name = settings.camera_name or self.get_namespace().rsplit("/", 1)[-1]
-        camera, volume = load_camera(settings, name)
-        self._chain = CameraChain(camera, settings, volume)
-        self._topics = CameraTopics(self._publisher, f"{name}_optical", settings)
+        known = self._calibration = load_calibration(settings, name)
+        self._chain = CameraChain(known.camera, settings, known.volume, known.placed)
+        self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
         self._source = connect_source(settings, self._accept)
         if not self._source.shape:
             self._chain.check_background_file()
@@ -88,7 +89,7 @@ class CameraNode(SagomaNode):
                 self.create_subscription(JointState, topic, self._on_acknowledgement, RESULT),
             )
         info_file = settings.camera_info_file
-        if info_file and not Path(info_file).exists():
+        if info_file and not Path(info_file).exists() and settings.rig_file:
             self.get_logger().warning(f"{info_file} does not exist yet: the rig's intrinsics are in use")
         self.get_logger().info(f"camera {name}: {self._source.description}")
 
@@ -108,7 +109,7 @@ class CameraNode(SagomaNode):
         if self._loop is not None:
             self._loop.stop()
             self._loop = None
-        self._desk.cancel("the camera was suspended")
+        self._learning.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
         for destroy, entity in self._held:
@@ -124,10 +125,19 @@ class CameraNode(SagomaNode):
         assert self._chain is not None
         for warning in source.warnings:
             self.get_logger().warning(warning)
-        check_size(source, self._chain.camera)
-        if self._chain.use_shape(source.shape):
+        if self._chain.camera is not None:
+            check_size(source, self._chain.camera)
+        if self._chain.use_shape(source.shape) or self._takes_saved_background(source):
             self._show_background()
         release_free_memory()
+
+    def _takes_saved_background(self, source: FrameSource) -> bool:
+        assert self._chain is not None
+        try:
+            return self._chain.use_saved_background(source.shape)
+        except InputError as error:  # it was to be replaced anyway
+            self.get_logger().warning(f"the background learned last is not used: {error}")
+            return False
 
     def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
         return self._hold(self.destroy_publisher, self.create_publisher(kind, topic, qos))
@@ -150,20 +160,26 @@ class CameraNode(SagomaNode):
         assert self._chain is not None
         began = time.perf_counter()
         self._topics.publish_image(frame)
-        self._desk.add(frame.image)
+        self._learning.add(frame.image)
         seen = self._chain.run(frame)
         self._last = (frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
         silhouette = seen.silhouette
-        if silhouette is None:
+        if seen.canvas is None:
+            self._topics.publish_uncalibrated(frame)
+        elif silhouette is None:
             self.health.count("frames_without_background")
             return
+        else:
+            self._publish(frame, seen, silhouette)
+        self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
+        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began))
+
+    def _publish(self, frame: Frame, seen: Seen, silhouette: Silhouette) -> None:
         self._topics.publish_silhouette(frame, seen, silhouette)
         for flag in silhouette.flags:
             self.health.count(f"{flag}_masks")
-        self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
-        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began))
 
     def _stamps_are_now(self) -> bool:
         """Whether stamps follow the system clock, so that their age is a latency."""
@@ -183,37 +199,26 @@ class CameraNode(SagomaNode):
     # --- background and calibration ------------------------------------------------------------------------------
 
     async def _on_learn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        source, loop = self._source, self._loop
-        if source is None or loop is None or loop.state is not GrabState.RUNNING or source.lost:
+        source, loop, chain, settings = self._source, self._loop, self._chain, self.settings
+        if source is None or loop is None or chain is None or loop.state is not GrabState.RUNNING:
             response.message = "no frames are coming: activate the camera first"
             return response
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        about = {key: value for key, value in source.details.items() if key in PROVENANCE}
-        future: Future = Future()
-        try:
-            learning = LiveLearning(self.settings.background_frames, source.description, created=now, **about)
-            self._desk.begin(learning, future.set_result)
-        except InputError as error:
-            response.message = str(error)
+        if source.lost:
+            reason = source.link.reason if source.link is not None else ""
+            response.message = f"no frames are coming: {reason or 'the camera is away'}"
             return response
-        response.success, response.message = await future
+        await self._learning.teach(
+            response, source, settings.background_frames, chain.background, settings.background_file
+        )
         self.get_logger().info(response.message)
         return response
 
-    def _keep(self, model: BackgroundModel) -> str:
-        """Use a learned background and save it; says so in a line."""
+    def _use_background(self, model: BackgroundModel) -> BackgroundModel:
         assert self._chain is not None
-        self._chain.use_background(model)
+        used = self._chain.use_learned_background(model)
         self._show_background()
         release_free_memory()
-        text, path = describe(model), self.settings.background_file
-        if not path:
-            return text
-        try:
-            model.save(path)
-        except InputError as error:
-            return f"{text}; in use, but not saved: {error}"
-        return f"{text}; saved to {path}"
+        return used
 
     def _show_background(self) -> None:
         assert self._chain is not None and self._chain.background is not None
@@ -227,7 +232,8 @@ class CameraNode(SagomaNode):
             response.status_message = "not configured: configure the node first"
             return response
         try:
-            camera, path = camera_from_message(request.camera_info, self._chain.camera), self.settings.camera_info_file
+            camera = camera_from_message(request.camera_info, self._chain.camera or self._blank(request.camera_info))
+            path = self.settings.camera_info_file
             if path:
                 save_camera_info(path, camera)
             self._chain.use_camera(camera)
@@ -239,6 +245,12 @@ class CameraNode(SagomaNode):
         self.get_logger().info(f"calibration by set_camera_info: {response.status_message}")
         return response
 
+    def _blank(self, info: CameraInfo) -> CameraModel:
+        """This camera before its intrinsics are known; of the source's size, or of any size while it is away."""
+        shape = self._source.shape if self._source is not None else ()
+        height, width = shape[:2] or (info.height, info.width)
+        return unplaced_camera(self._calibration.name, width, height)
+
     # --- diagnostics ---------------------------------------------------------------------------------------------
 
     def _report(self) -> None:
@@ -246,16 +258,22 @@ class CameraNode(SagomaNode):
         if loop is None or source is None or chain is None:
             return
         link, last = source.link, self._last
-        values = source_values(source) | (seen_values(*last) if last else {})
+        self._learning.report()
+        values = source_values(source) | (seen_values(*last) if last else {}) | background_values(chain, time.time())
         for key, value in values.items():
             self.health.set(key, value)
         recent = self._recent.look(time.monotonic(), source.account)
-        state = CameraState(loop.state, loop.frames, loop.reason, link, recent, chain.background is not None)
+        state = CameraState(
+            loop.state, loop.frames, loop.reason, link, recent,
+            calibrated=chain.camera is not None, placed=self._calibration.placed,
+            has_background=chain.background is not None, misfit=background_misfit(chain, source),
+            concerns=background_concerns(chain, source, self.settings, time.time()),
+        )  # fmt: skip
         self._say(*judge(state.with_seen(last[1]) if last else state))
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
-            self._desk.cancel(f"{loop.state.value} {loop.reason}".strip())
+            self._learning.cancel(f"{loop.state.value} {loop.reason}".strip())
         elif link is not None and link.state.away and link.down_s > LEARNING_PATIENCE_S:
-            self._desk.cancel(f"the camera went away ({link.reason})")
+            self._learning.cancel(f"the camera went away ({link.reason})")
 
     def _say(self, level: Level, text: str) -> None:
         """Show it in the diagnostics; a new kind of trouble, and its end, go to the log."""

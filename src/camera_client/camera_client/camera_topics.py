@@ -1,4 +1,5 @@
-"""What one camera publishes of its frames: silhouettes with their camera_info, and pictures on request."""
+"""What one camera publishes of its frames: silhouettes with their camera_info, pictures on request, or while it is
+not calibrated yet the images themselves."""
 
 from __future__ import annotations
 
@@ -16,6 +17,7 @@ from sagoma_ros.stamps import to_stamp
 
 from .background_model import BackgroundModel
 from .camera_chain import Seen
+from .camera_info import uncalibrated_message
 from .frame_source import Frame
 from .preview import outline
 from .settings import CameraClientSettings
@@ -25,28 +27,45 @@ from .silhouette import Silhouette
 class CameraTopics:
     """The publishers of one camera client, made by ``create(message type, topic, QoS)``."""
 
-    def __init__(self, create: Callable[[type, str, Any], Any], frame_id: str, settings: CameraClientSettings) -> None:
-        self._frame_id = frame_id
+    def __init__(
+        self,
+        create: Callable[[type, str, Any], Any],
+        frame_id: str,
+        settings: CameraClientSettings,
+        to_calibrate: bool = False,
+    ) -> None:
+        """``to_calibrate``: images are offered to whoever calibrates the camera, and sent while somebody listens."""
+        self._frame_id, self._raw_always = frame_id, settings.publish_raw
         self._silhouettes = create(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
         self._infos = create(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
         self._means = create(Image, "background/mean", LATCHED)
-        self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if settings.publish_raw else None
+        offered = settings.publish_raw or to_calibrate
+        self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if offered else None
         self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
         self._info: tuple[CameraModel, CameraInfo] | None = None
         self._preview_period_s, self._last_preview_s = 1 / settings.preview_rate, -np.inf
 
     @property
     def has_listener(self) -> bool:
-        """Does anybody listen to the silhouettes?"""
-        return self._silhouettes.get_subscription_count() > 0
+        """Does anybody listen to the silhouettes, or to images that are sent only then?"""
+        return self._silhouettes.get_subscription_count() > 0 or (not self._raw_always and self._raw_has_listener)
+
+    @property
+    def _raw_has_listener(self) -> bool:
+        return self._raws is not None and self._raws.get_subscription_count() > 0
 
     def publish_image(self, frame: Frame) -> None:
-        """The frame as it came, when that was asked for."""
-        if self._raws is not None:
+        """The frame as it came, when that was asked for, or somebody listens who calibrates the camera."""
+        if self._raws is not None and (self._raw_always or self._raw_has_listener):
             self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
+
+    def publish_uncalibrated(self, frame: Frame) -> None:
+        """The camera_info of a frame whose lens is unknown."""
+        self._infos.publish(uncalibrated_message(frame.image.shape, frame.stamp_ns, self._frame_id))
 
     def publish_silhouette(self, frame: Frame, seen: Seen, silhouette: Silhouette) -> None:
         """The silhouette and its camera_info under one stamp; now and then a preview."""
+        assert seen.canvas is not None
         self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
         self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
         now_s = time.monotonic()

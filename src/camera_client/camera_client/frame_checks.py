@@ -27,6 +27,7 @@ REMEDIES = {
     FROZEN: "the camera sends the same picture again and again: power it off and on",
     SATURATED: "much of the image is white: shorten the exposure, lower the gain, or open less of the iris",
 }
+PICTURELESS = frozenset({DARK, FROZEN, SATURATED})  # such a frame says nothing about where the camera stands
 SAMPLES = 2500
 WHITE_LEVEL = 250
 DARK_SHARE = 0.99  # so much of the sample must be black

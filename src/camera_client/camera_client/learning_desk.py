@@ -31,6 +31,12 @@ class LearningDesk:
         """Is a lesson under way?"""
         return self._lesson is not None
 
+    @property
+    def progress(self) -> str:
+        """Frames taken and wanted by the lesson under way, "57/100"; "" without one."""
+        lesson = self._lesson
+        return "" if lesson is None else lesson[0].progress
+
     def begin(self, learning: LiveLearning, answer: Callable[[Verdict], object]) -> None:
         """Learn from the next frames, then call ``answer``. Raises InputError while another lesson is under way."""
         with self._lock:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from capture_rig.verdict import REDO, USABLE, Finding, Verdict, judge
 
 from .background_model import BackgroundModel
+from .emptiness import judge_emptiness
 from .frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL, grid_sample
 from .frame_source import Image
+from .places import find_places, tell_places
 
 FEW_FRAMES = 25  # sigma is known to 14 %
 HIGH_NOISE, LOW_NOISE = 6.0, 0.3  # grey levels, of the typical pixel
@@ -20,23 +19,6 @@ MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
 WHITE_SHARE, WHITE_MUCH_SHARE = 0.02, 0.3
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
 FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, change from first to last
-BRIDGE_OF_HEIGHT = 1 / 30  # what moved this near to each other is one place
-SMALLEST_PLACE = 2e-4  # of the pixels; fewer vary much by chance
-MAX_PLACES = 3
-
-
-@dataclass(frozen=True)
-class MovingPlace:
-    """A box of columns ``left`` to ``right`` and rows ``top`` to ``bottom``, px, where ``share`` of the image moved."""
-
-    left: int
-    right: int
-    top: int
-    bottom: int
-    share: float
-
-    def __str__(self) -> str:
-        return f"{self.left}..{self.right}, {self.top}..{self.bottom}: {100 * self.share:.1f} %"
 
 
 class LearningJudge:
@@ -55,25 +37,12 @@ class LearningJudge:
             lit = self._first >= MIN_LIT_LEVEL
             self._brightness.append(float(np.median(sample[lit] / self._first[lit])) if lit.any() else 1.0)
 
-    def verdict(self, model: BackgroundModel) -> Verdict:
-        """On the model learned from the frames so far."""
-        return judge([*_light(model), *_frames(model), *_moved(model), *_noise(model), *_steadiness(self._brightness)])
-
-
-def moving_places(model: BackgroundModel) -> list[MovingPlace]:
-    """Where something moved while ``model`` was learned, the largest place first."""
-    moving = model.moving_pixels.astype(np.uint8)
-    reach = 2 * round(BRIDGE_OF_HEIGHT * moving.shape[0] / 2) + 1
-    together = cv2.morphologyEx(moving, cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(together)
-    pixels = np.bincount(labels[moving > 0], minlength=count)
-    places = []
-    for label in sorted(range(1, count), key=lambda label: -pixels[label]):
-        x, y, width, height, _ = (int(n) for n in stats[label])
-        if pixels[label] < SMALLEST_PLACE * moving.size:
-            break
-        places.append(MovingPlace(x, x + width - 1, y, y + height - 1, float(pixels[label] / moving.size)))
-    return places
+    def verdict(self, model: BackgroundModel, before: BackgroundModel | None = None) -> Verdict:
+        """On the model learned from the frames so far; ``before`` is the background that it is to replace."""
+        return judge([
+            *_light(model), *_frames(model), *_moved(model), *judge_emptiness(model, before), *_noise(model),
+            *_steadiness(self._brightness),
+        ])  # fmt: skip
 
 
 def _light(model: BackgroundModel) -> list[Finding]:
@@ -99,22 +68,13 @@ def _frames(model: BackgroundModel) -> list[Finding]:
 
 
 def _moved(model: BackgroundModel) -> list[Finding]:
-    places = moving_places(model)
+    places = find_places(model.moving_pixels)
     share = sum(place.share for place in places)
     if share <= MOVED_SHARE:
         return []
-    what = ", ".join(f"{_whereabouts(place, model.shape)} at {place}" for place in places[:MAX_PLACES])
-    if len(places) > MAX_PLACES:
-        what = f"{len(places)} places ({100 * share:.1f} %), the largest {what}"
+    what = tell_places(places, model.shape)
     return [Finding(REDO if share > MOVED_MUCH_SHARE else USABLE, f"something moved: {what}",
                     "clear the scene, see that the camera stands firm, and call again")]  # fmt: skip
-
-
-def _whereabouts(place: MovingPlace, shape: tuple[int, ...]) -> str:
-    """ "lower left" for a box there; thirds of the image."""
-    row = ("upper", "", "lower")[min(int(1.5 * (place.top + place.bottom) / shape[0]), 2)]
-    column = ("left", "", "right")[min(int(1.5 * (place.left + place.right) / shape[1]), 2)]
-    return f"{row} {column}".strip() or "in the middle"
 
 
 def _noise(model: BackgroundModel) -> list[Finding]:

@@ -10,6 +10,7 @@ from capture_rig.verdict import REDO, Verdict
 
 from .background_files import SOFTWARE
 from .background_model import BackgroundLearner, BackgroundModel
+from .camera_moved_history import tell_turn
 from .frame_source import Image
 from .learning_verdict import LearningJudge
 
@@ -17,17 +18,25 @@ from .learning_verdict import LearningJudge
 class LiveLearning:
     """Takes the next ``frames`` images of a source; done when it has a model, or a reason why there is none.
 
-    ``verdict`` says what is to be thought of what was learned, also when it was refused; the model carries its text.
+    ``verdict`` says what is to be thought of what was ``learned``, also when it was refused and is no ``model``; the
+    model carries its text.
     Images come on one thread, :meth:`cancel` may come on another.
     """
 
-    def __init__(self, frames: int, source: str, **about: str) -> None:
-        self._wanted, self._source, self._about = frames, source, about
+    def __init__(self, frames: int, source: str, before: BackgroundModel | None = None, **about: str) -> None:
+        """``before``: the background in use; ``about`` fills further fields of the model's provenance."""
+        self._wanted, self._source, self._before, self._about = frames, source, before, about
         self._learner, self._judge = BackgroundLearner(), LearningJudge()
         self._lock = threading.Lock()
         self.model: BackgroundModel | None = None
+        self.learned: BackgroundModel | None = None
         self.refusal = ""
         self.verdict: Verdict | None = None
+
+    @property
+    def progress(self) -> str:
+        """Frames taken and wanted, "57/100"."""
+        return f"{self._learner.frames}/{self._wanted}"
 
     @property
     def done(self) -> bool:
@@ -53,8 +62,9 @@ class LiveLearning:
                 self.refusal = f"{reason} after {self._learner.frames} of {self._wanted} frames"
 
     def _conclude(self, model: BackgroundModel) -> None:
-        self.verdict = self._judge.verdict(model)
+        self.verdict = self._judge.verdict(model, self._before)
         judged = BackgroundModel(model.mean, model.sigma, replace(model.provenance, verdict=str(self.verdict)))
+        self.learned = judged
         if self.verdict.grade == REDO:
             self.refusal = describe(judged)
         else:
@@ -68,5 +78,5 @@ def describe(model: BackgroundModel) -> str:
     verdict = f"{about.verdict}; " if about.verdict else ""
     return (
         f"{verdict}{about.frames} frames of {about.source}, {noise} noise {about.mean_noise:.2f} grey levels, "
-        f"{100 * model.moving_share:.2f} % of the pixels moved"
+        f"{100 * model.moving_share:.2f} % of the pixels moved{tell_turn(about)}"
     )

@@ -8,14 +8,16 @@ from enum import IntEnum
 
 from .account import FrameAccount
 from .camera_chain import Seen
-from .frame_checks import REMEDIES
+from .frame_checks import LIGHTS, REMEDIES
 from .frame_source import Frame, FrameSource
 from .grab_loop import GrabState
 from .link import Link, LinkState
 
 LOSS_WINDOW_S = 3.0  # frames lost within this degrade the camera's level
 LINK_COUNTERS = ("reconnects", "stalls", "control_losses", "failed_attempts")
-NO_BACKGROUND = "no background: call ~/learn_background while the scene is empty"
+UNCALIBRATED = "uncalibrated: no silhouettes; run sagoma calibrate"
+NO_BACKGROUND = "no background: run sagoma background (or call ~/learn_background while the scene is empty)"
+UNPLACED = "the camera's place is unknown: shadows stay in the silhouettes; give it a rig_file"
 
 
 class Level(IntEnum):
@@ -31,7 +33,10 @@ class CameraState:
     """A camera client at one instant.
 
     ``link`` is None for footage. ``recent`` is what happened to the frames of the last seconds. ``frame_flags`` and
-    ``mask_flags`` are those of the newest frame and silhouette.
+    ``mask_flags`` are those of the newest frame and silhouette. ``calibrated``: its lens is known, and ``placed``: its
+    place. ``misfit`` says why the picture cannot look like the background, if that is known; ``concerns`` what else
+    speaks against the background, the gravest first; ``moved`` how the camera was moved since its calibration, if it
+    was, and ``grave`` whether that much makes its silhouettes useless.
     """
 
     grab: GrabState
@@ -39,14 +44,23 @@ class CameraState:
     failure: str = ""
     link: Link | None = None
     recent: FrameAccount = field(default_factory=FrameAccount)
+    calibrated: bool = True
+    placed: bool = True
     has_background: bool = True
+    misfit: str = ""
+    concerns: tuple[str, ...] = ()
     frame_flags: tuple[str, ...] = ()
     mask_flags: tuple[str, ...] = ()
+    moved: str = ""
+    grave: bool = False
 
     def with_seen(self, seen: Seen) -> CameraState:
         """The same with the flags of the newest frame."""
         silhouette = seen.silhouette
-        return replace(self, frame_flags=seen.flags, mask_flags=() if silhouette is None else silhouette.flags)
+        seen_so = replace(self, frame_flags=seen.flags, mask_flags=() if silhouette is None else silhouette.flags)
+        if seen.movement is None or seen.canvas is None:
+            return seen_so
+        return replace(seen_so, moved=seen.movement.tell(seen.canvas.name), grave=seen.movement.grave)
 
 
 def judge(state: CameraState) -> tuple[Level, str]:
@@ -58,13 +72,25 @@ def judge(state: CameraState) -> tuple[Level, str]:
         return Level.OK, f"{text} after {state.frames} frames" if state.frames else text
     if state.link is not None and state.link.state is not LinkState.STREAMING:
         return Level.ERROR, _absence(state.link)
+    if state.moved and state.grave:
+        return Level.ERROR, state.moved
+    if state.misfit and LIGHTS in state.frame_flags:
+        return Level.WARN, state.misfit
     if state.frame_flags:
         return Level.WARN, "; ".join(f"{flag}: {REMEDIES.get(flag, flag)}" for flag in state.frame_flags)
     bad = state.recent.lost + state.recent.incomplete
     if bad and state.link is not None:
         return Level.WARN, f"{bad} of the last {state.recent.expected} frames were lost or incomplete: see the network"
+    if not state.calibrated:
+        return Level.WARN, UNCALIBRATED
     if not state.has_background:
         return Level.WARN, NO_BACKGROUND
+    if state.moved:
+        return Level.WARN, state.moved
+    if state.concerns:
+        return Level.WARN, state.concerns[0]
+    if not state.placed:
+        return Level.WARN, UNPLACED
     if state.mask_flags:
         return Level.WARN, f"the mask is {' and '.join(state.mask_flags)}"
     return Level.OK, state.grab.value
@@ -121,6 +147,8 @@ def seen_values(frame: Frame, seen: Seen) -> dict[str, object]:
         values["mask_fraction"] = seen.silhouette.foreground_fraction
         values["candidate_fraction"] = seen.silhouette.candidate_fraction
         values["light_gain"] = seen.gain
+    if seen.movement is not None:
+        values |= seen.movement.values()
     return values
 
 

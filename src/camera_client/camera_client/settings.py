@@ -244,10 +244,38 @@ class FrameCheckSettings:
 
 
 @dataclass(frozen=True)
+class BackgroundWatchSettings:
+    """When a background that was good once no longer fits the room."""
+
+    age_h: float = setting(12.0, "A background is old after this; 0: never", unit="h", low=0, high=1e5)
+    drift: float = setting(
+        0.5, "The light drifted when the typical pixel has used up this share of what its noise allows; 0: not looked "
+        "at", low=0, high=10,
+    )  # fmt: skip
+    static_s: float = setting(
+        300.0, "Foreground that has not moved for so long belongs to the room", unit="s", low=1, high=86400
+    )
+    static_share: float = setting(0.01, "... and is told of when it fills more than this share", low=0, high=1)
+
+
+@dataclass(frozen=True)
+class CameraMovedSettings:
+    """When the picture says that the camera was moved since it was calibrated."""
+
+    limit_deg: float = setting(
+        0.2, "The camera was moved when its picture is shifted or turned by more; 0: not looked at", unit="deg",
+        low=0, high=10,
+    )  # fmt: skip
+    period_s: float = setting(0.5, "How often a frame is compared with the background", unit="s", low=0.05, high=60)
+
+
+@dataclass(frozen=True)
 class CameraClientSettings:
     """Everything one camera client needs."""
 
-    rig_file: str = setting("", "Rig YAML with the calibration of all cameras")
+    rig_file: str = setting(
+        "", "Rig YAML with the calibration of all cameras; empty: not calibrated yet, images instead of silhouettes"
+    )
     camera_name: str = setting("", "Which camera of the rig this is; empty takes the node's namespace")
     source: str = setting("footage", "Where frames come from", choices=("footage", "aravis"))
     channels: str = setting(
@@ -259,11 +287,13 @@ class CameraClientSettings:
         "", "ROS camera_info YAML: its intrinsics replace the rig's, and set_camera_info writes it; empty: the rig's"
     )
     background: str = setting(
-        "", "Background: saved model (.npz), still, or video of the empty scene; empty: learn it by service"
+        "",
+        "Background: saved model (.npz), still, or video of the empty scene; empty: background_file if it is there, "
+        "else learn it by service",
     )
     background_frames: int = setting(100, "Frames taken by ~/learn_background", low=2, high=100000)
     background_file: str = setting("", "Where ~/learn_background saves the model (.npz); empty: nowhere")
-    publish_raw: bool = setting(False, "Publish image_raw")
+    publish_raw: bool = setting(False, "Publish image_raw (without a rig it is there in any case, for calibration)")
     publish_preview: bool = setting(False, "Publish preview/compressed: the image with the silhouette's outline")
     preview_rate: float = setting(5.0, "At most so many previews", unit="Hz", low=0.1, high=1000)
     footage: FootageSettings = setting(FootageSettings, "Footage source")
@@ -272,3 +302,5 @@ class CameraClientSettings:
     background_model: BackgroundSettings = setting(BackgroundSettings, "Background model")
     silhouette: SilhouetteSettings = setting(SilhouetteSettings, "Silhouette")
     frame_checks: FrameCheckSettings = setting(FrameCheckSettings, "When a frame is no picture of the scene")
+    background_watch: BackgroundWatchSettings = setting(BackgroundWatchSettings, "When the background fits no longer")
+    camera_moved: CameraMovedSettings = setting(CameraMovedSettings, "When the camera was moved")

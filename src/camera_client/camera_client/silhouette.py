@@ -14,7 +14,7 @@ from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.rig import Volume
 
-from .background_model import BackgroundModel, check_shape, shape_text
+from .background_model import BackgroundLimits, BackgroundModel, check_shape, shape_text
 from .colour_shadow import ColourShadow
 from .components import keep_person, majority, majority_count
 from .darkness import ALIGNMENT_PX, Darkness
@@ -106,6 +106,11 @@ class SilhouettePipeline:
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
+
+    @property
+    def limits(self) -> BackgroundLimits:
+        """The grey levels that count as background now; moved in place where drift is followed."""
+        return self._limits
 
     @property
     def gain(self) -> float:

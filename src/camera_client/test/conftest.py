@@ -1,16 +1,22 @@
 """A small camera, an empty scene it looks at, and ways to write both as footage."""
 
+import sys
 import types
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import rclpy
 
 from camera_client.aravis_source import import_aravis
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, save_rig
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+
+sys.path.insert(0, str(Path(__file__).parent))  # node_bench: what the tests of the node share
+from node_bench import DEADLINE_S, EPOCH_NS, FRAMES, PACE_TOPIC, Bench
 
 WIDTH, HEIGHT = 160, 120
 FPS = 50.0
@@ -100,3 +106,43 @@ def gige_camera():
     yield make
     for simulated in cameras:
         simulated.close()
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def bench(context):
+    made = []
+
+    def make(**parameters):
+        made.append(Bench(context, parameters))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def session(tmp_path, scene):
+    """Rig, video of a person, background video, and the parameters that play them as fast as they are acknowledged."""
+    images = [scene.with_person(image) for image in scene.empty(FRAMES, seed=5)]
+    parameters = {
+        "camera_name": "cam01",
+        "rig_file": scene.write_rig(tmp_path / "rig.yaml", scene.camera(), scene.camera("cam02")),
+        "background": scene.write_video(tmp_path / "bg.avi", scene.empty(40)),
+        "footage.path": scene.write_video(tmp_path / "cam01.avi", images),
+        "footage.epoch_ns": EPOCH_NS,
+        "footage.rate": 0.0,
+        "footage.window": 10,
+        "footage.pace_topic": PACE_TOPIC,
+        "footage.pace_timeout_s": 600.0,
+        "footage.wait_for_consumer_s": DEADLINE_S,
+    }
+    return types.SimpleNamespace(folder=tmp_path, images=images, parameters=parameters, truth=scene.person_mask())

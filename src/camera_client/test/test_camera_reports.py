@@ -38,7 +38,10 @@ def mask(*flags):
         ({"link": Link(LinkState.CONTROL_LOST, "taken")}, Level.ERROR, "control lost: taken; connecting anew"),
         ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
         ({"recent": FrameAccount(100, 97, 1, 2)}, Level.WARN, "3 of the last 100 frames were lost or incomplete"),
-        ({"has_background": False}, Level.WARN, "no background: call ~/learn_background"),
+        ({"has_background": False}, Level.WARN, "no background: run sagoma background"),
+        ({"calibrated": False}, Level.WARN, "uncalibrated: no silhouettes; run sagoma calibrate"),
+        ({"placed": False}, Level.WARN, "the camera's place is unknown"),
+        ({"concerns": ("old", "dark")}, Level.WARN, "old"),
         ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
     ],
 )  # fmt: skip
@@ -54,6 +57,13 @@ def test_gravest_trouble_is_told_alone():
     away = Link(LinkState.WAITING, "off")
     assert judge(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
     assert judge(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
+
+
+def test_setting_that_changed_explains_why_the_scene_looks_brighter():
+    changed = {"misfit": "the exposure is 8000 us", "concerns": ("the exposure is 8000 us",)}
+    assert judge(CameraState(**RUNNING, frame_flags=("lights",), **changed))[1] == "the exposure is 8000 us"
+    assert judge(CameraState(**RUNNING, frame_flags=("dark",), **changed))[1].startswith("dark: ")
+    assert judge(CameraState(**RUNNING, has_background=False, concerns=("old",)))[1].startswith("no background")
 
 
 def test_frames_missing_in_footage_do_not_blame_the_network():

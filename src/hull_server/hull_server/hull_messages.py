@@ -56,7 +56,7 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
         "bodies_at": "; ".join(_row(place, ".2f") for place in result.bodies.centroid_world),
         "left_out": ",".join(result.verdict.left_out),
         "suspects": ",".join(result.verdict.suspects),
-    }
+    } | calibration_values(result)
     stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
     texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
     level, message = summarise(result)
@@ -67,6 +67,18 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
     return array
 
 
+def calibration_values(result: HullResult) -> dict[str, str]:
+    """Camera by camera: by how many degrees it stands off its calibration, and how well it agrees with the others."""
+    calibration = result.calibration
+    texts = {"calibration_suspects": ",".join(calibration.suspects)}
+    angles = {"push": calibration.push_rad, "push_sd": calibration.sd_rad, "roll": calibration.roll_rad}
+    for name, angle_rad in angles.items():
+        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for camera, rad in angle_rad.items()}
+    for camera, share in result.verdict.consistency.items():
+        texts[f"calibration_consistency_{camera}"] = f"{share:.3f}"
+    return texts
+
+
 def summarise(result: HullResult) -> tuple[bytes, str]:
     """Level and one line of text: is anything wrong with this frame set?"""
     troubles = []
@@ -75,6 +87,8 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
     if result.blank:
         troubles.append(f"empty silhouette from {', '.join(result.blank)}")
     troubles += [result.verdict.reasons[camera] for camera in (*result.verdict.left_out, *result.verdict.suspects)]
+    accused = {*result.verdict.left_out, *result.verdict.suspects}
+    troubles += [why for camera, why in result.calibration.suspects.items() if camera not in accused]
     if result.verdict.warning:
         troubles.append(result.verdict.warning)
     if len(result.cameras) < result.min_seeing:
@@ -86,6 +100,8 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
 
 def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
     """How a camera_info differs from the undistorted canvas that the rig gives its camera; empty when it does not."""
+    if info.k[0] == 0:  # as CameraInfo says it
+        return "K = 0: its client is not calibrated"
     if (info.width, info.height) != (canvas.width, canvas.height):
         size = f"{canvas.width} x {canvas.height}"
         return f"size {info.width} x {info.height}, but the rig's undistorted canvas is {size}"

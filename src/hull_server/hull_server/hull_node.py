@@ -22,6 +22,7 @@ from sagoma_ros.worker import Worker
 
 from .hull_messages import (
     calibration_mismatch,
+    calibration_values,
     centerline_cloud,
     frame_set_message,
     rim_cloud,
@@ -73,6 +74,7 @@ class HullNode(SagomaNode):
         self._refused: dict[str, str] = {}  # camera: why
         self._heard_ns: dict[str, int] = {}
         self._left_out: tuple[str, ...] = ()
+        self._badly_placed: set[str] = set()
         self._handles: list = []
 
     def configure(self) -> None:
@@ -241,6 +243,11 @@ class HullNode(SagomaNode):
         for camera in {*self._left_out} - {*verdict.left_out}:
             self.get_logger().info(f"taken back: {camera} agrees with the others again")
         self._left_out = verdict.left_out
+        for key, value in calibration_values(result).items():
+            self.health.set(key, value)
+        for camera in {*result.calibration.suspects} - self._badly_placed:
+            self.get_logger().warning(result.calibration.suspects[camera])
+        self._badly_placed = {*result.calibration.suspects}
         if not self._refused:
             self.health.status(*summarise(result))
 

@@ -14,6 +14,7 @@ from capture_rig import FrameSet, Rig
 
 from .bricks import BrickVolume
 from .carving.backends import make_backend
+from .consensus.calibration_watch import Calibration, CalibrationWatch
 from .consensus.dissent import DissentWatch
 from .consensus.dissent_verdict import Verdict
 from .consensus.doubt import DoubtResolver
@@ -36,7 +37,8 @@ class HullResult:
 
     stamp_ns : capture stamp of the set. cameras, missing : cameras that had a say, and those that delivered nothing.
     blank : cameras whose silhouette is empty; they empty the hull wherever they see. verdict : cameras that contradict
-    the others; those left out had no say. bodies : the parts of the hull large enough to be somebody, numbered.
+    the others; those left out had no say. calibration : how well all cameras stand. bodies : the parts of the hull
+    large enough to be somebody, numbered.
     rims : rays along the silhouettes' rims, which touch the body. min_seeing : how many cameras had to see a voxel.
     stage_ms : time spent in each stage.
     """
@@ -51,6 +53,7 @@ class HullResult:
     missing: tuple[str, ...]
     blank: tuple[str, ...]
     verdict: Verdict
+    calibration: Calibration
     min_seeing: int
     backend: str
     stage_ms: dict[str, float]
@@ -68,6 +71,7 @@ class SetUnderWay:
     masks: dict[str, Mask]
     blank: tuple[str, ...]
     verdict: Verdict
+    calibration: Calibration
     min_seeing: int
     ticket: Any
     stage_ms: dict[str, float]
@@ -87,6 +91,7 @@ class HullPipeline:
         choice = make_backend(settings.backend, self.views, self.grid)
         self.backend, self.backend_reason = choice.backend, choice.reason
         self._dissent = DissentWatch(rig, self.views, settings.dissent, settings.min_seeing)
+        self._calibration = CalibrationWatch(rig, self.views, settings.calibration)
         self._doubt = DoubtResolver(self.views, rig.volume, settings.doubt)
         self._bodies = BodyTracker(settings.body)
         self._rims = RimTracer(self.views, self.grid, settings.rim)
@@ -104,6 +109,8 @@ class HullPipeline:
         # cameras that contradict all others have no say
         verdict = self._dissent.judge(frames, frame_set.stamp_ns)
         believed = {name: mask for name, mask in frames.items() if name not in verdict.left_out}
+        # cameras that do not stand where their calibration says
+        calibration = self._calibration.look(frames, frame_set.stamp_ns)
         seeing = min_seeing(len(believed), self.settings.min_seeing)
         watch.lap("judge")
         # dark pixels become person, or floor in shadow
@@ -113,7 +120,7 @@ class HullPipeline:
         ticket = self.backend.submit(masks, seeing)
         watch.lap("carve")
         blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
-        return SetUnderWay(frame_set, masks, blank, verdict, seeing, ticket, watch.laps_ms)
+        return SetUnderWay(frame_set, masks, blank, verdict, calibration, seeing, ticket, watch.laps_ms)
 
     def finish(self, under_way: SetUnderWay) -> HullResult:
         """Wait for the carve, then slice, filter, sample, and trace the rims."""
@@ -143,6 +150,7 @@ class HullPipeline:
             missing=frame_set.missing,
             blank=under_way.blank,
             verdict=under_way.verdict,
+            calibration=under_way.calibration,
             min_seeing=under_way.min_seeing,
             backend=self.backend.name,
             stage_ms=under_way.stage_ms | watch.laps_ms,

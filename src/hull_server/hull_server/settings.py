@@ -83,6 +83,20 @@ class DissentSettings:
 
 
 @dataclass(frozen=True)
+class CalibrationSettings:
+    """When a camera stands badly, as the planes that touch the body tell."""
+
+    enabled: bool = setting(True, "compare the cameras' silhouettes with the calibration all the time")
+    period_s: float = setting(0.2, "how often a frame set is looked at", unit="s", low=0.01, high=10.0)
+    memory_s: float = setting(
+        4.0, "length of the recent evidence; that of the lasting evidence is two minutes", unit="s", low=0.5, high=600.0
+    )
+    limit_deg: float = setting(
+        0.3, "a camera stands badly when it is certain to stand off by more than this", unit="deg", low=0.05, high=10.0
+    )
+
+
+@dataclass(frozen=True)
 class DoubtSettings:
     """How dark pixels that may be floor in shadow are judged by all cameras."""
 
@@ -131,6 +145,7 @@ class HullSettings:
     body: BodySettings = setting(BodySettings, "separate bodies")
     rim: RimSettings = setting(RimSettings, "rays along the silhouettes' rims")
     dissent: DissentSettings = setting(DissentSettings, "cameras that contradict the others")
+    calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that stand badly")
     doubt: DoubtSettings = setting(DoubtSettings, "dark pixels that may be floor in shadow")
 
 

@@ -69,7 +69,7 @@ def build_graph(
         if cameras is not None:
             graph += rig_cameras(rig, cameras)
     elif cameras is not None:
-        graph = cameras_from_files(cameras)
+        graph = [node.with_parameters({"autostart": False}) for node in cameras_from_files(cameras)]
     else:
         raise InputError("neither a session nor a rig nor cameras are given", remedy="Name a session folder or a rig.")
     return apply_settings(select(graph, only), settings or {})

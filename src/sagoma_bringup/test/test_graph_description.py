@@ -91,6 +91,15 @@ def test_rig_alone_is_the_server_alone():
     assert [node.full_name for node in build_graph(rig=RING4)] == SERVER
 
 
+def test_cameras_without_a_rig_are_driven_by_whoever_starts_them(tmp_path):
+    for name in ("cam01", "cam02"):
+        text = f"/{name}/camera_client: {{ros__parameters: {{autostart: true, source: aravis}}}}"
+        (tmp_path / f"{name}.yaml").write_text(text)
+    graph = build_graph(cameras=tmp_path)
+    assert [node.full_name for node in graph] == ["/cam01/camera_client", "/cam02/camera_client"]
+    assert all(node.parameters["autostart"] is False and "rig_file" not in node.parameters for node in graph)
+
+
 def test_camera_file_alone_is_that_camera_alone():
     (node,) = build_graph(cameras=CONFIG / "camera" / "footage" / "cam01.yaml")
     assert node.full_name == "/cam01/camera_client" and node.parameters["source"] == "footage"

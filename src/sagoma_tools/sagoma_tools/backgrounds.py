@@ -1,40 +1,143 @@
-"""Lets every camera client of a running graph learn its background."""
+"""Lets camera clients of a running graph learn their backgrounds, and tells what became of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from camera_client.lesson_report import KEY, PROGRESS_KEY, LessonReport
 from capture_rig.errors import InputError
+from capture_rig.verdict import REDO
 from sagoma_bringup.node_spec import Role
 
+from .board import Board
+from .discovery import owners_of, settled
 from .service_calls import call_all
 from .supervisor import Supervisor
 
+SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
 TIMEOUT_S = 120.0
+REPORT_S = 1.5  # the diagnostics come once a second, and at once when a lesson ends
+NEEDS_ONE = "sagoma background"  # what a client's diagnostics say when its background should be learned anew
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What became of a request: ``report`` is None when no lesson took place; ``said`` is the answer, or why none."""
+
+    camera: str
+    said: str
+    report: LessonReport | None = None
+
+    @property
+    def grade(self) -> str:
+        """GOOD, USABLE or REDO (capture_rig.verdict)."""
+        return REDO if self.report is None else self.report.grade
+
+
+def camera_of(full_name: str) -> str:
+    """ "cam01" of "/cam01/camera_client"."""
+    return full_name.strip("/").rpartition("/")[0] or full_name.strip("/")
+
+
+def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
+    """Full names of the camera clients in the graph, found by their service; waits until there are ``expect``.
+
+    Raises InputError when there are fewer after ``wait_s``.
+    """
+    found = settled(lambda: owners_of(node, SERVICE, SERVICE_TYPE), expect, wait_s)
+    if len(found) < max(expect, 1):
+        raise InputError(
+            f"found {len(found)} camera clients, expected {max(expect, 1)}", where="the ROS graph",
+            remedy="Start them (sagoma up --cameras FOLDER), or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.",
+        )  # fmt: skip
+    return found
+
+
+def need_one(board: Board, names: Iterable[str]) -> list[str]:
+    """Those of the clients ``names`` that have no background, whose last lesson failed, or that ask for a new one."""
+    needy = []
+    for name in names:
+        report, lesson = board.report(name), lesson_of(board, name)
+        failed = lesson is not None and lesson.grade == REDO
+        if report is None or failed or not report.values.get("background") or NEEDS_ONE in report.message:
+            needy.append(name)
+    return needy
+
+
+def lesson_of(board: Board, name: str) -> LessonReport | None:
+    """The last lesson of the client ``name``, as its diagnostics tell it."""
+    report = board.report(name)
+    try:
+        return None if report is None else LessonReport.from_json(report.values[KEY])
+    except (KeyError, ValueError):
+        return None
+
+
+def progress_of(board: Board, name: str) -> str:
+    """How far the lesson of the client ``name`` is, "57/100"; "" when there is none."""
+    report = board.report(name)
+    return "" if report is None else report.values.get(PROGRESS_KEY, "")
+
+
+def teach(
+    node: Node,
+    board: Board,
+    names: Iterable[str],
+    timeout_s: float = TIMEOUT_S,
+    wanted: Callable[[], bool] = lambda: True,
+) -> list[Lesson]:
+    """Call ~/learn_background of all clients ``names`` (full names) at once; the room must be empty.
+
+    wanted : once it turns false, nobody is waited for any longer.
+    """
+    names = list(names)
+    services = {f"{name}/{SERVICE}": name for name in names}
+    before = {name: _number(lesson_of(board, name)) for name in names}
+
+    def done(silent: set[str]) -> dict[str, Trigger.Response]:
+        """Clients whose diagnostics tell of a lesson that is over, should the answer itself have been lost."""
+        lessons = {service: lesson_of(board, services[service]) for service in silent}
+        return {
+            service: Trigger.Response(success=lesson.grade != REDO, message=lesson.text)
+            for service, lesson in lessons.items()
+            if lesson is not None and lesson.number > before[services[service]]
+        }
+
+    requests = {service: Trigger.Request() for service in services}
+    replies = call_all(node, Trigger, requests, timeout_s, lambda service: wanted(), inferred=done)
+    said = {name: replies[service] for service, name in services.items()}
+
+    def told(name: str) -> bool:
+        lesson = lesson_of(board, name)
+        return lesson is not None and lesson.number > before[name] and lesson.text == said[name].message
+
+    answered = [name for name in names if said[name] is not None]
+    board.wait_until(lambda: all(map(told, answered)), REPORT_S)
+    silence = "did not answer" + ("" if wanted() else " before it was cancelled")
+    return [
+        Lesson(camera_of(name), said[name].message, lesson_of(board, name) if told(name) else None)
+        if said[name] is not None else Lesson(camera_of(name), silence)
+        for name in names
+    ]  # fmt: skip
 
 
 def learn_backgrounds(supervisor: Supervisor, timeout_s: float = TIMEOUT_S) -> dict[str, str]:
-    """Call ~/learn_background of all cameras at once; the room must be empty. Returns what each one says.
+    """Let all cameras of a supervised graph learn; the room must be empty. Returns what each one says.
 
     Raises InputError naming the cameras that refuse, and why, or that do not answer.
     """
-    cameras = {spec.full_name: spec.label for spec in supervisor.graph if spec.role is Role.CAMERA}
-    requests = {f"{name}/learn_background": Trigger.Request() for name in cameras}
-
-    def done(services: set[str]) -> dict[str, Trigger.Response]:
-        """Cameras whose diagnostics tell of a background, should the reply itself have been lost."""
-        reports = {service: supervisor.board.report(service.rpartition("/")[0]) for service in services}
-        texts = {service: report.values.get("background", "") for service, report in reports.items() if report}
-        return {service: Trigger.Response(success=True, message=text) for service, text in texts.items() if text}
-
-    replies = call_all(supervisor.node, Trigger, requests, timeout_s, inferred=done)
-    by_camera = {cameras[service.rpartition("/")[0]]: reply for service, reply in replies.items()}
-    refused = {
-        camera: "no answer" if reply is None else reply.message
-        for camera, reply in by_camera.items()
-        if reply is None or not reply.success
-    }
+    names = [spec.full_name for spec in supervisor.graph if spec.role is Role.CAMERA]
+    lessons = teach(supervisor.node, supervisor.board, names, timeout_s)
+    refused = [lesson for lesson in lessons if lesson.grade == REDO]
     if refused:
-        raise InputError("; ".join(f"{camera}: {text}" for camera, text in refused.items()),
+        raise InputError("; ".join(f"{lesson.camera}: {lesson.said}" for lesson in refused),
                          where="learning the background", remedy="Clear the scene and try again.")  # fmt: skip
-    return {camera: reply.message for camera, reply in by_camera.items()}
+    return {lesson.camera: lesson.said for lesson in lessons}
+
+
+def _number(lesson: LessonReport | None) -> int:
+    return 0 if lesson is None else lesson.number

@@ -181,6 +181,7 @@ class DissentWatch:
             denied={name: record.denied for name, record in named},
             excess={name: record.excess for name, record in named},
             misfit={name: record.misfit for name, record in named},
+            consistency={name: record.consistency for name, record in named},
             push_px={name: (float(record.push_px[0]), float(record.push_px[1])) for name, record in named},
             conflict=self._conflict,
             warning=self._warning(suspects),
@@ -197,5 +198,5 @@ class DissentWatch:
 
 
 def _testimony(evidence: Evidence, slot: int) -> Testimony:
-    shares = (evidence.denied, evidence.excess, evidence.coverage)
+    shares = (evidence.denied, evidence.excess, evidence.coverage, evidence.covered)
     return Testimony(*(float(share[slot]) for share in shares))

@@ -51,6 +51,8 @@ class Evidence:
         explains, as an area at the distance of the volume's middle.
     excess : (n,) share of the camera's view that is foreground which that hull does not explain.
     coverage : (n,) share of the camera's view that is foreground.
+    covered : (n,) share of the camera's foreground that the hull without its veto explains (silhouette coherence); 1
+        where it shows nothing.
     conflict : (n,) share of the panel's other foreground that stays unexplained without this camera's veto.
     unexplained : share of the panel's foreground that its common hull leaves unexplained. showing : how many cameras
         of the panel show any foreground.
@@ -63,6 +65,7 @@ class Evidence:
     explained_m2: npt.NDArray[np.float64]
     excess: npt.NDArray[np.float64]
     coverage: npt.NDArray[np.float64]
+    covered: npt.NDArray[np.float64]
     conflict: npt.NDArray[np.float64]
     unexplained: float
     showing: int
@@ -161,6 +164,7 @@ class Hearing:
             explained_m2=own * self._cell_m2[cameras],
             excess=(cells - own) / self._cells_seen[cameras],
             coverage=cells / self._cells_seen[cameras],
+            covered=np.where(cells > 0, own / np.maximum(cells, 1), 1.0),
             conflict=1.0 - theirs / np.maximum((cells[:, None] * say).sum(0), 1),
             unexplained=1.0 - float((own - np.diagonal(denied))[:panel].sum() / max(int(cells[:panel].sum()), 1)),
             showing=int(np.count_nonzero(cells[:panel])),

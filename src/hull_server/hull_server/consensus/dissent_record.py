@@ -16,19 +16,27 @@ class Testimony:
     denied: float = 0.0
     excess: float = 0.0
     coverage: float = 0.0
+    covered: float = 1.0
+
+    @property
+    def consistency(self) -> float:
+        """1 where a silhouette and the hull of the others, reprojected, agree: nothing uncovered, nothing denied."""
+        return self.covered * (1.0 - self.denied)
 
 
 class Record:
     """One camera's account.
 
     guilt_s : evidence against it, as seconds of a gross lie; agreed_s : how long it has agreed since it was left out.
-    denied, excess, misfit, push_px : running means. accused : means over the hearings since the guilt last was zero.
+    denied, excess, misfit, push_px, consistency : running means. accused : means over the hearings since the guilt last
+    was zero.
     """
 
     def __init__(self) -> None:
         self.out = False
         self.guilt_s, self.agreed_s, self.still_s = 0.0, 0.0, 0.0
         self.denied, self.excess, self.misfit, self.push_px = 0.0, 0.0, 0.0, np.zeros(2)
+        self.consistency = 1.0
         self.accused = Testimony()
         self.latest_push_px = (0.0, 0.0)
         self._misfits = (0.0, 0.0)
@@ -67,6 +75,7 @@ class Record:
         """Follow the running means, by ``gain`` of the way."""
         self.denied += gain * (testimony.denied - self.denied)
         self.excess += gain * (testimony.excess - self.excess)
+        self.consistency += gain * (testimony.consistency - self.consistency)
 
     def charge(self, testimony: Testimony, guilt: float, step_s: float, patience_s: float) -> None:
         """Add ``guilt`` (1 is a gross lie, below 0 speaks for the camera); the sum stays between 0 and the patience."""

@@ -24,6 +24,8 @@ class Verdict:
     excess : share of each camera's view that is foreground of which the others know nothing.
     misfit : share of each silhouette that would lie inside the hull of the others if it were pushed to where it fits
     best, and push_px : by how many pixels, to the right and down: (0, 0) where the rig's calibration holds.
+    consistency : how well each silhouette and the hull of the others, reprojected, agree: 1 when nothing that it shows
+    is uncovered, and nothing that they agree on is denied.
     conflict : share of the foreground of all who are believed that their common hull leaves unexplained.
     warning : that they contradict each other when nobody is to blame; empty otherwise.
     """
@@ -35,6 +37,7 @@ class Verdict:
     excess: Mapping[str, float] = field(default_factory=dict)
     misfit: Mapping[str, float] = field(default_factory=dict)
     push_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    consistency: Mapping[str, float] = field(default_factory=dict)
     conflict: float = 0.0
     warning: str = ""
     judged: bool = False

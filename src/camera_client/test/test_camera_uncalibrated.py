@@ -1,0 +1,177 @@
+"""A camera before it is calibrated: images and backgrounds, no silhouettes; and what happens when its lens is known."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from node_bench import FAILURE, SUCCESS, set_camera_info
+from sensor_msgs.msg import CameraInfo, Image
+
+from camera_client.background_model import load_background
+from camera_client.calibration import unplaced_camera
+from camera_client.camera_topics import CameraTopics
+from camera_client.frame_source import Frame
+from camera_client.lesson_report import KEY, LessonReport
+from camera_client.reports import UNCALIBRATED, UNPLACED
+from camera_client.settings import CameraClientSettings
+from capture_rig.camera_info_file import load_camera_info, save_camera_info
+from sagoma_ros.images import camera_info_message, decode_silhouette
+from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER
+
+
+@pytest.fixture
+def unknown(session, scene):
+    """Parameters of a camera of which nothing is known; its footage shows the empty room for ever."""
+    empty = scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))
+    changed = {"rig_file": "", "background": "", "footage.path": empty, "footage.rate": 1.0, "footage.loop": True}
+    return {**session.parameters, **changed, "footage.wait_for_consumer_s": 0.1, "background_frames": 20}
+
+
+def lens(scene, name="cam01"):
+    K = np.array([[170.0, 0, 79.0], [0, 171.0, 61.0], [0, 0, 1]])
+    return replace(scene.camera(name), K=K, D=np.array([-0.1, 0.02, 0.0, 0.0, 0.0]))
+
+
+def test_images_and_camera_info_with_zero_K_come_instead_of_silhouettes(bench, unknown, scene):
+    camera = bench(**unknown)
+    camera.listen(Image, "image_raw", SILHOUETTE_RELIABLE_SUBSCRIBER)
+    camera.start()
+    camera.until(lambda: camera.heard["image_raw"] and len(camera.heard["camera_info"]) > 5)
+    camera.until_said(UNCALIBRATED)
+    assert camera.diagnostics[-1].status[0].level == b"\1"
+    image, info = camera.heard["image_raw"][0], camera.heard["camera_info"][0]
+    assert (image.width, image.height) == (info.width, info.height) == (scene.width, scene.height)
+    assert image.header.frame_id == info.header.frame_id == "cam01_optical"
+    assert not info.k.any() and not info.p.any() and len(info.d) == 0
+    assert set(camera.stamps_ns("image_raw")) <= set(camera.stamps_ns("camera_info"))
+    assert camera.masks == [] and float(camera.values()["rate_hz"]) > 10
+
+
+@pytest.mark.parametrize("to_calibrate, publish_raw, listeners, sent", [
+    (True, False, 0, 0), (True, False, 1, 1), (False, False, 1, 0), (True, True, 0, 1), (False, True, 0, 1),
+])  # fmt: skip
+def test_images_for_calibration_are_sent_only_while_somebody_listens(to_calibrate, publish_raw, listeners, sent):
+    out = []
+
+    def create(kind, topic, qos):
+        return SimpleNamespace(get_subscription_count=lambda: listeners, publish=out.append)
+
+    topics = CameraTopics(create, "cam01_optical", CameraClientSettings(publish_raw=publish_raw), to_calibrate)
+    topics.publish_image(Frame(np.zeros((4, 6), np.uint8), 5, 1, "test"))
+    assert len(out) == sent
+
+
+def test_background_learned_before_the_calibration_serves_after_it(bench, unknown, scene):
+    camera = bench(**unknown).start()
+    camera.until_said(UNCALIBRATED)
+    answer = camera.ask_to_learn()
+    assert answer.success and "20 frames" in answer.message
+    assert camera.masks == []
+    values = camera.values()
+    lesson = LessonReport.from_json(values[KEY])
+    assert (lesson.number, lesson.frames, lesson.text, lesson.saved) == (1, 20, answer.message, "")
+    assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "0")
+    wanted = lens(scene)
+    answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
+    assert answer.success
+    canvas = wanted.undistorted_view().camera
+    camera.until(lambda: camera.masks and camera.heard["camera_info"][-1].k[0] != 0)
+    info = camera.heard["camera_info"][-1]
+    assert (info.width, info.height) == (canvas.width, canvas.height)
+    assert np.allclose(np.reshape(info.k, (3, 3)), canvas.K)
+    assert not decode_silhouette(camera.masks[-1], canvas.width, canvas.height, "test").any()
+    camera.until_said(UNPLACED)
+
+
+def test_intrinsics_set_by_service_are_saved_and_used_at_the_next_start(bench, unknown, session, scene):
+    path = session.folder / "cam01.yaml"
+    camera = bench(**unknown, camera_info_file=str(path)).start()
+    answer = set_camera_info(camera, camera_info_message(lens(scene), 0, "cam01_optical"))
+    assert answer.success and np.array_equal(load_camera_info(path, scene.camera()).K, lens(scene).K)
+    assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
+    assert camera.node.trigger_configure() == SUCCESS
+    assert np.array_equal(camera.node._chain.camera.K, lens(scene).K)
+
+
+def test_intrinsics_of_another_camera_fail_configure(bench, unknown, session, scene):
+    save_camera_info(session.folder / "cam02.yaml", lens(scene, "cam02"))
+    camera = bench(**unknown, camera_info_file=str(session.folder / "cam02.yaml"))
+    assert camera.node.trigger_configure() == FAILURE
+    camera.until_said("camera_name = 'cam02' is not this camera, 'cam01'")
+
+
+@pytest.mark.parametrize("spoil, text", [
+    (lambda info: CameraInfo(width=info.width, height=info.height), "camera_matrix"),
+    (lambda info: camera_info_message(unplaced_camera("cam01", 640, info.height), 0, ""), "for images of 640 x 120"),
+])  # fmt: skip
+def test_camera_info_that_is_none_or_of_another_size_is_refused(bench, unknown, scene, spoil, text):
+    camera = bench(**unknown).start()
+    answer = set_camera_info(camera, spoil(camera_info_message(lens(scene), 0, "cam01_optical")))
+    assert not answer.success and text in answer.status_message
+    camera.until_said(UNCALIBRATED)
+
+
+class Room:
+    """What a simulated camera sees: a textured wall, and when told so a bright bar that sweeps or stands before it."""
+
+    shape = (192, 256)
+
+    def __init__(self):
+        self.wall = cv2.GaussianBlur(np.random.default_rng(1).uniform(60, 200, self.shape), (0, 0), 3).astype(np.uint8)
+        self.bar = ""
+
+    def image(self, instant_ns):
+        image = self.wall.copy()
+        if self.bar:
+            column = 100 if self.bar == "stands" else instant_ns // 10_000_000 % 200
+            image[60:150, column : column + 40] = 250
+        return image
+
+
+def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room(bench, gige_camera, tmp_path):
+    room, saved = Room(), tmp_path / "bg.npz"
+    simulated = gige_camera(room, noise=2.0, serial="SN42")
+    parameters = {"source": "aravis", "aravis.address": simulated.address, "aravis.frame_rate": 50.0,
+                  "aravis.exposure_us": 3000.0, "background_frames": 30, "background_file": str(saved)}  # fmt: skip
+    camera = bench(camera_name="cam01", **parameters).start()
+    camera.until_said(UNCALIBRATED)
+    answer = camera.ask_to_learn()
+    assert answer.success and answer.message.startswith("good")
+    about = load_background(saved).provenance
+    assert (about.camera_serial, float(about.exposure_us), about.gain, about.pixel_format) == (
+        "SN42", pytest.approx(3000, rel=0.01), "0", "Mono8",
+    )  # fmt: skip
+    room.bar = "sweeps"
+    answer = camera.ask_to_learn()
+    assert not answer.success and "something moved" in answer.message
+    room.bar, seen = "stands", camera.node._loop.frames
+    camera.until(lambda: camera.node._loop.frames > seen + 20)  # frames under way show the sweep
+    answer = camera.ask_to_learn()
+    assert answer.success and "something else than in the background of" in answer.message
+    assert "in the middle at 100..139, 60..149: 7.3 %" in answer.message  # 40 x 90 of 256 x 192 pixels
+
+
+def test_background_of_the_last_lesson_is_used_at_the_next_start(bench, session, scene):
+    saved = session.folder / "learned.npz"
+    parameters = {**session.parameters, "background": "", "background_file": str(saved), "background_frames": 20,
+                  "footage.rate": 1.0, "footage.loop": True,
+                  "footage.path": scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))}  # fmt: skip
+    camera = bench(**parameters).start()
+    camera.until_said("no background")
+    assert camera.ask_to_learn().success
+    assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
+    camera.masks.clear()
+    camera.start()
+    camera.until(lambda: camera.masks)
+    assert camera.node._chain.background.provenance.frames == 20
+
+
+def test_damaged_background_of_the_last_lesson_keeps_no_camera_from_starting(bench, session):
+    saved = session.folder / "learned.npz"
+    saved.write_bytes(b"broken")
+    changed = {"background": "", "background_file": str(saved), "footage.rate": 1.0, "footage.loop": True}
+    camera = bench(**{**session.parameters, **changed}).start()
+    camera.until_said("no background")
+    assert camera.masks == []

@@ -1,0 +1,221 @@
+"""``sagoma background`` on camera clients that behave as they are told, and on backgrounds that were saved."""
+
+import io
+import json
+import threading
+
+import cv2
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.task import Future
+from rich.console import Console
+from std_srvs.srv import Trigger
+
+from camera_client.background_model import BackgroundLearner, BackgroundModel, Provenance, load_background
+from camera_client.lesson_report import KEY, LessonReport
+from capture_rig.verdict import GOOD, REDO, USABLE, Finding
+from sagoma_tools.background_tables import exit_status, figures
+from sagoma_tools.backgrounds import Lesson, camera_of
+from sagoma_tools.cli import main
+from sagoma_tools.countdown import count_down
+from sagoma_tools.ros_link import RosLink
+
+MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
+NOISE = Finding(USABLE, "the noise is high", "lower the gain")
+OUTCOMES = {GOOD: (), USABLE: (NOISE,), REDO: (MOVED, NOISE)}
+PERIOD_S = 0.1
+
+
+class Pretender:
+    """A camera client that answers ~/learn_background with one verdict after the other, and tells its diagnostics."""
+
+    def __init__(self, node, camera, verdicts):
+        self.name, self.camera, self.verdicts, self.asked = f"/{camera}/camera_client", camera, list(verdicts), 0
+        self.values = {}
+        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 20)
+        node.create_timer(PERIOD_S, self.tell)
+        alone = MutuallyExclusiveCallbackGroup()
+        node.create_service(Trigger, f"{self.name}/learn_background", self.learn, callback_group=alone)
+
+    def tell(self):
+        values = [KeyValue(key=key, value=value) for key, value in self.values.items()]
+        status = DiagnosticStatus(name=self.name, message="active", values=values)
+        self.publisher.publish(DiagnosticArray(status=[status]))
+
+    async def learn(self, request, response):
+        self.asked += 1
+        grade, _, lost = self.verdicts.pop(0).partition(" ")
+        if grade == "away":
+            response.message = "no frames are coming: the camera is off"
+            return response
+        if grade == "silent":
+            await Future()
+        text = f"{grade}; lesson {self.asked} of {self.camera}"
+        report = LessonReport(self.asked, grade, OUTCOMES[grade], 100, 1.5, 0.0, f"{self.camera}.npz", text)
+        self.values[KEY] = report.to_json()
+        if grade != REDO:
+            self.values["background"] = text
+        response.success, response.message = grade != REDO, text
+        if lost:
+            await Future()
+        return response
+
+
+@pytest.fixture
+def clients():
+    """``clients(cam01=[GOOD], ...)``: clients of these cameras and their verdicts, in a graph of their own."""
+    links = []
+
+    def make(**verdicts):
+        links.append(RosLink("pretenders"))
+        return {camera: Pretender(links[-1].node, camera, listed) for camera, listed in verdicts.items()}
+
+    yield make
+    for link in links:
+        link.close()
+
+
+def learn(capsys, clients, *arguments):
+    """Exit status, what was printed, and the figures."""
+    expect = ["--expect", str(len(clients)), "--wait", "30"]
+    status = main(["background", *expect, "--countdown", "0", "--timeout", "20", "--json", *arguments])
+    said = capsys.readouterr().out
+    lines = [line for line in said.splitlines() if line.startswith("{")]
+    return status, said, json.loads(lines[-1]) if lines else {}
+
+
+def test_every_camera_that_is_found_learns_and_good_ones_end_with_status_0(clients, capsys):
+    made = clients(cam01=[GOOD], cam02=[GOOD])
+    status, said, result = learn(capsys, made)
+    assert status == 0 and "learning: cam01, cam02" in said
+    assert {camera: (r["grade"], r["frames"], r["saved"]) for camera, r in result.items()} == {
+        "cam01": (GOOD, 100, "cam01.npz"), "cam02": (GOOD, 100, "cam02.npz"),
+    }  # fmt: skip
+
+
+def test_worst_verdict_is_the_exit_status_and_findings_come_with_remedies(clients, capsys):
+    status, said, result = learn(capsys, clients(cam01=[GOOD], cam02=[USABLE]))
+    assert status == 1
+    assert "the noise is high" in said and "lower the gain" in said
+    assert result["cam02"]["findings"] == [{"grade": USABLE, "what": NOISE.what, "remedy": NOISE.remedy}]
+
+
+def test_camera_that_must_be_redone_is_tried_again_alone(clients, capsys):
+    made = clients(cam01=[GOOD], cam02=[REDO, GOOD])
+    status, said, result = learn(capsys, made)
+    assert status == 0 and result["cam02"]["number"] == 2
+    assert (made["cam01"].asked, made["cam02"].asked) == (1, 2)
+    assert "something moved" in said and "learning: cam02\n" in said
+
+
+def test_camera_that_stays_bad_is_named_after_the_last_retry(clients, capsys):
+    made = clients(cam01=[REDO, REDO, REDO])
+    status, said, result = learn(capsys, made, "--retries", "2")
+    assert (status, made["cam01"].asked, result["cam01"]["grade"]) == (2, 3, REDO)
+    assert "clear the scene" in said
+
+
+def test_camera_without_frames_is_named_and_nobody_leaves_the_room_for_it_again(clients, capsys):
+    made = clients(cam01=[GOOD], cam02=["away", GOOD])
+    status, said, result = learn(capsys, made)
+    assert (status, made["cam02"].asked, result["cam01"]["grade"]) == (2, 1, GOOD)
+    assert "no frames are coming: the camera is off" in said
+
+
+def test_lesson_whose_answer_was_lost_is_known_from_the_diagnostics(clients, capsys):
+    status, _, result = learn(capsys, clients(cam01=[f"{USABLE} lost"], cam02=[GOOD]))
+    assert status == 1 and result["cam01"]["findings"][0]["what"] == NOISE.what
+
+
+def test_camera_that_never_answers_is_named_and_the_others_keep_what_they_learned(clients, capsys):
+    status, _, result = learn(capsys, clients(cam01=["silent"], cam02=[GOOD]), "--timeout", "1.5")
+    assert (status, result["cam02"]["grade"]) == (2, GOOD)
+    assert result["cam01"] == {"said": "did not answer", "grade": REDO}
+
+
+def test_subset_leaves_the_others_alone_and_a_stranger_is_an_error(clients, capsys):
+    made = clients(cam01=[GOOD], cam02=[GOOD])
+    assert learn(capsys, made, "--cameras", "cam02")[0] == 0
+    assert (made["cam01"].asked, made["cam02"].asked) == (0, 1)
+    assert main(["background", "--expect", "2", "--wait", "30", "--countdown", "0", "--cameras", "cam07"]) == 2
+    assert "no client of cam07 is there. There are: cam01, cam02." in capsys.readouterr().err
+
+
+def test_repeat_asks_only_those_that_need_it(clients, capsys):
+    made = clients(cam01=[GOOD], cam02=[REDO, GOOD])
+    assert learn(capsys, made, "--retries", "0")[0] == 2
+    assert learn(capsys, made, "--repeat")[0] == 0
+    assert (made["cam01"].asked, made["cam02"].asked) == (1, 2)
+    status, said, _ = learn(capsys, made, "--repeat")
+    assert status == 0 and "every background is fine" in said
+    assert (made["cam01"].asked, made["cam02"].asked) == (1, 2)
+
+
+def test_graph_without_camera_clients_is_an_input_error(capsys):
+    assert main(["background", "--wait", "0.3"]) == 2
+    assert "found 0 camera clients" in capsys.readouterr().err
+
+
+def test_worst_of_no_lesson_at_all_and_of_silence():
+    assert exit_status([]) == 0
+    silent = Lesson("cam01", "did not answer")
+    assert exit_status([silent]) == 2
+    assert figures([silent]) == {"cam01": {"said": "did not answer", "grade": REDO}}
+    assert camera_of("/lab/cam01/camera_client") == "lab/cam01"
+
+
+def test_countdown_in_a_log_says_the_last_seconds_and_stops_when_told():
+    log, stop = io.StringIO(), threading.Event()
+    stop.set()
+    assert not count_down(Console(file=log), "leave the room", 10, stop)
+    assert log.getvalue() == "leave the room: 10 s\n"
+    assert count_down(Console(file=log), "leave the room", 0, stop)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """A saved background: noise of 2 grey levels, and a lamp that blinked in columns 50..59 of rows 10..19."""
+    rng, learner = np.random.default_rng(0), BackgroundLearner()
+    for k in range(40):
+        image = np.clip(np.rint(rng.normal(100, 2, (60, 80))), 0, 255).astype(np.uint8)
+        image[10:20, 50:60] = 250 * (k % 2)
+        learner.add(image)
+    about = {"camera_serial": "S1", "exposure_us": "5000", "gain": "0", "verdict": "usable: a lamp blinks"}
+    learner.model("camera 10.0.0.1", created="2026-03-01T08:00:00+00:00", **about).save(tmp_path / "cam01.npz")
+    return tmp_path / "cam01.npz"
+
+
+def test_show_prints_where_a_background_comes_from_and_draws_it(saved, tmp_path, capsys):
+    assert main(["background", "show", str(saved), "--output", str(tmp_path / "pictures")]) == 0
+    said = capsys.readouterr().out
+    for text in ("camera 10.0.0.1", "S1", "5000", "2026-03-01T08:00:00", "usable: a lamp blinks", "80 x 60 mono"):
+        assert text in said
+    mean = cv2.imread(str(tmp_path / "pictures" / "cam01_mean.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(mean, np.rint(load_background(saved).mean).astype(np.uint8))
+    sigma = cv2.imread(str(tmp_path / "pictures" / "cam01_sigma.png"))
+    brightness = sigma[12:18, 52:58].mean(), sigma[40:, :40].mean()
+    assert sigma.shape == (60, 80, 3) and brightness[0] > 1.5 * brightness[1]
+    assert sigma[10, 50].tolist() == [0, 0, 255]
+
+
+def test_show_refuses_what_is_no_background(tmp_path, capsys):
+    (tmp_path / "cam01.npz").write_bytes(b"no")
+    assert main(["background", "show", str(tmp_path / "cam01.npz")]) == 2
+    assert "is not a background model" in capsys.readouterr().err
+
+
+def test_pictures_that_cannot_be_written_are_an_input_error(saved, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["background", "show", str(saved), "--output", str(tmp_path / "file")]) == 2
+    assert "Choose another folder with --output" in capsys.readouterr().err
+
+
+def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():
+    from sagoma_tools.background_pictures import sigma_picture
+
+    sigma = np.ones((4, 6, 3), np.float32)
+    sigma[1, 2, 1] = 10.0
+    picture = sigma_picture(BackgroundModel(np.full((4, 6, 3), 99, np.float32), sigma, Provenance("test", 9, 1.0)))
+    assert picture[1, 2].sum() > picture[0, 0].sum()
