@@ -1,4 +1,4 @@
-"""python -m virtual_studio FOLDER: render a session of the built-in person."""
+"""python -m virtual_studio FOLDER: render a session of the built-in person; setup FOLDER: the boards as well."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from capture_rig.errors import InputError
 
+from .calibration.command import main as setup
 from .motion import MOTIONS, Player
 from .motion_files.recorded import RecordedMotion, is_motion_file
 from .motion_files.to_stick_figure import ReadingOptions
@@ -19,6 +20,9 @@ from .session import write_session
 
 def main(arguments: list[str] | None = None) -> int:
     """Returns the exit code: 0, or 2 with one clear line on standard error."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["setup"]:
+        return setup(arguments[1:])
     options = _parser().parse_args(arguments)
     started = time.monotonic()
     try:
@@ -41,6 +45,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m virtual_studio",
         description="Render a session of the built-in person: videos, empty room, exact silhouettes, rig, truth.",
+        epilog="python -m virtual_studio setup FOLDER films calibration boards as well (--help tells more)",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")

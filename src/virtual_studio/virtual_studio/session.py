@@ -8,7 +8,6 @@ Everything follows from the arguments: the same seed gives the same pictures. Th
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -32,8 +31,8 @@ from .sensor import Sensor
 from .shadow import floor_shadow
 from .truth import write_truth
 from .video import FOOTAGE, LOSSLESS, VideoFile
+from .whole_folder import MADE_BY, whole_folder
 
-MADE_BY = "virtual_studio"
 BACKGROUND_S = 1.5
 FIRST_BACKGROUND_FRAME = 1_000_000
 """Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
@@ -63,12 +62,10 @@ def write_session(
     Raises InputError for an unknown motion, impossible numbers, or a folder that holds anything else.
     """
     folder = Path(folder)
-    _check(folder, motion, seed, noise, flicker)
+    _check(motion, seed, noise, flicker)
     person = VolumetricBody(body, build)
     played = (MOTIONS[motion] if isinstance(motion, str) else motion)(body, seconds, fps, build)
-    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
-    partial.mkdir(parents=True)
-    try:
+    with whole_folder(folder, "session.yaml") as partial:
         save_rig(rig, partial / "rig.yaml")
         save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
         write_truth(partial / "truth.csv", body, played)
@@ -77,9 +74,6 @@ def write_session(
                   "stature_m": round(body.stature, 4)}  # fmt: skip
         _write_description(partial / "session.yaml", fps, recipe)
         _film(partial, rig, person, played, Sensor(noise, flicker, seed), shadow, progress)
-        _put_in_place(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return folder
 
 
@@ -142,7 +136,7 @@ def _write_description(path: Path, fps: float, recipe: dict) -> None:
     path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
 
 
-def _check(folder: Path, motion: str | Player, seed: int, noise: float, flicker: float) -> None:
+def _check(motion: str | Player, seed: int, noise: float, flicker: float) -> None:
     if isinstance(motion, str) and motion not in MOTIONS:
         raise InputError(f"there is no motion '{motion}'", remedy=f"Known motions: {', '.join(MOTIONS)}.")
     if seed < 0:
@@ -150,26 +144,3 @@ def _check(folder: Path, motion: str | Player, seed: int, noise: float, flicker:
     for name, value, high in (("noise", noise, 100.0), ("flicker", flicker, 0.5)):
         if not 0.0 <= value <= high:
             raise InputError(f"{name} is {value!r}", remedy=f"Give a number from 0 to {high:g}.")
-    if folder.exists() and not folder.is_dir():
-        raise InputError("is not a folder", where=str(folder), remedy="Give the path of a new folder.")
-    if folder.is_dir() and any(folder.iterdir()) and not _is_own(folder):
-        raise InputError("is not empty and was not written by the virtual studio", where=str(folder),
-                         remedy="Give a new folder, or empty this one yourself.")  # fmt: skip
-
-
-def _is_own(folder: Path) -> bool:
-    description = folder / "session.yaml"
-    try:
-        document = yaml.safe_load(description.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
-        return False
-    return isinstance(document, dict) and document.get("made_by") == MADE_BY
-
-
-def _put_in_place(partial: Path, folder: Path) -> None:
-    """Swaps the finished session in; an older one goes only when the new one is there."""
-    old = partial.with_suffix(".old")
-    if folder.exists():
-        folder.rename(old)
-    partial.rename(folder)
-    shutil.rmtree(old, ignore_errors=True)

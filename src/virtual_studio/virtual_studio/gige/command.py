@@ -6,6 +6,7 @@ import argparse
 import json
 import signal
 import threading
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -13,10 +14,13 @@ import yaml
 from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
 
+from ..calibration.truth_files import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE
 from .control import Request, ask, default_path
 from .faults import FAULT_NAMES
 from .rig_files import CAMERA_FOLDER, RIG_FILE, write_rig_files
-from .studio import Studio, StudioSettings
+from .setup_scene import PHASES
+from .shows import PERSON_SCENE, SETUP_SCENE, StudioSettings
+from .studio import Studio
 
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:
@@ -25,6 +29,7 @@ EPILOG = f"""talking to a running studio:
   clear [CAMERA ...]              no faults any more
   off | on [CAMERA ...]           power (all cameras where none is named)
   room empty | occupied           for learning the background
+  show PHASE                      of a set-up: {", ".join(PHASES)}, or next
   play [once] [at_ns=N]           begin at frame 0; prints when that is
   hold                            stay at frame 0
   pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or as a generator (0 stops it)
@@ -39,6 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
     parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
     parser.add_argument("--cameras", type=int, metavar="N", help="cameras of the built-in rig (default: 5)")
+    parser.add_argument("--scene", choices=(PERSON_SCENE, SETUP_SCENE), help="in the built-in room: somebody moves "
+                        "(default), or a set-up from the empty room over boards to the person, in phases")  # fmt: skip
     parser.add_argument("--pattern", action="store_true", help="show a test pattern")
     parser.add_argument("--fps", type=float, help="frame rate at power-on (default: the session's, else 60)")
     parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
@@ -73,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 def settings_from(args: argparse.Namespace) -> StudioSettings:
     """The studio that the arguments describe. Raises InputError."""
     named = {"session": args.session, "cameras": args.cameras, "frame_rate": args.fps, "address": args.address,
-             "memory_mb": args.memory, "pattern": args.pattern or None}  # fmt: skip
+             "memory_mb": args.memory, "scene": args.scene, "pattern": args.pattern or None}  # fmt: skip
     given = {key: value for key, value in named.items() if value is not None}
     # the built-in room is rendered without noise: it comes from the cameras' sensors
     noise = {} if args.session or args.pattern else {"camera.noise": 2.0}
@@ -89,6 +96,8 @@ def request_from(words: list[str]) -> Request:
         return {"do": verb, "cameras": names, "faults": values}
     if verb == "room":
         return {"do": verb, "state": names[0] if names else ""}
+    if verb == "show":
+        return {"do": verb, "phase": names[0] if names else ""}
     if verb == "play":
         return {"do": verb, "loop": "once" not in names, **values}
     return {"do": verb, "cameras": names, **values}
@@ -116,6 +125,14 @@ def _announce(studio: Studio, args: argparse.Namespace) -> None:
     print(f"look at one:  arv-tool-0.8 -a {first} control Width Height PixelFormat   |   arv-viewer-0.8 {first}")
     print(f"talk to it:   sagoma studio --control {args.control or default_path()} status")
     if args.write:
-        folder = write_rig_files(studio, args.write)
-        print(f"run on it:    sagoma up --rig {folder / RIG_FILE} --cameras {folder / CAMERA_FOLDER}")
+        _announce_files(studio, write_rig_files(studio, args.write))
     print("ready", flush=True)
+
+
+def _announce_files(studio: Studio, folder: Path) -> None:
+    cameras = folder / CAMERA_FOLDER
+    if studio.is_calibrated:
+        print(f"run on it:    sagoma up --rig {folder / RIG_FILE} --cameras {cameras}")
+        return
+    print(f"run on it:    sagoma up --cameras {cameras}    (uncalibrated; {TRUTH_RIG_FILE} is for scoring only)")
+    print(f"its boards:   {folder / BOARD_FILE}, {folder / FLOOR_BOARD_FILE}")

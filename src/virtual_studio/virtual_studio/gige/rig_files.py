@@ -8,6 +8,7 @@ import yaml
 
 from capture_rig.rig import save_rig
 
+from ..calibration.truth_files import save_truth
 from .studio import Studio
 
 RIG_FILE = "rig.yaml"
@@ -15,16 +16,22 @@ CAMERA_FOLDER = "cameras"
 
 
 def write_rig_files(studio: Studio, folder: str | Path) -> Path:
-    """rig.yaml, and cameras/CAMERA.yaml for each camera PC, as `sagoma up --rig --cameras` reads them."""
+    """rig.yaml, and cameras/CAMERA.yaml for each camera PC, as `sagoma up --rig --cameras` reads them.
+
+    Of cameras that are still to be calibrated: the boards' files, and the rig as truth_rig.yaml, for scoring only.
+    """
     folder = Path(folder)
     cameras = folder / CAMERA_FOLDER
     cameras.mkdir(parents=True, exist_ok=True)
     rig_file = folder / RIG_FILE
-    save_rig(studio.rig, rig_file)
+    if studio.is_calibrated:
+        save_rig(studio.rig, rig_file)
+    else:
+        save_truth(studio.rig, *studio.boards, folder)
     for name, camera in studio.cameras.items():
         parameters = {
             "autostart": True,
-            "rig_file": str(rig_file.resolve()),
+            **({"rig_file": str(rig_file.resolve())} if studio.is_calibrated else {}),
             "camera_name": name,
             "source": "aravis",
             "aravis": {"address": camera.address, "frame_rate": studio.frame_rate},

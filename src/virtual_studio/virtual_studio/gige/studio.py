@@ -2,57 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
-from capture_rig.session import load_session
-from capture_rig.settings import build_settings, setting
+from capture_rig.settings import build_settings
+from rig_calibration.boards.board import Board
+from rig_calibration.boards.specification import read_board
 
-from ..rig import ring
 from .addresses import following
 from .camera import SimulatedCamera
 from .control import ControlServer, Request
 from .loop import EventLoop
-from .room_scene import RoomScene
-from .scenes import CameraScene, PatternScene
-from .session_scene import load_session_scene
 from .settings import CameraSettings
+from .setup_scene import PERSON
+from .shows import StudioSettings, make_show
 from .stage import Stage
 from .trigger_wire import TriggerWire
-
-
-@dataclass(frozen=True)
-class StudioSettings:
-    """A studio and what it shows. Without a session the built-in person moves in the built-in room, rendered live."""
-
-    session: str = setting("", "Session folder whose footage the cameras see")
-    cameras: int = setting(5, "Cameras of the built-in rig, the last one on the ceiling", low=1, high=32)
-    pattern: bool = setting(False, "Show a test pattern instead, which carries frame number and time")
-    address: str = setting("127.0.1.1", "Loopback address of the first camera; the others follow")
-    frame_rate: float = setting(0.0, "Frame rate at power-on; 0: the session's, else 60", unit="Hz", low=0, high=1000)
-    motion: str = setting("tour", "What the built-in person does", choices=("tour", "walk", "t_pose_only"))
-    render_hz: float = setting(20.0, "At most so many live renderings", unit="Hz", low=0.1, high=1000)
-    memory_mb: float = setting(800.0, "Memory for a session's pictures", unit="MB", low=1)
-    camera: CameraSettings = setting(CameraSettings, "Every camera; serial and user id are given by the studio")
-
-
-@dataclass(frozen=True, eq=False)
-class _Show:
-    """What the cameras see: their views by name, the stage behind them, what to start and to end with it."""
-
-    rig: Rig
-    views: Mapping[str, CameraScene]
-    stage: Stage | None = None
-    can_be_empty: bool = False
-    notes: tuple[str, ...] = ()
-    start: Callable[[], None] = lambda: None
-    close: Callable[[], None] = lambda: None
-    counters: Mapping[str, int] | None = None
 
 
 class Studio:
@@ -64,7 +33,7 @@ class Studio:
 
     def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:
         self.settings = settings or StudioSettings()
-        self._show = _show(self.settings)
+        self._show = make_show(self.settings)
         self._control_path = Path(control) if control else None
         self._control: ControlServer | None = None
         self.loop = EventLoop("studio")
@@ -89,6 +58,16 @@ class Studio:
     @property
     def can_be_empty(self) -> bool:
         return self._show.can_be_empty
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Do the users of these cameras know their calibration? Not while they set them up."""
+        return self._show.phases is None
+
+    @property
+    def boards(self) -> tuple[Board, Board]:
+        """Of a set-up: the board that is waved before the cameras, and the one on the floor."""
+        return read_board(self.settings.hand_board), read_board(self.settings.floor_board)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -130,7 +109,7 @@ class Studio:
         """Answer one request of the control channel. Raises InputError for one that makes no sense."""
         verbs = {"status": self._status, "set": self._set, "clear": self._clear, "off": self._power, "on": self._power,
                  "room": self._room, "play": self._play, "hold": self._hold, "pulse": self._pulse,
-                 "wire": self._wire}  # fmt: skip
+                 "wire": self._wire, "show": self._switch}  # fmt: skip
         verb = request.get("do")
         if verb not in verbs:
             raise InputError(f"'{verb}' is nothing a studio does", where="studio",
@@ -168,6 +147,8 @@ class Studio:
         if stage is not None:
             state["stage"] = {"occupied": stage.occupied, "epoch_ns": stage.epoch_ns, "frames": stage.frames,
                               "fps": stage.fps, "loop": stage.loop}  # fmt: skip
+        if self._show.phases is not None:
+            state["shows"] = self._show.phases.phase
         return state | ({"room": dict(self._show.counters)} if self._show.counters is not None else {})
 
     def _set(self, request: Request) -> Request:
@@ -204,10 +185,17 @@ class Studio:
 
     def _play(self, request: Request) -> Request:
         stage = self._playing_stage()
+        if self._show.phases is not None:
+            self._show.phases.show(PERSON)
         epoch_ns = stage.play(request.get("at_ns"), bool(request.get("loop", True)))
         if not stage.occupied:
             stage.occupy(True)
         return {"epoch_ns": epoch_ns, "frames": stage.frames, "fps": stage.fps}
+
+    def _switch(self, request: Request) -> Request:
+        if self._show.phases is None:
+            raise InputError("it shows no set-up", where="studio", remedy="Start one: sagoma studio --scene setup.")
+        return {"shows": self._show.phases.show(str(request.get("phase")))}
 
     def _hold(self, request: Request) -> Request:
         self._playing_stage().hold()
@@ -230,29 +218,6 @@ class Studio:
         if self.stage is None:
             raise InputError("a test pattern has no stage", where="studio", remedy="Show a session or the room.")
         return self.stage
-
-
-def _show(settings: StudioSettings) -> _Show:
-    if settings.pattern:
-        rig = ring(settings.cameras - 1, ceiling=True) if settings.cameras > 1 else ring(1, ceiling=False)
-        return _Show(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
-    return _session_show(settings) if settings.session else _room_show(settings)
-
-
-def _session_show(settings: StudioSettings) -> _Show:
-    session = load_session(settings.session)
-    scene = load_session_scene(session, settings.memory_mb)
-    played, total = scene.stage.frames, scene.total_frames
-    cut = f"only the first {played} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
-    notes = () if played >= total else (cut,)
-    return _Show(session.rig, scene.views, scene.stage, scene.can_be_empty, notes)
-
-
-def _room_show(settings: StudioSettings) -> _Show:
-    rig = ring(settings.cameras - 1, ceiling=True) if settings.cameras > 1 else ring(1, ceiling=False)
-    scene = RoomScene(rig, settings.motion, most_hz=settings.render_hz)
-    note = f"rendered live, at most {settings.render_hz:g} times a second: pictures in between are repeated"
-    return _Show(rig, scene.views, scene.stage, True, (note,), scene.start, scene.close, scene.counters)
 
 
 def _plain(settings: CameraSettings) -> dict[str, Any]:

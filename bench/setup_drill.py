@@ -1,0 +1,108 @@
+"""From unknown cameras to a tracked person: the whole set-up, on rendered footage, with the product's own commands.
+
+    python bench/setup_drill.py [FOLDER] [--cameras N] [--seconds S] [--quick]
+
+The virtual studio films boards, the empty room and a person (python -m virtual_studio setup). From these files alone
+`sagoma calibrate intrinsics` and `sagoma calibrate extrinsics` make the rig; silhouettes, hull, fit and filter then run
+in one process, as in `sagoma evaluate`. The truth is used for scoring only: lenses (focal length, principal point),
+camera centres and directions (nothing is aligned: the floor board defines the world, and the truth says where it lay),
+and the body: mean error of the 15 points over all frames, beside that with the true calibration.
+FOLDER (default output/setup_drill) is kept; footage that is there already is used again. The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
+from capture_rig.session import Session, load_session
+from capture_rig.truth import Truth, load_truth
+from sagoma_tools.cli import main as sagoma
+from sagoma_tools.evaluation.chain import Configuration
+from sagoma_tools.evaluation.in_process import track_session
+from sagoma_tools.evaluation.scores import Scores, score
+from virtual_studio.calibration.command import main as film
+from virtual_studio.calibration.scoring import CameraErrors, camera_errors
+from virtual_studio.calibration.truth_files import TRUTH_RIG_FILE, read_truth_floor
+
+LENSES, RIG_FILE, TRUTH_FILE = "lenses", "rig.yaml", "truth.csv"
+SETTINGS = {"hull_server.backend": "cpu"}
+
+
+def calibrate(folder: Path) -> None:
+    """Footage to session/rig.yaml, by the commands that a user gives. Raises InputError where one fails."""
+    lenses, rig = folder / LENSES, folder / "session" / RIG_FILE
+    _run("calibrate", "intrinsics", folder / "intrinsics", "--board", folder / "board.yaml", "--output", lenses)
+    _run("calibrate", "extrinsics", "--intrinsics", lenses, "--board", folder / "floor_board.yaml",
+         "--floor", folder / "floor", "--moving", folder / "moving", "--output", rig)  # fmt: skip
+
+
+def body_scores(folder: Path) -> tuple[Scores, Scores]:
+    """Of the track with the calibration that was found, and with the true one."""
+    session, truth = load_session(folder / "session"), load_truth(folder / TRUTH_FILE)
+    T_floor_world = np.linalg.inv(read_truth_floor(folder))
+    own = _tracked(session, _moved(truth, T_floor_world))
+    exact = replace(session, rig=load_rig(folder / TRUTH_RIG_FILE))
+    return own, _tracked(exact, truth)
+
+
+def _run(*words: object) -> None:
+    arguments = [str(word) for word in words]
+    print(f"\n$ sagoma {' '.join(arguments)}", flush=True)
+    if sagoma(arguments) not in (0, None):
+        raise InputError("the command failed", where=f"sagoma {arguments[0]} {arguments[1]}", remedy="See above.")
+
+
+def _moved(truth: Truth, T: np.ndarray) -> Truth:
+    return replace(truth, points_world=truth.points_world @ T[:3, :3].T + T[:3, 3])
+
+
+def _tracked(session: Session, truth: Truth) -> Scores:
+    return score(track_session(session, Configuration.of(SETTINGS)), truth)
+
+
+def report(cameras: list[CameraErrors], own: Scores, exact: Scores) -> dict[str, object]:
+    """Prints the tables and returns the figures."""
+    print("\n| camera | focal length % | principal point px | centre mm | rotation deg |\n|---|---|---|---|---|")
+    for c in cameras:
+        print(f"| {c.name} | {c.focal_percent:.3f} | {c.principal_px:.2f} | {c.centre_mm:.1f} | {c.rotation_deg:.3f} |")
+    print("\n| calibration | mean mm | p95 mm | over 200 mm % | tracked |\n|---|---|---|---|---|")
+    for name, s in (("found", own), ("true", exact)):
+        print(f"| {name} | {s.mean_mm:.1f} | {s.p95_mm:.1f} | {100 * s.over_200mm:.1f} | {s.tracked} of {s.frames} |")
+    keys = ("focal_percent", "principal_px", "centre_mm", "rotation_deg")
+    worst = {f"worst_{key}": round(max(getattr(c, key) for c in cameras), 4) for key in keys}
+    return {"cameras": len(cameras), **worst, "mean_mm": round(own.mean_mm, 2), "tracked": own.tracked,
+            "mean_mm_true_calibration": round(exact.mean_mm, 2), "frames": own.frames}  # fmt: skip
+
+
+def main() -> None:
+    """Film, calibrate, track, score."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("output/setup_drill"))
+    parser.add_argument("--cameras", type=int, default=6, help="in all, the last one on the ceiling (default: 6)")
+    parser.add_argument("--seconds", type=float, help="length of the session (default: 6; quick: 3)")
+    parser.add_argument("--quick", action="store_true", help="fewer places and frames of the boards")
+    args = parser.parse_args()
+    seconds, began = args.seconds or (3.0 if args.quick else 6.0), time.monotonic()
+    if not (args.folder / "setup.yaml").is_file():
+        words = [str(args.folder), "--cameras", str(args.cameras), "--seconds", str(seconds)]
+        if film(words + ["--quick"] * args.quick) != 0:
+            raise SystemExit(2)
+    calibrate(args.folder)
+    found, truth = load_rig(args.folder / "session" / RIG_FILE), load_rig(args.folder / TRUTH_RIG_FILE)
+    figures = report(camera_errors(found, truth, read_truth_floor(args.folder)), *body_scores(args.folder))
+    print(json.dumps({**figures, "took_s": round(time.monotonic() - began)}))
+
+
+if __name__ == "__main__":
+    main()

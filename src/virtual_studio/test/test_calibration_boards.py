@@ -1,0 +1,200 @@
+"""Boards in the studio's room: where their corners are in the picture, how bright they are, what hides them."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from rig_calibration.boards.board import CharucoBoard, Checkerboard
+from stick_figure.body import Body
+from virtual_studio.body import VolumetricBody
+from virtual_studio.calibration.board_camera import BoardCamera, HeldBoard
+from virtual_studio.calibration.board_caster import cast_board, sample_places
+from virtual_studio.calibration.carrying import carry, on_floor
+from virtual_studio.calibration.hands import hands, person_with
+from virtual_studio.calibration.paths import pose
+from virtual_studio.calibration.photographer import Optics, Photographer, exposed
+from virtual_studio.calibration.prints import print_of
+from virtual_studio.calibration.wand import Wand
+from virtual_studio.calibration.waving import FACING
+from virtual_studio.rig import ring
+from virtual_studio.sensor import WHITE, Sensor
+
+RIG = ring(2, ceiling=True)
+CAMERA = RIG.cameras[0]
+EYE = BoardCamera(CAMERA)
+HAND = print_of(Checkerboard(9, 6, (0.04, 0.04)))
+FLOOR = print_of(Checkerboard(7, 4, (0.12, 0.12)))
+
+
+def shown(distance_m, tilt_rad=0.0, about=(1.0, 0.0, 0.0), aside=(0.0, 0.0), board=HAND, camera=CAMERA):
+    """T_world_board of a board before a camera; ``aside``: of its middle, in tangents of the viewing angle."""
+    R = cv2.Rodrigues(tilt_rad * np.array(about, float))[0] @ FACING
+    T_camera_middle = pose(R, distance_m * np.array([*aside, 1.0]))
+    return np.linalg.inv(camera.T_camera_world) @ T_camera_middle @ pose(np.eye(3), -board.middle_board)
+
+
+def held(T, board=HAND):
+    return HeldBoard(board, T[None])
+
+
+def picture(light):
+    return np.clip(np.rint(light * WHITE), 0, 255).astype(np.uint8)
+
+
+def among_corners(T):
+    """The pixels that hold the hand board's corners: (rows, columns)."""
+    x, y = CAMERA.project(held(T).corners_world).T
+    return np.s_[int(y.min()) : int(y.max()), int(x.min()) : int(x.max())]
+
+
+def homographies(T):
+    """(1, 3, 3) from normalised image coordinates to the hand board's texels."""
+    return (HAND.texels_board @ np.linalg.inv((CAMERA.T_camera_world @ T)[:3, [0, 1, 3]]))[None]
+
+
+def cast_alone(T, greys, clear, samples):
+    """(h, w) the hand board before black."""
+    light = np.zeros((480, 640), np.float32)
+    far = np.full(light.shape, np.inf, np.float32)
+    cast_board(EYE._ideal, homographies(T), np.array([greys]), HAND.texture, clear, sample_places(samples),
+               np.array([0, 0, 640, 480]), far, light)  # fmt: skip
+    return light
+
+
+def found_corners(image, start, window_px):
+    """OpenCV's own refinement, from the right places: (n, 2)."""
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-5)
+    corners = np.ascontiguousarray(start, np.float32).reshape(-1, 1, 2)
+    return cv2.cornerSubPix(image, corners, (window_px, window_px), (-1, -1), stop).reshape(-1, 2)
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "tilt_rad", "about", "aside", "window_px"),
+    [(0.6, 0.4, (0.6, 0.8, 0), (0.1, -0.1), 8), (0.9, 0.7, (0.8, -0.6, 0), (-0.35, 0.25), 4),
+     (1.3, 0.3, (0.5, 0.5, 0.6), (0.4, 0.3), 4)],
+)  # fmt: skip
+def test_corners_lie_where_the_lens_projects_them(distance_m, tilt_rad, about, aside, window_px):
+    board = held(shown(distance_m, tilt_rad, about, aside))
+    truth = CAMERA.project(board.corners_world)
+    errors = found_corners(picture(EYE.see([board])), truth, window_px) - truth
+    assert np.abs(errors.mean(axis=0)).max() < 0.02
+    assert np.sqrt((errors**2).mean()) < 0.06  # of which OpenCV's refinement itself makes most: see docs/studio.md
+
+
+@pytest.mark.parametrize("camera", RIG.cameras, ids=RIG.names)
+def test_grazing_floor_board_has_unbiased_corners(camera):
+    board = HeldBoard(FLOOR, on_floor(FLOOR)[None])
+    truth = camera.project(board.corners_world)
+    errors = found_corners(picture(BoardCamera(camera).see([board])), truth, 2) - truth
+    assert np.abs(errors.mean(axis=0)).max() < 0.03
+    assert np.abs(errors).max() < 0.25
+
+
+def test_sheet_covers_as_many_pixels_as_its_outline_holds():
+    T = shown(0.9, 0.5, (0.6, 0.8, 0), (0.1, 0.05))
+    ring_of_corners = HAND.sheet_board[[0, 1, 3, 2, 0]]
+    outline = np.concatenate([np.linspace(a, b, 200, endpoint=False) for a, b in pairwise(ring_of_corners)])
+    x, y = CAMERA.project(outline @ T[:3, :3].T + T[:3, 3]).T
+    area = 0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1))  # the polygon's
+    assert cast_alone(T, (1.0, 1.0), HAND.clear, 64).sum() == pytest.approx(area, rel=3e-4)
+
+
+def test_shortcut_for_plain_pixels_changes_nothing():
+    T = shown(0.7, 0.6, (0.3, 0.9, 0), (0.1, 0.0))
+    short = cast_alone(T, (0.1, 0.8), HAND.clear, 32)
+    every_pixel_sampled = cast_alone(T, (0.1, 0.8), np.zeros_like(HAND.clear), 32)
+    np.testing.assert_allclose(short, every_pixel_sampled, atol=1e-5)
+
+
+def test_board_that_faces_the_lamp_is_brighter():
+    leaning_back, leaning_forward = shown(0.8, -0.6), shown(0.8, 0.6)
+    up, down = (picture(EYE.see([held(T)]))[among_corners(T)].max() for T in (leaning_back, leaning_forward))
+    assert 1.25 * down < up < 255  # even so, paper does not saturate
+
+
+def test_back_of_a_board_shows_no_fields():
+    turned = pose(np.diag([-1.0, 1.0, -1.0]), 2.0 * HAND.middle_board * [1.0, 0.0, 0.0])
+    T = shown(0.8) @ turned
+    patch = picture(EYE.see([held(T)]))[among_corners(T)]
+    assert patch.size > 10_000 and np.ptp(patch) == 0
+
+
+@pytest.mark.parametrize(("side", "contrast_seen"), [(1.0, True), (-1.0, False)], ids=["in front", "behind"])
+def test_board_is_seen_before_the_person_who_carries_it_and_hidden_behind(side, contrast_seen):
+    body, T = VolumetricBody(Body.from_stature(1.75)), carry(FLOOR, 20.0, 1)(0.0)
+    ahead = T[:3, 2] * [1, 1, 0] / np.linalg.norm(T[:2, 2])
+    middle = T[:3, :3] @ FLOOR.middle_board + T[:3, 3]
+    looking = -side * ahead
+    R = np.array([np.cross(looking, [0, 0, 1.0]), [0, 0, -1.0], looking])
+    camera = replace(CAMERA, T_camera_world=pose(R, -R @ (middle + side * 2.4 * ahead)))
+    image = picture(BoardCamera(camera).see([held(T, FLOOR)], person_with(body, FLOOR, T)))
+    x, y = np.rint(camera.project(middle)).astype(int)
+    assert (np.ptp(image[y - 20 : y + 20, x - 20 : x + 20]) > 60) == contrast_seen
+
+
+def test_thumbs_cover_the_margin_and_no_field():
+    T = shown(0.6)
+    inside = among_corners(T)
+    bare, grasped = EYE.see([held(T)]), EYE.see([held(T)], hands(HAND, T))
+    np.testing.assert_array_equal(bare[inside], grasped[inside])
+    assert (np.abs(bare - grasped) > 0.1).sum() > 500
+
+
+def test_board_behind_the_camera_is_not_seen():
+    np.testing.assert_array_equal(EYE.see([held(shown(-0.7))], blur_px=0.0), EYE.empty_room())
+
+
+def test_board_around_the_camera_s_plane_is_drawn_where_it_is_ahead():
+    light = EYE.see([held(shown(0.12, 1.4, (0, 1, 0)))], blur_px=0.0)
+    assert np.isfinite(light).all() and (light != EYE.empty_room()).sum() > 1000
+
+
+def test_moving_board_is_smeared_as_the_mean_of_its_places():
+    places = np.array([shown(0.8, aside=(0.002 * k, 0.0)) for k in range(7)])  # a pixel apart
+    smeared = EYE.see([HeldBoard(HAND, places)], blur_px=0.0, samples=700)
+    mean = np.mean([EYE.see([held(T)], blur_px=0.0, samples=100) for T in places], axis=0)
+    assert np.abs(smeared - mean).mean() < 1e-3
+    assert np.abs(smeared - EYE.see([held(places[3])], blur_px=0.0)).max() > 0.2
+
+
+def test_exposure_has_as_many_moments_as_the_motion_asks_for_and_the_middle_is_one():
+    def moving(speed):
+        return lambda t: shown(0.8, aside=(speed * (t - 1.0), 0.0))
+
+    assert len(exposed(CAMERA, HAND, moving(0.01), 1.0, 0.008)) == 1
+    poses = exposed(CAMERA, HAND, moving(1.0), 1.0, 0.008)  # 3.7 px
+    assert len(poses) == 5
+    np.testing.assert_allclose(poses[2], moving(1.0)(1.0), atol=1e-12)
+
+
+def test_the_same_frame_is_taken_again_bit_for_bit():
+    path, sensor = carry(FLOOR, 20.0, 3), Sensor(3.0, 0.005, 1)
+    first, second = (Photographer(CAMERA, 0, Optics(sensor)).take(5, FLOOR, path, 2.0) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_charuco_s_markers_are_read_in_the_picture():
+    board = CharucoBoard(8, 6, 0.05, 0.037, "DICT_5X5_100")
+    T = shown(0.7, 0.3, (0.7, 0.7, 0), board=print_of(board))
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
+    _, ids, _ = detector.detectMarkers(picture(EYE.see([held(T, print_of(board))])))
+    assert sorted(np.ravel(ids)) == list(range(24))
+
+
+def test_balls_of_the_wand_are_round_spots_where_their_centres_project():
+    wand, T = Wand(), pose(np.roll(np.eye(3), 1, axis=0), np.array([-0.1, -0.2, 1.1]))  # along the world's y
+    image = EYE.see_wand(wand, T)
+    bright = image > 0.6
+    count, _, _, centroids = cv2.connectedComponentsWithStats(bright.astype(np.uint8))
+    assert count == 1 + len(wand.marks_m)
+    truth = CAMERA.project(wand.balls_world(T))
+    for pixel in truth:
+        assert np.linalg.norm(centroids[1:] - pixel, axis=1).min() < 0.5
+    x, y = np.rint(truth[0]).astype(int)
+    patch = np.clip(image[y - 8 : y + 9, x - 8 : x + 9] - 0.2, 0.0, None)
+    grid = np.mgrid[-8:9, -8:9]
+    centre = (grid * patch).sum(axis=(1, 2)) / patch.sum() + [y, x]
+    np.testing.assert_allclose(centre, truth[0][::-1], atol=0.1)

@@ -1,0 +1,167 @@
+"""What is filmed for a calibration: where boards are held, what lies in the folder, and that it is always the same."""
+
+import cv2
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
+from rig_calibration.boards.specification import board_text, read_board
+from virtual_studio.__main__ import main
+from virtual_studio.calibration.board_camera import HeldBoard
+from virtual_studio.calibration.carrying import carry, on_floor, swing
+from virtual_studio.calibration.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_calibration_footage
+from virtual_studio.calibration.prints import print_of
+from virtual_studio.calibration.truth_files import read_truth_floor
+from virtual_studio.calibration.wand import Wand
+from virtual_studio.calibration.waving import wave
+from virtual_studio.rig import ring
+
+RIG = ring(5, ceiling=True)
+HAND, FLOOR = print_of(HAND_BOARD), print_of(FLOOR_BOARD)
+SMALL = FootagePlan(fps=1.0, moving_s=2.0, brief=True, wand=Wand())
+
+
+def corners_px(camera, board, T_world_board):
+    """(n, 2) where a board's corners are in the picture; None unless all are, seen from in front."""
+    towards = camera.centre_world - T_world_board[:3, 3]
+    pixels = camera.project(HeldBoard(board, T_world_board[None]).corners_world)
+    inside = (pixels > 0).all() and (pixels < [camera.width - 1, camera.height - 1]).all()
+    return pixels if inside and T_world_board[:3, 2] @ towards > 0 else None
+
+
+def angle_seen_deg(camera, board, T_world_board):
+    """Between the board's normal and the line of sight."""
+    middle = T_world_board[:3, :3] @ board.middle_board + T_world_board[:3, 3]
+    sight = camera.centre_world - middle
+    return np.rad2deg(np.arccos(T_world_board[:3, 2] @ sight / np.linalg.norm(sight)))
+
+
+@pytest.mark.parametrize("camera", [RIG.cameras[0], RIG.cameras[-1]], ids=["ring", "ceiling"])
+def test_waved_board_reaches_all_sides_of_the_picture_and_is_tilted_to_all_sides(camera):
+    waved = wave(camera, HAND, 1)
+    poses = [waved.path(t) for t in waved.rests_s]
+    views = [pixels for T in poses if (pixels := corners_px(camera, HAND, T)) is not None]
+    assert len(views) >= 25
+    every = np.concatenate(views)
+    assert every.min(axis=0).max() < 45 and (every.max(axis=0) > [camera.width - 45, camera.height - 45]).all()
+    normals = np.array([(camera.R_camera_world @ T[:3, 2])[:2] for T in poses])
+    assert (normals.max(axis=0) > np.sin(np.deg2rad(35))).all() and (
+        normals.min(axis=0) < -np.sin(np.deg2rad(35))
+    ).all()
+    depths = [(camera.T_camera_world @ T @ [*HAND.middle_board, 1.0])[2] for T in poses]
+    assert min(depths) < 0.6 and 1.2 < max(depths) < 1.6
+
+
+def test_waved_board_leaves_the_picture_for_some_time_and_moves_between_rests():
+    camera = RIG.cameras[1]
+    waved = wave(camera, HAND, 2)
+    outside = [corners_px(camera, HAND, waved.path(t)) is None for t in (0.0, waved.duration_s)]
+    assert outside == [True, True]
+
+    def speed_px(t):
+        before, after = (camera.project((waved.path(x) @ [*HAND.middle_board, 1.0])[:3]) for x in (t - 0.01, t + 0.01))
+        return np.linalg.norm(after - before) / 0.02
+
+    resting = [speed_px(t) for t in waved.rests_s]
+    travelling = [speed_px(t) for t in waved.rests_s[1:] - 0.5]
+    assert max(resting) < 25.0 and np.median(travelling) > 100.0
+
+
+def test_floor_board_is_in_every_camera_s_picture():
+    T = on_floor(FLOOR)
+    np.testing.assert_allclose(T[2], [0, 0, 1, 0], atol=1e-12)
+    for camera in RIG.cameras:
+        assert corners_px(camera, FLOOR, T) is not None
+        assert angle_seen_deg(camera, FLOOR, T) < 75.0
+
+
+def test_carried_board_is_shared_by_neighbours_and_by_the_camera_above():
+    path = carry(FLOOR, 24.0, 1)
+    moments = [path(t) for t in np.arange(0.0, 24.0, 0.2)]
+    seen = np.array([
+        [corners_px(c, FLOOR, T) is not None and angle_seen_deg(c, FLOOR, T) < 65.0 for c in RIG.cameras]
+        for T in moments
+    ])  # fmt: skip
+    assert (seen.sum(axis=0) >= 15).all()
+    shared = seen.T.astype(int) @ seen
+    assert all(shared[i, (i + 1) % 5] >= 5 for i in range(5))
+    assert shared[5, :5].sum() >= 10
+    heights = [T[2, 3] for T in moments]
+    assert min(heights) > 0.3 and max(heights) < 2.2
+
+
+def test_wand_goes_through_the_volume_in_all_directions():
+    wand, path = Wand(), swing(20.0, 1)
+    balls = np.array([wand.balls_world(path(t)) for t in np.arange(0.0, 20.0, 0.2)])
+    np.testing.assert_allclose(np.linalg.norm(balls[:, 1] - balls[:, 0], axis=1), 0.25, atol=1e-9)
+    assert (np.ptp(balls[:, 0], axis=0) > 1.2).all() and balls[..., 2].min() > 0.0
+    along = balls[:, 2] - balls[:, 0]
+    assert np.linalg.eigvalsh(along.T @ along / len(along))[0] > 0.05 * 0.4**2  # no direction is left out
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory):
+    return write_calibration_footage(tmp_path_factory.mktemp("setup") / "a", ring(1, ceiling=False), SMALL)
+
+
+def test_folder_holds_footage_boards_and_the_truth_apart(footage):
+    assert sorted(path.name for path in footage.iterdir()) == [
+        "board.yaml", "floor", "floor_board.yaml", "intrinsics", "moving", "setup.yaml", "truth_floor.yaml",
+        "truth_rig.yaml", "wand",
+    ]  # fmt: skip
+    for part, count in (("intrinsics", 19), ("moving", 2), ("wand", 2)):
+        video = cv2.VideoCapture(str(footage / part / "cam01.mp4"))
+        assert abs(video.get(cv2.CAP_PROP_FRAME_COUNT) - count) <= 2
+    assert cv2.imread(str(footage / "floor" / "cam01.png"), cv2.IMREAD_UNCHANGED).shape == (480, 640)
+    assert load_rig(footage / "truth_rig.yaml").names == ("cam01",)
+
+
+def test_boards_files_are_read_as_the_boards_that_were_filmed(footage):
+    assert read_board(str(footage / "board.yaml")) == HAND_BOARD
+    assert read_board(str(footage / "floor_board.yaml")) == read_board(board_text(FLOOR_BOARD)) == FLOOR_BOARD
+
+
+def test_truth_says_where_the_middle_of_the_floor_board_lies(footage):
+    corners = HeldBoard(FLOOR, on_floor(FLOOR)[None]).corners_world
+    T = read_truth_floor(footage)
+    np.testing.assert_allclose(T[:3, 3], corners.mean(axis=0), atol=1e-9)
+    row = corners[6] - corners[0]
+    np.testing.assert_allclose(T[:3, 0], row / np.linalg.norm(row), atol=1e-9)
+    np.testing.assert_allclose(T[:3, 2], [0, 0, 1], atol=1e-9)
+
+
+def test_the_same_plan_gives_the_same_bytes(footage, tmp_path):
+    again = write_calibration_footage(tmp_path / "b", ring(1, ceiling=False), SMALL)
+    for path in sorted(footage.rglob("*.*")):
+        if path.suffix == ".mp4":  # its container holds the time of writing
+            assert (frames_of(path) == frames_of(again / path.relative_to(footage))).all()
+        elif path.is_file():
+            assert path.read_bytes() == (again / path.relative_to(footage)).read_bytes()
+
+
+def frames_of(path):
+    video, frames = cv2.VideoCapture(str(path)), []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    return np.array(frames)
+
+
+def test_stills_are_taken_while_the_board_rests(tmp_path):
+    plan = FootagePlan(stills=True, brief=True, fps=1.0, moving_s=1.0, noise=0.0, flicker=0.0)
+    folder = write_calibration_footage(tmp_path / "stills", ring(1, ceiling=False), plan)
+    stills = sorted((folder / "intrinsics" / "cam01").glob("*.png"))
+    sharp = [cv2.findChessboardCornersSB(cv2.imread(str(path), 0), (9, 6))[0] for path in stills]
+    assert len(stills) == 18 and sum(sharp) >= 15
+
+
+def test_folder_of_something_else_is_not_touched(tmp_path):
+    (tmp_path / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="was not written by the virtual studio"):
+        write_calibration_footage(tmp_path, ring(1, ceiling=False), SMALL)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_command_refuses_a_text_that_is_no_board(tmp_path, capsys):
+    assert main(["setup", str(tmp_path / "x"), "--board", "a nice board"]) == 2
+    assert "describes no board" in capsys.readouterr().err and not (tmp_path / "x").exists()

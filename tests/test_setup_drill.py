@@ -1,0 +1,130 @@
+"""Unknown cameras of the virtual studio are set up by the commands that a user gives; the truth only scores."""
+
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture_rig.rig import load_rig
+from sagoma_bringup.graph import build_graph
+from sagoma_tools.cli import main as sagoma
+from sagoma_tools.evaluation.track import POINTS_TOPIC, track_from_bag
+from sagoma_tools.graph_recorder import GraphRecorder
+from sagoma_tools.stages import free_first_address
+from sagoma_tools.studio_process import StudioProcess
+from sagoma_tools.supervisor import Supervisor
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from virtual_studio.calibration.footage import FootagePlan, write_calibration_footage
+from virtual_studio.calibration.scoring import camera_errors
+from virtual_studio.calibration.truth_files import read_truth_floor
+from virtual_studio.motion import MOTIONS
+from virtual_studio.rig import ring
+
+CAMERAS = ("cam01", "cam02", "cam03")
+COMMAND_TIMEOUT_S = 400.0
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory) -> Path:
+    plan = FootagePlan(stills=True, brief=True, fps=2.0, moving_s=10.0)
+    return write_calibration_footage(tmp_path_factory.mktemp("setup") / "footage", ring(2, ceiling=True), plan)
+
+
+def test_filmed_cameras_are_calibrated_to_the_truth(footage, tmp_path):
+    lenses, rig = str(tmp_path / "lenses"), str(tmp_path / "rig.yaml")
+    filmed = {path.stem: str(path) for path in footage.iterdir()}
+    assert (
+        sagoma(["calibrate", "intrinsics", filmed["intrinsics"], "--board", filmed["board"], "--output", lenses]) == 0
+    )
+    assert sagoma(["calibrate", "extrinsics", "--intrinsics", lenses, "--board", filmed["floor_board"],
+                   "--floor", filmed["floor"], "--moving", filmed["moving"], "--output", rig]) == 0  # fmt: skip
+    truth, T_world_floor = load_rig(footage / "truth_rig.yaml"), read_truth_floor(footage)
+    errors = camera_errors(load_rig(rig), truth, T_world_floor)
+    assert [camera.name for camera in errors] == list(CAMERAS)
+    for camera in errors:
+        assert camera.focal_percent < 0.2
+        assert camera.principal_px < 1.5
+        assert camera.centre_mm < 8.0
+        assert camera.rotation_deg < 0.2
+
+
+def command(*words: object) -> list[str]:
+    return [sys.executable, "-m", "sagoma_tools.cli", *map(str, words)]
+
+
+def run(*words: object) -> str:
+    done = subprocess.run(command(*words), capture_output=True, text=True, timeout=COMMAND_TIMEOUT_S, check=False)
+    assert done.returncode in (0, 1), f"{' '.join(map(str, words))}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+    return done.stdout
+
+
+def calibrate_lens(name: str, board: Path, lenses: Path) -> None:
+    run("calibrate", "intrinsics", "--topic", f"/{name}/image_raw", "--board", board, "--output", lenses,
+        "--seconds", "120", "--wait", "60")  # fmt: skip
+
+
+class Graph:
+    """``sagoma up`` as a process; its end is asked for as by Ctrl-C."""
+
+    def __init__(self, log: Path, *words: object) -> None:
+        self._log = log.open("w")
+        self._process = subprocess.Popen(command("up", *words, "--run-folder", log.with_suffix("")),
+                                         stdout=self._log, stderr=subprocess.STDOUT, env=os.environ.copy())  # fmt: skip
+
+    def __enter__(self) -> "Graph":
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._process.send_signal(signal.SIGINT)
+        self._process.wait(60.0)
+        self._log.close()
+
+
+def person_live(studio: StudioProcess, rig: Path, folder: Path) -> np.ndarray:
+    """(15, 3) the person who stands in the T-pose, in the rig's world, as the whole graph says."""
+    settings = {"hull_server.tolerance_s": 0.1, "hull_server.deadline_s": 2.0}
+    graph = build_graph(rig=rig, cameras=studio.cameras, settings=settings)
+    with Supervisor(graph, folder / "logs") as supervisor:
+        supervisor.configure(tolerate_cameras=False)
+        with GraphRecorder(graph, folder / "bag", provenance={}) as recorder:
+            recorder.wait_for_publishers()
+            supervisor.activate(tolerate_cameras=False)
+            studio.ask("play")
+            studio.ask("hold")
+            assert recorder.recorder.wait_for_count(POINTS_TOPIC, 30, 120.0), "nobody was tracked"
+            supervisor.suspend()
+            recorder.close()
+    track = track_from_bag(folder / "bag", lambda stamp_ns: stamp_ns)
+    return np.median(track.points_world[-10:], axis=0)
+
+
+@pytest.mark.slow
+def test_live_cameras_are_set_up_from_the_empty_room_to_a_tracked_person(tmp_path):
+    arguments = ("--scene", "setup", "--cameras", "3", "--fps", "5", "--address", free_first_address(3))
+    lenses, rig = tmp_path / "lenses", tmp_path / "rig.yaml"
+    with StudioProcess(tmp_path / "studio", *arguments) as studio:
+        boards = {name: studio.folder / f"{name}.yaml" for name in ("board", "floor_board")}
+        with Graph(tmp_path / "cameras.log", "--cameras", studio.cameras):
+            studio.ask("show", phase="intrinsics")
+            with ThreadPoolExecutor(len(CAMERAS)) as pool:  # each has a board of its own in front of it
+                list(pool.map(lambda name: calibrate_lens(name, boards["board"], lenses), CAMERAS))
+            studio.ask("show", phase="floor")
+            run("calibrate", "extrinsics", "--live", "--cameras", *CAMERAS, "--intrinsics", lenses,
+                "--board", boards["floor_board"], "--output", rig)  # fmt: skip
+            studio.ask("show", phase="empty")
+            run("background", "--countdown", "0", "--expect", "3", "--wait", "30")
+        truth, T_world_floor = load_rig(studio.folder / "truth_rig.yaml"), read_truth_floor(studio.folder)
+        for camera in camera_errors(load_rig(rig), truth, T_world_floor):
+            assert camera.focal_percent < 0.5 and camera.principal_px < 3.0
+            assert camera.centre_mm < 25.0 and camera.rotation_deg < 0.5
+        found_world = person_live(studio, rig, tmp_path)
+    body = Body.from_stature(1.75)
+    t_pose = forward(body, MOTIONS["tour"](body, 20.0, 60.0).poses[0])
+    points = found_world @ T_world_floor[:3, :3].T + T_world_floor[:3, 3]
+    assert np.linalg.norm(points - t_pose, axis=1).mean() < 0.08
