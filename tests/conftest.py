@@ -13,4 +13,4 @@ from virtual_studio.session import write_session
 def built_in_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short session of the virtual studio: four cameras and one above, a T-pose, then movement."""
     folder = tmp_path_factory.mktemp("studio") / "session"
-    return write_session(folder, ring(4, True), Body.from_stature(1.75), fps=30.0, seconds=3.0, seed=7)
+    return write_session(folder, ring(4, True), Body.from_stature(1.75), fps=30.0, seconds=2.0, seed=7)

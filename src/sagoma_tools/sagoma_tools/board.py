@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -60,6 +60,11 @@ class Board:
         wanted = set(names)
         with self._heard:
             return self._heard.wait_for(lambda: wanted <= self._reports.keys(), timeout_s)
+
+    def wait_until(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        """True as soon as ``done``, which is asked at every report, False after ``timeout_s``."""
+        with self._heard:
+            return self._heard.wait_for(done, timeout_s)
 
     def table(self, names: Mapping[str, str], states: Mapping[str, str], *, now_s: float | None = None) -> Table:
         """One line a node (full name -> what to call it): state, rate, latency, losses, memory, message."""

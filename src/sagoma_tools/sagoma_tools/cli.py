@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from capture_rig.errors import InputError
 
 from .commands import (
+    background,
     calibrate,
     compare,
     control,
@@ -24,7 +25,10 @@ from .commands import (
 )
 from .supervisor import GraphError
 
-COMMANDS = (demo, calibrate, evaluate, up, control, record, replay, compare, recover, import_session, doctor, studio)
+COMMANDS = (
+    demo, calibrate, background, up, control, record, replay, evaluate, compare, recover, import_session, doctor,
+    studio,
+)  # fmt: skip
 GRAPH_FAILED, BAD_INPUT = 1, 2
 
 

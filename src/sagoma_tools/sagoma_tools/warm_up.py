@@ -8,8 +8,17 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
+from capture_rig.camera import CameraModel
 from capture_rig.session import load_session
+from rig_calibration.boards.board import Checkerboard
+from rig_calibration.boards.detection import find_board
+from rig_calibration.boards.drawing import draw_board
+from rig_calibration.boards.sighting import Sighting
+from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from stick_figure.body import Body
+from stick_figure.rotations import rotation_matrix
 from virtual_studio.rig import ring
 from virtual_studio.session import write_session
 
@@ -19,7 +28,26 @@ FRAMES, FPS = 8, 10.0
 
 
 def main() -> None:
-    """Render, segment, carve, fit, filter."""
+    """Calibrate; render, segment, carve, fit, filter."""
+    calibrate(ring(1, False).cameras[0])
+    capture()
+
+
+def calibrate(camera: CameraModel) -> None:
+    """Find a board, and find a lens from what it shows of one."""
+    board = Checkerboard(9, 6, (0.025, 0.025))
+    find_board(draw_board(board, pixels_per_m=1500.0).image, board)
+    corners = board.corners_board - board.corners_board.mean(axis=0)
+    sightings = []
+    for moment, tilt in enumerate(([3.1, 0, 0], [2.7, 0.2, 0], [3.5, 0.3, 0], [3.1, 0.5, 0], [3.1, -0.5, 0.3])):
+        in_camera = corners @ rotation_matrix(np.array(tilt, float)).T + [0.0, 0.0, 0.4]
+        pixels = camera.project((in_camera - camera.t_camera_world) @ camera.R_camera_world)
+        sightings.append(Sighting(camera.name, moment, np.arange(54), pixels, (camera.width, camera.height)))
+    calibrate_intrinsics(sightings, board, name=camera.name)
+
+
+def capture() -> None:
+    """Follow somebody through a tiny session."""
     with tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder:
         path = write_session(
             Path(folder) / "session", ring(4, True), Body.from_stature(1.75), "t_pose_only", FPS, FRAMES / FPS

@@ -130,6 +130,11 @@ def test_old_background_is_a_warning(file, tmp_path, capsys):
     assert status == 1 and "30 h old" in found["background"][0]["what"]
 
 
+def test_camera_that_is_not_calibrated_yet_is_a_note(file, capsys):
+    status, found = examined(file(rig_file=""), capsys)
+    assert status < 2 and found["rig"][0]["severity"] == "note" and "not calibrated yet" in found["rig"][0]["what"]
+
+
 def test_missing_file_is_told_in_words_too(tmp_path, capsys):
     assert main(["doctor", "camera", str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml: cannot be read" in capsys.readouterr().out

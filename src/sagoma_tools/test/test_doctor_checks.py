@@ -163,7 +163,7 @@ def test_chrony_tells_whether_and_how_well_the_clock_is_kept():
 def test_background_that_does_not_serve_is_found(facts, severity, text):
     finding = worst(check_background(facts, CAMERA, SETTINGS))
     assert finding.severity is severity and text in finding.what
-    assert severity is Severity.OK or "/cam01/camera_client/learn_background" in finding.remedy
+    assert severity is Severity.OK or "sagoma background --cameras cam01" in finding.remedy
 
 
 def test_exposure_longer_than_a_frame_is_an_error():

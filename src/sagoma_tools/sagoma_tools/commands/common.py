@@ -44,7 +44,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that describe a graph; :func:`graph_from` reads them."""
     parser.add_argument("session", nargs="?", help="folder of footage: rig.yaml, camNN.mp4, camNN_background.png|mp4")
     parser.add_argument("--rig", help="rig YAML of live cameras (instead of a session)")
-    parser.add_argument("--cameras", help="folder with one camera parameter file a camera of the rig, or one such file")
+    parser.add_argument("--cameras", help="folder with one parameter file a camera, or one such file; without --rig "
+                        "the camera clients run alone, as before a calibration")  # fmt: skip
     parser.add_argument("--only", metavar="PART", help="run only this part: server, cameras, or one camera's name")
     parser.add_argument("--rate", type=float, default=1.0, help="playing speed of footage; 0: as fast as the graph can")
     parser.add_argument("--loop", action="store_true", help="play footage again and again")

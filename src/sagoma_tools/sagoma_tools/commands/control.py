@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import threading
-import time
 
 from rclpy.node import Node
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
+from ..discovery import settled
 from ..lifecycle_client import LifecycleClient, State
 from ..ros_link import RosLink
 
@@ -20,7 +19,6 @@ VERBS = {
     "suspend": (State.INACTIVE, True, "deactivate every node of the running graph; start goes on from there"),
     "stop": (State.UNCONFIGURED, True, "deactivate and clean up every node of the running graph; processes stay"),
 }
-SETTLED_S, LOOK_S = 1.0, 0.1
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -55,20 +53,16 @@ def discover(node: Node, expect: int, wait_s: float) -> list[str]:
 
     Discovery has no end: what has not announced itself within ``wait_s`` is not seen. InputError when that is too few.
     """
-    start_s = changed_s = time.monotonic()
-    found: set[str] = set()
-    while time.monotonic() - start_s < wait_s:
-        seen = {f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()
+
+    def ours() -> set[str]:
+        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()
                 if name in (CAMERA_NODE, *SERVER_NODES)}  # fmt: skip
-        if seen != found:
-            found, changed_s = seen, time.monotonic()
-        if len(found) >= expect and time.monotonic() - changed_s > SETTLED_S:
-            break
-        threading.Event().wait(LOOK_S)
+
+    found = settled(ours, expect, wait_s)
     if len(found) < expect:
         raise InputError(f"found {len(found)} nodes of ours, expected {expect}", where="the ROS graph",
                          remedy="Start them, or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.")  # fmt: skip
-    return sorted(found)
+    return found
 
 
 def is_camera(full_name: str) -> bool:

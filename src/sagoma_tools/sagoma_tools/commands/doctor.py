@@ -1,51 +1,90 @@
-"""``sagoma doctor camera PARAMS.yaml``: what may keep this camera PC from working, with remedies."""
+"""``sagoma doctor``: what may keep this machine, the rig or the running graph from working, with remedies."""
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
-from rich.text import Text
+
+from capture_rig.errors import InputError
 
 from ..doctor.camera import examine
-from ..doctor.findings import Finding, Severity, exit_status
+from ..doctor.findings import Finding, exit_status, summary
+from ..doctor.graph.examination import LIVE_S, examine_graph
+from ..doctor.machine.examination import examine_machine
+from ..doctor.machine.reach import examine_hosts
+from ..doctor.report import show
+from ..doctor.rig.examination import examine_rig
 
-STYLES = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
+DESCRIPTION = """Examine this machine; with --rig also a rig and its calibration, with --live also the running graph,
+with --camera also a camera PC's parameter file and its camera. Exit status: 0 all is well (or notes only), 1 warnings,
+2 errors."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        "doctor", help="examine a camera PC: file, background, network, camera, clock, cores",
-        description="Exit status: 0 all is well (or notes only), 1 warnings, 2 errors.",
+        "doctor", help="examine this machine, a rig, a camera PC, the running graph: findings with remedies",
+        description=DESCRIPTION,
     )  # fmt: skip
-    parser.add_argument("what", choices=["camera"], help="what to examine")
-    parser.add_argument("parameters", metavar="PARAMS.yaml", type=Path, help="the camera's parameter file")
+    help_camera = "'camera PARAMS.yaml': that file, its camera, and what they need of this machine"
+    parser.add_argument("what", nargs="?", choices=["camera"], help=help_camera)
+    parser.add_argument("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path,
+                        help="a camera's parameter file (any number of times)")  # fmt: skip
+    parser.add_argument("--open", action="store_true",
+                        help="take control of those cameras for a moment, as their clients would")  # fmt: skip
+    parser.add_argument("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
+    parser.add_argument(
+        "--intrinsics",
+        metavar="FOLDER",
+        type=Path,
+        help="the cameras' own calibrations (default: where the rig's report says, or beside it)",
+    )
+    parser.add_argument("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
+    parser.add_argument("--live", action="store_true", help="listen to the running graph")
+    parser.add_argument("--seconds", type=float, default=LIVE_S, help="how long to listen (default: %(default)g)")
+    parser.add_argument("--host", action="append", default=[], metavar="ADDRESS",
+                        help="another machine of the graph: does it answer, which packets get there?")  # fmt: skip
+    parser.add_argument("--bags", metavar="FOLDER", type=Path, default=Path("output"),
+                        help="where bags are written (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--no-machine", action="store_true", help="leave this machine out")
+    parser.add_argument("--all", action="store_true", help="also say in words what is well")
+    parser.add_argument("--strict", action="store_true", help="warnings fail as errors do (exit status 2)")
     parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
-    help_open = "take control of the camera for a moment, as its client would"
-    parser.add_argument("--open", action="store_true", help=help_open)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Examine and print; the exit status says how grave the gravest finding is."""
-    findings = list(examine(args.parameters, args.open))
+    if args.what == "camera" and args.parameters is None:
+        raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
+    if not 0 < args.seconds < float("inf"):
+        raise InputError(f"{args.seconds:g} is no time", where="--seconds", remedy="Give seconds above 0.")
+    findings = list(examined(args))
+    status = exit_status(findings, args.strict)
     if args.json:
-        status = exit_status(findings)
-        print(json.dumps({"status": status, "findings": [finding.as_dict() for finding in findings]}))
+        print(json.dumps({
+            "status": status, "summary": summary(findings), "findings": [finding.as_dict() for finding in findings],
+        }))  # fmt: skip
     else:
-        show(findings, Console())
-    return exit_status(findings)
+        show(findings, Console(), all_of_them=args.all)
+    return status
 
 
-def show(findings: Sequence[Finding], console: Console) -> None:
-    """One line a finding, its remedy below; the gravest last, where the eye is."""
-    for finding in sorted(findings, key=lambda finding: finding.severity):
-        line = Text(f"{finding.severity.name:8}", style=STYLES[finding.severity])
-        line.append(f"{finding.about:12} {finding.what}", style="default")
-        console.print(line, soft_wrap=True)
-        if finding.remedy:
-            console.print(Text(f"{'':21} -> {finding.remedy}"), soft_wrap=True)
+def examined(args: argparse.Namespace) -> Iterator[Finding]:
+    """The findings of everything that was asked for."""
+    if args.what == "camera":
+        yield from examine(args.parameters, args.open)
+    elif not args.no_machine:
+        yield from examine_machine(args.bags)
+    for path in args.camera:
+        yield from examine(path, args.open, host_too=False)
+    yield from examine_hosts(args.host)
+    if args.session is not None or args.rig is not None:
+        yield from examine_rig(args.rig, args.session, args.intrinsics)
+    if args.live:
+        yield from examine_graph(args.seconds, args.rig)

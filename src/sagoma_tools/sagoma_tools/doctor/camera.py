@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from camera_client.aravis_source import AravisSource
-from camera_client.assembly import load_camera
+from camera_client.assembly import load_calibration
 from camera_client.settings import CameraClientSettings
 from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
@@ -16,11 +16,12 @@ from sagoma_bringup.graph import camera_from_file
 from sagoma_bringup.node_spec import NodeSpec
 
 from .ask_camera import ask_camera
-from .camera_checks import check_background, check_timing
+from .camera_checks import check_background, check_calibration, check_timing
 from .collect import collect_background, collect_host, collect_interface
 from .facts import HostFacts, InterfaceFacts, Stream
-from .findings import Finding, error, note, ok, warning
+from .findings import Finding, error, note, ok, on, warning
 from .host_checks import check_host
+from .machine.examination import SUBJECT
 from .network_checks import check_bandwidth, check_device, check_interface, check_receive_buffer
 
 NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
@@ -35,21 +36,29 @@ class CameraFile:
     settings: CameraClientSettings
 
 
-def examine(path: Path, open_it: bool = False) -> Iterator[Finding]:
-    """Findings on the parameter file at ``path``, the camera it names, and this machine.
+def examine(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iterator[Finding]:
+    """Findings on the parameter file at ``path``, the camera it names, and (``host_too``) this machine.
 
     open_it : take control of the camera, set it up as the client would, and report what it says.
     """
     try:
         file = read_file(path)
     except InputError as problem:
-        yield error("file", f"{problem.where}: {problem.what}", problem.remedy)
+        yield from on(f"camera file {path}", [error("file", f"{problem.where}: {problem.what}", problem.remedy)])
         return
+    host = collect_host()
+    yield from on(f"camera {file.name}", _examine_file(path, file, host, open_it))
+    if host_too:
+        yield from on(SUBJECT, check_host(host))
+
+
+def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) -> Iterator[Finding]:
     yield ok("file", f"{path} describes camera {file.name}")
     camera = None
     try:
-        camera, _ = load_camera(file.settings, file.settings.camera_name or file.name)
-        yield ok("rig", f"{file.settings.rig_file}: {camera.name}, {camera.width} x {camera.height} pixels")
+        calibration = load_calibration(file.settings, file.settings.camera_name or file.name)
+        camera = calibration.camera
+        yield check_calibration(calibration, file.settings)
         yield from _camera_info(file.settings)
     except InputError as problem:
         yield error("rig", f"{problem.where}: {problem.what}", problem.remedy)
@@ -59,12 +68,10 @@ def examine(path: Path, open_it: bool = False) -> Iterator[Finding]:
     if camera is not None:
         shape = (camera.height, camera.width)
         yield from check_background(collect_background(file.settings, shape), camera, file.settings)
-    host = collect_host()
     if file.settings.source == "aravis":
         yield from _examine_live(file, host, open_it)
     else:
         yield note("camera", f"source: {file.settings.source}; network and camera are not looked at")
-    yield from check_host(host)
 
 
 def read_file(path: Path) -> CameraFile:
@@ -95,8 +102,10 @@ def siblings(file: CameraFile, interface: InterfaceFacts) -> list[CameraFile]:
 def stream_of(file: CameraFile) -> Stream | None:
     """What the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
     try:
-        camera, _ = load_camera(file.settings, file.settings.camera_name or file.name)
+        camera = load_calibration(file.settings, file.settings.camera_name or file.name).camera
     except InputError:
+        return None
+    if camera is None:
         return None
     wanted = file.settings.aravis.pixel_format
     # "auto" prefers formats of 8 bits a pixel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from camera_client.calibration import Calibration
 from camera_client.settings import CameraClientSettings
 from capture_rig.camera import CameraModel
 
@@ -12,7 +13,20 @@ from .findings import Finding, error, note, ok, warning
 
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
 EXPOSURE_TOLERANCE = 0.02
-LEARN = "ros2 service call /{name}/camera_client/learn_background std_srvs/srv/Trigger while the scene is empty"
+LEARN = "sagoma background --cameras {name}, while the room is empty"
+
+
+def check_calibration(calibration: Calibration, settings: CameraClientSettings) -> Finding:
+    """How much is known of the camera."""
+    camera = calibration.camera
+    if camera is None:
+        return note("rig", "not calibrated yet: it sends images, no silhouettes",
+                    f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD")  # fmt: skip
+    size = f"{camera.name}, {camera.width} x {camera.height} pixels"
+    if calibration.placed:
+        return ok("rig", f"{settings.rig_file}: {size}")
+    return note("rig", f"{settings.camera_info_file}: {size}; its lens is known, its place is not",
+                "sagoma calibrate extrinsics, then name the rig file in rig_file.")  # fmt: skip
 
 
 def check_background(

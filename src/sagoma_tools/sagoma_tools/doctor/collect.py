@@ -20,6 +20,7 @@ from camera_client.settings import CameraClientSettings
 from capture_rig.errors import InputError
 
 from .facts import BackgroundFacts, ClockFacts, HostFacts, InterfaceFacts
+from .machine.kernel_clock import kernel_clock
 
 RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 GOVERNORS = "/sys/devices/system/cpu"
@@ -32,7 +33,7 @@ def collect_host() -> HostFacts:
     """This machine."""
     governors = sorted(Path(GOVERNORS).glob("cpu[0-9]*/cpufreq/scaling_governor"))
     return HostFacts(
-        rmem_max=int(RMEM_MAX.read_text()),
+        rmem_max=read_number(RMEM_MAX),
         cores=len(os.sched_getaffinity(0)),
         load=os.getloadavg()[0],
         available_bytes=psutil.virtual_memory().available,
@@ -41,6 +42,14 @@ def collect_host() -> HostFacts:
         environment={name: os.environ[name] for name in ROS_VARIABLES if name in os.environ},
         aravis_error=_aravis_error(),
     )
+
+
+def read_number(path: Path) -> int | None:
+    """A kernel's figure; None where it is not shown, as in containers of some kernels."""
+    try:
+        return int(path.read_text())
+    except OSError:
+        return None
 
 
 def collect_interface(address: str) -> InterfaceFacts | None:
@@ -63,8 +72,10 @@ def collect_interface(address: str) -> InterfaceFacts | None:
 
 
 def collect_background(settings: CameraClientSettings, shape: tuple[int, int]) -> BackgroundFacts | None:
-    """The background file that the settings name, for images of ``shape`` (H, W); None when they name none."""
+    """The background that the client would take for images of ``shape`` (H, W); None when there is none."""
     path = settings.background
+    if not path and settings.background_file and Path(settings.background_file).exists():
+        path = settings.background_file
     if not path:
         return None
     try:
@@ -80,7 +91,7 @@ def collect_background(settings: CameraClientSettings, shape: tuple[int, int]) -
 
 
 def collect_clock() -> ClockFacts:
-    """How the system's clock is kept, as chrony or systemd says."""
+    """How the system's clock is kept, as chrony, systemd, linuxptp's processes or, at last, the kernel says."""
     if shutil.which("chronyc"):
         text = _output(["chronyc", "-c", "tracking"])
         fields = text.strip().split(",")
@@ -93,7 +104,7 @@ def collect_clock() -> ClockFacts:
     ptp = [process.name() for process in psutil.process_iter(["name"]) if process.name() in ("ptp4l", "phc2sys")]
     if ptp:
         return ClockFacts(" and ".join(sorted(set(ptp))), True)
-    return ClockFacts(unknown_because="neither chronyc nor timedatectl answers here, and no ptp4l runs")
+    return kernel_clock()
 
 
 def chrony_clock(fields: list[str]) -> ClockFacts:

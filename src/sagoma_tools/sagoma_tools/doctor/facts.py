@@ -64,9 +64,10 @@ class ClockFacts:
 
 @dataclass(frozen=True)
 class HostFacts:
-    """This machine. ``governors`` of its cores, empty where the system does not tell (a virtual machine)."""
+    """This machine. ``governors`` of its cores, empty where the system does not tell (a virtual machine); ``rmem_max``
+    (bytes) is None where it does not either (a container)."""
 
-    rmem_max: int
+    rmem_max: int | None
     cores: int
     load: float
     available_bytes: int

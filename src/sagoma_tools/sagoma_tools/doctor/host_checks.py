@@ -30,6 +30,8 @@ def check_host(host: HostFacts) -> Iterator[Finding]:
 def _check_aravis(host: HostFacts) -> Iterator[Finding]:
     if host.aravis_error:
         yield error("aravis", host.aravis_error, "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup")
+    else:
+        yield ok("aravis", "can be imported")
 
 
 def _check_cores(host: HostFacts) -> Iterator[Finding]:

@@ -93,6 +93,9 @@ def stream_bytes_per_s(stream: Stream, packet_size: int) -> float:
 def check_receive_buffer(host: HostFacts, settings: AravisSettings) -> Iterator[Finding]:
     """May the stream's socket be as large as the settings ask?"""
     wanted = settings.socket_buffer_bytes
+    if host.rmem_max is None:
+        yield note("rmem_max", "unknown: this container does not show net.core.rmem_max", "Look at it on the host.")
+        return
     if host.rmem_max >= wanted:
         yield ok("rmem_max", f"net.core.rmem_max = {host.rmem_max} bytes, wanted {wanted}")
         return

@@ -1,0 +1,111 @@
+"""One node: does it answer and report, is it well, and is its clock in step with ours?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ...board import NodeReport
+from ..findings import Finding, error, note, ok, warning
+from .facts import ERROR, WARN, NodeFacts
+
+CAMERA_NODE = "camera_client"
+ACTIVE = "active"
+REPORT_HZ, RARE_HZ, FEW_REPORTS = 1.0, 0.7, 4
+CLOCK_LIMIT_S = 5e-3  # a third of a frame period at 60 Hz
+USUAL_PERIOD_S = 1 / 30
+BUSY_PERCENT = 95.0
+ACQUIRING = "acquiring"  # how the trackers' messages begin until they have a person
+EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
+RECOVERY = "docs/recovery.md"
+PAGES = {"/hull_server": "docs/lying_cameras.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
+START = "sagoma start (or sagoma up, where no process runs)"
+UNREACHABLE = "Look for its process and log there; for the way: sagoma doctor --host ADDRESS, firewall, cable."
+BIG_MESSAGES = ("Large messages get lost: one MTU on all machines (sagoma doctor --host ADDRESS), "
+                "FASTRTPS_DEFAULT_PROFILES_FILE=config/dds/fastdds.xml, and UDP open between them.")  # fmt: skip
+
+
+def camera_node(camera: str) -> str:
+    """The fully qualified name of a camera's client."""
+    return f"/{camera}/{CAMERA_NODE}"
+
+
+def camera_of(node: str) -> str:
+    """The camera whose client this node is; "" for another node."""
+    space, _, name = node.rpartition("/")
+    return space.strip("/") if name == CAMERA_NODE else ""
+
+
+def check_node(node: NodeFacts, nobody: bool = False) -> Iterator[Finding]:
+    """Does it answer and report, is it active, and is it well? ``nobody``: no camera sees anybody, which explains
+    empty masks."""
+    if node.copies > 1:
+        yield error("node", f"{node.copies} nodes call themselves {node.name}",
+                    "Stop all but one: the same camera or server was started twice.")  # fmt: skip
+    if node.state is None and not node.reports:
+        yield error("node", f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do "
+                    "not get here", UNREACHABLE)  # fmt: skip
+        return
+    if node.state is None:
+        yield warning("node", f"{node.name} reports, but does not answer questions: it is busy or hangs", UNREACHABLE)
+    elif not node.reports:
+        yield error("diagnostics", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
+    if node.state not in (None, ACTIVE):
+        yield warning("state", f"it is {node.state}", START)
+    if node.reports:
+        yield _what_it_says(node, nobody)
+        yield from _check_work(node)
+
+
+def check_clock(node: NodeFacts, here: str, period_s: float | None) -> Iterator[Finding]:
+    """How far its clock is from ours: a report's way here takes between nothing and one round trip."""
+    if not node.lead_s:
+        return
+    trip_s = node.round_trip_s or 0.0
+    low, high = max(node.lead_s), max(node.lead_s) + trip_s
+    off_s = low if low > 0 else min(high, 0.0)  # what is certain
+    whose = "its clock" if node.machine != here else "its clock (though it runs on this machine)"
+    way = "ahead of" if off_s > 0 else "behind"
+    what = f"{whose} is {_time(abs(off_s))} {way} this machine's, at the least (known to {_time(trip_s)})"
+    remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
+    if abs(off_s) > (period_s or USUAL_PERIOD_S) / 2:
+        yield error("clock", what, remedy)
+    elif abs(off_s) > CLOCK_LIMIT_S:
+        yield warning("clock", what, remedy)
+    elif trip_s > 2 * CLOCK_LIMIT_S:
+        yield note("clock", f"nothing says that it is off, but answers take {_time(trip_s)}: it cannot be told closer")
+    else:
+        yield ok("clock", f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms from this machine's")
+
+
+def _what_it_says(node: NodeFacts, nobody: bool) -> Finding:
+    if node.level >= ERROR:
+        return error("says", node.message, _remedy(node))
+    if node.level < WARN:
+        return ok("says", node.message)
+    if node.message.startswith(ACQUIRING):
+        return note("says", node.message, "" if nobody else "Stand in the T-pose: docs/acquisition.md.")
+    if nobody and any(words in node.message for words in EMPTY):
+        return note("says", f"{node.message} (nobody is there)")
+    return warning("says", node.message, _remedy(node))
+
+
+def _check_work(node: NodeFacts) -> Iterator[Finding]:
+    if node.reports >= FEW_REPORTS and node.rate_hz < RARE_HZ:
+        yield warning("diagnostics", f"come {node.rate_hz:.1f} times a second instead of {REPORT_HZ:.0f}: it "
+                      "is busy, or they get lost", BIG_MESSAGES)  # fmt: skip
+    busy = node.values.get("cpu_percent", "")
+    if busy.isdigit() and float(busy) > BUSY_PERCENT:
+        yield note("load", f"it uses {busy} % of a core")
+    losses = NodeReport(bytes([node.level]), node.message, node.values).losses()
+    if losses:
+        told = ", ".join(f"{count} {key}" for key, count in losses.items())
+        yield note("lost", f"since its start: {told}")
+
+
+def _remedy(node: NodeFacts) -> str:
+    page = "docs/camera_pcs.md" if camera_of(node.name) else PAGES.get(node.name, "")
+    return f"See {page}." if page else "See its log."
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.2f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"

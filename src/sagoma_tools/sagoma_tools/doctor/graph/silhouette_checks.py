@@ -1,0 +1,127 @@
+"""Are the silhouettes that a camera sends plausible, and made with the rig's calibration?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from statistics import median
+
+from ..findings import Finding, error, note, ok, warning
+from .facts import Canvas, NodeFacts, SilhouetteFacts
+from .node_checks import ACTIVE, BIG_MESSAGES
+
+SOMEBODY = 0.003  # of the canvas: a person fills ten times as much
+NOTHING = 1e-5
+FLOODED = 0.5
+ENOUGH_MASKS = 10
+SAME_PX = 0.01
+LOST = 0.02
+OLD_S, EARLY_S = 1.0, 5e-3
+PACKET_BYTES = 1400
+BACKGROUND = "Learn the background of the empty room again: sagoma background --cameras {}"
+
+
+def sees_somebody(facts: SilhouetteFacts) -> bool:
+    """Whether a plausible amount of foreground is in most of its masks."""
+    return bool(facts.shares) and SOMEBODY <= median(facts.shares) < FLOODED
+
+
+def sees_nobody(facts: SilhouetteFacts) -> bool:
+    """Whether its masks are as good as empty."""
+    return bool(facts.shares) and median(facts.shares) < SOMEBODY
+
+
+def check_silhouettes(
+    facts: SilhouetteFacts, node: NodeFacts | None, others_see: Sequence[str], rig: Canvas | None, rig_file: str = ""
+) -> Iterator[Finding]:
+    """One camera's silhouettes.
+
+    others_see : the other cameras that see somebody. rig : the canvas that the rig gives this camera, when one is
+    known; rig_file : the one that its client was given.
+    """
+    if facts.publishers > 1:
+        yield error("silhouettes", f"{facts.publishers} nodes publish them", "Stop all but one client of this camera.")
+    if not facts.masks:
+        yield from _check_absence(facts, node)
+        return
+    yield from _check_canvas(facts, rig, rig_file)
+    yield from _check_way(facts)
+    yield from _check_content(facts, others_see)
+
+
+def check_canvas_agrees(canvas: Canvas, rig: Canvas) -> str:
+    """How the canvas that a camera publishes differs from the rig's; empty when it does not."""
+    if (canvas.width, canvas.height) != (rig.width, rig.height):
+        return f"its canvas is {canvas.width} x {canvas.height}, the rig's {rig.width} x {rig.height} pixels"
+    told = [
+        f"{name} {mine:.2f}, in the rig {theirs:.2f}"
+        for name, mine, theirs in (("fx", canvas.fx, rig.fx), ("fy", canvas.fy, rig.fy), ("cx", canvas.cx, rig.cx),
+                                   ("cy", canvas.cy, rig.cy)) if abs(mine - theirs) > SAME_PX
+    ]  # fmt: skip
+    return ", ".join(told)
+
+
+def _check_absence(facts: SilhouetteFacts, node: NodeFacts | None) -> Iterator[Finding]:
+    uncalibrated = facts.canvas is not None and facts.canvas.fx == 0  # as camera_info says it (REP-104)
+    if node is None or node.state != ACTIVE or not facts.publishers or uncalibrated:
+        return  # said already of the node
+    if facts.infos:
+        yield error("silhouettes", f"its camera_info arrives ({facts.infos}), its silhouettes do not", BIG_MESSAGES)
+    elif float(node.values.get("rate_hz", "0")) > 0:
+        yield error("silhouettes", f"it sends {node.values['rate_hz']} a second, none arrives here", BIG_MESSAGES)
+    else:
+        yield warning("silhouettes", "it sends none", "See what it says; without a background there are none.")
+
+
+def _check_canvas(facts: SilhouetteFacts, rig: Canvas | None, rig_file: str) -> Iterator[Finding]:
+    canvas = facts.canvas
+    if canvas is None:
+        yield warning("camera_info", "none arrives beside the silhouettes", "Is it camera_client that publishes them?")
+        return
+    if any(size != (canvas.width, canvas.height) for size in facts.sizes):
+        sizes = " and ".join(f"{width} x {height}" for width, height in facts.sizes)
+        yield error("silhouettes", f"they are {sizes}, camera_info says {canvas.width} x {canvas.height} pixels",
+                    "Two clients of one name, or a damaged one: restart it.")  # fmt: skip
+    if rig is None:
+        return
+    differs = check_canvas_agrees(canvas, rig)
+    if differs:
+        where = f" (its rig_file: {rig_file})" if rig_file else ""
+        yield error("camera_info", f"made with another calibration than the rig file: {differs}{where}",
+                    "Copy the newer of both rig files to both machines, configure both again; a calibration set "
+                    "by set_camera_info belongs into rig.yaml too.")  # fmt: skip
+    else:
+        yield ok("camera_info", "agrees with the rig file")
+
+
+def _check_way(facts: SilhouetteFacts) -> Iterator[Finding]:
+    sent = facts.masks + facts.lost
+    if facts.lost > LOST * sent:
+        large = " (larger than one packet)" if facts.largest_bytes > PACKET_BYTES else ""
+        yield warning("network", f"{facts.lost} of {sent} silhouettes{large} got lost on the way here", BIG_MESSAGES)
+    if facts.age_s is not None and facts.age_s < -EARLY_S:
+        yield error("stamps", f"its frames are stamped {-facts.age_s:.3f} s ahead of this machine's clock",
+                    "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.")  # fmt: skip
+    elif facts.age_s is not None and facts.age_s > OLD_S:
+        yield warning("latency", f"its silhouettes are {facts.age_s:.1f} s old when they arrive",
+                      "Its clock is behind (see clock), footage plays late, or the machine is too busy.")  # fmt: skip
+
+
+def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterator[Finding]:
+    learn = BACKGROUND.format(facts.camera)
+    share = median(facts.shares) if facts.shares else 0.0
+    text = f"{100 * share:.1f} % foreground, {facts.rate_hz:.1f} a second"
+    if facts.bad:
+        yield error("silhouettes", facts.bad, "The messages are damaged: see its log, and the network.")
+    elif share >= FLOODED:
+        yield error("silhouettes", f"flooded: {text}", f"The light or the camera was changed. {learn}")
+    elif facts.masks >= ENOUGH_MASKS and not facts.changes and share > NOTHING:
+        yield error("silhouettes", f"frozen: the same one {facts.masks} times ({text})",
+                    "Cycle the camera's power; see what its client says.")  # fmt: skip
+    elif share < NOTHING and others_see:
+        yield warning("silhouettes", f"blank, while {', '.join(others_see)} see somebody",
+                      f"Lens cap, wrong direction, or he was in the room while it learned. {learn}")  # fmt: skip
+    elif share < SOMEBODY and others_see:
+        yield note("silhouettes", f"nearly blank ({text}), while {', '.join(others_see)} see somebody",
+                   "Well, if nobody is in its view.")  # fmt: skip
+    else:
+        yield ok("silhouettes", text)

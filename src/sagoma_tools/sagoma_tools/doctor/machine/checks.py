@@ -1,0 +1,186 @@
+"""What the facts of this machine mean for a motion capture graph on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..facts import InterfaceFacts
+from ..findings import Finding, error, note, ok, warning
+from ..host_checks import TESTED_RMW, check_host
+from .facts import (
+    DiskFacts,
+    GraphicsFacts,
+    KernelFacts,
+    LimitFacts,
+    MachineFacts,
+    NetworkFacts,
+    SharedMemoryFacts,
+    SoftwareFacts,
+)
+
+SYSTEMS = {("debian", "12"), ("ubuntu", "24.04")}
+PYTHONS = ((3, 11), (3, 12))
+ROS = "jazzy"
+BUFFER_BYTES = 4 << 20
+FREE_DISK, NO_DISK = 5 << 30, 200 << 20
+SLOW_DISK = 20e6  # five cameras with everything recorded take 4 MB/s; a disk has other work as well
+SMALL_SHARED_MEMORY = 128 << 20  # containers start with 64 MiB
+ABANDONED = 20
+OPEN_FILES = 1024
+ETHERNET_MTU = 1500
+
+
+def check_machine(machine: MachineFacts) -> Iterator[Finding]:
+    """All that concerns the machine itself."""
+    yield from check_software(machine.software)
+    yield from check_kernels(machine.kernels)
+    yield from check_graphics(machine.graphics)
+    yield from check_host(machine.host)
+    yield from check_disk(machine.disk)
+    yield from check_shared_memory(machine.shared_memory)
+    yield from check_limits(machine.limits)
+    yield from check_buffers(machine.host.rmem_max, machine.network.wmem_max)
+    yield from check_network(machine.network)
+
+
+def check_software(software: SoftwareFacts) -> Iterator[Finding]:
+    """Distribution, Python, ROS: those that this was tried on?"""
+    system = f"{software.system} {software.system_version}"
+    if (software.system, software.system_version) in SYSTEMS:
+        yield ok("system", system)
+    else:
+        yield note("system", f"{system}: not tried (Debian 12 and Ubuntu 24.04 are)")
+    python = ".".join(map(str, software.python))
+    if software.python in PYTHONS:
+        yield ok("python", python)
+    else:
+        yield warning("python", f"{python}: not tried", "Use Python 3.11 or 3.12.")
+    if software.rmw_error:
+        yield error("ros", f"no middleware can be loaded ({software.rmw_error})",
+                    "Source ROS 2 Jazzy before make setup, or let make setup install its wheels.")  # fmt: skip
+        return
+    if software.ros_distro not in ("", ROS):
+        yield warning("ros", f"ROS_DISTRO = {software.ros_distro}", "Source ROS 2 Jazzy, then make setup again.")
+    if software.rmw == TESTED_RMW:
+        yield ok("ros", f"{software.ros_distro or 'wheels'}, {software.rmw}")
+
+
+def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
+    """Are the numerical kernels compiled, and of these sources?"""
+    if not kernels.compiled:
+        yield warning("kernels", "none is compiled yet: every node's first start takes a minute", "make setup")
+    elif kernels.fresh is False:
+        yield warning("kernels", f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash",
+                      "make setup (it empties the cache and compiles anew)")  # fmt: skip
+    elif kernels.fresh is None:
+        yield note("kernels", f"{kernels.compiled} compiled; whether of these sources is unknown",
+                   f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then "
+                   "python -m sagoma_tools.warm_up")  # fmt: skip
+    else:
+        yield ok("kernels", f"{kernels.compiled} compiled, of these sources")
+    if not kernels.writable:
+        yield warning("kernels", f"{kernels.folder} may not be written: kernels compile anew at every start",
+                      "Set NUMBA_CACHE_DIR to a folder that this user may write.")  # fmt: skip
+
+
+def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
+    """What the hull server's backend "auto" takes."""
+    if graphics.error:
+        yield note("opengl", f"none, the hull server carves on the CPU ({graphics.error})",
+                   "Nothing, on a machine without a GPU; else see docs/opengl.md.")  # fmt: skip
+    elif graphics.hardware:
+        yield ok("opengl", f"{graphics.renderer}, OpenGL {graphics.version}: the hull server carves on it")
+    else:
+        yield note(
+            "opengl",
+            f"{graphics.renderer}, OpenGL {graphics.version}: in software, so the hull server carves "
+            "on the CPU, which is faster",
+            "Nothing, on a machine without a GPU; else see docs/opengl.md.",
+        )
+
+
+def check_disk(disk: DiskFacts) -> Iterator[Finding]:
+    """Is there room for bags, and is it fast enough?"""
+    if disk.error:
+        yield error("disk", disk.error, "Name another folder with --bags, and record there.")
+        return
+    free = f"{disk.free_bytes / 2**30:.1f} GiB are free for bags in {disk.folder}"
+    if disk.free_bytes < NO_DISK:
+        yield error("disk", free, "Delete old bags, or record on another disk.")
+    elif disk.free_bytes < FREE_DISK:
+        yield warning("disk", free, "Delete old bags, or record on another disk.")
+    else:
+        yield ok("disk", free)
+    speed = disk.write_bytes_per_s
+    if speed is not None and speed < SLOW_DISK:
+        yield warning("disk", f"it takes {speed / 1e6:.0f} MB/s", "Record on a faster disk, not over the network.")
+    elif speed is not None:
+        yield ok("disk", f"it takes {speed / 1e6:.0f} MB/s")
+
+
+def check_shared_memory(memory: SharedMemoryFacts) -> Iterator[Finding]:
+    """Room for the segments through which nodes of this machine talk."""
+    if memory.free_bytes < SMALL_SHARED_MEMORY:
+        yield warning("shm", f"{memory.free_bytes >> 20} of {memory.size_bytes >> 20} MiB of /dev/shm are free",
+                      "In a container: --shm-size=512m (or --ipc=host); else mount it larger.")  # fmt: skip
+    else:
+        yield ok("shm", f"{memory.free_bytes >> 20} MiB of /dev/shm are free")
+    if memory.abandoned > ABANDONED:
+        yield note("shm", f"{memory.abandoned} segments there belong to nodes that were killed",
+                   "While no node runs: rm /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*")  # fmt: skip
+
+
+def check_limits(limits: LimitFacts) -> Iterator[Finding]:
+    """What this user may have."""
+    if 0 <= limits.open_files < OPEN_FILES:
+        yield warning("limits", f"{limits.open_files} open files at most", f"ulimit -n {OPEN_FILES}")
+    priority = f"real-time priority up to {limits.rtprio}" if limits.rtprio else "no real-time priority"
+    locked = "any amount" if limits.memlock_bytes < 0 else f"{limits.memlock_bytes >> 10} KiB"
+    yield ok("limits", f"{limits.open_files} open files, {priority}, {locked} of locked memory (neither is needed)")
+
+
+def check_buffers(rmem_max: int | None, wmem_max: int | None) -> Iterator[Finding]:
+    """May sockets be large enough for bursts of silhouettes (and of a camera's packets)?"""
+    for name, value, severity in (("rmem_max", rmem_max, warning), ("wmem_max", wmem_max, note)):
+        if value is None:
+            yield note(name, f"unknown: this container does not show net.core.{name}", "Look at it on the host.")
+        elif value < BUFFER_BYTES:
+            yield severity(name, f"net.core.{name} = {value} bytes: bursts of messages are lost",
+                           f"sudo sysctl -w net.core.{name}={BUFFER_BYTES} (for good: a line in "
+                           "/etc/sysctl.d/60-cameras.conf)")  # fmt: skip
+        else:
+            yield ok(name, f"net.core.{name} = {value} bytes")
+
+
+def check_network(network: NetworkFacts) -> Iterator[Finding]:
+    """Interfaces, firewalls, the middleware's profile."""
+    for interface in network.interfaces:
+        yield from _check_interface(interface)
+    if not any(interface.up for interface in network.interfaces):
+        yield note("network", "there is no network but loopback: the whole graph must run here")
+    if network.firewalls:
+        yield note("firewall", f"active: {', '.join(network.firewalls)}",
+                   "Let UDP ports 7400 to 7650 + 250 x ROS_DOMAIN_ID in from the other machines, and multicast "
+                   "(239.255.0.1); ports 3956 and above 1024 from the cameras.")  # fmt: skip
+    if not network.profile_exists:
+        yield error("dds profile", f"{network.profile} does not exist, and the middleware ignores that silently",
+                    "export FASTRTPS_DEFAULT_PROFILES_FILE=/path/to/config/dds/fastdds.xml, or unset it.")  # fmt: skip
+    elif network.profile:
+        yield ok("dds profile", network.profile)
+    if network.domains_here:
+        yield ok("domains", f"nodes run here in ROS_DOMAIN_ID {', '.join(map(str, network.domains_here))}")
+
+
+def _check_interface(interface: InterfaceFacts) -> Iterator[Finding]:
+    speed = f", {interface.speed_mbit} Mbit/s" if interface.speed_mbit else ""
+    text = f"{interface.name}: {interface.address}, MTU {interface.mtu}{speed}"
+    if not interface.up:
+        yield note("network", f"{interface.name} is down", f"sudo ip link set {interface.name} up, if it is in use.")
+    elif interface.mtu < ETHERNET_MTU:
+        yield note(
+            "network",
+            f"{text}: silhouettes are cut into more packets than needed",
+            f"sudo ip link set {interface.name} mtu {ETHERNET_MTU}, unless a tunnel wants it so.",
+        )
+    else:
+        yield ok("network", text)

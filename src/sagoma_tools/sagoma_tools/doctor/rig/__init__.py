@@ -1,0 +1,1 @@
+"""A rig file, its calibration and footage of it."""

@@ -1,0 +1,79 @@
+"""The doctor listens to a real (if small) ROS graph with faults in it."""
+
+import json
+
+import pytest
+from doctor_fake_nodes import RIG, Camera, FakeGraph
+
+from capture_rig.rig import save_rig
+from sagoma_tools.cli import main
+from sagoma_tools.doctor.graph.collect import collect_graph
+from sagoma_tools.doctor.graph.examination import judge_graph
+
+SERVER = ("hull_server", "icp_tracker", "ekf_tracker")
+DOMAIN, ELSEWHERE = 93, 94  # of this file alone: nobody else's nodes are heard
+
+
+@pytest.fixture(scope="module")
+def heard():
+    """cam01 is well, cam02 blank and its clock half a second ahead; cam03 is not there."""
+    with FakeGraph([Camera("cam01"), Camera("cam02", blank=True, lead_s=0.5)], SERVER, DOMAIN):
+        yield collect_graph(2.0, RIG.names, DOMAIN)
+
+
+@pytest.fixture(scope="module")
+def found(heard):
+    by_subject = {}
+    for finding in judge_graph(heard, RIG):
+        by_subject.setdefault(finding.subject, []).append(finding)
+    return by_subject
+
+
+def said(findings, about):
+    return [(finding.severity.name, finding.what) for finding in findings if finding.about == about]
+
+
+def test_every_node_is_heard_with_state_round_trip_and_machine(heard):
+    assert {node.name for node in heard.nodes} == {
+        "/hull_server", "/icp_tracker", "/ekf_tracker", "/cam01/camera_client", "/cam02/camera_client",
+    }  # fmt: skip
+    for node in heard.nodes:
+        assert node.state == "active" and node.copies == 1 and node.reports >= 4
+        assert 0 < node.round_trip_s < 1.0
+        assert node.machine == heard.machine != ""
+
+
+def test_silhouettes_are_looked_at(heard):
+    sent = {camera.camera: camera for camera in heard.cameras}
+    assert sent["cam01"].masks > 10 and sent["cam01"].changes > 10 and sent["cam01"].lost == 0
+    # 80 x 300 of the canvas's pixels
+    canvas = sent["cam01"].canvas
+    assert sent["cam01"].shares[0] == pytest.approx(80 * 300 / (canvas.width * canvas.height))
+    assert set(sent["cam02"].shares) == {0.0}
+    assert sent["cam03"].publishers == 0 and sent["cam03"].masks == 0
+
+
+def test_clock_half_a_second_ahead_is_measured_to_a_round_trip(heard, found):
+    node = heard.node("/cam02/camera_client")
+    assert max(node.lead_s) <= 0.5 <= max(node.lead_s) + node.round_trip_s + 0.02
+    (severity, what), = said(found["camera cam02"], "clock")  # fmt: skip
+    assert severity == "ERROR" and "ahead of" in what
+    assert said(found["camera cam02"], "stamps")[0][0] == "ERROR"
+    assert said(found["camera cam01"], "clock")[0][0] in ("OK", "NOTE")
+
+
+def test_blank_and_absent_cameras_are_named(found):
+    assert said(found["camera cam02"], "silhouettes") == [("WARNING", "blank, while cam01 see somebody")]
+    assert said(found["camera cam01"], "silhouettes")[0][0] == "OK"
+    assert "is not heard" in said(found["camera cam03"], "node")[0][1]
+
+
+def test_another_domain_is_empty_and_the_command_says_where_nodes_are(heard, tmp_path, capsys, monkeypatch):
+    save_rig(RIG, tmp_path / "rig.yaml")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(ELSEWHERE))
+    arguments = ["doctor", "--no-machine", "--live", "--seconds", "0.1", "--json", "--rig", str(tmp_path / "rig.yaml")]
+    assert main(arguments) == 2
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    (nobody,) = [finding for finding in findings if finding["subject"] == "graph"]
+    assert nobody["severity"] == "error" and nobody["what"] == f"no node is heard in ROS_DOMAIN_ID {ELSEWHERE}"
+    assert str(DOMAIN) in nobody["remedy"]

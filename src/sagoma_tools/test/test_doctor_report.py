@@ -1,0 +1,51 @@
+"""How findings are shown, counted and turned into an exit status."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from sagoma_tools.doctor.findings import error, exit_status, note, ok, on, summary, warning
+from sagoma_tools.doctor.report import show
+
+FINDINGS = [
+    *on("this machine", [ok("disk", "is large"), warning("clock", "is off", "chrony"), ok("memory", "is there")]),
+    *on("camera cam01", [ok("lens", "f 468 px"), note("report", "none"), error("place", "below the floor", "redo")]),
+    *on("graph", [error("nodes", "no node is heard", "start the graph")]),
+]  # fmt: skip
+
+
+def shown(findings, **options):
+    sink = io.StringIO()
+    show(findings, Console(file=sink), **options)
+    return sink.getvalue()
+
+
+def test_findings_are_grouped_by_subject_the_gravest_of_each_first_and_cameras_last():
+    lines = shown(FINDINGS).splitlines()
+    assert [line for line in lines if line and line[0] != " "][:3] == ["this machine", "graph", "camera cam01"]
+    about_cam01 = lines[lines.index("camera cam01") + 1 :]
+    assert [line.split()[0] for line in about_cam01[:4]] == ["ERROR", "->", "note", "ok"]
+
+
+def test_what_is_well_is_one_line_a_group_unless_all_is_asked_for():
+    assert "ok      disk, memory" in shown(FINDINGS) and "is large" not in shown(FINDINGS)
+    assert "is large" in shown(FINDINGS, all_of_them=True)
+
+
+def test_last_line_counts_and_names_the_first_of_the_gravest():
+    assert shown(FINDINGS).splitlines()[-1] == "2 errors, 1 warning; first: camera cam01: below the floor"
+    assert summary([ok("a", ""), note("b", "")]) == "no errors, no warnings (1 check passed)"
+
+
+def test_lines_of_a_file_are_whole_whatever_their_length():
+    text = "a long way " * 40
+    assert text.strip() in shown([warning("way", text.strip(), "walk")])
+
+
+@pytest.mark.parametrize("findings, strict, status", [
+    ([note("a", "")], True, 0), ([warning("a", "", "do")], False, 1), ([warning("a", "", "do")], True, 2),
+    ([error("a", "", "do")], False, 2),
+])  # fmt: skip
+def test_exit_status_of_strict_and_lenient_users(findings, strict, status):
+    assert exit_status(findings, strict) == status

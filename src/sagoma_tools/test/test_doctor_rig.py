@@ -1,0 +1,163 @@
+"""The doctor on rigs: good ones, and ones that somebody spoilt."""
+
+import datetime
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from capture_rig.camera_info_file import save_camera_info
+from capture_rig.rig import Rig, save_rig
+from sagoma_tools.cli import main
+from sagoma_tools.doctor.rig.calibration_report import read_report
+from sagoma_tools.doctor.rig.facts import geometry
+from virtual_studio.rig import ring
+
+GOOD = ring(5, False)
+
+
+def with_camera(rig, name, **changes):
+    cameras = tuple(replace(camera, **changes) if camera.name == name else camera for camera in rig.cameras)
+    return Rig(cameras, rig.volume)
+
+
+def moved(camera, centre_world):
+    T = camera.T_camera_world.copy()
+    T[:3, 3] = -T[:3, :3] @ np.asarray(centre_world, float)
+    return T
+
+
+def K_of(camera, **entries):
+    K = camera.K.copy()
+    for entry, value in entries.items():
+        K[{"fx": (0, 0), "fy": (1, 1), "cx": (0, 2)}[entry]] = value
+    return K
+
+
+@pytest.fixture
+def examined(tmp_path, capsys):
+    """Writes a rig, examines it, and returns the exit status and the findings above OK by subject."""
+
+    def examine(rig, *options):
+        save_rig(rig, tmp_path / "rig.yaml")
+        capsys.readouterr()
+        status = main(["doctor", "--no-machine", "--json", "--rig", str(tmp_path / "rig.yaml"), *map(str, options)])
+        found = {}
+        for said in json.loads(capsys.readouterr().out)["findings"]:
+            if said["severity"] != "ok":
+                assert said["severity"] == "note" or said["remedy"]
+                found.setdefault(said["subject"], []).append((said["severity"], said["about"], said["what"]))
+        return status, found
+
+    return examine
+
+
+def test_rig_of_the_studio_is_well(examined):
+    status, found = examined(GOOD)
+    assert status == 0
+    assert set(found) == {"rig"} and {severity for severity, _, _ in found["rig"]} == {"note"}
+
+
+C1 = GOOD.cameras[0]
+
+
+@pytest.mark.parametrize(
+    "changes, severity, text",
+    [
+        ({"T_camera_world": moved(C1, [3.0, 1.0, -0.4])}, "error", "0.40 m below the floor"),
+        ({"T_camera_world": moved(C1, [3.0, 1.0, 7.0])}, "warning", "7.0 m above the floor"),
+        ({"K": K_of(C1, cx=520.0)}, "warning", "principal point (520, "),
+        ({"K": K_of(C1, fy=490.0)}, "warning", "differ by"),
+        ({"K": K_of(C1, fx=120.0, fy=120.0)}, "warning", "degrees across"),
+        ({"D": np.array([-0.9, 0.0, 0.0, 0.0, 0.0])}, "warning", "does not reach the border"),
+        ({"T_camera_world": np.diag([-1.0, 1.0, -1.0, 1.0]) @ C1.T_camera_world}, "error", "sees nobody"),
+    ],
+)
+def test_spoilt_camera_is_named_with_what_is_wrong(examined, changes, severity, text):
+    status, found = examined(with_camera(GOOD, "cam01", **changes))
+    assert status >= {"warning": 1, "error": 2}[severity]
+    assert any(kind == severity and text in what for kind, _, what in found["camera cam01"])
+    assert not any(subject.startswith("camera") for subject in set(found) - {"camera cam01"})
+
+
+def test_cameras_that_face_each_other_are_named(examined):
+    # a point reflection of the camera's place in the volume's middle, looking back
+    middle = np.array([0.0, 0.0, 1.0])
+    opposite = np.diag([-1.0, 1.0, -1.0]) @ C1.R_camera_world
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = opposite, -opposite @ (2 * middle - C1.centre_world)
+    _, found = examined(with_camera(GOOD, "cam03", T_camera_world=T))
+    assert any("cam01 and cam03 face each other (180 degrees)" in what for _, _, what in found["rig"])
+
+
+def test_one_calibration_given_to_two_cameras_is_an_error(examined):
+    status, found = examined(with_camera(GOOD, "cam02", T_camera_world=C1.T_camera_world))
+    assert status == 2 and any("cam01 and cam02 are 0 cm apart" in what for _, _, what in found["rig"])
+
+
+def test_two_cameras_are_too_few(examined):
+    status, found = examined(Rig(GOOD.cameras[:2], GOOD.volume))
+    assert status == 2 and any("2 cannot carve a body" in what for _, _, what in found["rig"])
+
+
+def test_missing_rig_file_says_so(tmp_path, capsys):
+    assert main(["doctor", "--no-machine", "--rig", str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml" in capsys.readouterr().out
+
+
+def test_shares_of_the_volume_agree_with_counting_by_hand():
+    cameras, seen_by = geometry(GOOD)
+    foot, head = np.array([0.5, -0.5, 0.1]), np.array([0.5, -0.5, 1.7])
+    for camera, facts in zip(GOOD.cameras, cameras, strict=True):
+        inside = [0 <= u < camera.width and 0 <= v < camera.height for u, v in camera.project([foot, head])]
+        assert all(inside) and facts.sees > 0.9
+    assert seen_by[2] == 1.0 and seen_by[4] < 1.0
+    # 3.25 m from (0, 0, 0.95), where a pixel of 468 px focal length is 6.9 mm
+    assert cameras[0].distance_m == pytest.approx(3.25, abs=0.02)
+    assert cameras[0].mm_per_px == pytest.approx(3250 / 468, rel=0.02)
+
+
+def write_report(path, grade, date, **more):
+    path.write_text(yaml.safe_dump({"verdict": grade, "date": date, **more}))
+
+
+def test_reports_are_read_with_verdict_findings_and_age(examined, tmp_path):
+    now = datetime.datetime.now(datetime.UTC)
+    (tmp_path / "intrinsics").mkdir()
+    findings = [{"grade": "redo", "what": "no tilt", "remedy": "tilt the board"}]
+    write_report(tmp_path / "rig.report.yaml", "good", (now - datetime.timedelta(days=400)).isoformat())
+    write_report(tmp_path / "intrinsics" / "cam01.report.yaml", "redo", now.isoformat(), findings=findings)
+    save_camera_info(tmp_path / "intrinsics" / "cam01.yaml", replace(C1, K=K_of(C1, fx=C1.K[0, 0] + 5)))
+    status, found = examined(GOOD)
+    assert status == 2
+    assert any(about == "age" and "400 days" in what for _, about, what in found["rig"])
+    told = {about: what for _, about, what in found["camera cam01"]}
+    assert "no tilt (tilt the board)" in told["calibration"]
+    assert f"fx {C1.K[0, 0] + 5:.1f}, in the rig {C1.K[0, 0]:.1f}" in told["intrinsics"]
+
+
+def test_report_that_cannot_be_read_is_told(tmp_path):
+    (tmp_path / "rig.report.yaml").write_text("[1, 2")
+    assert read_report(tmp_path / "rig.report.yaml").error
+
+
+def test_footage_of_another_size_is_an_error(examined, tmp_path):
+    session = tmp_path / "session"
+    session.mkdir()
+    for camera in GOOD.cameras:
+        size = (320, 240) if camera.name == "cam02" else (640, 480)
+        writer = cv2.VideoWriter(str(session / f"{camera.name}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10.0, size)
+        for _ in range(3 if camera.name != "cam04" else 2):
+            writer.write(np.full((size[1], size[0], 3), 90, np.uint8))
+        writer.release()
+        cv2.imwrite(str(session / f"{camera.name}_background.png"), np.zeros((480, 640), np.uint8))
+    (session / "cam05.mp4").unlink()
+    status, found = examined(GOOD, "--session", session)
+    assert status == 2
+    assert any("is 320 x 240 pixels" in what for _, _, what in found["camera cam02"])
+    assert any("there is no" in what and "cam05.mp4" in what for _, _, what in found["camera cam05"])
+    assert any("different numbers of frames" in what for _, _, what in found[f"session {session}"])
+    assert "camera cam01" not in found
