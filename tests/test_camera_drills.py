@@ -117,10 +117,12 @@ def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(fresh
 
 def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_comes_back(pc):
     incomplete, reconnects = pc.until_number("incomplete", -1), pc.until_number("reconnects", -1)
+    pc.camera.faults.packet_loss = 0.3  # the last frame has holes, which nobody can fill any more
     sent = pc.camera.counters["frames_sent"]
-    while pc.camera.counters["frames_sent"] == sent:
+    while pc.camera.counters["frames_sent"] < sent + 2:
         pass
     pc.camera.power_off()
+    pc.camera.faults.packet_loss = 0.0
     pc.until_said(ERROR, "no camera")
     pc.camera.power_on()
     pc.until_number("reconnects", reconnects)
@@ -161,6 +163,7 @@ def test_cable_out_for_a_moment_is_survived(pc):
     measured("from cable back to the first mask", outage_of(pc, cut, reconnects))
 
 
+@pytest.mark.slow
 def test_stalled_camera_is_connected_anew(pc):
     stalls = pc.until_number("stalls", -1)
     pc.camera.faults.stall = True
@@ -222,6 +225,7 @@ def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
 
 
 @pytest.mark.parametrize("resend", [True, False], ids=["with_resend", "without_resend"])
+@pytest.mark.slow
 def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, resend):
     before = {key: int(value) for key, value in pc.ear.values(pc.node).items() if value.isdigit()}
     sent, sent_again = pc.camera.counters["frames_sent"], pc.camera.counters["packets_resent"]
@@ -253,6 +257,7 @@ def test_sigterm_releases_control_so_that_the_camera_can_be_opened_at_once(fresh
         assert source.shape
 
 
+@pytest.mark.slow
 def test_client_killed_by_force_gets_its_camera_back_after_the_heartbeat(fresh):
     pc = fresh("cam02")
     client = pc.start_client()
@@ -278,6 +283,7 @@ def test_client_ends_cleanly_while_its_camera_is_dead(fresh):
     measured("end of a client whose camera is dead", time.monotonic() - asked_s)
 
 
+@pytest.mark.slow
 def test_services_of_a_client_whose_camera_just_died_answer(pc):
     client = LifecycleClient(pc.ear.node)
     pc.camera.faults.unplugged = True  # every access to it blocks for seconds from now on

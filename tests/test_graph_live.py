@@ -58,12 +58,14 @@ def test_every_node_stays_within_its_memory(live):
         assert used.resident_mib <= limits.get(node, 150.0), f"{node} takes {used.resident_mib:.0f} MiB"
 
 
+@pytest.mark.slow
 def test_replaying_a_bag_twice_in_lockstep_gives_the_same_bytes(replayed):
     first, second = (bag_digest(bag) for bag in replayed)
     assert first == second
     assert first["/mocap/joint_states"].count > 0
 
 
+@pytest.mark.slow
 def test_a_lockstep_replay_repeats_the_live_run_where_nothing_was_dropped(live, replayed):
     assert first_difference(live.bag, replayed[0], "/mocap/joint_states") is None
     assert first_difference(live.bag, replayed[0], "/mocap/reference_points") is None

@@ -34,6 +34,7 @@ def up(built_in_session: Path, tmp_path: Path):
     process.communicate()
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
     with RosLink("listener") as link:
         answers = Answers(link.node)

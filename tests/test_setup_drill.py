@@ -36,6 +36,7 @@ def footage(tmp_path_factory) -> Path:
     return write_calibration_footage(tmp_path_factory.mktemp("setup") / "footage", ring(2, ceiling=True), plan)
 
 
+@pytest.mark.slow
 def test_filmed_cameras_are_calibrated_to_the_truth(footage, tmp_path):
     lenses, rig = str(tmp_path / "lenses"), str(tmp_path / "rig.yaml")
     filmed = {path.stem: str(path) for path in footage.iterdir()}

@@ -288,6 +288,7 @@ def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_roun
     assert state.pose.hinges[0] == pytest.approx(-poses[-1].hinges[0], abs=0.1)
 
 
+@pytest.mark.slow
 def test_covariance_stays_positive_definite_over_2000_sets_with_twists_nobody_sees(body):
     """Random motion, arms and legs straight half of the time, points coming and going."""
     rng = np.random.default_rng(9)

@@ -99,7 +99,7 @@ def test_point_sigma_grows_with_radius_missing_fill_and_change_of_girth():
     assert np.isfinite(point_sigma(area, 1.0, np.inf))
 
 
-@pytest.mark.parametrize("voxel", [0.02, 0.012])
+@pytest.mark.parametrize("voxel", [0.02, pytest.param(0.012, marks=pytest.mark.slow)])
 def test_centerline_of_carved_limbs_lies_on_their_axes_within_sigma(voxel):
     """An upright, a level and a slanted limb, far apart, seen by eight cameras: points on the axes, sigma honest."""
     limbs = [

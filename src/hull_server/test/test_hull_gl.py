@@ -94,6 +94,7 @@ def test_gl_cpu_and_sweep_give_the_same_bytes_on_random_rigs_poses_noise_and_cut
         backend.close()
 
 
+@pytest.mark.slow
 def test_gl_places_every_voxel_as_float64_does_where_single_precision_does_not():
     """Silhouettes of random pixels: a voxel on the wrong side of any pixel border shows."""
     volume = Volume(np.array([-0.6, -0.5, 0.4]), np.array([0.6, 0.5, 1.6]))
@@ -113,7 +114,7 @@ def test_gl_places_every_voxel_as_float64_does_where_single_precision_does_not()
     assert 0.02 < wanted.mean() < 0.2 and np.array_equal(found, wanted)
 
 
-@pytest.mark.parametrize("voxel, reach_m", [(0.01, 1.2), (0.05, 6.0)])
+@pytest.mark.parametrize("voxel, reach_m", [pytest.param(0.01, 1.2, marks=pytest.mark.slow), (0.05, 6.0)])
 def test_error_bound_of_single_precision_holds_for_every_voxel_and_is_no_idle_one(voxel, reach_m):
     """Rows, products and sums in float32, as a shader does them, against float64."""
     volume = Volume(np.array([-reach_m, -reach_m, 0.0]), np.array([reach_m, reach_m, 2.0]))

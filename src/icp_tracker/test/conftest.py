@@ -25,7 +25,7 @@ MOTION_HIGH = np.array([
 assert (MOTION_LOW > ANGLE_LOW).all() and (MOTION_HIGH < ANGLE_HIGH).all()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def body():
     """A man of 1.75 m."""
     return Body.from_stature(1.75)
@@ -84,7 +84,7 @@ def flesh(body, pose, spacing=0.03):
     return grid[solid]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def synthetic():
     """The helpers above as one object."""
     return types.SimpleNamespace(t_pose=t_pose, smooth_motion=smooth_motion, stick_cloud=stick_cloud, flesh=flesh)

@@ -32,7 +32,7 @@ def test_sizes_and_body_are_each_others_reverse():
     assert stature == pytest.approx(1.8, abs=0.002)
 
 
-@pytest.mark.parametrize("rig", [SIX, THREE])
+@pytest.mark.parametrize("rig", [SIX, pytest.param(THREE, marks=pytest.mark.slow)])
 def test_sizes_of_people_of_other_proportions_are_within_what_is_claimed(rig):
     rng = np.random.default_rng(7)
     errors, claims, blind = [], [], []

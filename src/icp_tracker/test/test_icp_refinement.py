@@ -81,6 +81,7 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
     assert sd(moved.refined.estimate.covariance) < 0.5 * sd(estimate.covariance)
 
 
+@pytest.mark.slow
 def test_covariance_is_honest_over_bodies_drawn_from_the_prior():
     settings = RefinementSettings(keyframes=6, turn=0.05, flesh_sd_m=0.006, independent_rays=100.0, explained=0.5)
     nees = []
@@ -132,6 +133,7 @@ def test_body_is_given_only_when_it_changed_enough_and_not_again_before_the_paus
     assert at[0] >= 20
 
 
+@pytest.mark.slow
 def test_refinement_is_done_and_costs_nothing_once_all_kept_poses_have_settled():
     rng = np.random.default_rng(8)
     estimate, truth = wrong_start(rng)

@@ -1,5 +1,6 @@
 """Silhouettes' rims in the solve: the match of rays and flesh, its derivatives, and what a fit makes of them."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -109,11 +110,16 @@ def disturbed(pose, rng, turn, shift):
     return pose.retract(step)
 
 
-@pytest.fixture
-def scene(body, synthetic):
+@pytest.fixture(scope="module")
+def posed(body, synthetic):
     rng = np.random.default_rng(5)
     pose = synthetic.smooth_motion(40, seed=3)[30]
     return body, pose, grazing_rays(body, pose, rng), rng
+
+
+@pytest.fixture
+def scene(posed):
+    return *posed[:3], copy.deepcopy(posed[3])
 
 
 def test_rays_touch_the_flesh_at_the_true_pose(scene):

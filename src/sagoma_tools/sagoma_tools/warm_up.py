@@ -5,6 +5,8 @@ Run by the set-up: without it the first start of each node would take a minute.
 
 from __future__ import annotations
 
+import multiprocessing
+import sys
 import tempfile
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.session import load_session
+from ekf_tracker.rehearsal import rehearse
 from rig_calibration.boards.board import Checkerboard
 from rig_calibration.boards.detection import find_board
 from rig_calibration.boards.drawing import draw_board
@@ -27,10 +30,19 @@ from .evaluation.in_process import Configuration, track_session
 FRAMES, FPS = 8, 10.0
 
 
-def main() -> None:
-    """Calibrate; render, segment, carve, fit, filter."""
-    calibrate(ring(1, False).cameras[0])
+def main() -> int:
+    """Calibrate and filter in one process, capture in another: they share no kernels until the first has finished."""
+    beside = multiprocessing.get_context("spawn").Process(target=calibrate_and_filter)
+    beside.start()
     capture()
+    beside.join()
+    return beside.exitcode or 0
+
+
+def calibrate_and_filter() -> None:
+    """What the capture does not need at once."""
+    calibrate(ring(1, False).cameras[0])
+    rehearse()
 
 
 def calibrate(camera: CameraModel) -> None:
@@ -59,4 +71,4 @@ def capture() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

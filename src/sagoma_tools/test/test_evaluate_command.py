@@ -52,6 +52,7 @@ def test_evaluate_prints_every_figure_and_compares_with_the_thesis_method(sessio
     assert figures["states"] == {"tracking": FRAMES}
 
 
+@pytest.mark.slow
 def test_the_ablation_ends_with_our_figures_and_begins_with_the_thesis(session, capsys, tmp_path):
     arguments = (session, "--start", "session", "--exact-masks", "--ablation", "--plots", tmp_path)
     assert main(["evaluate", *map(str, arguments), "--set", "hull_server.backend=cpu"]) == 0

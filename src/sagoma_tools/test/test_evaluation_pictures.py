@@ -46,6 +46,7 @@ def test_every_page_of_plots_is_written(judged, tmp_path):
         assert cv2.imread(str(path)).std() > 5.0  # there is something on it
 
 
+@pytest.mark.slow
 def test_without_a_truth_the_angles_alone_are_plotted(judged, tmp_path):
     session = replace(judged.session, truth=None)
     paths = draw_plots(tmp_path, judge(session, FRAMES, judged.track))

@@ -113,6 +113,7 @@ def test_second_graph_of_the_same_names_is_refused(supervise):
         second.configure()
 
 
+@pytest.mark.slow
 def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(supervise):
     run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), grace_s=5.0)
     run.configure()
@@ -125,6 +126,7 @@ def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(superv
     assert not shared_memory_files(its_memory)
 
 
+@pytest.mark.slow
 def test_lifecycle_client_names_the_silent_node_and_serves_the_others(supervise):
     run = supervise(tiny("hung", "never_answers"), tiny("good"), grace_s=1.0)
     assert set(run.lifecycle.states(["/hung", "/good"], timeout_s=30).values()) == {"unconfigured"}

@@ -44,7 +44,7 @@ def clearance(origin, rays, starts, ends, radii):
     return np.minimum(depth(0.5 * (low + high)), np.minimum(depth(low * 0), depth(low * 0 + 1)))
 
 
-@pytest.mark.parametrize("frame", [0, 9, 17, 27, 37])
+@pytest.mark.parametrize("frame", [0, pytest.param(9, marks=pytest.mark.slow), 17])
 def test_mask_equals_brute_force_rays_against_parts(frame):
     camera = CAMERAS[frame % 3].camera
     capsules = PERSON.place(MOTION.poses[frame])
@@ -70,6 +70,7 @@ def test_part_around_the_camera_does_not_break_the_picture():
     np.testing.assert_array_equal(light, camera.empty_room())
 
 
+@pytest.mark.slow
 def test_hit_distance_lies_on_the_surface_for_any_taper():
     rng = np.random.default_rng(1)
     hits = 0

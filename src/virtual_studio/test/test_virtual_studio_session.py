@@ -88,6 +88,7 @@ def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path)
     assert (session_folder / "truth.csv").read_bytes() == (again / "truth.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_another_seed_changes_noise_but_not_truth_or_masks(session_folder, tmp_path):
     other = write_session(tmp_path / "other", seed=5, **SETTINGS)
     first, second = load_session(session_folder), load_session(other)

@@ -82,8 +82,12 @@ def _of_tape(check: TapeCheck) -> Iterator[Finding]:
 
 def _of_layout(evidence: Evidence) -> Iterator[Finding]:
     figures = evidence.figures
-    if len(figures.cameras) < FEWEST_CAMERAS:
-        yield Finding(USABLE, f"{len(figures.cameras)} camera(s): the hull will be much fatter than the body",
+    if len(figures.cameras) == 1:
+        yield Finding(
+            REDO, "one camera alone makes no hull", "Give the pictures of all cameras (--cameras names them)."
+        )
+    elif len(figures.cameras) < FEWEST_CAMERAS:
+        yield Finding(USABLE, f"{len(figures.cameras)} cameras: the hull will be much fatter than the body",
                       "Use three or more, around the person.")  # fmt: skip
     if not evidence.usable_volume:
         yield Finding(USABLE, "nowhere do enough cameras see a standing person from feet to head",

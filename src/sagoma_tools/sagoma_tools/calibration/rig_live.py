@@ -25,7 +25,7 @@ from .rig_sources import Corners, RigSources
 
 TOPIC = "image_raw"
 IMAGE_TYPE = "sensor_msgs/msg/Image"
-FIND_TIMEOUT_S, SETTLE_S, POLL_S = 10.0, 1.0, 0.1
+FIND_TIMEOUT_S, SETTLE_S, POLL_S = 15.0, 3.0, 0.1
 FLOOR_SHOTS, SHOTS_TIMEOUT_S = 5, 15.0
 
 Ask = Callable[[str], None]

@@ -34,7 +34,7 @@ from .rig_sightings import MOST_BLUR_PX, Seen
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not of one moment: a board carried at 0.5 m/s moves 5 mm meanwhile."""
-DEADLINE_NS = 300_000_000
+DEADLINE_NS = 2_000_000_000
 REFRESH_S, PLAIN_EVERY_S, SILENCE_S = 0.25, 3.0, 15.0
 
 
