@@ -95,11 +95,14 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
         errors.append(estimate.sizes - truth)
         claims.append(errors[-1] / estimate.sd)
     return {
-        "people": number, "found": len(errors), "refused": refused, "back_to_front": backward,
+        "people": number,
+        "found": len(errors),
+        "refused": refused,
+        "back_to_front": backward,
         "mean_mm": np.round(1e3 * np.mean(errors, axis=0), 1).tolist(),
         "rms_mm": np.round(1e3 * np.sqrt(np.mean(np.square(errors), axis=0)), 1).tolist(),
         "rms_over_sd": np.round(np.sqrt(np.mean(np.square(claims), axis=0)), 2).tolist(),
-    }  # fmt: skip
+    }
 
 
 def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
@@ -122,9 +125,13 @@ def t_pose(body: Body, rng: np.random.Generator) -> Pose:
     u, angles = rng.uniform, T_POSE_ANGLES.copy()
     raised, spread = u(-0.26, 0.26), u(0.0, 0.15)
     values = {
-        "left_shoulder_x": raised, "right_shoulder_x": np.pi - raised + u(-0.05, 0.05), "left_elbow": -u(0.0, 0.3),
-        "right_elbow": -u(0.0, 0.3), "left_hip_x": spread, "right_hip_x": -spread,
-    }  # fmt: skip
+        "left_shoulder_x": raised,
+        "right_shoulder_x": np.pi - raised + u(-0.05, 0.05),
+        "left_elbow": -u(0.0, 0.3),
+        "right_elbow": -u(0.0, 0.3),
+        "left_hip_x": spread,
+        "right_hip_x": -spread,
+    }
     for name, value in values.items():
         angles[ANGLE_NAMES.index(name)] = value
     heading = u(-np.pi, np.pi)

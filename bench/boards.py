@@ -35,8 +35,16 @@ def accuracy(blurs: tuple[float, ...]) -> list[dict]:
             sighting = find_board(image, board, thorough=True)
             ours = sighting.pixels - truth[sighting.ids] if sighting else np.full((1, 2), np.nan)
             bias = float(np.abs(ours.mean(0)).max())
-            rows.append({"tilt_deg": tilt, "blur_px": blur, "rms_px": _rms(ours), "bias_px": bias,
-                         "sigma_px": sighting.sigma_px if sighting else np.nan, **_opencv(image, truth)})  # fmt: skip
+            rows.append(
+                {
+                    "tilt_deg": tilt,
+                    "blur_px": blur,
+                    "rms_px": _rms(ours),
+                    "bias_px": bias,
+                    "sigma_px": sighting.sigma_px if sighting else np.nan,
+                    **_opencv(image, truth),
+                }
+            )
     return rows
 
 
@@ -44,8 +52,10 @@ def _opencv(image: np.ndarray, truth: np.ndarray) -> dict:
     """RMS of findChessboardCornersSB and of findChessboardCorners with cornerSubPix; NaN where they find nothing."""
     found = {}
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
-    for name, (ok, corners) in {"sb_px": cv2.findChessboardCornersSB(image, (9, 6), flags=flags),
-                                "classic_px": cv2.findChessboardCorners(image, (9, 6))}.items():  # fmt: skip
+    for name, (ok, corners) in {
+        "sb_px": cv2.findChessboardCornersSB(image, (9, 6), flags=flags),
+        "classic_px": cv2.findChessboardCorners(image, (9, 6)),
+    }.items():
         if ok and name == "classic_px":
             stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
             corners = cv2.cornerSubPix(image, corners.reshape(-1, 1, 2), (4, 4), (-1, -1), stop)
@@ -67,8 +77,9 @@ def grazing(angles: tuple[int, ...], widths: tuple[int, ...]) -> list[dict]:
                     found += 1
                     errors.append(_rms(sighting.pixels - true_corners(LENS, board, T)[sighting.ids]))
             size = f"{width} x {width * np.cos(np.deg2rad(tilt)):.1f}"
-            rows.append({"tilt_deg": tilt, "field_px": size, "found": found,
-                         "rms_px": max(errors, default=float("nan"))})  # fmt: skip
+            rows.append(
+                {"tilt_deg": tilt, "field_px": size, "found": found, "rms_px": max(errors, default=float("nan"))}
+            )
     return rows
 
 
@@ -79,9 +90,14 @@ def speed() -> list[dict]:
         eye = camera(width, height, focal=0.94 * width)
         image = render(eye, board, looking_at_board(board, 0.6, 30, 5), oversample=3)
         other = read_board("checkerboard 11x8 25mm")
-        rows.append({"image": f"{width} x {height}", "found_ms": _cpu_ms(image, board),
-                     "not_found_ms": _cpu_ms(image, other),
-                     "thorough_not_found_ms": _cpu_ms(image, other, thorough=True)})  # fmt: skip
+        rows.append(
+            {
+                "image": f"{width} x {height}",
+                "found_ms": _cpu_ms(image, board),
+                "not_found_ms": _cpu_ms(image, other),
+                "thorough_not_found_ms": _cpu_ms(image, other, thorough=True),
+            }
+        )
     return rows
 
 

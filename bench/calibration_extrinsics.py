@@ -33,14 +33,7 @@ from capture_rig.rig import Rig, load_rig
 from rig_calibration.boards.board import Board, Checkerboard
 from rig_calibration.boards.sighting import Sighting
 from rig_calibration.bundle.rigid import inverse
-from rig_calibration.extrinsics.calibrate import (
-    FLOOR,
-    MOVING,
-    FloorTarget,
-    RigCalibration,
-    Target,
-    calibrate_rig,
-)
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
 from rig_calibration.extrinsics.still_board import average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 from virtual_studio.rig import ring
@@ -113,12 +106,17 @@ def row(
     covariances = [found.solution.covariance[camera.name] for camera in found.placed.rig.cameras]
     in_sd = [np.sqrt(e @ np.linalg.solve(P, e) / 6) for e, P in zip(errors, covariances, strict=True)]
     return ExtrinsicRow(
-        rig=name, boards=boards, cameras=len(errors), rms_px=round(found.figures.rms_px / np.sqrt(2), 4),
-        noise_px=noise_px or float("nan"), worst_mm=round(1e3 * np.linalg.norm(errors[:, 3:], axis=1).max(), 3),
+        rig=name,
+        boards=boards,
+        cameras=len(errors),
+        rms_px=round(found.figures.rms_px / np.sqrt(2), 4),
+        noise_px=noise_px or float("nan"),
+        worst_mm=round(1e3 * np.linalg.norm(errors[:, 3:], axis=1).max(), 3),
         worst_deg=round(float(np.rad2deg(np.linalg.norm(errors[:, :3], axis=1).max())), 4),
-        worst_in_sd=round(float(max(in_sd)), 2), mean_in_sd=round(float(np.sqrt(np.mean(np.square(in_sd)))), 2),
+        worst_in_sd=round(float(max(in_sd)), 2),
+        mean_in_sd=round(float(np.sqrt(np.mean(np.square(in_sd)))), 2),
         verdict=found.verdict.grade,
-    )  # fmt: skip
+    )
 
 
 def floor_of(rig: Rig) -> np.ndarray:
@@ -174,13 +172,33 @@ def project(
 def print_rows(console: Console, rows: list[ExtrinsicRow]) -> None:
     """As a table."""
     table = Table(title="extrinsics: the worst camera of each rig", title_justify="left")
-    for heading in ("rig", "boards", "cameras", "noise px", "residual px", "place mm", "turn deg", "worst in sd",
-                    "mean in sd", "verdict"):  # fmt: skip
+    for heading in (
+        "rig",
+        "boards",
+        "cameras",
+        "noise px",
+        "residual px",
+        "place mm",
+        "turn deg",
+        "worst in sd",
+        "mean in sd",
+        "verdict",
+    ):
         table.add_column(heading, justify="left" if heading in ("rig", "boards") else "right")
     for r in rows:
         noise = "filmed" if np.isnan(r.noise_px) else f"{r.noise_px:.2f}"
-        table.add_row(r.rig, r.boards, str(r.cameras), noise, f"{r.rms_px:.3f}", f"{r.worst_mm:.2f}",
-                      f"{r.worst_deg:.3f}", f"{r.worst_in_sd:.2f}", f"{r.mean_in_sd:.2f}", r.verdict)  # fmt: skip
+        table.add_row(
+            r.rig,
+            r.boards,
+            str(r.cameras),
+            noise,
+            f"{r.rms_px:.3f}",
+            f"{r.worst_mm:.2f}",
+            f"{r.worst_deg:.3f}",
+            f"{r.worst_in_sd:.2f}",
+            f"{r.mean_in_sd:.2f}",
+            r.verdict,
+        )
     console.print(table)
 
 

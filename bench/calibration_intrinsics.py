@@ -114,29 +114,59 @@ def row_of(source: str, camera: CameraModel, noise_px: float, result: Intrinsics
     error = np.array(list(result.values.values())) - truth
     in_sds = error / np.array(list(result.sd.values()))
     return Row(
-        source, camera.name, noise_px, len(result.views), result.rms_px,
-        float(np.abs(error[:2] / truth[:2]).max()), float(np.hypot(*error[2:4])), float(np.abs(in_sds).max()),
-        tuple(in_sds**2), max(result.sd["fx"], result.sd["fy"]) / truth[0], result.verdict.grade, seconds,
-    )  # fmt: skip
+        source,
+        camera.name,
+        noise_px,
+        len(result.views),
+        result.rms_px,
+        float(np.abs(error[:2] / truth[:2]).max()),
+        float(np.hypot(*error[2:4])),
+        float(np.abs(in_sds).max()),
+        tuple(in_sds**2),
+        max(result.sd["fx"], result.sd["fy"]) / truth[0],
+        result.verdict.grade,
+        seconds,
+    )
 
 
 def table_of(rows: list[Row]) -> Table:
     """Worst of each camera's repetitions."""
-    table = Table("from", "lens", "noise px", "runs", "views", "rms px", "focal %", "sd %", "centre px",
-                  "largest error sd", "errors' rms sd", "verdicts", "s",
-                  title="intrinsics: the worst of each lens's runs")  # fmt: skip
+    table = Table(
+        "from",
+        "lens",
+        "noise px",
+        "runs",
+        "views",
+        "rms px",
+        "focal %",
+        "sd %",
+        "centre px",
+        "largest error sd",
+        "errors' rms sd",
+        "verdicts",
+        "s",
+        title="intrinsics: the worst of each lens's runs",
+    )
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         noise = "" if np.isnan(row.noise_px) else f"{row.noise_px:g}"
         groups.setdefault((row.source, row.camera, noise), []).append(row)
     for (source, camera, noise), some in groups.items():
         table.add_row(
-            source, camera, noise, str(len(some)), str(some[0].views), f"{max(row.rms_px for row in some):.3f}",
-            f"{100 * max(row.focal_error for row in some):.3f}", f"{100 * max(row.sd_focal for row in some):.3f}",
-            f"{max(row.centre_error_px for row in some):.2f}", f"{max(row.largest_sds for row in some):.1f}",
-            f"{rms_sds(some):.2f}", ", ".join(sorted({row.verdict for row in some})),
+            source,
+            camera,
+            noise,
+            str(len(some)),
+            str(some[0].views),
+            f"{max(row.rms_px for row in some):.3f}",
+            f"{100 * max(row.focal_error for row in some):.3f}",
+            f"{100 * max(row.sd_focal for row in some):.3f}",
+            f"{max(row.centre_error_px for row in some):.2f}",
+            f"{max(row.largest_sds for row in some):.1f}",
+            f"{rms_sds(some):.2f}",
+            ", ".join(sorted({row.verdict for row in some})),
             f"{np.mean([row.seconds for row in some]):.1f}",
-        )  # fmt: skip
+        )
     return table
 
 

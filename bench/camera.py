@@ -201,18 +201,54 @@ def _ms(value: float) -> float:
 
 def print_runs(console: Console, runs: list[Run]) -> None:
     """One row a run."""
-    titles = ("cameras", "Hz", "packet loss", "s", "expected", "delivered", "incomplete", "lost", "resent packets",
-              "latency p50 ms", "p99 ms", "published p50 ms", "core/client", "core studio", "late p99 ms")  # fmt: skip
-    table = Table(title="simulated GigE cameras -> Aravis -> camera clients -> subscriber", title_justify="left",
-                  box=None, pad_edge=False)  # fmt: skip
+    titles = (
+        "cameras",
+        "Hz",
+        "packet loss",
+        "s",
+        "expected",
+        "delivered",
+        "incomplete",
+        "lost",
+        "resent packets",
+        "latency p50 ms",
+        "p99 ms",
+        "published p50 ms",
+        "core/client",
+        "core studio",
+        "late p99 ms",
+    )
+    table = Table(
+        title="simulated GigE cameras -> Aravis -> camera clients -> subscriber",
+        title_justify="left",
+        box=None,
+        pad_edge=False,
+    )
     for title in titles:
         table.add_column(title, justify="right")
     for r in runs:
-        table.add_row(*map(str, (
-            r.cameras, f"{r.fps:g}", f"{100 * r.packet_loss:g} %", f"{r.seconds:.0f}", r.expected, r.delivered,
-            r.incomplete, r.lost, r.resent_packets, r.latency_p50_ms, r.latency_p99_ms, r.published_p50_ms,
-            r.cpu_per_client, r.cpu_studio, r.studio_late_p99_ms,
-        )))  # fmt: skip
+        table.add_row(
+            *map(
+                str,
+                (
+                    r.cameras,
+                    f"{r.fps:g}",
+                    f"{100 * r.packet_loss:g} %",
+                    f"{r.seconds:.0f}",
+                    r.expected,
+                    r.delivered,
+                    r.incomplete,
+                    r.lost,
+                    r.resent_packets,
+                    r.latency_p50_ms,
+                    r.latency_p99_ms,
+                    r.published_p50_ms,
+                    r.cpu_per_client,
+                    r.cpu_studio,
+                    r.studio_late_p99_ms,
+                ),
+            )
+        )
     console.print(table)
 
 
@@ -248,8 +284,10 @@ def main() -> int:
         console.print(
             f"this machine keeps up at {max(kept):g} Hz{stopped}" if kept else "this machine does not keep up"
         )
-    console.print(f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
-                  f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}")  # fmt: skip
+    console.print(
+        f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
+        f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}"
+    )
     print(json.dumps({**asdict(runs[0]), "runs": [asdict(run) for run in runs]}))
     return 0
 

@@ -156,12 +156,16 @@ def centerline(volume: BrickVolume, filters: BlobSettings) -> Centerline:
 
 
 def print_scenes(scenes: dict[str, Score]) -> None:
-    print(f"{'mean / outliers / coverage':<26} {'':>17} {'centred':>17} {'ratio':>5} {'points':>6}"
-          f"   by limb, mean / coverage: {', '.join(LIMBS)}")  # fmt: skip
+    print(
+        f"{'mean / outliers / coverage':<26} {'':>17} {'centred':>17} {'ratio':>5} {'points':>6}"
+        f"   by limb, mean / coverage: {', '.join(LIMBS)}"
+    )
     for name, s in scenes.items():
         found, centred = (" / ".join(f"{x:4.1f}" for x in figures) for figures in (s.figures, s.centred_figures))
-        print(f"{name:<26} {found:>17} {centred:>17} {s.ratio:>5.2f} {len(s.distance) / s.frames:>6.0f}"
-              f"   {'  '.join(s.by_limb())}")  # fmt: skip
+        print(
+            f"{name:<26} {found:>17} {centred:>17} {s.ratio:>5.2f} {len(s.distance) / s.frames:>6.0f}"
+            f"   {'  '.join(s.by_limb())}"
+        )
 
 
 def print_rules(groups: Scenes) -> None:
@@ -174,10 +178,12 @@ def print_rules(groups: Scenes) -> None:
 
 def print_voxel_sizes(sizes_mm: tuple[int, ...]) -> None:
     print("\nbuilt-in body, 6 cameras, by voxel size")
-    print_scenes({
-        f"{mm} mm": score([f for kind in built_in(6, mm / 1e3, 3).values() for f in kind], BlobSettings())
-        for mm in sizes_mm
-    })  # fmt: skip
+    print_scenes(
+        {
+            f"{mm} mm": score([f for kind in built_in(6, mm / 1e3, 3).values() for f in kind], BlobSettings())
+            for mm in sizes_mm
+        }
+    )
 
 
 # --- the picture -----------------------------------------------------------------------------------------------------
@@ -201,8 +207,14 @@ def draw(path: str) -> None:
         far = frame.axes.nearest(line.points_world)[0] > 0.03
         for axis, colour in enumerate(("tab:red", "tab:green", "tab:blue")):
             mine = line.axis == axis
-            panel.scatter(line.points_world[mine] @ side, line.points_world[mine, 2], s=9, color=colour, zorder=2,
-                          label=f"slices across {'xyz'[axis]}")  # fmt: skip
+            panel.scatter(
+                line.points_world[mine] @ side,
+                line.points_world[mine, 2],
+                s=9,
+                color=colour,
+                zorder=2,
+                label=f"slices across {'xyz'[axis]}",
+            )
         panel.set_title(f"{title}\n{len(line)} points, {far.sum()} farther than 30 mm", fontsize=9)
         panel.set_aspect("equal")
         panel.set_xlabel("to the left, m")

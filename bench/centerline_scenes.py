@@ -149,10 +149,12 @@ def poses(number: int) -> dict[str, list[Pose]]:
     for kind, (begin, end) in TOUR_S.items():
         kinds[kind] = [motion.poses[round(20.0 * t)] for t in np.linspace(begin, end, number)]
     return {
-        kind: [_placed(pose, 2 * np.pi * n / number + 0.2, 0.2 * np.cos(n), 0.2 * np.sin(1.7 * n))
-               for n, pose in enumerate(chosen)]
+        kind: [
+            _placed(pose, 2 * np.pi * n / number + 0.2, 0.2 * np.cos(n), 0.2 * np.sin(1.7 * n))
+            for n, pose in enumerate(chosen)
+        ]
         for kind, chosen in kinds.items()
-    }  # fmt: skip
+    }
 
 
 def _placed(pose: Pose, yaw: float, x: float, y: float) -> Pose:

@@ -100,9 +100,17 @@ class Scorer:
             "candidates person": lambda f: {n: np.where(m > 0, np.uint8(255), m) for n, m in f.untrimmed.items()},
             "outline trimmed": lambda f: {n: person(m) for n, m in f.levels.items()},
             DEFAULT: lambda f: self.resolve(f.levels),
-            "exact shadows": lambda f: {n: cv2.bitwise_and(np.where(m > 0, np.uint8(255), m), cv2.dilate(
-                f.exact[n], np.ones((3, 3), np.uint8))) for n, m in f.levels.items()} if f.exact else {},
-        }  # fmt: skip
+            "exact shadows": lambda f: (
+                {
+                    n: cv2.bitwise_and(
+                        np.where(m > 0, np.uint8(255), m), cv2.dilate(f.exact[n], np.ones((3, 3), np.uint8))
+                    )
+                    for n, m in f.levels.items()
+                }
+                if f.exact
+                else {}
+            ),
+        }
 
 
 def frames(session: Session, every: int) -> Iterator[Frame]:
@@ -140,8 +148,9 @@ def mask_scores(found: Masks, exact: Masks) -> np.ndarray:
     for name, mask in found.items():
         both = np.count_nonzero(cv2.bitwise_and(mask, exact[name]))
         either = np.count_nonzero(cv2.bitwise_or(mask, exact[name]))
-        rows.append([both / max(either, 1), both / max(np.count_nonzero(mask), 1),
-                     both / max(np.count_nonzero(exact[name]), 1)])  # fmt: skip
+        rows.append(
+            [both / max(either, 1), both / max(np.count_nonzero(mask), 1), both / max(np.count_nonzero(exact[name]), 1)]
+        )
     return np.mean(rows, axis=0)
 
 
@@ -163,11 +172,16 @@ def score(name: str, session: Session, every: int) -> tuple[dict[str, dict[str, 
         iou, precision, recall = np.mean(masks[row], axis=0)
         both, miss, extra, feet, feet_miss, feet_extra = np.sum(counts[row], axis=0)
         figures[row] = {
-            "mask_iou": iou, "precision": precision, "recall": recall, "hull_iou": both / (both + miss + extra),
-            "hull_miss": miss / (both + miss), "hull_extra": extra / (both + miss),
-            "feet_iou": feet / (feet + feet_miss + feet_extra), "feet_miss": feet_miss / (feet + feet_miss),
+            "mask_iou": iou,
+            "precision": precision,
+            "recall": recall,
+            "hull_iou": both / (both + miss + extra),
+            "hull_miss": miss / (both + miss),
+            "hull_extra": extra / (both + miss),
+            "feet_iou": feet / (feet + feet_miss + feet_extra),
+            "feet_miss": feet_miss / (feet + feet_miss),
             "feet_extra": feet_extra / (feet + feet_miss),
-        }  # fmt: skip
+        }
         print(f"{name:<20} {row:<22}" + "".join(f"{value:>10.3f}" for value in figures[row].values()), flush=True)
     return figures, scorer, sizes
 

@@ -95,9 +95,12 @@ def _undisturbed(chain: Chain, clip: Clip, clouds: list[HullClouds], frame: int,
 
 def is_sure(step: ChainStep) -> bool:
     """Whether tracker and filter both say that they track."""
-    return step.fit.state == TRACKING and not step.fit.reason and step.state is not None and (
-        step.state.tracking == Tracking.TRACKING
-    )  # fmt: skip
+    return (
+        step.fit.state == TRACKING
+        and not step.fit.reason
+        and step.state is not None
+        and (step.state.tracking == Tracking.TRACKING)
+    )
 
 
 def is_good(errors_m: np.ndarray) -> np.ndarray:

@@ -84,8 +84,9 @@ def judged(clip: Clip, outcome: Outcome) -> tuple[Figures, int]:
 def filmed_clip(case: str, cameras: int, body: Body, build: float) -> Clip:
     """The case as footage, segmented by the camera client."""
     with tempfile.TemporaryDirectory() as folder:
-        session = write_session(Path(folder) / case, ring(cameras - 1), body, case,
-                                seconds=HARD_CASES[case].once_s, build=build)  # fmt: skip
+        session = write_session(
+            Path(folder) / case, ring(cameras - 1), body, case, seconds=HARD_CASES[case].once_s, build=build
+        )
         return session_clip(session, exact=False)
 
 
@@ -107,8 +108,10 @@ def row_of(case: str, cameras: int, figures: Figures) -> str:
         return f"| {case} | {cameras} | not found | | | | |"
     lost = ", ".join(f"{t:.1f}" for t in figures.lost_s) or "-"
     found = ", ".join(f"{t:.1f}" for t in figures.recovered_s) or "-"
-    return (f"| {case} | {cameras} | {figures.mean_mm:.0f} | {100 * figures.over_200mm:.0f} % | {figures.worst_mm:.0f} "
-            f"({figures.worst_point.replace('_', ' ')}, {figures.worst_s:.1f} s) | {lost} | {found} |")  # fmt: skip
+    return (
+        f"| {case} | {cameras} | {figures.mean_mm:.0f} | {100 * figures.over_200mm:.0f} % | {figures.worst_mm:.0f} "
+        f"({figures.worst_point.replace('_', ' ')}, {figures.worst_s:.1f} s) | {lost} | {found} |"
+    )
 
 
 def run(case: str, cameras: int, arguments: argparse.Namespace, settings: dict[str, Any]) -> Figures:

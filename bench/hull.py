@@ -191,8 +191,13 @@ def plot(found: dict, path: Path) -> None:
         cells = sorted((mm, row[name]) for (cameras, mm), row in found.items() if cameras == 5 and name in row)
         axes.loglog(*zip(*cells, strict=True), "o-" if name in OURS else "s--", label=name)
     ticks = sorted({mm for _, mm in found})
-    axes.set(xticks=ticks, xticklabels=[str(t) for t in ticks], xlabel="voxel, mm", ylabel="one frame set, ms",
-             title="silhouettes of 5 cameras to points (ours) or voxels (the others)")  # fmt: skip
+    axes.set(
+        xticks=ticks,
+        xticklabels=[str(t) for t in ticks],
+        xlabel="voxel, mm",
+        ylabel="one frame set, ms",
+        title="silhouettes of 5 cameras to points (ours) or voxels (the others)",
+    )
     axes.axhline(10, color="grey", lw=0.8)
     axes.text(ticks[0], 10.5, "100 frame sets a second", ha="right", color="grey", fontsize=8)
     axes.minorticks_off()

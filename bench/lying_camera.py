@@ -131,8 +131,10 @@ def honest(clip: Clip, watch: DissentWatch) -> tuple[int, list[float], list[floa
 def play(clip: Clip, views: RigViews, carver: CarveBackend, quick: bool) -> dict[str, list[Drill]]:
     """Every lie of every camera."""
     rng, drills = np.random.default_rng(7), {}
-    print(f"{'':18s} {'found':>10s} {'named':>6s} {'after s':>12s} {'wrong':>6s} {'missing l':>13s} {'extra l':>8s} "
-          f"{'back s':>7s}")  # fmt: skip
+    print(
+        f"{'':18s} {'found':>10s} {'named':>6s} {'after s':>12s} {'wrong':>6s} {'missing l':>13s} {'extra l':>8s} "
+        f"{'back s':>7s}"
+    )
     for kind in lies(np.eye(3)):
         drills[kind] = []
         for camera in clip.rig.names[:: 3 if quick else 1]:
@@ -151,9 +153,11 @@ def row(runs: list[Drill]) -> str:
     wrong = sum(bool(run.wrong) for run in runs)
     litres = np.mean([(run.missing, run.missing_left_out, run.extra) for run in runs], axis=0)
     median_s, worst_s = (seconds(named, pick) for pick in (np.median, max))
-    return (f"{sum(run.found is not None for run in runs):4d} of {len(runs):2d} {len(named):6d} {median_s:6.2f} "
-            f"{worst_s:5.2f} {wrong:6d} {litres[0]:6.1f} {litres[1]:6.1f} {litres[2]:8.1f} "
-            f"{seconds(back, max):7.2f}")  # fmt: skip
+    return (
+        f"{sum(run.found is not None for run in runs):4d} of {len(runs):2d} {len(named):6d} {median_s:6.2f} "
+        f"{worst_s:5.2f} {wrong:6d} {litres[0]:6.1f} {litres[1]:6.1f} {litres[2]:8.1f} "
+        f"{seconds(back, max):7.2f}"
+    )
 
 
 def seconds(frames: list[int], pick: Callable[[list[int]], float]) -> float:
@@ -185,8 +189,10 @@ def main() -> None:
         carver = make_backend("cpu", views, VoxelGrid.covering(clip.rig.volume, VOXEL_M)).backend
         honest(Clip(clip.name, clip.rig, clip.packed[:30]), DissentWatch(clip.rig, views, DissentSettings()))  # compile
         false, heard, spent = honest(clip, DissentWatch(clip.rig, views, DissentSettings()))
-        print(f"\n{clip.name}: {len(spent)} honest frame sets of {cameras} cameras, {false} false alarms; "
-              f"{np.median(heard):.2f} ms a hearing, {np.mean(spent):.2f} ms a frame set")  # fmt: skip
+        print(
+            f"\n{clip.name}: {len(spent)} honest frame sets of {cameras} cameras, {false} false alarms; "
+            f"{np.median(heard):.2f} ms a hearing, {np.mean(spent):.2f} ms a frame set"
+        )
         alarms, heard_ms, all_ms = alarms + false, heard_ms + heard, all_ms + spent
         drills = play(clip, views, carver, quick)
         wrong += sum(bool(run.wrong) for runs in drills.values() for run in runs)

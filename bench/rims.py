@@ -113,8 +113,13 @@ def score(name: str, session: Session, every: int) -> dict[str, float]:
 
 def _figures(distance_px: np.ndarray, sigma_px: np.ndarray, sets: int) -> dict[str, float]:
     away = np.abs(distance_px)
-    values = (len(away) / sets, np.median(distance_px), 1.48 * np.median(away), 100 * np.mean(away > FAR_PX),
-              100 * np.mean(away < 2 * sigma_px))  # fmt: skip
+    values = (
+        len(away) / sets,
+        np.median(distance_px),
+        1.48 * np.median(away),
+        100 * np.mean(away > FAR_PX),
+        100 * np.mean(away < 2 * sigma_px),
+    )
     return dict(zip(KEYS, (float(value) for value in values), strict=True))
 
 

@@ -43,8 +43,20 @@ def calibrate(folder: Path) -> None:
     """Footage to session/rig.yaml, by the commands that a user gives. Raises InputError where one fails."""
     lenses, rig = folder / LENSES, folder / "session" / RIG_FILE
     _run("calibrate", "intrinsics", folder / "intrinsics", "--board", folder / "board.yaml", "--output", lenses)
-    _run("calibrate", "extrinsics", "--intrinsics", lenses, "--board", folder / "floor_board.yaml",
-         "--floor", folder / "floor", "--moving", folder / "moving", "--output", rig)  # fmt: skip
+    _run(
+        "calibrate",
+        "extrinsics",
+        "--intrinsics",
+        lenses,
+        "--board",
+        folder / "floor_board.yaml",
+        "--floor",
+        folder / "floor",
+        "--moving",
+        folder / "moving",
+        "--output",
+        rig,
+    )
 
 
 def body_scores(folder: Path) -> tuple[Scores, Scores]:
@@ -81,8 +93,14 @@ def report(cameras: list[CameraErrors], own: Scores, exact: Scores) -> dict[str,
         print(f"| {name} | {s.mean_mm:.1f} | {s.p95_mm:.1f} | {100 * s.over_200mm:.1f} | {s.tracked} of {s.frames} |")
     keys = ("focal_percent", "principal_px", "centre_mm", "rotation_deg")
     worst = {f"worst_{key}": round(max(getattr(c, key) for c in cameras), 4) for key in keys}
-    return {"cameras": len(cameras), **worst, "mean_mm": round(own.mean_mm, 2), "tracked": own.tracked,
-            "mean_mm_true_calibration": round(exact.mean_mm, 2), "frames": own.frames}  # fmt: skip
+    return {
+        "cameras": len(cameras),
+        **worst,
+        "mean_mm": round(own.mean_mm, 2),
+        "tracked": own.tracked,
+        "mean_mm_true_calibration": round(exact.mean_mm, 2),
+        "frames": own.frames,
+    }
 
 
 def main() -> None:

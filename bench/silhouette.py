@@ -103,8 +103,9 @@ def read_clip(session: Session, camera: CameraModel, every: int) -> Clip:
     empty = [image for image, _ in zip(_images(path), range(TRAINING_FRAMES), strict=False)]
     background = read_background(path, shape, BackgroundSettings())
     frames, truth = [], []
-    for k, (image, mask) in enumerate(zip(_images(session.videos[camera.name]), _images(session.masks[camera.name]),
-                                          strict=False)):  # fmt: skip
+    for k, (image, mask) in enumerate(
+        zip(_images(session.videos[camera.name]), _images(session.masks[camera.name]), strict=False)
+    ):
         if k % every == every // 2:
             frames.append(image)
             truth.append(np.where(mask > 127, np.uint8(255), np.uint8(0)))
@@ -235,22 +236,34 @@ def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
         now_ns[0] += 16_666_667
         following.run(image, now_ns[0])
 
-    mog2, knn = (trained(opencv(False, make), clip.empty)
-                 for make in (cv2.createBackgroundSubtractorMOG2, cv2.createBackgroundSubtractorKNN))  # fmt: skip
-    ms = interleaved_ms({
-        "whole chain": pipeline.run, "whole chain, following the light": follow, "subtraction alone": limits.subtract,
-        "MOG2 (subtraction alone)": lambda image: mog2.apply(image, None, 0),
-        "KNN (subtraction alone)": lambda image: knn.apply(image, None, 0),
-        "frame checks": lambda image: checks.look(image, now_ns[0]),
-    }, clip.frames, rounds)  # fmt: skip
+    mog2, knn = (
+        trained(opencv(False, make), clip.empty)
+        for make in (cv2.createBackgroundSubtractorMOG2, cv2.createBackgroundSubtractorKNN)
+    )
+    ms = interleaved_ms(
+        {
+            "whole chain": pipeline.run,
+            "whole chain, following the light": follow,
+            "subtraction alone": limits.subtract,
+            "MOG2 (subtraction alone)": lambda image: mog2.apply(image, None, 0),
+            "KNN (subtraction alone)": lambda image: knn.apply(image, None, 0),
+            "frame checks": lambda image: checks.look(image, now_ns[0]),
+        },
+        clip.frames,
+        rounds,
+    )
     height, width = clip.frames[0].shape[:2]
     print(f"\n{kind}, {width} x {height}, one thread, median ms a frame")
     for name, value in (ms | {f"  of it: {n}": v for n, v in stages_ms(pipeline, clip.frames, rounds).items()}).items():
         print(f"  {name:<42} {value:>8.3f}")
     ours, alone = ms["whole chain"], ms["subtraction alone"]
     others = ms["MOG2 (subtraction alone)"], ms["KNN (subtraction alone)"]
-    figures = {"ms": ours, "mog2_ratio": others[0] / ours, "knn_ratio": others[1] / ours,
-               "subtract_mog2_ratio": others[0] / alone}  # fmt: skip
+    figures = {
+        "ms": ours,
+        "mog2_ratio": others[0] / ours,
+        "knn_ratio": others[1] / ours,
+        "subtract_mog2_ratio": others[0] / alone,
+    }
     return {f"{kind}_{name}": round(value, 3) for name, value in figures.items()}
 
 
@@ -314,8 +327,14 @@ def main() -> None:
     cv2.setNumThreads(1)
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="sagoma_bench_") as folder:
-        write_session(Path(folder) / "studio", ring(2 if quick else 5), Body.from_stature(1.75), fps=10,
-                      seconds=8 if quick else 12, seed=1)  # fmt: skip
+        write_session(
+            Path(folder) / "studio",
+            ring(2 if quick else 5),
+            Body.from_stature(1.75),
+            fps=10,
+            seconds=8 if quick else 12,
+            seed=1,
+        )
         studio = load_session(Path(folder) / "studio")
         clip = read_clip(studio, studio.rig.cameras[0], 5)
         if arguments.picture is not None:

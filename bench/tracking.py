@@ -66,9 +66,12 @@ def gather(options: argparse.Namespace) -> list[Clip]:
         random_clip(seed) for seed in range(1 if options.quick else 4)
     ]
     reading = ReadingOptions(
-        metres_per_unit=options.motion_scale, up=options.motion_up, fps=options.motion_fps,
-        joints=options.motion_joints, start_s=options.motion_start,
-    )  # fmt: skip
+        metres_per_unit=options.motion_scale,
+        up=options.motion_up,
+        fps=options.motion_fps,
+        joints=options.motion_joints,
+        start_s=options.motion_start,
+    )
     return clips + [file_clip(path, reading) for path in options.motion]
 
 
@@ -119,8 +122,10 @@ def _print_means(runs: dict[Method, list[Run]], limits: list[Bounds]) -> None:
         lost = sum(r.filtered[-1].max() > LOST_M for r in run)
         inside = np.mean([r.inside[SETTLED:].mean() for r in run])
         icp_ms, ekf_ms = (np.median(np.concatenate(ms)) for ms in ([r.icp_ms for r in run], [r.ekf_ms for r in run]))
-        print(f"{method.name:44}{mean_mm(run, fitted=True):8.1f}{mean_mm(run):10.1f}{lost:6}{100 * inside:11.0f}%"
-              f"{icp_ms:8.2f}{ekf_ms:10.2f}")  # fmt: skip
+        print(
+            f"{method.name:44}{mean_mm(run, fitted=True):8.1f}{mean_mm(run):10.1f}{lost:6}{100 * inside:11.0f}%"
+            f"{icp_ms:8.2f}{ekf_ms:10.2f}"
+        )
     for name, one, all_so_far in (
         ("bound: which place a point is of, unknown", "frame_mm", "mm"),
         ("bound, were it known", "labelled_frame_mm", "labelled_mm"),

@@ -33,12 +33,14 @@ CHANGES: dict[str, dict[str, object]] = {
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
     "ours without refined sizes": {"icp_tracker.refinement.keyframes": 0},
     "ours, loose prior": {
-        SOLVE + "prior.position_sd_m": 1.0, SOLVE + "prior.rotation_sd": 1.0,
-        SOLVE + "prior.ball_sd": 0.7, SOLVE + "prior.hinge_sd": 0.7,
+        SOLVE + "prior.position_sd_m": 1.0,
+        SOLVE + "prior.rotation_sd": 1.0,
+        SOLVE + "prior.ball_sd": 0.7,
+        SOLVE + "prior.hinge_sd": 0.7,
     },
     "ours, arms may cross the torso": {SOLVE + "volume.clearance_worth": 0.0},
     "ours, identity model": {"ekf_tracker.motion_model": "identity"},
-}  # fmt: skip
+}
 KEYS = ("mean_mm", "over_200mm", "inside_95")
 
 

@@ -296,8 +296,10 @@ def main() -> None:
 def at_the_studio(honest: Honest, quick: bool, every: int) -> dict[str, float]:
     studio = Studio()
     filmed = film(studio)
-    print(f"studio, 6 cameras: {filmed.looks} honest pictures, {filmed.alarms} false alarms of the camera clients, "
-          f"{filmed.client_ms:.2f} ms a frame")  # fmt: skip
+    print(
+        f"studio, 6 cameras: {filmed.looks} honest pictures, {filmed.alarms} false alarms of the camera clients, "
+        f"{filmed.client_ms:.2f} ms a frame"
+    )
     honest.false_alarms_pictures, honest.pictures = filmed.alarms, filmed.looks
     drills = play_studio(studio, filmed, quick, every)
     print()

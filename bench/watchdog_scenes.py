@@ -133,9 +133,11 @@ class Clip:
     @classmethod
     def of(cls, name: str, rig: Rig, frames: Iterable[Mapping[str, Mask]]) -> Clip:
         kept = [masks for frame, masks in enumerate(frames) if frame % EVERY == 0]
-        return cls(name, rig, [
-            {n: (m.shape, np.packbits(m == 255), np.packbits(m > 0)) for n, m in masks.items()} for masks in kept
-        ])  # fmt: skip
+        return cls(
+            name,
+            rig,
+            [{n: (m.shape, np.packbits(m == 255), np.packbits(m > 0)) for n, m in masks.items()} for masks in kept],
+        )
 
     def masks(self, frame: int) -> Masks:
         """Frames count on backwards from the clip's end, and forwards again from its start."""

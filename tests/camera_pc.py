@@ -77,9 +77,11 @@ class Ear:
 
     def listen(self, camera: str) -> None:
         self._link.node.create_subscription(
-            CompressedImage, f"/{camera}/silhouette/compressed", lambda message: self._on_mask(camera, message),
+            CompressedImage,
+            f"/{camera}/silhouette/compressed",
+            lambda message: self._on_mask(camera, message),
             SILHOUETTE_RELIABLE_SUBSCRIBER,
-        )  # fmt: skip
+        )
 
     @property
     def node(self):
@@ -158,8 +160,16 @@ class CameraPC:
         namespace = namespace or self.name
         path = self.folder / f"{namespace}_{len(self._processes)}.yaml"
         path.write_text(yaml.safe_dump({f"/{namespace}/camera_client": {"ros__parameters": self.parameters}}))
-        command = [sys.executable, "-m", "camera_client.camera_node", "--ros-args", "-r", f"__ns:=/{namespace}",
-                   "--params-file", str(path)]  # fmt: skip
+        command = [
+            sys.executable,
+            "-m",
+            "camera_client.camera_node",
+            "--ros-args",
+            "-r",
+            f"__ns:=/{namespace}",
+            "--params-file",
+            str(path),
+        ]
         log = path.with_suffix(".log").open("wb")
         self._processes.append(subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=os.environ))
         log.close()
@@ -175,8 +185,10 @@ class CameraPC:
         self.camera.faults.clear()
         self.camera.power_on()
         self.until_streaming()
-        self.ear.until(lambda: self.ear.level(self.node)[0] == OK or "lost or inc" in self.ear.level(self.node)[1],
-                       f"{self.node} is well")  # fmt: skip
+        self.ear.until(
+            lambda: self.ear.level(self.node)[0] == OK or "lost or inc" in self.ear.level(self.node)[1],
+            f"{self.node} is well",
+        )
 
     def until_said(self, level: bytes, text: str, node: str = "") -> None:
         def said() -> bool:

@@ -37,8 +37,16 @@ def test_files_of_the_folder_serve_the_example_rig_with_an_address_each():
 
 def test_values_written_into_the_files_are_no_surprises():
     """What a file spells out and does not explain as a choice of this example is the default."""
-    chosen = {"rig_file", "camera_name", "source", "background_file", "aravis.address", "aravis.exposure_us",
-              "aravis.gain", "aravis.frame_rate"}  # fmt: skip
+    chosen = {
+        "rig_file",
+        "camera_name",
+        "source",
+        "background_file",
+        "aravis.address",
+        "aravis.exposure_us",
+        "aravis.gain",
+        "aravis.frame_rate",
+    }
     defaults = {leaf.key: leaf.default for leaf in leaves(CameraClientSettings)}
     for path in LIVE:
         given = {key: value for key, value in camera_from_file(path).parameters.items() if key != "autostart"}

@@ -305,8 +305,20 @@ def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, fresh, ri
     others = [fresh("cam02"), fresh("cam03")]
     for other in others:
         other.start_client()
-    command = [sys.executable, "-m", "hull_server.hull_node", "--ros-args", "-p", f"rig_file:={rig}", "-p",
-               "autostart:=true", "-p", "backend:=cpu", "-p", "voxel_size_m:=0.05"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "hull_server.hull_node",
+        "--ros-args",
+        "-p",
+        f"rig_file:={rig}",
+        "-p",
+        "autostart:=true",
+        "-p",
+        "backend:=cpu",
+        "-p",
+        "voxel_size_m:=0.05",
+    ]
     with (tmp_path / "hull.log").open("wb") as log:
         hull = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
     try:

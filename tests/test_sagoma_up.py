@@ -21,10 +21,21 @@ PATIENCE_S = 120.0
 def up(built_in_session: Path, tmp_path: Path):
     """The running command, playing the session over and over into a bag."""
     command = [
-        sys.executable, "-m", "sagoma_tools.cli", "up", str(built_in_session), "--rate", "0", "--loop",
-        "--record", str(tmp_path / "bag"), "--run-folder", str(tmp_path / "run"),
-        "--set", "icp_tracker.initial_pose.source=t_pose",
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "sagoma_tools.cli",
+        "up",
+        str(built_in_session),
+        "--rate",
+        "0",
+        "--loop",
+        "--record",
+        str(tmp_path / "bag"),
+        "--run-folder",
+        str(tmp_path / "run"),
+        "--set",
+        "icp_tracker.initial_pose.source=t_pose",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     watchdog = threading.Timer(2 * PATIENCE_S, process.kill)
     watchdog.start()

@@ -43,8 +43,25 @@ def test_filmed_cameras_are_calibrated_to_the_truth(footage, tmp_path):
     assert (
         sagoma(["calibrate", "intrinsics", filmed["intrinsics"], "--board", filmed["board"], "--output", lenses]) == 0
     )
-    assert sagoma(["calibrate", "extrinsics", "--intrinsics", lenses, "--board", filmed["floor_board"],
-                   "--floor", filmed["floor"], "--moving", filmed["moving"], "--output", rig]) == 0  # fmt: skip
+    assert (
+        sagoma(
+            [
+                "calibrate",
+                "extrinsics",
+                "--intrinsics",
+                lenses,
+                "--board",
+                filmed["floor_board"],
+                "--floor",
+                filmed["floor"],
+                "--moving",
+                filmed["moving"],
+                "--output",
+                rig,
+            ]
+        )
+        == 0
+    )
     truth, T_world_floor = load_rig(footage / "truth_rig.yaml"), read_truth_floor(footage)
     errors = camera_errors(load_rig(rig), truth, T_world_floor)
     assert [camera.name for camera in errors] == list(CAMERAS)
@@ -66,8 +83,20 @@ def run(*words: object) -> str:
 
 
 def calibrate_lens(name: str, board: Path, lenses: Path) -> None:
-    run("calibrate", "intrinsics", "--topic", f"/{name}/image_raw", "--board", board, "--output", lenses,
-        "--seconds", "120", "--wait", "60")  # fmt: skip
+    run(
+        "calibrate",
+        "intrinsics",
+        "--topic",
+        f"/{name}/image_raw",
+        "--board",
+        board,
+        "--output",
+        lenses,
+        "--seconds",
+        "120",
+        "--wait",
+        "60",
+    )
 
 
 class Graph:
@@ -75,8 +104,12 @@ class Graph:
 
     def __init__(self, log: Path, *words: object) -> None:
         self._log = log.open("w")
-        self._process = subprocess.Popen(command("up", *words, "--run-folder", log.with_suffix("")),
-                                         stdout=self._log, stderr=subprocess.STDOUT, env=os.environ.copy())  # fmt: skip
+        self._process = subprocess.Popen(
+            command("up", *words, "--run-folder", log.with_suffix("")),
+            stdout=self._log,
+            stderr=subprocess.STDOUT,
+            env=os.environ.copy(),
+        )
 
     def __enter__(self) -> "Graph":
         return self
@@ -116,8 +149,19 @@ def test_live_cameras_are_set_up_from_the_empty_room_to_a_tracked_person(tmp_pat
             with ThreadPoolExecutor(len(CAMERAS)) as pool:  # each has a board of its own in front of it
                 list(pool.map(lambda name: calibrate_lens(name, boards["board"], lenses), CAMERAS))
             studio.ask("show", phase="floor")
-            run("calibrate", "extrinsics", "--live", "--cameras", *CAMERAS, "--intrinsics", lenses,
-                "--board", boards["floor_board"], "--output", rig)  # fmt: skip
+            run(
+                "calibrate",
+                "extrinsics",
+                "--live",
+                "--cameras",
+                *CAMERAS,
+                "--intrinsics",
+                lenses,
+                "--board",
+                boards["floor_board"],
+                "--output",
+                rig,
+            )
             studio.ask("show", phase="empty")
             run("background", "--countdown", "0", "--expect", "3", "--wait", "30")
         truth, T_world_floor = load_rig(studio.folder / "truth_rig.yaml"), read_truth_floor(studio.folder)

@@ -53,9 +53,11 @@ def bounds(clip: Clip, every: int, settled: int) -> Bounds:
     labelled = [labelled_information(spread, clip.poses[f], clip.sigma_m) for f in frames]
     unlabelled = [unlabelled_information(spread, clip.poses[f], clip.sigma_m, rng) for f in frames]
     return Bounds(
-        single_frame_mm(clip, labelled, every), single_frame_mm(clip, unlabelled, every),
-        filtered_mm(clip, labelled, every, settled), filtered_mm(clip, unlabelled, every, settled),
-    )  # fmt: skip
+        single_frame_mm(clip, labelled, every),
+        single_frame_mm(clip, unlabelled, every),
+        filtered_mm(clip, labelled, every, settled),
+        filtered_mm(clip, unlabelled, every, settled),
+    )
 
 
 def labelled_information(spread: SpreadPoints, pose: Pose, sigma: float) -> np.ndarray:

@@ -28,9 +28,9 @@ STATURE_M = 1.75
 SIGMA_OVER_HIPS = 1.0 / 6.0
 RANDOM_SECONDS = 4.0
 # a range of motion well inside the joints' (rad), in the order of the angles
-_MIDDLE = np.array([
-    0.0, 0.2, -0.4, np.pi + 0.4, -0.35, -0.35, 0.1, -0.1, -1.0, -1.0, 0.2, -0.2, -0.45, -0.45, 0.9, 0.9, 0.0, 0.0,
-])  # fmt: skip
+_MIDDLE = np.array(
+    [0.0, 0.2, -0.4, np.pi + 0.4, -0.35, -0.35, 0.1, -0.1, -1.0, -1.0, 0.2, -0.2, -0.45, -0.45, 0.9, 0.9, 0.0, 0.0]
+)
 _SWING = np.array([0.4, 0.4, 1.0, 1.0, 0.65, 0.65, 0.7, 0.7, 0.9, 0.9, 0.3, 0.3, 0.85, 0.85, 0.8, 0.8, 0.3, 0.3])
 
 

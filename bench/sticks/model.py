@@ -8,9 +8,22 @@ from stick_figure.body import Body
 from stick_figure.skeleton import STICK_AXIS, STICK_SIGN
 
 POINT_ENDS = (
-    (0, "centre"), (1, "end"), (1, "start"), (2, "start"), (3, "start"), (4, "start"), (5, "start"), (2, "end"),
-    (3, "end"), (4, "end"), (5, "end"), (6, "end"), (7, "end"), (8, "end"), (9, "end"),
-)  # fmt: skip
+    (0, "centre"),
+    (1, "end"),
+    (1, "start"),
+    (2, "start"),
+    (3, "start"),
+    (4, "start"),
+    (5, "start"),
+    (2, "end"),
+    (3, "end"),
+    (4, "end"),
+    (5, "end"),
+    (6, "end"),
+    (7, "end"),
+    (8, "end"),
+    (9, "end"),
+)
 """(stick, which end) of each reference point."""
 
 

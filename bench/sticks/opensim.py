@@ -64,8 +64,11 @@ def _model(body: Body) -> osim.Model:
     for stick in (6, 7, 8, 9):
         parent, turned = int(PARENT[stick]), ZERO if stick < 8 else PIN_ABOUT_Y
         at = along_stick(parent, body.lengths[parent])
-        model.addJoint(osim.PinJoint(f"pin{stick}", parts[parent], _vector(at), _vector(turned), parts[stick],
-                                     _vector(ZERO), _vector(turned)))  # fmt: skip
+        model.addJoint(
+            osim.PinJoint(
+                f"pin{stick}", parts[parent], _vector(at), _vector(turned), parts[stick], _vector(ZERO), _vector(turned)
+            )
+        )
     for i, (stick, end) in enumerate(POINT_ENDS):
         model.addMarker(osim.Marker(f"p{i}", parts[stick], _vector(local_ends(body, stick)[end])))
     model.finalizeConnections()

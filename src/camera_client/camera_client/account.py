@@ -60,9 +60,12 @@ class FrameAccount:
         """The counts of both runs together."""
         a, b = self.snapshot(), other.snapshot()
         return FrameAccount(
-            a.expected + b.expected, a.delivered + b.delivered, a.incomplete + b.incomplete, a.lost + b.lost,
+            a.expected + b.expected,
+            a.delivered + b.delivered,
+            a.incomplete + b.incomplete,
+            a.lost + b.lost,
             a.repeated + b.repeated,
-        )  # fmt: skip
+        )
 
     def _step_to(self, frame_id: int) -> int:
         if self._last is None:

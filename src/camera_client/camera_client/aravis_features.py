@@ -22,10 +22,13 @@ class AravisFeatures:
         self._device, self._Aravis, self._GLib = device, Aravis, GLib
         self._kinds: dict[str, Kind | None] = {}
         self._types = (
-            (Aravis.GcCommand, Kind.COMMAND), (Aravis.GcBoolean, Kind.BOOLEAN),
-            (Aravis.GcEnumeration, Kind.ENUMERATION), (Aravis.GcFloat, Kind.FLOAT), (Aravis.GcInteger, Kind.INTEGER),
+            (Aravis.GcCommand, Kind.COMMAND),
+            (Aravis.GcBoolean, Kind.BOOLEAN),
+            (Aravis.GcEnumeration, Kind.ENUMERATION),
+            (Aravis.GcFloat, Kind.FLOAT),
+            (Aravis.GcInteger, Kind.INTEGER),
             (Aravis.GcString, Kind.STRING),
-        )  # fmt: skip
+        )
 
     def kind(self, name: str) -> Kind | None:
         if name not in self._kinds:
@@ -39,10 +42,12 @@ class AravisFeatures:
     def read(self, name: str) -> Value:
         d, kind = self._device, self.kind(name)
         readers: dict[Kind | None, Callable[[str], Value]] = {
-            Kind.BOOLEAN: d.get_boolean_feature_value, Kind.INTEGER: d.get_integer_feature_value,
-            Kind.FLOAT: d.get_float_feature_value, Kind.ENUMERATION: d.get_string_feature_value,
+            Kind.BOOLEAN: d.get_boolean_feature_value,
+            Kind.INTEGER: d.get_integer_feature_value,
+            Kind.FLOAT: d.get_float_feature_value,
+            Kind.ENUMERATION: d.get_string_feature_value,
             Kind.STRING: d.get_string_feature_value,
-        }  # fmt: skip
+        }
         if kind not in readers:
             raise DeviceRefusal(f"{name} cannot be read")
         with self._errors():
@@ -56,10 +61,12 @@ class AravisFeatures:
     def write(self, name: str, value: Value) -> None:
         d, kind = self._device, self.kind(name)
         writers: dict[Kind | None, Callable[[str, Any], None]] = {
-            Kind.BOOLEAN: d.set_boolean_feature_value, Kind.INTEGER: d.set_integer_feature_value,
-            Kind.FLOAT: d.set_float_feature_value, Kind.ENUMERATION: d.set_string_feature_value,
+            Kind.BOOLEAN: d.set_boolean_feature_value,
+            Kind.INTEGER: d.set_integer_feature_value,
+            Kind.FLOAT: d.set_float_feature_value,
+            Kind.ENUMERATION: d.set_string_feature_value,
             Kind.STRING: d.set_string_feature_value,
-        }  # fmt: skip
+        }
         if kind not in writers:
             raise DeviceRefusal(f"{name} cannot be written")
         with self._errors():

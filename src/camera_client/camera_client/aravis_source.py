@@ -177,8 +177,11 @@ class AravisSource(FrameSource):
         self._device = self._Aravis.GvDevice.new(address(found.host), address(found.device.address))
         access = self._registers = AravisFeatures(self._device, self._Aravis, self._GLib)
         if not self._device.is_controller():
-            raise SourceUnavailable(f"is controlled by another program{_controller(access)}", where=self.description,
-                                    remedy="Stop that program, or wait until it lets go.")  # fmt: skip
+            raise SourceUnavailable(
+                f"is controlled by another program{_controller(access)}",
+                where=self.description,
+                remedy="Stop that program, or wait until it lets go.",
+            )
         self._lost = False
         self._camera = self._Aravis.Camera.new_with_device(self._device)
         self._features = Features(access, self.description)
@@ -198,8 +201,9 @@ class AravisSource(FrameSource):
             found = self._found
             assert found is not None
             self._check_scheduled_actions()
-            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, s.action_group_key,
-                                         s.action_group_mask)  # fmt: skip
+            self._actions = ActionSender(
+                found.device.address, found.host, s.action_device_key, s.action_group_key, s.action_group_mask
+            )
         self._time = self._time_source(features, reading)
         self._warnings = [warning for warning in self._warnings if warning]
 
@@ -212,20 +216,24 @@ class AravisSource(FrameSource):
         if status not in PTP_IN_STEP:
             raise SourceUnavailable(
                 f"is not in step by PTP after {s.ptp_wait_s:g} s (status {status}), which {needed_by} needs",
-                where=self.description, remedy="Is a PTP grandmaster on the network? Or raise aravis.ptp_wait_s.",
-            )  # fmt: skip
+                where=self.description,
+                remedy="Is a PTP grandmaster on the network? Or raise aravis.ptp_wait_s.",
+            )
 
     def _check_scheduled_actions(self) -> None:
         able = self._registers.read_register(bootstrap.GVCP_CAPABILITY)
         if not able & bootstrap.Capability.SCHEDULED_ACTION:
-            raise self._error("takes no scheduled action commands, which sync action needs",
-                              "Set aravis.sync to ptp, line or software.")  # fmt: skip
+            raise self._error(
+                "takes no scheduled action commands, which sync action needs",
+                "Set aravis.sync to ptp, line or software.",
+            )
 
     def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
         s = self._settings
         status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
-        source, warning = choose_time_source(s.stamp_source, reading, status, s.tai_utc_offset_s, s.camera_stamps,
-                                             self.description)  # fmt: skip
+        source, warning = choose_time_source(
+            s.stamp_source, reading, status, s.tai_utc_offset_s, s.camera_stamps, self.description
+        )
         if warning and warning not in self._warnings:
             self._warnings.append(warning)
         return source
@@ -234,13 +242,19 @@ class AravisSource(FrameSource):
         assert self._found is not None and self._setup is not None and self._time is not None
         device, setup = self._found.device, self._setup
         details = {
-            "camera_serial": device.serial, "camera_user_id": device.user_id, "camera_address": device.address,
-            "camera_model": f"{device.manufacturer} {device.model}".strip(), "pixel_format": setup.pixel_format,
-            "exposure_us": _told(setup.exposure_us), "frame_rate": _told(setup.frame_rate),
-            "gain": _told(features.number("Gain")), "temperature_c": _told(features.number("DeviceTemperature")),
-            "sync": self._settings.sync, "stamps": self._time.name,
+            "camera_serial": device.serial,
+            "camera_user_id": device.user_id,
+            "camera_address": device.address,
+            "camera_model": f"{device.manufacturer} {device.model}".strip(),
+            "pixel_format": setup.pixel_format,
+            "exposure_us": _told(setup.exposure_us),
+            "frame_rate": _told(setup.frame_rate),
+            "gain": _told(features.number("Gain")),
+            "temperature_c": _told(features.number("DeviceTemperature")),
+            "sync": self._settings.sync,
+            "stamps": self._time.name,
             "packet_size": str(self._device.get_packet_size()),
-        }  # fmt: skip
+        }
         return {name: text for name, text in details.items() if text}
 
     # --- while it runs -------------------------------------------------------------------------------------------
@@ -298,8 +312,11 @@ class AravisSource(FrameSource):
             silent = is_silence(error, self._Aravis)
             self._lost |= silent
             kind = SourceUnavailable if silent or self._features is None else InputError
-            raise kind(f"{'went silent' if silent else 'refuses'} {when} ({error.message})", where=self.description,
-                       remedy=remedy) from None  # fmt: skip
+            raise kind(
+                f"{'went silent' if silent else 'refuses'} {when} ({error.message})",
+                where=self.description,
+                remedy=remedy,
+            ) from None
 
 
 def _told(number: float | None) -> str:

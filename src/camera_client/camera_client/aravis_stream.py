@@ -45,14 +45,20 @@ class AravisStream:
 
     STATUSES = ("TIMEOUT", "MISSING_PACKETS", "WRONG_PACKET_ID", "SIZE_MISMATCH", "ABORTED")
     INFOS: ClassVar = {
-        "n_resend_requests": "resend_requests", "n_resent_packets": "resent_packets",
-        "n_missing_packets": "missing_packets", "n_underruns": "underruns", "n_error_packets": "error_packets",
+        "n_resend_requests": "resend_requests",
+        "n_resent_packets": "resent_packets",
+        "n_missing_packets": "missing_packets",
+        "n_underruns": "underruns",
+        "n_error_packets": "error_packets",
         "n_resend_ratio_reached": "resend_limit_reached",
-    }  # fmt: skip
+    }
     COUNTERS = (
-        *(f"incomplete_{status.lower()}" for status in STATUSES), "incomplete_other", "wrong_format", "chunk_errors",
+        *(f"incomplete_{status.lower()}" for status in STATUSES),
+        "incomplete_other",
+        "wrong_format",
+        "chunk_errors",
         *INFOS.values(),
-    )  # fmt: skip
+    )
 
     def __init__(
         self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, account: FrameAccount
@@ -218,8 +224,11 @@ class AravisStream:
 
     def _compare(self, key: str, wanted: int, got: int, tolerance: int = 0) -> None:
         if abs(got - wanted) > tolerance:
-            raise InputError(f"took {key} = {got} instead of {wanted}", where=f"aravis.{key}",
-                             remedy="Give a value that the camera keeps, or leave it out.")  # fmt: skip
+            raise InputError(
+                f"took {key} = {got} instead of {wanted}",
+                where=f"aravis.{key}",
+                remedy="Give a value that the camera keeps, or leave it out.",
+            )
 
     def _chunk_name(self, chunk: str) -> str:
         """How this camera spells the feature that holds a chunk; "" when it sends no such chunk."""

@@ -35,8 +35,11 @@ def load_calibration(settings: CameraClientSettings, name: str) -> Calibration:
         return Calibration(name)
     camera = read_camera_info(path)
     if camera.name != name:
-        raise InputError(f"camera_name = {camera.name!r} is not this camera, '{name}'", where=path,
-                         remedy="Name the file of this camera.")  # fmt: skip
+        raise InputError(
+            f"camera_name = {camera.name!r} is not this camera, '{name}'",
+            where=path,
+            remedy="Name the file of this camera.",
+        )
     return Calibration(name, camera)
 
 
@@ -67,8 +70,9 @@ def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSourc
         source.connect()
         return source
     if not settings.footage.path:
-        raise InputError("is empty", where="parameter footage.path",
-                         remedy="Give a video or stills, or set source: aravis.")  # fmt: skip
+        raise InputError(
+            "is empty", where="parameter footage.path", remedy="Give a video or stills, or set source: aravis."
+        )
     source = FootageSource(settings.footage, settings.channels)
     source.connect()
     try:
@@ -82,9 +86,11 @@ def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSourc
 def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSource:
     """The GigE Vision camera of ``settings`` under supervision, not connected yet."""
     return SupervisedSource(
-        lambda: AravisSource(settings.aravis, settings.channels), settings.supervision, accept,
+        lambda: AravisSource(settings.aravis, settings.channels),
+        settings.supervision,
+        accept,
         lambda source: stall_timeout_s(settings, source),
-    )  # fmt: skip
+    )
 
 
 def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:

@@ -60,8 +60,10 @@ def other_camera(learned: Provenance, camera: Mapping[str, str]) -> list[str]:
         then, now = getattr(learned, key), camera.get(key, "")
         if then and now and not _same(then, now):
             name, unit = key.partition("_")[0], f" {unit}".rstrip()
-            found.append(f"the {name} is {now}{unit}, the background was learned at {then}{unit}: {REMEDY}, "
-                         f"or set the {name} back")  # fmt: skip
+            found.append(
+                f"the {name} is {now}{unit}, the background was learned at {then}{unit}: {REMEDY}, "
+                f"or set the {name} back"
+            )
     return found
 
 
@@ -71,16 +73,20 @@ def _drifted(watched: Watched, settings: BackgroundWatchSettings, followed: bool
         return []
     slow = "" if followed else ", or let it follow slow changes (background_model.drift.mode: slow)"
     beyond = " beyond what is followed" if followed else ""
-    return [f"the light changed by {100 * drift:+.1f} %{beyond}, the background bears "
-            f"{100 * watched.tolerance:.1f} %: {REMEDY}{slow}"]  # fmt: skip
+    return [
+        f"the light changed by {100 * drift:+.1f} %{beyond}, the background bears "
+        f"{100 * watched.tolerance:.1f} %: {REMEDY}{slow}"
+    ]
 
 
 def _static(watched: Watched, settings: BackgroundWatchSettings, shape: tuple[int, ...]) -> list[str]:
     if watched.static_share <= settings.static_share or not watched.static_places:
         return []
     where = tell_places(watched.static_places, shape)
-    return [f"something has been in the picture for {settings.static_s / 60:.0f} minutes without moving: {where}; "
-            f"take it away, or {REMEDY}"]  # fmt: skip
+    return [
+        f"something has been in the picture for {settings.static_s / 60:.0f} minutes without moving: {where}; "
+        f"take it away, or {REMEDY}"
+    ]
 
 
 def _same(then: str, now: str) -> bool:

@@ -5,13 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from . import __version__
-from .background_model import (
-    BackgroundLearner,
-    BackgroundModel,
-    background_from_still,
-    check_shape,
-    load_background,
-)
+from .background_model import BackgroundLearner, BackgroundModel, background_from_still, check_shape, load_background
 from .footage_reader import FootageReader, open_footage
 from .frame_source import UndecodableFrame
 from .settings import BackgroundSettings

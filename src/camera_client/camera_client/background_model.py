@@ -100,8 +100,9 @@ class BackgroundModel:
             with path.open("wb") as file:
                 np.savez_compressed(file, mean=self.mean, sigma=self.sigma, about=np.array(about))
         except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", where=str(path),
-                             remedy="Choose another background_file.") from None  # fmt: skip
+            raise InputError(
+                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another background_file."
+            ) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +130,10 @@ class BackgroundLearner:
         if self._sum is None or self._sum_of_squares is None:
             self._sum, self._sum_of_squares = np.zeros(image.shape), np.zeros(image.shape)
         if image.shape != self._sum.shape:
-            raise InputError(f"frame {self.frames} is {shape_text(image.shape)}, the first one was "
-                             f"{shape_text(self._sum.shape)}", remedy="Learn from frames of one size.")  # fmt: skip
+            raise InputError(
+                f"frame {self.frames} is {shape_text(image.shape)}, the first one was {shape_text(self._sum.shape)}",
+                remedy="Learn from frames of one size.",
+            )
         cv2.accumulate(image, self._sum)
         cv2.accumulateSquare(image, self._sum_of_squares)
         self.frames += 1
@@ -138,8 +141,11 @@ class BackgroundLearner:
     def model(self, source: str, **about: str) -> BackgroundModel:
         """The model of the frames so far (two at least); ``about`` fills further fields of the provenance."""
         if self._sum is None or self._sum_of_squares is None or self.frames < 2:
-            raise InputError(f"{self.frames} frames are too few to learn a background", where=source,
-                             remedy="Give at least 2; 50 to 200 are good.")  # fmt: skip
+            raise InputError(
+                f"{self.frames} frames are too few to learn a background",
+                where=source,
+                remedy="Give at least 2; 50 to 200 are good.",
+            )
         n = self.frames
         mean = self._sum / n
         variance = np.maximum(self._sum_of_squares - n * mean * mean, 0) / (n - 1)
@@ -173,8 +179,11 @@ def load_background(path: str | Path) -> BackgroundModel:
         with np.load(path, allow_pickle=False) as file:
             mean, sigma, about = file["mean"], file["sigma"], json.loads(str(file["about"]))
     except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror or error})", where=str(path),
-                         remedy="Give the path of a saved background model.") from None  # fmt: skip
+        raise InputError(
+            f"cannot be read ({error.strerror or error})",
+            where=str(path),
+            remedy="Give the path of a saved background model.",
+        ) from None
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         raise InputError("is not a background model", where=str(path), remedy="Learn and save it again.") from None
     known = {field.name for field in fields(Provenance)}

@@ -19,9 +19,14 @@ def background_concerns(
     if background is None or watch is None:
         return ()
     return concerns(
-        background.provenance, source.details, watch.found, settings.background_watch, background.shape,
-        now_s=None if source.link is None else now_s, followed=settings.background_model.drift.mode == "slow",
-    )  # fmt: skip
+        background.provenance,
+        source.details,
+        watch.found,
+        settings.background_watch,
+        background.shape,
+        now_s=None if source.link is None else now_s,
+        followed=settings.background_model.drift.mode == "slow",
+    )
 
 
 def background_misfit(chain: CameraChain, source: FrameSource) -> str:

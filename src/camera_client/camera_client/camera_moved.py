@@ -69,14 +69,18 @@ class Movement:
     def tell(self, camera: str) -> str:
         """What is wrong, and what to do; "" when nothing is known to be."""
         if self.state is State.LOST:
-            return (f"{camera} shows something else than its background does: was it moved far, or is something before "
-                    "its lens? Put it back, or calibrate it and learn its background again")  # fmt: skip
+            return (
+                f"{camera} shows something else than its background does: was it moved far, or is something before "
+                "its lens? Put it back, or calibrate it and learn its background again"
+            )
         if self.state is not State.MOVED:
             return ""
         shift_px = float(np.hypot(*self.shift_px))
-        return (f"{camera} was moved: its picture is shifted by {shift_px:.1f} px ({self.swing_deg:.1f} degrees), "
-                f"turned by {abs(self.turned_deg):.1f} degrees: put it back, or calibrate it and learn its background "
-                "again")  # fmt: skip
+        return (
+            f"{camera} was moved: its picture is shifted by {shift_px:.1f} px ({self.swing_deg:.1f} degrees), "
+            f"turned by {abs(self.turned_deg):.1f} degrees: put it back, or calibrate it and learn its background "
+            "again"
+        )
 
     def values(self) -> dict[str, object]:
         """The figures, by the keys of the diagnostics; only what was measured."""

@@ -108,8 +108,13 @@ def _choose(camera: CameraModel, picture: Picture, scale: float, noise: float) -
     row, column, cell = _strongest(steepness, max(CLEAR_OF_NOISE * noise, FLAT))
     pixels = scale * np.column_stack([column, row]) + (scale - 1) / 2
     rays = camera.rays_world(pixels)
-    moves = np.stack([(camera.project(rays + np.cross(axis, rays)) - pixels) / TINY_TURN_RAD / scale
-                      for axis in TINY_TURN_RAD * np.eye(3)], axis=-1)  # fmt: skip
+    moves = np.stack(
+        [
+            (camera.project(rays + np.cross(axis, rays)) - pixels) / TINY_TURN_RAD / scale
+            for axis in TINY_TURN_RAD * np.eye(3)
+        ],
+        axis=-1,
+    )
     slope = np.einsum("nk,nkj->nj", gradient[row, column], moves)
     found = Points(
         rays=rays,

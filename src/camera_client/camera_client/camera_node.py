@@ -85,8 +85,7 @@ class CameraNode(SagomaNode):
         if settings.source == "footage" and settings.footage.rate == 0:
             topic = settings.footage.pace_topic
             self._hold(
-                self.destroy_subscription,
-                self.create_subscription(JointState, topic, self._on_acknowledgement, RESULT),
+                self.destroy_subscription, self.create_subscription(JointState, topic, self._on_acknowledgement, RESULT)
             )
         info_file = settings.camera_info_file
         if info_file and not Path(info_file).exists() and settings.rig_file:
@@ -98,9 +97,12 @@ class CameraNode(SagomaNode):
         live = self.settings.source != "footage"
         self._matched_s, self._said, self._recent = None, "", RecentAccount()
         self._loop = GrabLoop(
-            self._source, self._on_frame, self._on_error, ready=lambda: live or self._consumer_listens(),
+            self._source,
+            self._on_frame,
+            self._on_error,
+            ready=lambda: live or self._consumer_listens(),
             ready_timeout_s=0.0 if live else self.settings.footage.wait_for_consumer_s,
-        )  # fmt: skip
+        )
         if live:
             self._source.start()  # so that a camera that refuses fails the transition
         self._loop.start()
@@ -264,11 +266,17 @@ class CameraNode(SagomaNode):
             self.health.set(key, value)
         recent = self._recent.look(time.monotonic(), source.account)
         state = CameraState(
-            loop.state, loop.frames, loop.reason, link, recent,
-            calibrated=chain.camera is not None, placed=self._calibration.placed,
-            has_background=chain.background is not None, misfit=background_misfit(chain, source),
+            loop.state,
+            loop.frames,
+            loop.reason,
+            link,
+            recent,
+            calibrated=chain.camera is not None,
+            placed=self._calibration.placed,
+            has_background=chain.background is not None,
+            misfit=background_misfit(chain, source),
             concerns=background_concerns(chain, source, self.settings, time.time()),
-        )  # fmt: skip
+        )
         self._say(*judge(state.with_seen(last[1]) if last else state))
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
             self._learning.cancel(f"{loop.state.value} {loop.reason}".strip())

@@ -40,8 +40,9 @@ class Darkness:
         self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
         degrees = [degree_of(step / RATIO_SCALE) for step in range(256)]
         self._dark = np.array([FOREGROUND if d is None else DARK_LEVELS[d] for d in degrees], np.uint8)
-        self._candidate = np.array([SHADOW_CANDIDATE if d is None else CANDIDATE_LEVELS[d // 2] for d in degrees],
-                                   np.uint8)  # fmt: skip
+        self._candidate = np.array(
+            [SHADOW_CANDIDATE if d is None else CANDIDATE_LEVELS[d // 2] for d in degrees], np.uint8
+        )
 
     def mark(self, image: Image, person: Mask, candidates: Mask, box: Box) -> Mask:
         """The levels (h, w) of ``person`` and ``candidates``, both 0 or 255, which cover ``box`` of ``image``.

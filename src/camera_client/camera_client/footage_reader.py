@@ -49,8 +49,9 @@ class FootageReader(ABC):
         except UndecodableFrame as error:
             raise InputError(str(error), where=str(self.path), remedy="Check the first image.") from None
         if image is None:
-            raise InputError("holds no image that can be decoded", where=str(self.path),
-                             remedy="Check the file with a video player.")  # fmt: skip
+            raise InputError(
+                "holds no image that can be decoded", where=str(self.path), remedy="Check the file with a video player."
+            )
         if self._channels == "auto":
             self._channels = "mono" if is_mono(image) else "colour"
         self.rewind()
@@ -81,8 +82,9 @@ class VideoReader(FootageReader):
     def _open(self) -> cv2.VideoCapture:
         capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
         if not capture.isOpened():
-            raise InputError("cannot be opened as a video", where=str(self.path),
-                             remedy="Check the file with a video player.")  # fmt: skip
+            raise InputError(
+                "cannot be opened as a video", where=str(self.path), remedy="Check the file with a video player."
+            )
         return capture
 
 
@@ -118,8 +120,11 @@ def open_footage(path: str | Path, channels: str = "auto") -> FootageReader:
     if path.is_dir():
         return StillsReader(path, _stills(path, sorted(path.iterdir())), channels)
     if not path.is_file():
-        raise InputError("does not exist", where=str(path),
-                         remedy="Give a video, a folder of stills, or a pattern such as frames/*.png.")  # fmt: skip
+        raise InputError(
+            "does not exist",
+            where=str(path),
+            remedy="Give a video, a folder of stills, or a pattern such as frames/*.png.",
+        )
     if path.suffix.lower() in STILL_SUFFIXES:
         return StillsReader(path, [path], channels)
     return VideoReader(path, channels)
@@ -145,6 +150,7 @@ def convert_channels(image: Image, channels: str) -> Image:
 def _stills(path: Path, candidates: list[Path]) -> list[Path]:
     files = [file for file in candidates if file.suffix.lower() in STILL_SUFFIXES]
     if not files:
-        raise InputError("holds no still image", where=str(path),
-                         remedy=f"Put files with {', '.join(STILL_SUFFIXES)} there.")  # fmt: skip
+        raise InputError(
+            "holds no still image", where=str(path), remedy=f"Put files with {', '.join(STILL_SUFFIXES)} there."
+        )
     return files

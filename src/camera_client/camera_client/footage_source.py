@@ -51,8 +51,9 @@ class FootageSource(FrameSource):
             self._shape = self._reader.probe()
             self.fps = self._settings.fps or self._reader.fps
             if not self.fps:
-                raise InputError("has no frame rate of its own", where=self._settings.path,
-                                 remedy="Set the parameter footage.fps.")  # fmt: skip
+                raise InputError(
+                    "has no frame rate of its own", where=self._settings.path, remedy="Set the parameter footage.fps."
+                )
             if self._settings.epoch_ns:
                 choose_epoch_ns(self._settings.epoch_ns, self._now_ns())
         except InputError:

@@ -39,10 +39,16 @@ class LearningJudge:
 
     def verdict(self, model: BackgroundModel, before: BackgroundModel | None = None) -> Verdict:
         """On the model learned from the frames so far; ``before`` is the background that it is to replace."""
-        return judge([
-            *_light(model), *_frames(model), *_moved(model), *judge_emptiness(model, before), *_noise(model),
-            *_steadiness(self._brightness),
-        ])  # fmt: skip
+        return judge(
+            [
+                *_light(model),
+                *_frames(model),
+                *_moved(model),
+                *judge_emptiness(model, before),
+                *_noise(model),
+                *_steadiness(self._brightness),
+            ]
+        )
 
 
 def _light(model: BackgroundModel) -> list[Finding]:
@@ -50,12 +56,22 @@ def _light(model: BackgroundModel) -> list[Finding]:
         return [Finding(REDO, "the image is black", "take the lens cap off, or switch the light on")]
     white, found = float((model.mean >= WHITE_LEVEL).mean()), []
     if white > WHITE_SHARE:
-        found.append(Finding(REDO if white > WHITE_MUCH_SHARE else USABLE, f"{100 * white:.0f} % of the image is white",
-                             "shorten the exposure or lower the gain"))  # fmt: skip
+        found.append(
+            Finding(
+                REDO if white > WHITE_MUCH_SHARE else USABLE,
+                f"{100 * white:.0f} % of the image is white",
+                "shorten the exposure or lower the gain",
+            )
+        )
     typical = float(np.median(model.mean))
     if typical < DIM_LEVEL:
-        found.append(Finding(USABLE, f"the image is dim, {typical:.0f} grey levels on the median",
-                             "lengthen the exposure, open the iris, or add light"))  # fmt: skip
+        found.append(
+            Finding(
+                USABLE,
+                f"the image is dim, {typical:.0f} grey levels on the median",
+                "lengthen the exposure, open the iris, or add light",
+            )
+        )
     return found
 
 
@@ -73,18 +89,33 @@ def _moved(model: BackgroundModel) -> list[Finding]:
     if share <= MOVED_SHARE:
         return []
     what = tell_places(places, model.shape)
-    return [Finding(REDO if share > MOVED_MUCH_SHARE else USABLE, f"something moved: {what}",
-                    "clear the scene, see that the camera stands firm, and call again")]  # fmt: skip
+    return [
+        Finding(
+            REDO if share > MOVED_MUCH_SHARE else USABLE,
+            f"something moved: {what}",
+            "clear the scene, see that the camera stands firm, and call again",
+        )
+    ]
 
 
 def _noise(model: BackgroundModel) -> list[Finding]:
     typical = float(np.median(model.sigma))
     if typical > HIGH_NOISE:
-        return [Finding(USABLE, f"the noise is high, {typical:.1f} grey levels on the median",
-                        "lower the gain and add light; check that the camera stands firm")]  # fmt: skip
+        return [
+            Finding(
+                USABLE,
+                f"the noise is high, {typical:.1f} grey levels on the median",
+                "lower the gain and add light; check that the camera stands firm",
+            )
+        ]
     if typical < LOW_NOISE:
-        return [Finding(USABLE, f"the noise is suspiciously low, {typical:.2f} grey levels on the median",
-                        "check that the camera sends new pictures and does not smooth them")]  # fmt: skip
+        return [
+            Finding(
+                USABLE,
+                f"the noise is suspiciously low, {typical:.2f} grey levels on the median",
+                "check that the camera sends new pictures and does not smooth them",
+            )
+        ]
     return []
 
 
@@ -95,9 +126,19 @@ def _steadiness(brightness: list[float]) -> list[Finding]:
     slope, level = np.polyfit(time, values, 1)
     flicker, drift, found = float(np.std(values - level - slope * time) / level), float(slope / level), []
     if flicker > FLICKER:
-        found.append(Finding(USABLE, f"the brightness flickers by {100 * flicker:.1f} %",
-                             "expose for whole periods of the lamps: 10 ms at 50 Hz, 8.33 ms at 60 Hz"))  # fmt: skip
+        found.append(
+            Finding(
+                USABLE,
+                f"the brightness flickers by {100 * flicker:.1f} %",
+                "expose for whole periods of the lamps: 10 ms at 50 Hz, 8.33 ms at 60 Hz",
+            )
+        )
     if abs(drift) > DRIFT:
-        found.append(Finding(USABLE, f"the brightness changed by {100 * drift:+.1f} % while it was learned",
-                             "wait until lamps are warm and automatic exposure is off"))  # fmt: skip
+        found.append(
+            Finding(
+                USABLE,
+                f"the brightness changed by {100 * drift:+.1f} % while it was learned",
+                "wait until lamps are warm and automatic exposure is off",
+            )
+        )
     return found

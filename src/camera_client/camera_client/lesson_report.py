@@ -63,9 +63,15 @@ def report_of(
     if model is None:
         return LessonReport(number, grade, findings, text=answer)
     return LessonReport(
-        number, grade, findings, model.provenance.frames, round(model.provenance.mean_noise, 3),
-        round(model.moving_share, 5), saved, answer,
-    )  # fmt: skip
+        number,
+        grade,
+        findings,
+        model.provenance.frames,
+        round(model.provenance.mean_noise, 3),
+        round(model.moving_share, 5),
+        saved,
+        answer,
+    )
 
 
 def _turned(model: BackgroundModel) -> tuple[Finding, ...]:

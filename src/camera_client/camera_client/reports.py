@@ -166,6 +166,9 @@ class RecentAccount:
             self._looks.popleft()
         then = self._looks[0][1]
         return FrameAccount(
-            total.expected - then.expected, total.delivered - then.delivered, total.incomplete - then.incomplete,
-            total.lost - then.lost, total.repeated - then.repeated,
-        )  # fmt: skip
+            total.expected - then.expected,
+            total.delivered - then.delivered,
+            total.incomplete - then.incomplete,
+            total.lost - then.lost,
+            total.repeated - then.repeated,
+        )

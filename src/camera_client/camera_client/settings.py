@@ -44,9 +44,10 @@ class AravisSettings:
     interface: str = setting("", "Where to search by broadcast: names or own addresses of interfaces, with commas")
 
     pixel_format: str = setting(
-        "auto", "GenICam pixel format; auto prefers 8-bit Bayer, then YUV422, BGR8, RGB8, Mono8, deeper mono",
+        "auto",
+        "GenICam pixel format; auto prefers 8-bit Bayer, then YUV422, BGR8, RGB8, Mono8, deeper mono",
         choices=("auto", *FORMATS),
-    )  # fmt: skip
+    )
     exposure_us: float = setting(-1.0, "Exposure time", unit="us", low=-1, high=1e7)
     gain: float = setting(-1.0, "Gain in the camera's own unit (mostly dB)", low=-1, high=1e6)
     frame_rate: float = setting(-1.0, "Frame rate, also of the triggers that we send", unit="Hz", low=-1, high=10000)
@@ -60,10 +61,11 @@ class AravisSettings:
     )
 
     sync: str = setting(
-        "free_run", "What starts an exposure: the camera itself; its PTP clock; a trigger line; scheduled action "
+        "free_run",
+        "What starts an exposure: the camera itself; its PTP clock; a trigger line; scheduled action "
         "commands (in PTP time); software triggers (in this host's time)",
         choices=("free_run", "ptp", "line", "action", "software"),
-    )  # fmt: skip
+    )
     trigger_line: str = setting("Line1", "sync line: the input, a name of TriggerSource")
     trigger_activation: str = setting(
         "RisingEdge", "sync line: the edge", choices=("RisingEdge", "FallingEdge", "AnyEdge")
@@ -76,18 +78,23 @@ class AravisSettings:
     ptp_wait_s: float = setting(10.0, "PTP: longest wait for the camera to be in step", unit="s", low=0, high=600)
 
     stamp_source: str = setting(
-        "auto", "Whose clock stamps frames; auto: ptp when the camera is in step, else camera (its clock mapped onto "
+        "auto",
+        "Whose clock stamps frames; auto: ptp when the camera is in step, else camera (its clock mapped onto "
         "the host's); arrival: the host's at the first packet",
         choices=("auto", "ptp", "camera", "arrival"),
-    )  # fmt: skip
+    )
     camera_stamps: str = setting(
-        "exposure_start", "Which instant the camera stamps; ours is always mid-exposure",
+        "exposure_start",
+        "Which instant the camera stamps; ours is always mid-exposure",
         choices=("exposure_start", "exposure_middle", "exposure_end"),
-    )  # fmt: skip
+    )
     tai_utc_offset_s: int = setting(
-        37, "By how much the PTP clock is ahead of UTC: 37 for TAI, 0 where the grandmaster gives UTC", unit="s",
-        low=-1000, high=1000,
-    )  # fmt: skip
+        37,
+        "By how much the PTP clock is ahead of UTC: 37 for TAI, 0 where the grandmaster gives UTC",
+        unit="s",
+        low=-1000,
+        high=1000,
+    )
     chunks: bool = setting(False, "Take time and exposure from the chunks of each frame")
 
     packet_size: int = setting(0, "Bytes of a stream packet; 0: the largest that gets through", low=0, high=16404)
@@ -108,9 +115,10 @@ class LightDriftSettings:
     """Following slow changes of the light; people are never followed, however long they stand."""
 
     mode: str = setting(
-        "none", "none: the background stays as learned; slow: it follows lamps that warm up, the sun, dust",
+        "none",
+        "none: the background stays as learned; slow: it follows lamps that warm up, the sun, dust",
         choices=("none", "slow"),
-    )  # fmt: skip
+    )
     max_gain: float = setting(0.5, "The whole image may become brighter or darker by at most this share", low=0, high=4)
     max_local: float = setting(
         12.0, "On top of it a single pixel may move by at most this much", unit="grey levels", low=0, high=255
@@ -127,9 +135,10 @@ class BackgroundSettings:
     """The background model of thesis 6.2-6.3."""
 
     rule: str = setting(
-        "tail", "tail: foreground when the two-sided tail probability is below risk; pdf: when the density is (thesis)",
+        "tail",
+        "tail: foreground when the two-sided tail probability is below risk; pdf: when the density is (thesis)",
         choices=("tail", "pdf"),
-    )  # fmt: skip
+    )
     risk: float = setting(
         1e-4, "A background pixel is called foreground this often (each channel)", low=1e-12, high=0.5
     )
@@ -151,9 +160,12 @@ class ColourShadowSettings:
         3.0, "A shadow's colour departs from the darkened background by at most this many sigma", low=0.1, high=100
     )
     min_brightness: float = setting(
-        60.0, "Backgrounds darker than this cannot be told from dark clothes: no shadow there", unit="grey levels",
-        low=0, high=255,
-    )  # fmt: skip
+        60.0,
+        "Backgrounds darker than this cannot be told from dark clothes: no shadow there",
+        unit="grey levels",
+        low=0,
+        high=255,
+    )
 
 
 @dataclass(frozen=True)
@@ -167,13 +179,17 @@ class FloorShadowSettings:
         0.0105, "Side of the window that tells texture from brightness", unit="share of height", low=0.004, high=0.2
     )
     residual: float = setting(
-        3.0, "In a shadow, image and darkened background differ by at most this many sigma (root mean square)",
-        low=0.1, high=100,
-    )  # fmt: skip
+        3.0,
+        "In a shadow, image and darkened background differ by at most this many sigma (root mean square)",
+        low=0.1,
+        high=100,
+    )
     persistence: float = setting(
-        0.3, "In a shadow at least this share of the floor's texture is still seen; smooth clothes show none",
-        low=-2, high=1,
-    )  # fmt: skip
+        0.3,
+        "In a shadow at least this share of the floor's texture is still seen; smooth clothes show none",
+        low=-2,
+        high=1,
+    )
     min_area: float = setting(
         0.0015, "Smaller patches are not taken for shadow", unit="share of height^2", low=0, high=1
     )
@@ -185,21 +201,28 @@ class SilhouetteSettings:
 
     median_px: int = setting(5, "Side of the median filter", unit="px", choices=(1, 3, 5, 7))
     shadow: str = setting(
-        "mark", "Shadows: mark them, and what might be one, for the hull server to judge; remove them; or keep them",
+        "mark",
+        "Shadows: mark them, and what might be one, for the hull server to judge; remove them; or keep them",
         choices=("mark", "remove", "keep"),
-    )  # fmt: skip
+    )
     closing: float = setting(
         0.0085, "Cracks in the silhouette up to about this width are closed", unit="share of height", low=0, high=0.1
     )
     min_area: float = setting(2e-4, "Components smaller than this are dropped", unit="share of height^2", low=0, high=1)
     near: float = setting(
-        0.12, "Components are kept within this gap of the largest one (or of one kept)", unit="share of height",
-        low=0, high=10,
-    )  # fmt: skip
+        0.12,
+        "Components are kept within this gap of the largest one (or of one kept)",
+        unit="share of height",
+        low=0,
+        high=10,
+    )
     rim: float = setting(
-        0.3, "Pixels of the outline go that differ from the background by less than this share of what those beside "
-        "them do; 0 keeps all", low=0, high=0.9,
-    )  # fmt: skip
+        0.3,
+        "Pixels of the outline go that differ from the background by less than this share of what those beside "
+        "them do; 0 keeps all",
+        low=0,
+        high=0.9,
+    )
     max_hole: float = setting(1e-3, "Holes smaller than this are filled", unit="share of height^2", low=0, high=1)
     empty_below: float = setting(2e-4, "A mask with a smaller share of foreground is flagged empty", low=0, high=1)
     full_above: float = setting(0.6, "A mask with a larger share of foreground is flagged full", low=0, high=1)
@@ -234,13 +257,18 @@ class FrameCheckSettings:
         0.25, "The lights changed when the typical pixel is brighter or darker by this share", low=0.02, high=10
     )
     saturated_share: float = setting(
-        0.2, "A frame is saturated when a larger share than this is white, and was not in the background",
-        low=0.001, high=1,
-    )  # fmt: skip
+        0.2,
+        "A frame is saturated when a larger share than this is white, and was not in the background",
+        low=0.001,
+        high=1,
+    )
     frozen_s: float = setting(
-        1.0, "A camera is frozen when its picture stays the same for so long; 0 never (footage)",
-        unit="s", low=0, high=3600,
-    )  # fmt: skip
+        1.0,
+        "A camera is frozen when its picture stays the same for so long; 0 never (footage)",
+        unit="s",
+        low=0,
+        high=3600,
+    )
 
 
 @dataclass(frozen=True)
@@ -249,9 +277,11 @@ class BackgroundWatchSettings:
 
     age_h: float = setting(12.0, "A background is old after this; 0: never", unit="h", low=0, high=1e5)
     drift: float = setting(
-        0.5, "The light drifted when the typical pixel has used up this share of what its noise allows; 0: not looked "
-        "at", low=0, high=10,
-    )  # fmt: skip
+        0.5,
+        "The light drifted when the typical pixel has used up this share of what its noise allows; 0: not looked at",
+        low=0,
+        high=10,
+    )
     static_s: float = setting(
         300.0, "Foreground that has not moved for so long belongs to the room", unit="s", low=1, high=86400
     )
@@ -263,9 +293,12 @@ class CameraMovedSettings:
     """When the picture says that the camera was moved since it was calibrated."""
 
     limit_deg: float = setting(
-        0.2, "The camera was moved when its picture is shifted or turned by more; 0: not looked at", unit="deg",
-        low=0, high=10,
-    )  # fmt: skip
+        0.2,
+        "The camera was moved when its picture is shifted or turned by more; 0: not looked at",
+        unit="deg",
+        low=0,
+        high=10,
+    )
     period_s: float = setting(0.5, "How often a frame is compared with the background", unit="s", low=0.05, high=60)
 
 

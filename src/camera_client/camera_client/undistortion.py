@@ -43,8 +43,14 @@ class BoxUndistorter:
         (top, left), (bottom, right) = self._low[cells].min(axis=(0, 1)), self._high[cells].max(axis=(0, 1))
         if top < bottom:
             part = slice(top, bottom), slice(left, right)
-            canvas[part] = cv2.remap(mask, self._nearest[part], np.empty(0, np.uint16), cv2.INTER_NEAREST,
-                                     borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # fmt: skip
+            canvas[part] = cv2.remap(
+                mask,
+                self._nearest[part],
+                np.empty(0, np.uint16),
+                cv2.INTER_NEAREST,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=0,
+            )
 
 
 def _canvas_of_cells(nearest: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -78,9 +78,16 @@ def write_rig(path, *cameras):
 def scene():
     """The helpers above as one object."""
     return types.SimpleNamespace(
-        camera=camera, write_video=write_video, empty=empty_scene, person_mask=person_mask, with_person=with_person,
-        write_rig=write_rig, width=WIDTH, height=HEIGHT, fps=FPS,
-    )  # fmt: skip
+        camera=camera,
+        write_video=write_video,
+        empty=empty_scene,
+        person_mask=person_mask,
+        with_person=with_person,
+        write_rig=write_rig,
+        width=WIDTH,
+        height=HEIGHT,
+        fps=FPS,
+    )
 
 
 @pytest.fixture

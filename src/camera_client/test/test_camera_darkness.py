@@ -68,8 +68,10 @@ def test_every_ratio_has_the_degree_between_its_edges():
 def test_only_marking_sends_degrees_and_the_person_is_the_same_in_all_modes(scene):
     frame = scene.with_person(scene.empty(1, seed=7)[0])
     frame[(scene.person_mask() > 0) & (np.arange(160) >= 80)] = 70  # dark trousers
-    found = {how: SilhouettePipeline(scene.camera(), background(scene), SilhouetteSettings(shadow=how)).run(frame)
-             for how in ("mark", "remove", "keep")}  # fmt: skip
+    found = {
+        how: SilhouettePipeline(scene.camera(), background(scene), SilhouetteSettings(shadow=how)).run(frame)
+        for how in ("mark", "remove", "keep")
+    }
     assert set(np.unique(found["mark"].mask)) & set(DARK_LEVELS)
     assert set(np.unique(found["remove"].mask)) == set(np.unique(found["keep"].mask)) == {0, 255}
     assert np.array_equal(found["mark"].person, found["remove"].mask)

@@ -98,8 +98,14 @@ def test_text_that_is_no_report_is_refused(text):
 
 
 def test_what_the_camera_told_of_itself_is_saved_with_the_background(tmp_path, scene):
-    about = {"camera_serial": "S1", "camera_model": "Acme One", "exposure_us": "5000", "gain": "0",
-             "pixel_format": "Mono8", "temperature_c": "41.5"}  # fmt: skip
+    about = {
+        "camera_serial": "S1",
+        "camera_model": "Acme One",
+        "exposure_us": "5000",
+        "gain": "0",
+        "pixel_format": "Mono8",
+        "temperature_c": "41.5",
+    }
     learning = LiveLearning(10, "camera", created="2026-03-01T08:00:00+00:00", **about)
     for image in scene.empty(10):
         learning.add(image)

@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from camera_client.frame_checks import (
-    DARK,
-    FROZEN,
-    LIGHTS,
-    REMEDIES,
-    SATURATED,
-    FrameChecks,
-    grid_sample,
-)
+from camera_client.frame_checks import DARK, FROZEN, LIGHTS, REMEDIES, SATURATED, FrameChecks, grid_sample
 from camera_client.settings import FrameCheckSettings
 
 PERIOD_NS = 20_000_000

@@ -119,8 +119,13 @@ def searched():
     probe = ["sh", "-c", "ip link add probe0 type veth peer name probe1"]
     if subprocess.run([*unshare, *probe], capture_output=True).returncode:
         pytest.skip("this system lets us make no network namespace with a pair of interfaces")
-    run = subprocess.run([*unshare, sys.executable, str(NETWORK_SCRIPT)], capture_output=True, text=True,
-                         timeout=6 * PATIENCE_S, env=os.environ)  # fmt: skip
+    run = subprocess.run(
+        [*unshare, sys.executable, str(NETWORK_SCRIPT)],
+        capture_output=True,
+        text=True,
+        timeout=6 * PATIENCE_S,
+        env=os.environ,
+    )
     assert run.returncode == 0, run.stderr
     return dict(line.split("\t", 1) for line in run.stdout.splitlines())
 

@@ -73,9 +73,13 @@ def test_lines_are_applied_in_order_each_as_its_kind(device, features):
     lines.append("ExposureTime=5e3")
     applied = features.apply(lines, "aravis.features")
     assert device.log == [
-        ("ReverseX", True), "UserSetLoad", ("Width", 320), ("PixelFormat", "Mono12"), ("DeviceUserID", "a=b"),
+        ("ReverseX", True),
+        "UserSetLoad",
+        ("Width", 320),
+        ("PixelFormat", "Mono12"),
+        ("DeviceUserID", "a=b"),
         ("ExposureTimeAbs", 5000.0),
-    ]  # fmt: skip
+    ]
     assert [entry.got for entry in applied] == [True, 320, "Mono12", "a=b", 5000.0]
 
 
@@ -94,8 +98,11 @@ def test_integers_are_put_on_the_grid_and_floats_may_be_rounded_by_the_camera(de
 
 def test_value_that_the_camera_does_not_keep_is_an_error(device, features):
     device.rounding["ExposureTimeAbs"] = lambda value: min(value, 2000.0)
-    with pytest.raises(InputError, match=r"camera X: took ExposureTimeAbs = 2000.0 instead of 5000.0. "
-                                         r"Allowed: 20 to 1e\+06. Set k to"):  # fmt: skip
+    with pytest.raises(
+        InputError,
+        match=r"camera X: took ExposureTimeAbs = 2000.0 instead of 5000.0. "
+        r"Allowed: 20 to 1e\+06. Set k to",
+    ):
         features.set("ExposureTime", 5000.0, "k")
 
 
@@ -148,10 +155,12 @@ def test_locked_feature_is_refused_with_the_device_s_own_words(device, features)
 @pytest.mark.parametrize(
     "kind, choices, written",
     [
-        (Kind.BOOLEAN, (), True), (Kind.INTEGER, (), 1), (Kind.ENUMERATION, ("Off", "On"), "On"),
+        (Kind.BOOLEAN, (), True),
+        (Kind.INTEGER, (), 1),
+        (Kind.ENUMERATION, ("Off", "On"), "On"),
         (Kind.ENUMERATION, ("False", "True"), "True"),
     ],
-)  # fmt: skip
+)
 def test_switch_finds_the_camera_s_word_for_on(kind, choices, written):
     device = Device(PtpEnable=feature(kind, None, choices=choices))
     Features(device, "X").switch("PtpEnable", True, "k")
@@ -173,7 +182,7 @@ class PtpDevice(Device):
             GevIEEE1588=feature(Kind.BOOLEAN, False),
             GevIEEE1588Status=feature(Kind.ENUMERATION, "Disabled", choices=()),
             GevIEEE1588DataSetLatch=feature(Kind.COMMAND),
-        )  # fmt: skip
+        )
         self.after = after
 
     def read(self, name):

@@ -43,11 +43,14 @@ def two_bytes(values, bits):
 @pytest.mark.parametrize(
     "name, bits, encode",
     [
-        ("Mono10", 10, two_bytes), ("Mono12", 12, two_bytes),
-        ("Mono10p", 10, row_of_bits), ("Mono12p", 12, row_of_bits),
-        ("Mono10Packed", 10, gige_packed), ("Mono12Packed", 12, gige_packed),
+        ("Mono10", 10, two_bytes),
+        ("Mono12", 12, two_bytes),
+        ("Mono10p", 10, row_of_bits),
+        ("Mono12p", 12, row_of_bits),
+        ("Mono10Packed", 10, gige_packed),
+        ("Mono12Packed", 12, gige_packed),
     ],
-)  # fmt: skip
+)
 @settings(deadline=None, max_examples=50)
 @given(shape=SHAPES, seed=st.integers(0, 2**32 - 1))
 def test_deep_mono_keeps_the_upper_eight_bits(name, bits, encode, shape, seed):

@@ -142,8 +142,7 @@ def test_camera_that_is_gone_is_counted_and_raises_nothing(device):
 
 
 @pytest.mark.parametrize(
-    "arrived, last, first",
-    [(1, None, 1), (3, None, 1), (1, 500, 1), (4, 500, 1), (501, 500, 501), (520, 500, 520)],
+    "arrived, last, first", [(1, None, 1), (3, None, 1), (1, 500, 1), (4, 500, 1), (501, 500, 501), (520, 500, 520)]
 )
 def test_run_begins_at_one_unless_the_camera_counts_on(arrived, last, first):
     assert first_of_run(arrived, last) == first

@@ -87,8 +87,15 @@ def whole_image(pipeline, image, settings):
 
 def larger(camera, factor):
     K = camera.K * [[factor], [factor], [1]]
-    return CameraModel(camera.name, camera.width * factor, camera.height * factor, K, camera.distortion_model,
-                       camera.D, camera.T_camera_world)  # fmt: skip
+    return CameraModel(
+        camera.name,
+        camera.width * factor,
+        camera.height * factor,
+        K,
+        camera.distortion_model,
+        camera.D,
+        camera.T_camera_world,
+    )
 
 
 @pytest.mark.parametrize("colour", [False, True])

@@ -30,10 +30,16 @@ def mask(*flags):
         ({"grab": GrabState.ENDED, "frames": 7}, Level.OK, "end of footage after 7 frames"),
         ({"grab": GrabState.FAILED, "failure": "file: gone."}, Level.ERROR, "file: gone."),
         ({"link": Link(LinkState.CONNECTING)}, Level.ERROR, "no camera: not connected yet (connecting)"),
-        ({"link": Link(LinkState.WAITING, "off", next_try_s=1.5, down_s=9.6)}, Level.ERROR,
-         "no camera: off (next attempt in 1.5 s, nothing for 10 s)"),
-        ({"link": Link(LinkState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)}, Level.ERROR,
-         "the camera cannot be used as it is set: lacks Mono12"),
+        (
+            {"link": Link(LinkState.WAITING, "off", next_try_s=1.5, down_s=9.6)},
+            Level.ERROR,
+            "no camera: off (next attempt in 1.5 s, nothing for 10 s)",
+        ),
+        (
+            {"link": Link(LinkState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)},
+            Level.ERROR,
+            "the camera cannot be used as it is set: lacks Mono12",
+        ),
         ({"link": Link(LinkState.STALLED, "nothing came for 0.5 s")}, Level.ERROR, "stalled: nothing came for 0.5 s"),
         ({"link": Link(LinkState.CONTROL_LOST, "taken")}, Level.ERROR, "control lost: taken; connecting anew"),
         ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
@@ -44,7 +50,7 @@ def mask(*flags):
         ({"concerns": ("old", "dark")}, Level.WARN, "old"),
         ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
     ],
-)  # fmt: skip
+)
 def test_level_and_text_follow_the_state(state, level, text):
     got = judge(CameraState(**{**RUNNING, **state}))
     assert got[0] is level and got[1].startswith(text)
@@ -52,8 +58,11 @@ def test_level_and_text_follow_the_state(state, level, text):
 
 def test_gravest_trouble_is_told_alone():
     everything = {
-        "frame_flags": ("dark",), "recent": FrameAccount(9, 1, 8), "has_background": False, "mask_flags": ("full",),
-    }  # fmt: skip
+        "frame_flags": ("dark",),
+        "recent": FrameAccount(9, 1, 8),
+        "has_background": False,
+        "mask_flags": ("full",),
+    }
     away = Link(LinkState.WAITING, "off")
     assert judge(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
     assert judge(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
@@ -114,9 +123,12 @@ def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
     frame = Frame(np.zeros((2, 2), np.uint8), 5, 1, "ptp", uncertainty_ns=1500)
     values = seen_values(frame, Seen(None, (), mask(), gain=1.2))
     assert values == {
-        "stamp_source": "ptp", "stamp_uncertainty_us": 1.5, "mask_fraction": 0.25, "candidate_fraction": 0.125,
+        "stamp_source": "ptp",
+        "stamp_uncertainty_us": 1.5,
+        "mask_fraction": 0.25,
+        "candidate_fraction": 0.125,
         "light_gain": 1.2,
-    }  # fmt: skip
+    }
 
 
 def test_downtime_adds_up_outages_and_counts_the_present_one():

@@ -11,12 +11,7 @@ from camera_client.background_model import BackgroundLearner
 from camera_client.colour_shadow import ColourShadow
 from camera_client.floor_shadow import FloorShadow, floor_pixels
 from camera_client.footage_reader import open_footage
-from camera_client.settings import (
-    BackgroundSettings,
-    ColourShadowSettings,
-    FloorShadowSettings,
-    SilhouetteSettings,
-)
+from camera_client.settings import BackgroundSettings, ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from camera_client.silhouette import EMPTY, FULL, SilhouettePipeline
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE
@@ -147,8 +142,10 @@ def test_shadow_on_the_floor_is_marked_removed_or_kept_and_the_person_stays(scen
     shadow[88:112, 20:70] = 255
     frame[shadow > 0] = np.rint(frame[shadow > 0] * 0.65)
     frame = scene.with_person(frame)
-    masks = {how: SilhouettePipeline(scene.camera(), background, SilhouetteSettings(shadow=how)).run(frame).image_mask
-             for how in ("keep", "remove", "mark")}  # fmt: skip
+    masks = {
+        how: SilhouettePipeline(scene.camera(), background, SilhouetteSettings(shadow=how)).run(frame).image_mask
+        for how in ("keep", "remove", "mark")
+    }
     alone = (shadow > 0) & (scene.person_mask() == 0)
     assert (masks["keep"][alone] == 255).mean() > 0.98
     assert not masks["remove"][92:108, 24:64].any()

@@ -49,9 +49,10 @@ def test_images_and_camera_info_with_zero_K_come_instead_of_silhouettes(bench, u
     assert camera.masks == [] and float(camera.values()["rate_hz"]) > 10
 
 
-@pytest.mark.parametrize("to_calibrate, publish_raw, listeners, sent", [
-    (True, False, 0, 0), (True, False, 1, 1), (False, False, 1, 0), (True, True, 0, 1), (False, True, 0, 1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "to_calibrate, publish_raw, listeners, sent",
+    [(True, False, 0, 0), (True, False, 1, 1), (False, False, 1, 0), (True, True, 0, 1), (False, True, 0, 1)],
+)
 def test_images_for_calibration_are_sent_only_while_somebody_listens(to_calibrate, publish_raw, listeners, sent):
     out = []
 
@@ -102,10 +103,16 @@ def test_intrinsics_of_another_camera_fail_configure(bench, unknown, session, sc
     camera.until_said("camera_name = 'cam02' is not this camera, 'cam01'")
 
 
-@pytest.mark.parametrize("spoil, text", [
-    (lambda info: CameraInfo(width=info.width, height=info.height), "camera_matrix"),
-    (lambda info: camera_info_message(unplaced_camera("cam01", 640, info.height), 0, ""), "for images of 640 x 120"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "spoil, text",
+    [
+        (lambda info: CameraInfo(width=info.width, height=info.height), "camera_matrix"),
+        (
+            lambda info: camera_info_message(unplaced_camera("cam01", 640, info.height), 0, ""),
+            "for images of 640 x 120",
+        ),
+    ],
+)
 def test_camera_info_that_is_none_or_of_another_size_is_refused(bench, unknown, scene, spoil, text):
     camera = bench(**unknown).start()
     answer = set_camera_info(camera, spoil(camera_info_message(lens(scene), 0, "cam01_optical")))
@@ -133,16 +140,25 @@ class Room:
 def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room(bench, gige_camera, tmp_path):
     room, saved = Room(), tmp_path / "bg.npz"
     simulated = gige_camera(room, noise=2.0, serial="SN42")
-    parameters = {"source": "aravis", "aravis.address": simulated.address, "aravis.frame_rate": 50.0,
-                  "aravis.exposure_us": 3000.0, "background_frames": 30, "background_file": str(saved)}  # fmt: skip
+    parameters = {
+        "source": "aravis",
+        "aravis.address": simulated.address,
+        "aravis.frame_rate": 50.0,
+        "aravis.exposure_us": 3000.0,
+        "background_frames": 30,
+        "background_file": str(saved),
+    }
     camera = bench(camera_name="cam01", **parameters).start()
     camera.until_said(UNCALIBRATED)
     answer = camera.ask_to_learn()
     assert answer.success and answer.message.startswith("good")
     about = load_background(saved).provenance
     assert (about.camera_serial, float(about.exposure_us), about.gain, about.pixel_format) == (
-        "SN42", pytest.approx(3000, rel=0.01), "0", "Mono8",
-    )  # fmt: skip
+        "SN42",
+        pytest.approx(3000, rel=0.01),
+        "0",
+        "Mono8",
+    )
     room.bar = "sweeps"
     answer = camera.ask_to_learn()
     assert not answer.success and "something moved" in answer.message
@@ -155,9 +171,15 @@ def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room
 
 def test_background_of_the_last_lesson_is_used_at_the_next_start(bench, session, scene):
     saved = session.folder / "learned.npz"
-    parameters = {**session.parameters, "background": "", "background_file": str(saved), "background_frames": 20,
-                  "footage.rate": 1.0, "footage.loop": True,
-                  "footage.path": scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))}  # fmt: skip
+    parameters = {
+        **session.parameters,
+        "background": "",
+        "background_file": str(saved),
+        "background_frames": 20,
+        "footage.rate": 1.0,
+        "footage.loop": True,
+        "footage.path": scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3)),
+    }
     camera = bench(**parameters).start()
     camera.until_said("no background")
     assert camera.ask_to_learn().success

@@ -9,7 +9,21 @@ from .settings import as_dict, build_settings, setting
 from .truth import Truth, load_truth
 
 __all__ = [
-    "CameraModel", "FrameSet", "FrameSetCollector", "InputError", "Rig", "Session", "Truth", "UndistortedView",
-    "Volume", "as_dict", "build_settings", "footage_stamp_ns", "load_rig", "load_session", "load_truth", "save_rig",
+    "CameraModel",
+    "FrameSet",
+    "FrameSetCollector",
+    "InputError",
+    "Rig",
+    "Session",
+    "Truth",
+    "UndistortedView",
+    "Volume",
+    "as_dict",
+    "build_settings",
+    "footage_stamp_ns",
+    "load_rig",
+    "load_session",
+    "load_truth",
+    "save_rig",
     "setting",
-]  # fmt: skip
+]

@@ -158,8 +158,14 @@ def _canvas_bounds(camera: CameraModel) -> tuple[Array, Array]:
     """Integer pixel bounds (low, high) of the undistorted image's border, in undistorted pixels."""
     w, h = camera.width, camera.height
     x, y = np.arange(w, dtype=float), np.arange(h, dtype=float)
-    border = np.concatenate([np.stack([x, 0 * x], 1), np.stack([x, 0 * x + h - 1], 1),
-                             np.stack([0 * y, y], 1), np.stack([0 * y + w - 1, y], 1)])  # fmt: skip
+    border = np.concatenate(
+        [
+            np.stack([x, 0 * x], 1),
+            np.stack([x, 0 * x + h - 1], 1),
+            np.stack([0 * y, y], 1),
+            np.stack([0 * y + w - 1, y], 1),
+        ]
+    )
     pixels = camera._ideal(border) * camera.K.diagonal()[:2] + camera.K[:2, 2]
     last = np.array([w - 1.0, h - 1.0])
     pixels = np.concatenate([pixels[np.isfinite(pixels).all(axis=1)], [[0.0, 0.0], last]])

@@ -38,8 +38,11 @@ def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
     """
     document = _read(path)
     if document["camera_name"] != camera.name:
-        raise InputError(f"camera_name = {document['camera_name']!r} is not this camera, '{camera.name}'",
-                         where=str(path), remedy="Name the file of this camera.")  # fmt: skip
+        raise InputError(
+            f"camera_name = {document['camera_name']!r} is not this camera, '{camera.name}'",
+            where=str(path),
+            remedy="Name the file of this camera.",
+        )
     return _with_document(camera, document, str(path))
 
 
@@ -69,9 +72,15 @@ def _read(path: str | Path) -> Mapping[str, Any]:
 def _with_document(camera: CameraModel, document: Mapping[str, Any], where: str) -> CameraModel:
     matrices = {key: _matrix(document, key, shape, where) for key, shape in MATRICES.items()}
     return with_intrinsics(
-        camera, document["image_width"], document["image_height"], matrices["camera_matrix"].tolist(),
-        document["distortion_model"], _coefficients(document, where), matrices["rectification_matrix"].tolist(), where,
-    )  # fmt: skip
+        camera,
+        document["image_width"],
+        document["image_height"],
+        matrices["camera_matrix"].tolist(),
+        document["distortion_model"],
+        _coefficients(document, where),
+        matrices["rectification_matrix"].tolist(),
+        where,
+    )
 
 
 def with_intrinsics(
@@ -88,8 +97,11 @@ def with_intrinsics(
             remedy="Calibrate at the size that the camera delivers, or set the camera's region.",
         )
     if not np.allclose(R, np.eye(3), atol=RECTIFIED):
-        raise InputError("rectification_matrix is not the identity", where=where,
-                         remedy="A stereo calibration cannot be used; calibrate each camera by itself.")  # fmt: skip
+        raise InputError(
+            "rectification_matrix is not the identity",
+            where=where,
+            remedy="A stereo calibration cannot be used; calibrate each camera by itself.",
+        )
     model = "plumb_bob" if distortion_model == "" and not np.any(D) else distortion_model
     entry = {
         "image_width": width,
@@ -124,8 +136,11 @@ def save_camera_info(path: str | Path, camera: CameraModel) -> None:
         os.chmod(file.name, READABLE)
         os.replace(file.name, path)
     except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", where=str(path),
-                         remedy="Name a file in a folder that exists and may be written.") from None  # fmt: skip
+        raise InputError(
+            f"cannot be written ({error.strerror})",
+            where=str(path),
+            remedy="Name a file in a folder that exists and may be written.",
+        ) from None
 
 
 def _matrix_document(values: Array) -> dict[str, Any]:
@@ -140,14 +155,20 @@ def _matrix(document: Mapping[str, Any], key: str, shape: tuple[int, int], where
             return np.array(entry["data"], float).reshape(shape)
     except (TypeError, KeyError, ValueError):
         pass
-    raise InputError(f"{key} = {entry!r} is not a matrix of {shape[0]} x {shape[1]} numbers", where=where,
-                     remedy=f"Write it as rows: {shape[0]}, cols: {shape[1]}, data: [...].")  # fmt: skip
+    raise InputError(
+        f"{key} = {entry!r} is not a matrix of {shape[0]} x {shape[1]} numbers",
+        where=where,
+        remedy=f"Write it as rows: {shape[0]}, cols: {shape[1]}, data: [...].",
+    )
 
 
 def _coefficients(document: Mapping[str, Any], where: str) -> list[float]:
     entry = document["distortion_coefficients"]
     data = entry.get("data") if isinstance(entry, Mapping) else None
     if not isinstance(data, list) or entry.get("rows") != 1 or entry.get("cols") != len(data):
-        raise InputError(f"distortion_coefficients = {entry!r} is not a matrix of one row", where=where,
-                         remedy="Write it as rows: 1, cols: 5, data: [k1, k2, p1, p2, k3].")  # fmt: skip
+        raise InputError(
+            f"distortion_coefficients = {entry!r} is not a matrix of one row",
+            where=where,
+            remedy="Write it as rows: 1, cols: 5, data: [k1, k2, p1, p2, k3].",
+        )
     return data

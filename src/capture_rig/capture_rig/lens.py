@@ -62,8 +62,9 @@ def _distort(points: Array, D: Array) -> tuple[Array, tuple[Array, Array, Array]
     bottom, d_bottom = 1 + r2 * (k4 + r2 * (k5 + r2 * k6)), k4 + r2 * (2 * k5 + r2 * 3 * k6)
     g = top / bottom
     d_g = (d_top - g * d_bottom) / bottom
-    distorted = np.stack([x * g + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                          y * g + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1)  # fmt: skip
+    distorted = np.stack(
+        [x * g + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * g + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1
+    )
     jacobian = (
         g + 2 * x * x * d_g + 2 * p1 * y + 6 * p2 * x,
         2 * x * y * d_g + 2 * p1 * x + 2 * p2 * y,

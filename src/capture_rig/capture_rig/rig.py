@@ -16,8 +16,15 @@ from .lens import COEFFICIENTS, Array
 from .yaml_file import read_mapping
 
 UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
-CAMERA_KEYS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion",
-               "R_camera_world", "t_camera_world")  # fmt: skip
+CAMERA_KEYS = (
+    "image_width",
+    "image_height",
+    "camera_matrix",
+    "distortion_model",
+    "distortion",
+    "R_camera_world",
+    "t_camera_world",
+)
 ROTATION_TOLERANCE = 1e-4
 DEFAULT_HALF_WIDTH_M, DEFAULT_HEIGHT_M, FLOOR_MARGIN_M = 2.5, 2.4, 0.05
 
@@ -96,8 +103,9 @@ def camera_from_mapping(name: str, entry: Any, where: str) -> CameraModel:
             raise InputError(f"key '{key}' is missing", where=where, remedy=f"Needed: {', '.join(CAMERA_KEYS)}.")
     model = entry["distortion_model"]
     if model not in COEFFICIENTS:
-        raise InputError(f"distortion_model = {model!r} is not known", where=where,
-                         remedy=f"Use one of {', '.join(COEFFICIENTS)}.")  # fmt: skip
+        raise InputError(
+            f"distortion_model = {model!r} is not known", where=where, remedy=f"Use one of {', '.join(COEFFICIENTS)}."
+        )
     T = np.eye(4)
     T[:3, :3] = _rotation(entry, where)
     T[:3, 3] = _numbers(entry, "t_camera_world", (3,), where)
@@ -119,16 +127,20 @@ def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: 
         values = np.empty(0)
     if values.shape != shape or not np.isfinite(values).all():
         size = " x ".join(map(str, shape))
-        raise InputError(f"{key} = {entry[key]!r} is not {size} finite numbers", where=where,
-                         remedy="Calibrate the camera again or mend the file.")  # fmt: skip
+        raise InputError(
+            f"{key} = {entry[key]!r} is not {size} finite numbers",
+            where=where,
+            remedy="Calibrate the camera again or mend the file.",
+        )
     return values
 
 
 def _positive_int(entry: Mapping[str, Any], key: str, where: str) -> int:
     value = entry[key]
     if not isinstance(value, int) or isinstance(value, bool) or value <= 0:
-        raise InputError(f"{key} = {value!r} is not a positive whole number", where=where,
-                         remedy="Give the image size in pixels.")  # fmt: skip
+        raise InputError(
+            f"{key} = {value!r} is not a positive whole number", where=where, remedy="Give the image size in pixels."
+        )
     return value
 
 
@@ -166,12 +178,16 @@ def _rotation(entry: Mapping[str, Any], where: str) -> Array:
 
 def _volume(entry: Any, where: str) -> Volume:
     if not isinstance(entry, Mapping) or set(entry) != {"low", "high"}:
-        raise InputError(f"{entry!r} is not a volume", where=where,
-                         remedy="Give low: [x, y, z] and high: [x, y, z] in metres.")  # fmt: skip
+        raise InputError(
+            f"{entry!r} is not a volume", where=where, remedy="Give low: [x, y, z] and high: [x, y, z] in metres."
+        )
     low, high = _numbers(entry, "low", (3,), where), _numbers(entry, "high", (3,), where)
     if not (high > low).all():
-        raise InputError(f"high = {high.tolist()} is not above low = {low.tolist()}", where=where,
-                         remedy="Every coordinate of high must exceed that of low.")  # fmt: skip
+        raise InputError(
+            f"high = {high.tolist()} is not above low = {low.tolist()}",
+            where=where,
+            remedy="Every coordinate of high must exceed that of low.",
+        )
     return Volume(low, high)
 
 

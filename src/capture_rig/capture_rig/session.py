@@ -92,8 +92,11 @@ def _frame_rate(folder: Path, videos: dict[str, Path]) -> float:
     if stated is not None:
         return stated
     if max(rates.values()) - min(rates.values()) > 1e-3 * max(rates.values()):
-        raise InputError(f"the videos have different frame rates: {rates}", where=str(folder),
-                         remedy="Give the true rate as 'fps' in session.yaml.")  # fmt: skip
+        raise InputError(
+            f"the videos have different frame rates: {rates}",
+            where=str(folder),
+            remedy="Give the true rate as 'fps' in session.yaml.",
+        )
     return next(iter(rates.values()))
 
 

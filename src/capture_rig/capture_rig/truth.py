@@ -24,13 +24,39 @@ WRIST_FRACTION = 0.146 / (0.146 + 0.108)
 
 # the columns that give each of the 15 points; two names stand for their midpoint
 RENDERED = (
-    ("neck", "l_hip", "r_hip"), ("head_top",), ("neck",), ("l_shoulder",), ("r_shoulder",), ("l_hip",), ("r_hip",),
-    ("l_elbow",), ("r_elbow",), ("l_knee",), ("r_knee",), ("l_hand_tip",), ("r_hand_tip",), ("l_ankle",), ("r_ankle",),
-)  # fmt: skip
+    ("neck", "l_hip", "r_hip"),
+    ("head_top",),
+    ("neck",),
+    ("l_shoulder",),
+    ("r_shoulder",),
+    ("l_hip",),
+    ("r_hip",),
+    ("l_elbow",),
+    ("r_elbow",),
+    ("l_knee",),
+    ("r_knee",),
+    ("l_hand_tip",),
+    ("r_hand_tip",),
+    ("l_ankle",),
+    ("r_ankle",),
+)
 POSE_NETWORK = (
-    ("Neck", "LHip", "RHip"), ("Head",), ("Neck",), ("LShoulder",), ("RShoulder",), ("LHip",), ("RHip",),
-    ("LElbow",), ("RElbow",), ("LKnee",), ("RKnee",), ("LWrist",), ("RWrist",), ("LAnkle",), ("RAnkle",),
-)  # fmt: skip
+    ("Neck", "LHip", "RHip"),
+    ("Head",),
+    ("Neck",),
+    ("LShoulder",),
+    ("RShoulder",),
+    ("LHip",),
+    ("RHip",),
+    ("LElbow",),
+    ("RElbow",),
+    ("LKnee",),
+    ("RKnee",),
+    ("LWrist",),
+    ("RWrist",),
+    ("LAnkle",),
+    ("RAnkle",),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,19 +122,26 @@ def _read_csv(path: Path) -> tuple[list[str], Array]:
             remedy="The first row names the columns, every other row holds numbers.",
         ) from None
     if header[0] != "frame" or rows.ndim != 2 or rows.shape[1] != len(header):
-        raise InputError("is not a table whose first column is 'frame'", where=str(path),
-                         remedy="Every row needs one number per column.")  # fmt: skip
+        raise InputError(
+            "is not a table whose first column is 'frame'",
+            where=str(path),
+            remedy="Every row needs one number per column.",
+        )
     if not np.array_equal(rows[:, 0], np.trunc(rows[:, 0])):
-        raise InputError("column 'frame' holds something else than whole numbers", where=str(path),
-                         remedy="Give the 0-based video frame of each row.")  # fmt: skip
+        raise InputError(
+            "column 'frame' holds something else than whole numbers",
+            where=str(path),
+            remedy="Give the 0-based video frame of each row.",
+        )
     return header, rows
 
 
 def _point(rows: Array, column: dict[str, int], parts: tuple[str, ...], path: Path) -> Array:
     for name in (f"{part}_{axis}" for part in parts for axis in "xyz"):
         if name not in column:
-            raise InputError(f"column '{name}' is missing", where=str(path),
-                             remedy="Give x, y, z of every reference point.")  # fmt: skip
+            raise InputError(
+                f"column '{name}' is missing", where=str(path), remedy="Give x, y, z of every reference point."
+            )
     xyz = {name: rows[:, [column[f"{name}_{axis}"] for axis in "xyz"]] for name in parts}
     if len(parts) == 1:
         return xyz[parts[0]]

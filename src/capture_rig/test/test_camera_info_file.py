@@ -67,8 +67,10 @@ def test_intrinsics_of_the_file_replace_those_of_the_rig_and_the_pose_stays(came
     assert np.array_equal(read.T_camera_world, camera.T_camera_world) and read.name == "cam01"
 
 
-@pytest.mark.parametrize("model, D", [("plumb_bob", np.array([-0.2, 0.1, 1e-3, -2e-3, 0.03])),
-                                      ("rational_polynomial", np.linspace(-0.1, 0.1, 8))])  # fmt: skip
+@pytest.mark.parametrize(
+    "model, D",
+    [("plumb_bob", np.array([-0.2, 0.1, 1e-3, -2e-3, 0.03])), ("rational_polynomial", np.linspace(-0.1, 0.1, 8))],
+)
 def test_saved_file_reads_back_the_same_numbers(camera, tmp_path, model, D):
     K = np.array([[500.1, 0, 0.1 + 0.2], [0, 1 / 3 * 1000, 240], [0, 0, 1]])
     calibrated = replace(camera, K=K, distortion_model=model, D=D)
@@ -80,8 +82,10 @@ def test_saved_file_reads_back_the_same_numbers(camera, tmp_path, model, D):
 
 
 def test_pinhole_without_coefficients_has_no_distortion(camera, file):
-    path = file(("cols: 5\n  data: [-0.361976, 0.110510, 0.001014, 0.000505, 0.000000]", "cols: 0\n  data: []"),
-                ("distortion_model: plumb_bob", "distortion_model: ''"))  # fmt: skip
+    path = file(
+        ("cols: 5\n  data: [-0.361976, 0.110510, 0.001014, 0.000505, 0.000000]", "cols: 0\n  data: []"),
+        ("distortion_model: plumb_bob", "distortion_model: ''"),
+    )
     read = load_camera_info(path, camera)
     assert read.distortion_model == "plumb_bob" and not read.D.any()
 

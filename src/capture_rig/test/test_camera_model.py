@@ -156,8 +156,9 @@ def test_seen_canvas_pixels_are_those_that_opencv_maps_into_the_image(camera: Ca
     size = (view.camera.width, view.camera.height)
     x, y = cv2.initUndistortRectifyMap(K, camera.D, np.eye(3), view.camera.K, size, cv2.CV_32FC1)
     inside = (x >= -0.5) & (x <= WIDTH - 0.5) & (y >= -0.5) & (y <= HEIGHT - 0.5)
-    at_the_edge = np.minimum.reduce([np.abs(x + 0.5), np.abs(x - WIDTH + 0.5),
-                                     np.abs(y + 0.5), np.abs(y - HEIGHT + 0.5)]) < 1e-3  # fmt: skip
+    at_the_edge = (
+        np.minimum.reduce([np.abs(x + 0.5), np.abs(x - WIDTH + 0.5), np.abs(y + 0.5), np.abs(y - HEIGHT + 0.5)]) < 1e-3
+    )
     assert np.array_equal(view.seen[~at_the_edge], inside[~at_the_edge])
 
 

@@ -229,8 +229,11 @@ def test_footage_started_again_begins_a_new_timeline_and_loses_nothing() -> None
     assert instants_of(first + second) == [*range(120), *range(5)]
     assert all(not each.missing for each in second)
     assert dataclasses.asdict(collector.counters) == {
-        **dict.fromkeys(dataclasses.asdict(collector.counters), 0), "frames": 375, "complete": 125, "restarts": 1,
-    }  # fmt: skip
+        **dict.fromkeys(dataclasses.asdict(collector.counters), 0),
+        "frames": 375,
+        "complete": 125,
+        "restarts": 1,
+    }
 
 
 def test_first_set_of_a_new_timeline_leaves_with_its_last_frame() -> None:

@@ -61,9 +61,11 @@ def measure(model: str) -> dict[str, float]:
             distances = np.einsum("ij,ijk,ik->i", error, np.linalg.inv(state.point_covariance), error)
             inside.append((distances < CHI2_95).mean())
     return {
-        "ekf_ms": float(np.median(cost)), "raw_mm": 1e3 * float(np.mean(raw)),
-        "mean_mm": 1e3 * float(np.mean(filtered)), "inside_95": float(np.mean(inside)),
-    }  # fmt: skip
+        "ekf_ms": float(np.median(cost)),
+        "raw_mm": 1e3 * float(np.mean(raw)),
+        "mean_mm": 1e3 * float(np.mean(filtered)),
+        "inside_95": float(np.mean(inside)),
+    }
 
 
 def main() -> None:

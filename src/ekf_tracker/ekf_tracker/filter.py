@@ -67,8 +67,10 @@ class ArticulatedEkf:
     def predict(self, stamp_ns: int) -> int:
         """Move the state to ``stamp_ns``, which is returned (thesis Table 5.5). InputError when :meth:`is_past`."""
         if self.is_past(stamp_ns):
-            raise InputError(f"stamp {stamp_ns} ns is not later than the last one, {self._stamp_ns} ns",
-                             remedy="Send each frame set once, in stamp order, or reset the tracker.")  # fmt: skip
+            raise InputError(
+                f"stamp {stamp_ns} ns is not later than the last one, {self._stamp_ns} ns",
+                remedy="Send each frame set once, in stamp order, or reset the tracker.",
+            )
         if self._track is not None:
             self._track.predict(stamp_ns)
         self._stamp_ns = stamp_ns

@@ -70,8 +70,11 @@ class HumansPublisher:
 
     def __init__(self, node: Node, body_id: str, frame_id: str) -> None:
         if not BODY_ID.fullmatch(body_id):
-            raise InputError(f"body_id = {body_id!r} is no REP-155 id", where=f"parameters of {node.get_name()}",
-                             remedy="Use letters, digits and underscores, a letter first, as in b0001.")  # fmt: skip
+            raise InputError(
+                f"body_id = {body_id!r} is no REP-155 id",
+                where=f"parameters of {node.get_name()}",
+                remedy="Use letters, digits and underscores, a letter first, as in b0001.",
+            )
         self._node, self._id, self._frame_id = node, body_id, frame_id
         self._names = [f"{name}_{body_id}" for name in HRI_JOINT_NAMES]
         self._angles: np.ndarray | None = None

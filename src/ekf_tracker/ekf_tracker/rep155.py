@@ -16,12 +16,27 @@ import numpy as np
 from stick_figure.pose import Pose
 
 HRI_JOINT_NAMES = (
-    "waist", "r_head", "y_head", "p_head",
-    "l_y_shoulder", "l_p_shoulder", "l_r_shoulder", "l_elbow",
-    "r_y_shoulder", "r_p_shoulder", "r_r_shoulder", "r_elbow",
-    "l_y_hip", "l_p_hip", "l_r_hip", "l_knee",
-    "r_y_hip", "r_p_hip", "r_r_hip", "r_knee",
-)  # fmt: skip
+    "waist",
+    "r_head",
+    "y_head",
+    "p_head",
+    "l_y_shoulder",
+    "l_p_shoulder",
+    "l_r_shoulder",
+    "l_elbow",
+    "r_y_shoulder",
+    "r_p_shoulder",
+    "r_r_shoulder",
+    "r_elbow",
+    "l_y_hip",
+    "l_p_hip",
+    "l_r_hip",
+    "l_knee",
+    "r_y_hip",
+    "r_p_hip",
+    "r_r_hip",
+    "r_knee",
+)
 
 SINGULAR_SINE = 1e-6
 SHOULDER_PITCH_LOW = -0.4

@@ -86,16 +86,21 @@ class EkfSettings:
         0.15, "an elbow or knee bent further than this past straight is turned round", unit="rad", low=0.0, high=1.0
     )
     limit_sd_rad: float = setting(
-        0.05, "an angle outside its joint's range, as a soft cost beyond the range alone (0: no limits)", unit="rad",
-        low=0.0, high=10.0,
-    )  # fmt: skip
+        0.05,
+        "an angle outside its joint's range, as a soft cost beyond the range alone (0: no limits)",
+        unit="rad",
+        low=0.0,
+        high=10.0,
+    )
     coast_s: float = setting(
         0.1, "without measurements for longer than this, the body's velocity counts as unknown", unit="s", low=0.0
     )
     lost_after_s: float = setting(
-        1.0, "without measurements for longer than this, the body is lost; the next good set starts anew", unit="s",
+        1.0,
+        "without measurements for longer than this, the body is lost; the next good set starts anew",
+        unit="s",
         low=0.01,
-    )  # fmt: skip
+    )
 
 
 def limit_weight(settings: EkfSettings) -> float:

@@ -133,9 +133,15 @@ class Track:
         x, pose = self._estimate, self._estimate.pose
         self._angles = pose.angles(self._angles)
         points_world, point_covariance, covariance, rates = report(
-            x.arrays, x.velocity, x.covariance, self.body.lengths, self.body.stick_origins_torso,
-            self._lasting.covariance, self.settings.joint_sd_cap_rad**-2, self._angles,
-        )  # fmt: skip
+            x.arrays,
+            x.velocity,
+            x.covariance,
+            self.body.lengths,
+            self.body.stick_origins_torso,
+            self._lasting.covariance,
+            self.settings.joint_sd_cap_rad**-2,
+            self._angles,
+        )
         tracking, reason = assess(accepted, gated, self.blind_s, self.settings.lost_after_s)
         return EkfState(
             stamp_ns=self._stamp_ns,

@@ -69,11 +69,22 @@ def corrected(
     mean but are left out of the covariance: that an arm cannot be there does not say where it is. ValueError when the
     prior's covariance is not positive definite.
     """
-    return Estimate(*correct(
-        prior.arrays, prior.arrays if start is None else start.arrays, prior.velocity, prior.covariance,
-        body.lengths, body.stick_origins_torso, z.points_world, z.covariance, chosen,
-        iteration.limit_weight, iteration.most, iteration.hinge_margin_rad,
-    ))  # fmt: skip
+    return Estimate(
+        *correct(
+            prior.arrays,
+            prior.arrays if start is None else start.arrays,
+            prior.velocity,
+            prior.covariance,
+            body.lengths,
+            body.stick_origins_torso,
+            z.points_world,
+            z.covariance,
+            chosen,
+            iteration.limit_weight,
+            iteration.most,
+            iteration.hinge_margin_rad,
+        )
+    )
 
 
 def innovation_distances(body: Body, prior: Estimate, z: Measurement) -> np.ndarray:

@@ -29,10 +29,14 @@ from stick_figure.body_file import format_body, save_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
 OUTPUTS = {
-    "mocap/joint_states": JointState, "mocap/torso": PoseWithCovarianceStamped,
-    "mocap/joint_covariance": Float64MultiArray, "mocap/reference_points": PointCloud2, "mocap/skeleton": MarkerArray,
-    "mocap/state": DiagnosticStatus, "ekf/prediction": JointState,
-}  # fmt: skip
+    "mocap/joint_states": JointState,
+    "mocap/torso": PoseWithCovarianceStamped,
+    "mocap/joint_covariance": Float64MultiArray,
+    "mocap/reference_points": PointCloud2,
+    "mocap/skeleton": MarkerArray,
+    "mocap/state": DiagnosticStatus,
+    "ekf/prediction": JointState,
+}
 PATIENCE_S = 20.0
 
 
@@ -165,9 +169,16 @@ def test_prediction_is_published_after_everything_else(bench, body_file, person,
     b.ask(stamp(0), person.points(0.0))
     order = [topic for topic in order if topic not in ("/diagnostics", "/icp/reference_points")]
     assert order == [
-        "/mocap/joint_states", "/mocap/torso", "/mocap/joint_covariance", "/mocap/reference_points", "/mocap/skeleton",
-        "/humans/bodies/b0001/urdf", "/humans/bodies/b0001/joint_states", "/mocap/state", "/ekf/prediction",
-    ]  # fmt: skip
+        "/mocap/joint_states",
+        "/mocap/torso",
+        "/mocap/joint_covariance",
+        "/mocap/reference_points",
+        "/mocap/skeleton",
+        "/humans/bodies/b0001/urdf",
+        "/humans/bodies/b0001/joint_states",
+        "/mocap/state",
+        "/ekf/prediction",
+    ]
 
 
 def _check_torso(torso, expected):

@@ -14,11 +14,21 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, POINT_NAMES
 
 LINK_OF_POINT = {
-    "neck": "torso", "head": "head",
-    "left_shoulder": "l_shoulder", "right_shoulder": "r_shoulder", "left_elbow": "l_elbow", "right_elbow": "r_elbow",
-    "left_hand": "l_wrist", "right_hand": "r_wrist", "left_hip": "l_hip", "right_hip": "r_hip",
-    "left_knee": "l_knee", "right_knee": "r_knee", "left_foot": "l_ankle", "right_foot": "r_ankle",
-}  # fmt: skip
+    "neck": "torso",
+    "head": "head",
+    "left_shoulder": "l_shoulder",
+    "right_shoulder": "r_shoulder",
+    "left_elbow": "l_elbow",
+    "right_elbow": "r_elbow",
+    "left_hand": "l_wrist",
+    "right_hand": "r_wrist",
+    "left_hip": "l_hip",
+    "right_hip": "r_hip",
+    "left_knee": "l_knee",
+    "right_knee": "r_knee",
+    "left_foot": "l_ankle",
+    "right_foot": "r_ankle",
+}
 
 
 def walk(urdf, angles, origin, R):
@@ -65,13 +75,17 @@ def test_limb_directions_follow_from_the_angles_with_the_axes_of_rep_155(body):
     rng = np.random.default_rng(1)
     points = {name: i for i, name in enumerate(POINT_NAMES)}
     axes = {
-        "l_arm": ([0, 0, -1], [1, 0, 0], [0, 0, 1]), "r_arm": ([0, 0, 1], [-1, 0, 0], [0, 0, -1]),
-        "l_leg": ([0, 0, -1], [1, 0, 0], [0, -1, 0]), "r_leg": ([0, 0, -1], [-1, 0, 0], [0, -1, 0]),
-    }  # fmt: skip
-    limbs = (("l_arm", 4, "left_shoulder", "left_elbow", "left_hand"),
-             ("r_arm", 8, "right_shoulder", "right_elbow", "right_hand"),
-             ("l_leg", 12, "left_hip", "left_knee", "left_foot"),
-             ("r_leg", 16, "right_hip", "right_knee", "right_foot"))  # fmt: skip
+        "l_arm": ([0, 0, -1], [1, 0, 0], [0, 0, 1]),
+        "r_arm": ([0, 0, 1], [-1, 0, 0], [0, 0, -1]),
+        "l_leg": ([0, 0, -1], [1, 0, 0], [0, -1, 0]),
+        "r_leg": ([0, 0, -1], [-1, 0, 0], [0, -1, 0]),
+    }
+    limbs = (
+        ("l_arm", 4, "left_shoulder", "left_elbow", "left_hand"),
+        ("r_arm", 8, "right_shoulder", "right_elbow", "right_hand"),
+        ("l_leg", 12, "left_hip", "left_knee", "left_foot"),
+        ("r_leg", 16, "right_hip", "right_knee", "right_foot"),
+    )
     for _ in range(50):
         pose = random_pose(rng)
         angles, p = hri_angles(pose), forward(body, pose)

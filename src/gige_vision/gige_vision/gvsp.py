@@ -98,8 +98,18 @@ class ImageLeader:
     payload: int = Payload.IMAGE
 
     def encode(self) -> bytes:
-        return _LEADER.pack(0, self.payload, self.timestamp, self.pixel_format, self.width, self.height,
-                            self.offset_x, self.offset_y, self.padding_x, self.padding_y)  # fmt: skip
+        return _LEADER.pack(
+            0,
+            self.payload,
+            self.timestamp,
+            self.pixel_format,
+            self.width,
+            self.height,
+            self.offset_x,
+            self.offset_y,
+            self.padding_x,
+            self.padding_y,
+        )
 
     @classmethod
     def decode(cls, body: bytes) -> ImageLeader:

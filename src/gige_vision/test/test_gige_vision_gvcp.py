@@ -63,9 +63,17 @@ def test_scheduled_action_has_flag_80_and_the_time_behind_the_keys():
 
 def test_discovery_record_has_every_field_at_its_standard_place():
     record = DeviceRecord(
-        address="127.0.11.1", manufacturer="Sagoma", model="Studio", device_version="1.0", manufacturer_info="info",
-        serial="S1", user_id="cam01", mac=bytes.fromhex("020000000b01"), subnet_mask="255.0.0.0", gateway="10.0.0.1",
-    ).encode()  # fmt: skip
+        address="127.0.11.1",
+        manufacturer="Sagoma",
+        model="Studio",
+        device_version="1.0",
+        manufacturer_info="info",
+        serial="S1",
+        user_id="cam01",
+        mac=bytes.fromhex("020000000b01"),
+        subnet_mask="255.0.0.0",
+        gateway="10.0.0.1",
+    ).encode()
     assert len(record) == 0xF8
     assert record[0x00:0x08] == hexed("00020000 80000001")
     assert record[0x0A:0x10] == hexed("020000000b01")

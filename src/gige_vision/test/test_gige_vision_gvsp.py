@@ -63,10 +63,17 @@ def test_block_ids_of_16_bits_start_again_at_one():
 
 @pytest.mark.parametrize(
     ("name", "code", "size"),
-    [("Mono8", 0x01080001, 24), ("Mono10Packed", 0x010C0004, 36), ("Mono12Packed", 0x010C0006, 36),
-     ("Mono12", 0x01100005, 48), ("BayerRG8", 0x01080009, 24), ("RGB8", 0x02180014, 72), ("BGR8", 0x02180015, 72),
-     ("YUV422_8", 0x02100032, 48)],
-)  # fmt: skip
+    [
+        ("Mono8", 0x01080001, 24),
+        ("Mono10Packed", 0x010C0004, 36),
+        ("Mono12Packed", 0x010C0006, 36),
+        ("Mono12", 0x01100005, 48),
+        ("BayerRG8", 0x01080009, 24),
+        ("RGB8", 0x02180014, 72),
+        ("BGR8", 0x02180015, 72),
+        ("YUV422_8", 0x02100032, 48),
+    ],
+)
 def test_pixel_formats_have_their_standard_codes_and_sizes(name, code, size):
     assert PixelFormat[name] == code
     assert PixelFormat[name].image_bytes(6, 4) == size

@@ -81,8 +81,11 @@ class HullNode(SagomaNode):
         """Load the rig, compute the calibration's tables, subscribe."""
         settings: NodeSettings = self.settings
         if not settings.rig_file:
-            raise InputError("rig_file is not set", where=f"parameters of {self.get_name()}",
-                             remedy="Give the path of the rig YAML file.")  # fmt: skip
+            raise InputError(
+                "rig_file is not set",
+                where=f"parameters of {self.get_name()}",
+                remedy="Give the path of the rig YAML file.",
+            )
         rig = load_rig(settings.rig_file)
         self._canvases = {camera.name: camera.undistorted_view().camera for camera in rig.cameras}
         self._pipeline = HullPipeline(rig, settings)
@@ -178,8 +181,11 @@ class HullNode(SagomaNode):
             return
         if self._refused.get(camera) != mismatch:
             self._refused[camera] = mismatch
-            error = InputError(f"the images of {camera} are refused: camera_info has {mismatch}", where=topic,
-                               remedy="Give camera client and hull server the same rig file.")  # fmt: skip
+            error = InputError(
+                f"the images of {camera} are refused: camera_info has {mismatch}",
+                where=topic,
+                remedy="Give camera client and hull server the same rig file.",
+            )
             self.get_logger().error(str(error))
             self.health.set(f"refused_{camera}", error)
 

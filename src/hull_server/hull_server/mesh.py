@@ -40,8 +40,10 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
     them off and takes away what is thinner than about two voxels. InputError for an empty hull.
     """
     if not len(volume.index):
-        raise InputError("the hull is empty: there is nothing to make a mesh of",
-                         remedy="Ask again when somebody stands in the capture volume.")  # fmt: skip
+        raise InputError(
+            "the hull is empty: there is nothing to make a mesh of",
+            remedy="Ask again when somebody stands in the capture volume.",
+        )
     occupancy, low = _crop(volume, margin=2 + int(np.ceil(3 * smoothing_voxels)))
     if smoothing_voxels > 0:
         occupancy = gaussian_filter(occupancy, smoothing_voxels)
@@ -62,8 +64,11 @@ def write_ply(mesh: Mesh, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         PlyData(elements, byte_order="<", comments=["metres, map frame, z up"]).write(str(path))
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", where=str(path),
-                         remedy="Choose a folder that this process may write to.") from None  # fmt: skip
+        raise InputError(
+            f"cannot be written: {error.strerror or error}",
+            where=str(path),
+            remedy="Choose a folder that this process may write to.",
+        ) from None
 
 
 def _crop(volume: BrickVolume, margin: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:

@@ -108,9 +108,12 @@ class DoubtSettings:
         1, "two cameras see a place equally dark when they differ by so many degrees, of a tenth each", low=0, high=8
     )
     reach_m: float = setting(
-        FLOOR_REACH_M, "floor is judged within the volume and so far around it; cameras send no more", unit="m",
-        low=0.0, high=FLOOR_REACH_M,
-    )  # fmt: skip
+        FLOOR_REACH_M,
+        "floor is judged within the volume and so far around it; cameras send no more",
+        unit="m",
+        low=0.0,
+        high=FLOOR_REACH_M,
+    )
 
 
 @dataclass(frozen=True)
@@ -124,9 +127,12 @@ class RimSettings:
         0.5, "standard deviation of a silhouette's rim across itself", unit="px", low=0.01, high=10.0
     )
     doubt_px: float = setting(
-        4.0, "and what is added to it, in squares, where all pixels around are doubtful; less where fewer are",
-        unit="px", low=0.0, high=100.0,
-    )  # fmt: skip
+        4.0,
+        "and what is added to it, in squares, where all pixels around are doubtful; less where fewer are",
+        unit="px",
+        low=0.0,
+        high=100.0,
+    )
 
 
 @dataclass(frozen=True)

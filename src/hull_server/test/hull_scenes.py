@@ -12,16 +12,37 @@ VOLUME = Volume(np.array([-1.0, -1.0, -0.05]), np.array([1.0, 1.0, 2.1]))
 def capsule_person(yaw: float = 0.0, x: float = 0.0, y: float = 0.0) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """A person of capsules (start, end, radius), metres, one arm raised to the side, one leg forward."""
     joints = {
-        "hip": (0, 0, 0.95), "neck": (0, 0, 1.45), "head": (0, 0, 1.68), "ls": (0, 0.19, 1.40), "rs": (0, -0.19, 1.40),
-        "le": (0, 0.47, 1.42), "lh": (0.05, 0.78, 1.45), "re": (0.05, -0.28, 1.12), "rh": (0.18, -0.32, 0.88),
-        "lk": (0.05, 0.13, 0.50), "lf": (0.0, 0.15, 0.08), "rk": (0.18, -0.12, 0.52), "rf": (0.20, -0.13, 0.09),
-    }  # fmt: skip
+        "hip": (0, 0, 0.95),
+        "neck": (0, 0, 1.45),
+        "head": (0, 0, 1.68),
+        "ls": (0, 0.19, 1.40),
+        "rs": (0, -0.19, 1.40),
+        "le": (0, 0.47, 1.42),
+        "lh": (0.05, 0.78, 1.45),
+        "re": (0.05, -0.28, 1.12),
+        "rh": (0.18, -0.32, 0.88),
+        "lk": (0.05, 0.13, 0.50),
+        "lf": (0.0, 0.15, 0.08),
+        "rk": (0.18, -0.12, 0.52),
+        "rf": (0.20, -0.13, 0.09),
+    }
     cosine, sine = np.cos(yaw), np.sin(yaw)
     turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
     at = {name: turn @ np.array(p, float) + [x, y, 0] for name, p in joints.items()}
-    limbs = [("hip", "neck", 0.14), ("neck", "head", 0.09), ("neck", "ls", 0.07), ("neck", "rs", 0.07),
-             ("ls", "le", 0.05), ("le", "lh", 0.04), ("rs", "re", 0.05), ("re", "rh", 0.04),
-             ("hip", "lk", 0.08), ("lk", "lf", 0.06), ("hip", "rk", 0.08), ("rk", "rf", 0.06)]  # fmt: skip
+    limbs = [
+        ("hip", "neck", 0.14),
+        ("neck", "head", 0.09),
+        ("neck", "ls", 0.07),
+        ("neck", "rs", 0.07),
+        ("ls", "le", 0.05),
+        ("le", "lh", 0.04),
+        ("rs", "re", 0.05),
+        ("re", "rh", 0.04),
+        ("hip", "lk", 0.08),
+        ("lk", "lf", 0.06),
+        ("hip", "rk", 0.08),
+        ("rk", "rf", 0.06),
+    ]
     return [(at[a], at[b], r) for a, b, r in limbs]
 
 

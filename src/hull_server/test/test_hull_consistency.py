@@ -77,8 +77,10 @@ def test_derivatives_of_the_differences_are_those_of_cameras_that_are_turned():
         T = np.eye(4)
         T[:3, :3] = cv2.Rodrigues(step_rad * np.eye(3)[axis])[0]
         camera = rig.cameras[2]
-        other = Rig(tuple(c if c is not camera else replace(c, T_camera_world=T @ c.T_camera_world)
-                          for c in rig.cameras), rig.volume)  # fmt: skip
+        other = Rig(
+            tuple(c if c is not camera else replace(c, T_camera_world=T @ c.T_camera_world) for c in rig.cameras),
+            rig.volume,
+        )
         after = TangentFinder(other, RigViews.from_rig(other)).find(masks)
         assert np.array_equal(before.first, after.first) and np.array_equal(before.second, after.second)
         change = (before.difference_px - after.difference_px) / step_rad  # the reading moves against the camera

@@ -39,8 +39,10 @@ def walking(cameras):
     """The masks of one lap; rendering them is what costs time."""
     if cameras == 6:
         return [silhouettes(rig_of(6), body(frame)) for frame in range(LAP)]
-    return [{f"cam{n:02d}": masks[f"cam{index + 1:02d}"] for n, index in enumerate(OF_SIX[cameras], 1)}
-            for masks in walking(6)]  # fmt: skip
+    return [
+        {f"cam{n:02d}": masks[f"cam{index + 1:02d}"] for n, index in enumerate(OF_SIX[cameras], 1)}
+        for masks in walking(6)
+    ]
 
 
 def watch_of(rig, **settings):

@@ -119,8 +119,12 @@ def test_context_that_needs_a_surface_is_given_a_small_one_and_takes_it_along_wh
 
 
 def test_context_that_cannot_be_had_leaves_nothing_behind_and_names_what_was_tried_and_the_remedy(open_on):
-    displays = [Display(1, "EGL device 0"), Display(2, "EGL device 1", True), Display(3, "surfaceless EGL"),
-                Display(4, "default EGL display")]  # fmt: skip
+    displays = [
+        Display(1, "EGL device 0"),
+        Display(2, "EGL device 1", True),
+        Display(3, "surfaceless EGL"),
+        Display(4, "default EGL display"),
+    ]
     egl = FakeEgl(dict(zip(displays, (None, LLVMPIPE, LLVMPIPE, NVIDIA), strict=True)), broken=["default EGL display"])
     with pytest.raises(NoGraphics) as caught:
         open_on(egl, hardware=True)

@@ -248,8 +248,12 @@ def test_submit_of_an_unknown_camera_or_a_wrong_mask_is_refused_and_leaves_the_c
 def test_rig_or_grid_beyond_the_shaders_limits_is_refused_with_the_remedy(monkeypatch):
     rig, grid, _ = scene()
     views = RigViews.from_rig(rig)
-    many = RigViews(tuple(f"c{i:02d}" for i in range(33)), np.repeat(views.P[:1], 33, 0),
-                    np.repeat(views.sizes[:1], 33, 0), np.repeat(views.seen[:1], 33, 0))  # fmt: skip
+    many = RigViews(
+        tuple(f"c{i:02d}" for i in range(33)),
+        np.repeat(views.P[:1], 33, 0),
+        np.repeat(views.sizes[:1], 33, 0),
+        np.repeat(views.seen[:1], 33, 0),
+    )
     with pytest.raises(InputError, match=r"33 cameras are too many.*backend 'cpu'"):
         GlCarver(many, grid)
     fine = VoxelGrid(grid.origin, grid.voxel_size, (8 * 200, 8 * 200, 8 * 100))

@@ -42,8 +42,7 @@ class Bench:
 
     def __init__(self, context, clock, **parameters):
         self.clock = clock
-        values = {"backend": "cpu", "voxel_size_m": 0.04, "reliable": True,
-                  "deadline_s": NEVER_S} | parameters  # fmt: skip
+        values = {"backend": "cpu", "voxel_size_m": 0.04, "reliable": True, "deadline_s": NEVER_S} | parameters
         overrides = [Parameter(key, value=value) for key, value in values.items()]
         self.node = HullNode(context=context, parameter_overrides=overrides)
         self.peer = rclpy.create_node("peer", context=context)
@@ -333,9 +332,13 @@ def test_node_publishes_the_rims_before_the_centerline_of_the_same_set(make_benc
     order = []
     for name in ("rims", "centerline", "voxels"):
         publisher = getattr(bench.node, f"_{name}")
-        setattr(bench.node, f"_{name}", SimpleNamespace(
-            publish=lambda cloud, name=name, publisher=publisher: (order.append(name), publisher.publish(cloud))
-        ))  # fmt: skip
+        setattr(
+            bench.node,
+            f"_{name}",
+            SimpleNamespace(
+                publish=lambda cloud, name=name, publisher=publisher: (order.append(name), publisher.publish(cloud))
+            ),
+        )
     for k in range(3):
         bench.send(masks, k)
     bench.answers(3)

@@ -150,8 +150,9 @@ def test_parts_equal_scipy_components(shape, share, seed):
     label_of_part = {part: label for label, part in pairs}
     blobs = slice_blobs(volume)
     for axis in range(3):  # the label of any voxel of a blob's slice at its part is one of that part
-        for part, centroid, area in zip(*(c[blobs.axis == axis] for c in (blobs.part, blobs.centroid, blobs.area)),
-                                        strict=True):  # fmt: skip
+        for part, centroid, area in zip(
+            *(c[blobs.axis == axis] for c in (blobs.part, blobs.centroid, blobs.area)), strict=True
+        ):
             if area == 1:
                 assert expected[tuple(np.round(centroid).astype(int))] == label_of_part[part]
 

@@ -143,8 +143,15 @@ def test_rim_pixels_follow_every_boundary_pixel_that_opencv_finds():
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     boundary = {tuple(point) for contour in contours for point in contour[:, 0]}
     # an 8-connected chain may cut the corner of a hole: every pixel on it beside background is on a crack
-    background = cv2.erode(inside.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
-                           borderType=cv2.BORDER_CONSTANT, borderValue=[0.0]) == 0  # fmt: skip
+    background = (
+        cv2.erode(
+            inside.astype(np.uint8),
+            cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)),
+            borderType=cv2.BORDER_CONSTANT,
+            borderValue=[0.0],
+        )
+        == 0
+    )
     beside = {(u, v) for u, v in boundary if background[v, u]}
     assert len(beside) > 500 and found == beside
 

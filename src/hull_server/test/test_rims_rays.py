@@ -129,8 +129,10 @@ def test_a_body_cut_off_by_the_view_has_no_rims_at_the_border():
     narrow = ring_rig(4, size=(480, 360), focal_px=700.0)
     masks = silhouettes(narrow, body)
     views = {camera.name: camera.undistorted_view() for camera in narrow.cameras}
-    edges = {name: view.seen & ~(cv2.erode(view.seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
-             for name, view in views.items()}  # fmt: skip
+    edges = {
+        name: view.seen & ~(cv2.erode(view.seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+        for name, view in views.items()
+    }
     assert sum((masks[name] > 0)[edges[name]].sum() for name in masks) > 100
     rims = hull_of(narrow, masks).rims
     assert len(rims) > 200

@@ -91,9 +91,11 @@ class VolumeSettings:
     inside_slack_m: float = setting(0.045, "distance from those voxels that still counts as inside", unit="m", low=0.0)
     inside_gate_m: float = setting(0.2, "distance at which that weight has fallen to 1/4", unit="m", low=1e-3)
     covariance_share: float = setting(
-        0.05, "share of their worth with which voxels enter the covariance (their errors are common to many)",
-        low=0.0, high=1.0,
-    )  # fmt: skip
+        0.05,
+        "share of their worth with which voxels enter the covariance (their errors are common to many)",
+        low=0.0,
+        high=1.0,
+    )
     clearance_worth: float = setting(
         10.0, "centerline points that keeping an arm out of the torso is worth; 0: off", low=0.0, high=1e6
     )
@@ -124,9 +126,10 @@ class ArticulatedSettings:
     """Settings of the all-joints solve."""
 
     robust: str = setting(
-        "geman_mcclure", "weight of distant points: smooth (hulls) or X84 rejection per stick (clean points)",
+        "geman_mcclure",
+        "weight of distant points: smooth (hulls) or X84 rejection per stick (clean points)",
         choices=("geman_mcclure", "x84"),
-    )  # fmt: skip
+    )
     gate_m: float = setting(0.08, "distance at which a Geman-McClure weight has fallen to 1/4", unit="m", low=1e-3)
     rejection_floor_m: float = setting(0.005, "least scale of the X84 rejection", unit="m", low=0.0)
     model_sigma_m: float = setting(
@@ -212,9 +215,18 @@ def assess(
     P, covariance = np.empty((15, 3)), np.empty((15, 3, 3))
     points_and_covariances(*state, figure, H + np.diag(weights.prior), scale, P, covariance)
     return FitResult(
-        pose, bool(converged), int(iterations), len(data.points), inliers, float(np.sqrt(total / max(inliers, 1))),
-        counts, H, P, covariance, _visible(counts, state, body, data, settings),
-    )  # fmt: skip
+        pose,
+        bool(converged),
+        int(iterations),
+        len(data.points),
+        inliers,
+        float(np.sqrt(total / max(inliers, 1))),
+        counts,
+        H,
+        P,
+        covariance,
+        _visible(counts, state, body, data, settings),
+    )
 
 
 def make_data(

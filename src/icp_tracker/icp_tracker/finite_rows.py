@@ -27,8 +27,14 @@ def only_finite(cloud: PointCloud2, names: Collection[str]) -> tuple[PointCloud2
     if finite.all():
         return cloud, 0
     kept = PointCloud2(
-        header=cloud.header, height=1, width=int(finite.sum()), fields=cloud.fields, is_bigendian=cloud.is_bigendian,
-        point_step=cloud.point_step, row_step=cloud.point_step * int(finite.sum()), is_dense=True,
-    )  # fmt: skip
+        header=cloud.header,
+        height=1,
+        width=int(finite.sum()),
+        fields=cloud.fields,
+        is_bigendian=cloud.is_bigendian,
+        point_step=cloud.point_step,
+        row_step=cloud.point_step * int(finite.sum()),
+        is_dense=True,
+    )
     kept.data = array.array("B", rows[finite].tobytes())
     return kept, int((~finite).sum())

@@ -10,8 +10,22 @@ from stick_figure.pose import Pose
 
 # sticks that meet at each reference point: torso centre, head tip, neck, shoulders, hips, elbows, knees, hands, feet
 SUPPORTING_STICKS = (
-    (0,), (1,), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5), (2, 6), (3, 7), (4, 8), (5, 9), (6,), (7,), (8,), (9,),
-)  # fmt: skip
+    (0,),
+    (1,),
+    (0, 1),
+    (0, 2),
+    (0, 3),
+    (0, 4),
+    (0, 5),
+    (2, 6),
+    (3, 7),
+    (4, 8),
+    (5, 9),
+    (6,),
+    (7,),
+    (8,),
+    (9,),
+)
 UNKNOWN_SD_M = 10.0
 """Standard deviation (m) given to a point about which nothing is known."""
 

@@ -85,10 +85,20 @@ def fit_hierarchical(
     G = np.empty((STICKS, 3, 3))
     kernels.stick_frames(state.R0, state.RJ, state.hinges, G, np.empty((18, 3)))
     iterations, converged = align_sticks(
-        np.ascontiguousarray(points_world, dtype=np.float64), G, state.t0, figure.lengths, figure.origins,
-        settings.weighting == "proximal", settings.descendant_weight, settings.max_iterations, settings.sweeps,
-        settings.min_own_points, settings.rejection_floor_m, settings.rotation_tolerance, settings.shift_tolerance_m,
-    )  # fmt: skip
+        np.ascontiguousarray(points_world, dtype=np.float64),
+        G,
+        state.t0,
+        figure.lengths,
+        figure.origins,
+        settings.weighting == "proximal",
+        settings.descendant_weight,
+        settings.max_iterations,
+        settings.sweeps,
+        settings.min_own_points,
+        settings.rejection_floor_m,
+        settings.rotation_tolerance,
+        settings.shift_tolerance_m,
+    )
     # every joint was free to turn in all directions; the nearest pose with hinges at elbows and knees has these points
     return HierarchicalFit(inverse(body, _reference_points(G, state.t0, figure), start), converged, iterations)
 

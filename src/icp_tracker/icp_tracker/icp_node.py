@@ -101,9 +101,12 @@ class IcpNode(SagomaNode):
         self._rims: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
         self._last_stamp_ns = -1
         self._worker = Worker(
-            "icp", self._process, settings.queue_depth,
-            on_drop=lambda: self.health.count("dropped_sets"), on_error=self._on_error,
-        )  # fmt: skip
+            "icp",
+            self._process,
+            settings.queue_depth,
+            on_drop=lambda: self.health.count("dropped_sets"),
+            on_error=self._on_error,
+        )
         self._subscriptions_held = [
             self.create_subscription(PointCloud2, "hull/centerline", self._on_centerline, RESULT),
             self.create_subscription(PointCloud2, "hull/voxels", self._on_voxels, RESULT),
@@ -261,9 +264,12 @@ def fit_message(result: IcpResult, method: str) -> DiagnosticArray:
     values: dict[str, object] = {"state": result.state, "method": method, "started_from": result.started_from}
     if result.fit is not None:
         values |= {
-            "rms_mm": f"{1e3 * result.fit.rms_m:.3f}", "points": result.fit.points, "inliers": result.fit.inliers,
-            "iterations": result.fit.iterations, "converged": result.fit.converged,
-        }  # fmt: skip
+            "rms_mm": f"{1e3 * result.fit.rms_m:.3f}",
+            "points": result.fit.points,
+            "inliers": result.fit.inliers,
+            "iterations": result.fit.iterations,
+            "converged": result.fit.converged,
+        }
     values |= {"visible": int(result.visible.sum()), "dropped_points": result.dropped_points}
     if result.fit is not None:
         quality = result.quality

@@ -39,9 +39,10 @@ class TrackerSettings:
     """How the figure is fitted, set after set."""
 
     method: str = setting(
-        "articulated", "the fit: all joints at once, or the thesis's hierarchical ICP",
+        "articulated",
+        "the fit: all joints at once, or the thesis's hierarchical ICP",
         choices=("articulated", "hierarchical"),
-    )  # fmt: skip
+    )
     articulated: ArticulatedSettings = setting(ArticulatedSettings, "the all-joints solve")
     hierarchical: HierarchicalSettings = setting(HierarchicalSettings, "the hierarchical ICP")
     refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
@@ -256,15 +257,21 @@ def warm_up(settings: TrackerSettings) -> None:
 
 def _seen(stamp_ns: int, started_from: str, dropped: int, fit: FitResult) -> IcpResult:
     return IcpResult(
-        stamp_ns, TRACKING, started_from, "", dropped, fit.reference_points_world, fit.covariance, fit.visible,
-        fit.pose, fit,
-    )  # fmt: skip
+        stamp_ns,
+        TRACKING,
+        started_from,
+        "",
+        dropped,
+        fit.reference_points_world,
+        fit.covariance,
+        fit.visible,
+        fit.pose,
+        fit,
+    )
 
 
 def _unseen(
     stamp_ns: int, state: str, started_from: str, reason: str, dropped: int, pose: Pose | None, points: np.ndarray
 ) -> IcpResult:
     unseen = np.zeros(15, dtype=bool)
-    return IcpResult(
-        stamp_ns, state, started_from, reason, dropped, points, unknown_covariance(), unseen, pose, None
-    )  # fmt: skip
+    return IcpResult(stamp_ns, state, started_from, reason, dropped, points, unknown_covariance(), unseen, pose, None)

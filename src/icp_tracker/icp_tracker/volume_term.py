@@ -20,8 +20,10 @@ from .normal_equations import CHAIN_COLUMNS
 FIRST_JOINT_SLOT = 6
 LINE = 6  # coordinates of a line in space
 # where along upper arms and forearms the torso's surface is looked for
-ARM_SAMPLES = np.array([(j, u) for j, us in ((2, (0.5, 0.75, 1.0)), (6, (0.3, 0.6, 0.85))) for u in us]
-                       + [(j, u) for j, us in ((3, (0.5, 0.75, 1.0)), (7, (0.3, 0.6, 0.85))) for u in us])  # fmt: skip
+ARM_SAMPLES = np.array(
+    [(j, u) for j, us in ((2, (0.5, 0.75, 1.0)), (6, (0.3, 0.6, 0.85))) for u in us]
+    + [(j, u) for j, us in ((3, (0.5, 0.75, 1.0)), (7, (0.3, 0.6, 0.85))) for u in us]
+)
 CLEARANCE_M = 0.02  # the sticks of an arm stay this far outside the torso's flesh
 
 

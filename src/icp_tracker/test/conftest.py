@@ -16,12 +16,12 @@ from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
 sys.path.insert(0, str(Path(__file__).parent))  # t_pose_studio: people with volume, for the tests of the first pose
 
 # ranges of an energetic person, well inside the joints' (rad), in the order of the angles
-MOTION_LOW = np.array([
-    -0.4, -0.2, -1.4, np.pi - 0.6, -1.0, -1.0, -0.6, -0.8, -1.9, -1.9, -0.1, -0.5, -1.3, -1.3, 0.1, 0.1, -0.3, -0.3,
-])  # fmt: skip
-MOTION_HIGH = np.array([
-    0.4, 0.6, 0.6, np.pi + 1.4, 0.3, 0.3, 0.8, 0.6, -0.1, -0.1, 0.5, 0.1, 0.4, 0.4, 1.7, 1.7, 0.3, 0.3,
-])  # fmt: skip
+MOTION_LOW = np.array(
+    [-0.4, -0.2, -1.4, np.pi - 0.6, -1.0, -1.0, -0.6, -0.8, -1.9, -1.9, -0.1, -0.5, -1.3, -1.3, 0.1, 0.1, -0.3, -0.3]
+)
+MOTION_HIGH = np.array(
+    [0.4, 0.6, 0.6, np.pi + 1.4, 0.3, 0.3, 0.8, 0.6, -0.1, -0.1, 0.5, 0.1, 0.4, 0.4, 1.7, 1.7, 0.3, 0.3]
+)
 assert (MOTION_LOW > ANGLE_LOW).all() and (MOTION_HIGH < ANGLE_HIGH).all()
 
 

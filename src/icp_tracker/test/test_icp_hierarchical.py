@@ -14,9 +14,7 @@ def errors_mm(body, pose, truth):
 
 def test_descendants_are_the_sticks_below():
     below = {j: set(np.flatnonzero(DESCENDANTS[j]).tolist()) for j in range(10)}
-    assert below == {
-        0: set(range(1, 10)), 2: {6}, 3: {7}, 4: {8}, 5: {9}, **{leaf: set() for leaf in (1, 6, 7, 8, 9)},
-    }  # fmt: skip
+    assert below == {0: set(range(1, 10)), 2: {6}, 3: {7}, 4: {8}, 5: {9}, **{leaf: set() for leaf in (1, 6, 7, 8, 9)}}
 
 
 @pytest.mark.parametrize("seed", range(5))

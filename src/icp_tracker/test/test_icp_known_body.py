@@ -32,15 +32,25 @@ def test_known_body_is_found_near_a_t_pose_whatever_its_heading(rig, limit_mm):
         u = rng.uniform
         bend = u(0, 0.5)  # a slight squat
         angles = with_angles(
-            both_sides(), left_shoulder_x=u(-0.75, 0.75), right_shoulder_x=np.pi - u(-0.75, 0.75),
-            left_elbow=-u(0, 0.4), left_shoulder_z=u(-0.3, 0.2), left_hip_x=u(0, 0.25), right_hip_x=-u(0, 0.25),
-            left_hip_y=-bend / 2, right_hip_y=-bend / 2, left_knee=bend, right_knee=bend,
-        )  # fmt: skip
+            both_sides(),
+            left_shoulder_x=u(-0.75, 0.75),
+            right_shoulder_x=np.pi - u(-0.75, 0.75),
+            left_elbow=-u(0, 0.4),
+            left_shoulder_z=u(-0.3, 0.2),
+            left_hip_x=u(0, 0.25),
+            right_hip_x=-u(0, 0.25),
+            left_hip_y=-bend / 2,
+            right_hip_y=-bend / 2,
+            left_knee=bend,
+            right_knee=bend,
+        )
         truth = standing(BODY, angles, u(-np.pi, np.pi), u(-0.2, 0.2, 2))
         answers = start(rig, BODY, person(BODY, truth))
         assert [answer.reason for answer in answers] == [
-            "the known body seen (1 of 3)", "the known body seen (2 of 3)", ""
-        ]  # fmt: skip
+            "the known body seen (1 of 3)",
+            "the known body seen (2 of 3)",
+            "",
+        ]
         found = answers[-1]
         assert found.body is BODY
         error_mm = 1e3 * np.linalg.norm(forward(BODY, found.pose) - forward(BODY, truth), axis=1)

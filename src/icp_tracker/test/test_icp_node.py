@@ -93,10 +93,15 @@ class Bench:
         points, covariance, visible = split_reference_points(from_cloud(self.points[-1], REFERENCE_POINTS, "test"))
         values = {pair.key: pair.value for pair in self.fits[-1].status[0].values}
         return SimpleNamespace(
-            points=points, covariance=covariance, visible=visible, stamp_ns=to_ns(self.points[-1].header.stamp),
-            reason=self.fits[-1].status[0].message, state=values["state"], started_from=values["started_from"],
+            points=points,
+            covariance=covariance,
+            visible=visible,
+            stamp_ns=to_ns(self.points[-1].header.stamp),
+            reason=self.fits[-1].status[0].message,
+            state=values["state"],
+            started_from=values["started_from"],
             used=int(values.get("points", 0)),
-        )  # fmt: skip
+        )
 
     def close(self):
         self.node.close()
@@ -130,8 +135,10 @@ def walk(body, synthetic, tmp_path):
     save_initial_pose(poses[0], tmp_path / "start.yaml", body)
     clouds = [synthetic.stick_cloud(body, pose, rng, 300, 0.02) for pose in poses]
     parameters = {
-        "initial_pose.source": "file", "initial_pose.file": str(tmp_path / "start.yaml"), "prediction_wait_s": 0.0,
-    }  # fmt: skip
+        "initial_pose.source": "file",
+        "initial_pose.file": str(tmp_path / "start.yaml"),
+        "prediction_wait_s": 0.0,
+    }
     return SimpleNamespace(body=body, poses=poses, clouds=clouds, parameters=parameters)
 
 

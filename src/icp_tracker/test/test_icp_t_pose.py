@@ -37,9 +37,12 @@ def test_t_pose_of_anybody_anywhere_is_found_and_never_taken_back_to_front(rig):
     for _ in range(8):
         body = Body.from_stature(rng.uniform(1.4, 2.0))
         angles = both_sides(
-            shoulder_x=np.radians(rng.uniform(-15, 15)), shoulder_z=rng.uniform(-0.15, 0.1),
-            elbow=-rng.uniform(0, 0.3), hip_x=rng.uniform(0, 0.15), knee=0.05,
-        )  # fmt: skip
+            shoulder_x=np.radians(rng.uniform(-15, 15)),
+            shoulder_z=rng.uniform(-0.15, 0.1),
+            elbow=-rng.uniform(0, 0.3),
+            hip_x=rng.uniform(0, 0.15),
+            knee=0.05,
+        )
         pose = standing(body, angles, rng.uniform(-np.pi, np.pi), rng.uniform(-0.2, 0.2, 2))
         measured, reason = look(rig, person(body, pose, rng.uniform(0.85, 1.25)))
         assert measured is not None, reason
@@ -135,9 +138,12 @@ def test_who_reaches_out_of_the_volume_is_refused_by_its_wall():
 def test_nobody_and_scraps_are_refused():
     whole = studio(*SIX).see(person(BODY, standing(BODY, LEVEL))).voxels.points_world
     for voxels, reason in (
-        (None, "no hull"), (whole[:0], "no hull"), (whole[:50], "too small: 50 voxels"),
-        (0.5 * whole, "too small: 0.8"), (2.0 * whole, "too large: 3."),
-    ):  # fmt: skip
+        (None, "no hull"),
+        (whole[:0], "no hull"),
+        (whole[:50], "too small: 50 voxels"),
+        (0.5 * whole, "too small: 0.8"),
+        (2.0 * whole, "too large: 3."),
+    ):
         with pytest.raises(Refusal, match=reason):
             measure_t_pose(voxels)
 
@@ -192,9 +198,13 @@ def test_t_pose_must_be_held(t_pose):
     sets = [moved(t_pose, k * SET_NS, 0.0) if seen else nobody for k, seen in enumerate([1, 1, 0, 1, 1, 1])]
     answers = [source.look(seen) for seen in sets]
     assert [answer.reason for answer in answers] == [
-        "T-pose seen, hold it (1 of 3)", "T-pose seen, hold it (2 of 3)", "no hull",
-        "T-pose seen, hold it (1 of 3)", "T-pose seen, hold it (2 of 3)", "",
-    ]  # fmt: skip
+        "T-pose seen, hold it (1 of 3)",
+        "T-pose seen, hold it (2 of 3)",
+        "no hull",
+        "T-pose seen, hold it (1 of 3)",
+        "T-pose seen, hold it (2 of 3)",
+        "",
+    ]
     assert answers[-1].pose is not None and answers[-1].estimate is not None
     assert set(answers[-1].flesh.measured) >= {"upper_arm", "thigh", "calf", "trunk"}
 

@@ -31,9 +31,15 @@ from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLE
 FPS = 60.0
 NOISE_M = 0.004
 STANCE = {
-    "left_shoulder_x": -0.7, "right_shoulder_x": np.pi + 0.3, "left_shoulder_z": -0.5, "left_elbow": -1.0,
-    "right_elbow": -0.4, "left_hip_x": 0.15, "right_hip_y": -0.5, "right_knee": 0.7,
-}  # fmt: skip
+    "left_shoulder_x": -0.7,
+    "right_shoulder_x": np.pi + 0.3,
+    "left_shoulder_z": -0.5,
+    "left_elbow": -1.0,
+    "right_elbow": -0.4,
+    "left_hip_x": 0.15,
+    "right_hip_y": -0.5,
+    "right_knee": 0.7,
+}
 FOLDED = {"left_shoulder_x": -1.4, "left_shoulder_z": 0.0, "left_shoulder_y": 0.0, "left_elbow": -2.4}
 
 
@@ -192,8 +198,9 @@ def test_directions_cover_the_sphere():
 @pytest.mark.parametrize("limb", LIMBS[:2], ids=lambda limb: PART_NAMES[limb.part])
 def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     data = data_of(person)
-    astray = with_limb(person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5})
-                       .R_joints[limb.ball], -0.1)  # fmt: skip
+    astray = with_limb(
+        person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5}).R_joints[limb.ball], -0.1
+    )
     found = other_place(
         person.body, Flesh.of(person.body), astray, limb, limb_poses(limb), data.rims, HullMap.of(data.hull)
     )

@@ -39,8 +39,19 @@ def true_corners(eye: CameraModel, board, T_camera_board):
     return pixels.reshape(-1, 2)
 
 
-def render(eye: CameraModel, board, T_camera_board, *, blur=0.5, noise=2.0, seed=0, oversample=6, rim=1.0,
-           shutter_px=(0.0, 0.0), shade=0.0):  # fmt: skip
+def render(
+    eye: CameraModel,
+    board,
+    T_camera_board,
+    *,
+    blur=0.5,
+    noise=2.0,
+    seed=0,
+    oversample=6,
+    rim=1.0,
+    shutter_px=(0.0, 0.0),
+    shade=0.0,
+):
     """(H, W) uint8. ``rim``: white around the fields, in fields; ``shade``: relative change of light across."""
     low, high = _box(eye, board, T_camera_board)
     light = np.full((eye.height, eye.width), GREY_ROOM)
@@ -83,8 +94,11 @@ def _box(eye, board, T):
 
 
 def _grey_on_board(eye, board, T, grid, rim):
-    ideal = cv2.undistortPoints(grid, eye.K, eye.D).reshape(-1, 2) if np.any(eye.D) else (
-        (grid.reshape(-1, 2) - eye.K[:2, 2]) / eye.K.diagonal()[:2])  # fmt: skip
+    ideal = (
+        cv2.undistortPoints(grid, eye.K, eye.D).reshape(-1, 2)
+        if np.any(eye.D)
+        else ((grid.reshape(-1, 2) - eye.K[:2, 2]) / eye.K.diagonal()[:2])
+    )
     rays = np.column_stack([ideal, np.ones(len(ideal))]) @ T[:3, :3]
     origin = -T[:3, :3].T @ T[:3, 3]
     with np.errstate(all="ignore"):

@@ -35,8 +35,10 @@ def camera_at(name: str, centre: Iterable[float], looking_at: Iterable[float] = 
 
 def ring(count: int, radius_m: float = 3.0, height_m: float = 2.3) -> dict[str, CameraModel]:
     angles = 2 * np.pi * np.arange(count) / count
-    return {f"cam{i + 1:02d}": camera_at(f"cam{i + 1:02d}", (radius_m * np.cos(a), radius_m * np.sin(a), height_m))
-            for i, a in enumerate(angles)}  # fmt: skip
+    return {
+        f"cam{i + 1:02d}": camera_at(f"cam{i + 1:02d}", (radius_m * np.cos(a), radius_m * np.sin(a), height_m))
+        for i, a in enumerate(angles)
+    }
 
 
 def rotation(vector: Iterable[float]) -> np.ndarray:
@@ -68,9 +70,14 @@ def project(camera: CameraModel, T_world_target: np.ndarray, points: np.ndarray)
 
 
 def sightings_of(
-    cameras: Mapping[str, CameraModel], poses: Mapping[int, np.ndarray], target: str, rng: np.random.Generator,
-    noise_px: float = 0.2, max_tilt_deg: float = 70.0, points: np.ndarray | None = None,
-) -> list[Sighting]:  # fmt: skip
+    cameras: Mapping[str, CameraModel],
+    poses: Mapping[int, np.ndarray],
+    target: str,
+    rng: np.random.Generator,
+    noise_px: float = 0.2,
+    max_tilt_deg: float = 70.0,
+    points: np.ndarray | None = None,
+) -> list[Sighting]:
     """What cameras see of a board of TARGETS (or of ``points``), complete and not too slanting."""
     points = TARGETS[target] if points is None else points
     found = []
@@ -89,8 +96,10 @@ def carried_and_floor(
     cameras: Mapping[str, CameraModel], rng: np.random.Generator, moments: int = 20, noise_px: float = 0.2
 ) -> list[Sighting]:
     """A board carried through the room, and one on the floor that all cameras see."""
-    return [*sightings_of(cameras, carried(rng, moments), "moving", rng, noise_px),
-            *sightings_of(cameras, {0: T_WORLD_FLOOR}, "floor", rng, noise_px, max_tilt_deg=85)]  # fmt: skip
+    return [
+        *sightings_of(cameras, carried(rng, moments), "moving", rng, noise_px),
+        *sightings_of(cameras, {0: T_WORLD_FLOOR}, "floor", rng, noise_px, max_tilt_deg=85),
+    ]
 
 
 def truth(cameras: Mapping[str, CameraModel], reference: str = "floor") -> dict[str, np.ndarray]:
@@ -111,5 +120,7 @@ def errors(solution: RigSolution, T_camera_reference: Mapping[str, np.ndarray]) 
 
 def worst(found: Mapping[str, np.ndarray]) -> tuple[float, float]:
     """The largest error of a centre (mm) and of a rotation (deg)."""
-    return (max(float(np.linalg.norm(e[3:])) * 1000 for e in found.values()),
-            max(float(np.degrees(np.linalg.norm(e[:3]))) for e in found.values()))  # fmt: skip
+    return (
+        max(float(np.linalg.norm(e[3:])) * 1000 for e in found.values()),
+        max(float(np.degrees(np.linalg.norm(e[:3]))) for e in found.values()),
+    )

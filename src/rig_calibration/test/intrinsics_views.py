@@ -28,9 +28,18 @@ def parameters(camera: CameraModel) -> np.ndarray:
 
 
 def shown(
-    camera: CameraModel, count: int, noise_px: float, seed: int, *, board: Board = BOARD, tilt_deg: float = 45.0,
-    reach: float = 1.0, sizes: tuple[float, float] = (0.35, 0.7), bow_m: float = 0.0, partial: bool = False,
-) -> list[Sighting]:  # fmt: skip
+    camera: CameraModel,
+    count: int,
+    noise_px: float,
+    seed: int,
+    *,
+    board: Board = BOARD,
+    tilt_deg: float = 45.0,
+    reach: float = 1.0,
+    sizes: tuple[float, float] = (0.35, 0.7),
+    bow_m: float = 0.0,
+    partial: bool = False,
+) -> list[Sighting]:
     """``count`` views: places all over the image (``reach`` of it), tilts up to ``tilt_deg``, the board's diagonal
     ``sizes`` of the image's width; ``bow_m``: its middle stands out along its rows; ``partial``: it may leave the
     image."""

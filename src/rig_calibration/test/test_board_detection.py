@@ -13,8 +13,9 @@ CHARUCO = read_board("charuco 8x6 30mm 22mm DICT_5X5_100")
 LENS = camera(D=(-0.2, 0.08, 0.001, -0.001, 0.0))
 
 
-def seen(board, distance=0.6, tilt=20, eye=LENS, *, thorough=False, roll=5, turn=0, offset=(0.0, 0.0), oversample=4,
-         **optics):  # fmt: skip
+def seen(
+    board, distance=0.6, tilt=20, eye=LENS, *, thorough=False, roll=5, turn=0, offset=(0.0, 0.0), oversample=4, **optics
+):
     """The sighting and its errors (n, 2) in px against the projection of the board's corners."""
     T = looking_at_board(board, distance, tilt, roll, turn, offset)
     image = render(eye, board, T, oversample=oversample, **optics)
@@ -140,12 +141,15 @@ def test_markers_do_not_spoil_the_measure_of_blur():
     assert blur_px(image, sighting) == pytest.approx(1.0, abs=0.25)
 
 
-@pytest.mark.parametrize(("asked", "says"), [
-    ("checkerboard 8x5 25mm", "9 x 6 inner corners was seen instead of 8 x 5"),
-    ("checkerboard 10x7 25mm", "number of fields"),
-    ("checkerboard 11x9 25mm", "9 x 6"),
-    ("charuco 8x6 30mm 22mm DICT_5X5_100", "no markers"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ("checkerboard 8x5 25mm", "9 x 6 inner corners was seen instead of 8 x 5"),
+        ("checkerboard 10x7 25mm", "number of fields"),
+        ("checkerboard 11x9 25mm", "9 x 6"),
+        ("charuco 8x6 30mm 22mm DICT_5X5_100", "no markers"),
+    ],
+)
 def test_another_board_is_named(asked, says):
     image = render(LENS, BOARD, looking_at_board(BOARD, 0.6, 20), oversample=3)
     assert find_board(image, read_board(asked)) is None

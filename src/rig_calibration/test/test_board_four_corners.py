@@ -44,10 +44,7 @@ def test_order_given_counts_where_colours_do_not_tell():
     assert np.abs(turned.pixels - truth[::-1]).max() < 0.3
 
 
-@pytest.mark.parametrize(("outer", "says"), [
-    ([0, 24, 29, 5], "the wrong way"),
-    ([0, 29, 5, 24], "convex"),
-])  # fmt: skip
+@pytest.mark.parametrize(("outer", "says"), [([0, 24, 29, 5], "the wrong way"), ([0, 29, 5, 24], "convex")])
 def test_corners_in_a_wrong_order_are_refused(outer, says):
     image, truth = scene(1.5, 20)
     with pytest.raises(InputError, match=says) as refusal:

@@ -87,8 +87,13 @@ def test_picture_says_where_the_board_s_corners_lie():
     x, y = corners[0]
     assert picture.image[int(y) - 5, int(x) - 5] == 0 and picture.image[int(y) + 5, int(x) + 5] == 0
     assert picture.image[int(y) - 5, int(x) + 5] == 255
-    refined = cv2.cornerSubPix(picture.image, corners.astype(np.float32).reshape(-1, 1, 2), (5, 5), (-1, -1),
-                               (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4))  # fmt: skip
+    refined = cv2.cornerSubPix(
+        picture.image,
+        corners.astype(np.float32).reshape(-1, 1, 2),
+        (5, 5),
+        (-1, -1),
+        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4),
+    )
     np.testing.assert_allclose(refined.reshape(-1, 2), corners, atol=0.1)  # of cornerSubPix itself
 
 
@@ -97,9 +102,9 @@ def test_black_covers_half_of_a_board_with_an_even_number_of_fields():
     assert sum(w * h for _, _, w, h in black_rectangles(CHECKERBOARD)) == pytest.approx(0.5 * width * height)
 
 
-@pytest.mark.parametrize(("name", "paper"), [
-    ("checkerboard_a4", "A4"), ("charuco_a4", "A4"), ("floor_a3", "A3"), ("floor_a2", "A2"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "paper"), [("checkerboard_a4", "A4"), ("charuco_a4", "A4"), ("floor_a3", "A3"), ("floor_a2", "A2")]
+)
 def test_boards_that_come_along_fit_on_one_page_of_the_paper_they_are_named_for(tmp_path, name, paper):
     board = read_board(str(Path(__file__).parents[3] / "config/board" / f"{name}.yaml"))
     assert len(save_for_print(board, tmp_path / "board.pdf", paper)) == 1

@@ -63,4 +63,5 @@ def test_camera_moved_in_the_middle_of_the_footage_asks_to_record_again():
     touched = {out.sighting.moment for out in solution.left_out}
     assert touched and (max(touched) < 20 or min(touched) >= 20)  # one of the two places of cam02 is believed
     assert any(finding.grade == REDO for finding in explain(solution)) == (
-        len(solution.left_out) > 0.3 * (len(solution.left_out) + len(solution.sightings)))  # fmt: skip
+        len(solution.left_out) > 0.3 * (len(solution.left_out) + len(solution.sightings))
+    )

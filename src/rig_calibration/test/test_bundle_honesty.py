@@ -47,8 +47,10 @@ def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **optio
         sightings = not_synchronous(rng) if delayed else carried_and_floor(CAMERAS, rng, 15)
         cameras = with_wrong_lenses(rng) if wrong_lenses else CAMERAS
         solution = solve_rig(cameras, sightings, TARGETS, reference="floor", **options)  # type: ignore[arg-type]
-        normalised += [error / np.sqrt(np.diag(solution.covariance[name]))
-                       for name, error in errors(solution, truth(CAMERAS)).items()]  # fmt: skip
+        normalised += [
+            error / np.sqrt(np.diag(solution.covariance[name]))
+            for name, error in errors(solution, truth(CAMERAS)).items()
+        ]
     return np.array(normalised)
 
 
@@ -77,8 +79,9 @@ def test_errors_lie_within_three_standard_deviations():
 def test_uncertain_lenses_enlarge_the_covariance():
     sightings = carried_and_floor(CAMERAS, np.random.default_rng(0), 15)
     exact = solve_rig(CAMERAS, sightings, TARGETS, reference="floor")
-    doubted = solve_rig(CAMERAS, sightings, TARGETS, reference="floor",
-                        intrinsics_covariance=dict.fromkeys(CAMERAS, LENS_SD))  # fmt: skip
+    doubted = solve_rig(
+        CAMERAS, sightings, TARGETS, reference="floor", intrinsics_covariance=dict.fromkeys(CAMERAS, LENS_SD)
+    )
     for name in CAMERAS:
         more = doubted.covariance[name] - exact.covariance[name]
         assert np.linalg.eigvalsh(more).min() > -1e-12 and np.trace(more) > np.trace(exact.covariance[name])
@@ -88,8 +91,14 @@ def test_uncertain_lenses_enlarge_the_covariance():
 def test_refining_lenses_brings_focal_lengths_nearer_the_truth():
     cameras = with_wrong_lenses(np.random.default_rng(3))
     sightings = carried_and_floor(CAMERAS, np.random.default_rng(0), 40)
-    refined = solve_rig(cameras, sightings, TARGETS, reference="floor", refine_intrinsics=True,
-                        intrinsics_covariance=dict.fromkeys(CAMERAS, LENS_SD))  # fmt: skip
+    refined = solve_rig(
+        cameras,
+        sightings,
+        TARGETS,
+        reference="floor",
+        refine_intrinsics=True,
+        intrinsics_covariance=dict.fromkeys(CAMERAS, LENS_SD),
+    )
     before = [cameras[name].K - CAMERAS[name].K for name in CAMERAS]
     after = [refined.cameras[name].K - CAMERAS[name].K for name in CAMERAS]
     assert np.linalg.norm(after) < 0.7 * np.linalg.norm(before)

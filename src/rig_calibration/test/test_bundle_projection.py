@@ -17,13 +17,23 @@ RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
 def state_and_observations(rng: np.random.Generator) -> tuple[State, Observations]:
     """Two cameras, three poses of two targets, four sightings."""
     lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(COEFFICIENTS - 1)]])
-    state = State(rotation([0.1, -0.2, 0.05])[None] @ np.stack([np.eye(3), rotation([0, 0.3, 0])]),
-                  np.array([[0, 0, -2.0], [0.8, 0.1, -1.9]]), lens,
-                  np.stack([rotation(rng.normal(size=3) * 0.4) for _ in range(3)]), rng.normal(size=(3, 3)) * 0.2,
-                  np.array([1.0, 1.1]))  # fmt: skip
+    state = State(
+        rotation([0.1, -0.2, 0.05])[None] @ np.stack([np.eye(3), rotation([0, 0.3, 0])]),
+        np.array([[0, 0, -2.0], [0.8, 0.1, -1.9]]),
+        lens,
+        np.stack([rotation(rng.normal(size=3) * 0.4) for _ in range(3)]),
+        rng.normal(size=(3, 3)) * 0.2,
+        np.array([1.0, 1.1]),
+    )
     points = rng.uniform(-0.3, 0.3, size=(4, 7, 3))
-    seen = Observations(np.array([0, 1, 0, 1]), np.array([0, 0, 1, 2]), np.array([0, 0, 1, 1]), points,
-                        rng.uniform(100, 400, size=(4, 7, 2)), rng.uniform(0.5, 4, size=(4, 7)))  # fmt: skip
+    seen = Observations(
+        np.array([0, 1, 0, 1]),
+        np.array([0, 0, 1, 2]),
+        np.array([0, 0, 1, 1]),
+        points,
+        rng.uniform(100, 400, size=(4, 7, 2)),
+        rng.uniform(0.5, 4, size=(4, 7)),
+    )
     return state, seen
 
 
@@ -36,8 +46,13 @@ def test_corners_fall_where_opencv_projects_them():
         camera, pose = seen.camera[row], seen.pose[row]
         scaled = seen.points[row] * state.scale[seen.target[row]]
         x = scaled @ state.R_pose[pose].T + state.position[pose] - state.centre[camera]
-        K = np.array([[state.lens[camera, 0], 0, state.lens[camera, 2]],
-                      [0, state.lens[camera, 1], state.lens[camera, 3]], [0, 0, 1]])  # fmt: skip
+        K = np.array(
+            [
+                [state.lens[camera, 0], 0, state.lens[camera, 2]],
+                [0, state.lens[camera, 1], state.lens[camera, 3]],
+                [0, 0, 1],
+            ]
+        )
         rvec = cv2.Rodrigues(state.R_camera[camera])[0]
         pixels, _ = cv2.projectPoints(x.reshape(-1, 1, 3), rvec, np.zeros(3), K, state.lens[camera, 4:])
         np.testing.assert_allclose(seen.pixels[row] - residual[row], pixels.reshape(-1, 2), atol=1e-8)

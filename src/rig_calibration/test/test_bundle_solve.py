@@ -59,8 +59,11 @@ def test_figures_tell_the_noise_that_was_injected(noisy: RigSolution):
 def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
     poses = carried(np.random.default_rng(1), 100)
     np.testing.assert_allclose(noisy.T_reference_target["floor", 0], np.eye(4), atol=1e-12)
-    errors_m = [np.linalg.norm((T_WORLD_FLOOR @ T)[:3, 3] - poses[moment][:3, 3])
-                for (target, moment), T in noisy.T_reference_target.items() if target == "moving"]  # fmt: skip
+    errors_m = [
+        np.linalg.norm((T_WORLD_FLOOR @ T)[:3, 3] - poses[moment][:3, 3])
+        for (target, moment), T in noisy.T_reference_target.items()
+        if target == "moving"
+    ]
     assert len(errors_m) > 60 and np.median(errors_m) < 0.005
 
 
@@ -84,8 +87,12 @@ def test_same_bytes_in_whatever_order_the_input_comes():
     first = solve_rig(cameras, sightings, TARGETS, intrinsics_covariance=covariance)
     shuffled = [sightings[i] for i in np.random.default_rng(0).permutation(len(sightings))]
     upset = [replace(s, ids=s.ids[::-1].copy(), pixels=s.pixels[::-1].copy()) for s in shuffled]
-    second = solve_rig(dict(reversed(cameras.items())), upset, dict(reversed(TARGETS.items())),
-                       intrinsics_covariance=dict(reversed(covariance.items())))  # fmt: skip
+    second = solve_rig(
+        dict(reversed(cameras.items())),
+        upset,
+        dict(reversed(TARGETS.items())),
+        intrinsics_covariance=dict(reversed(covariance.items())),
+    )
     for a, b in ((first.T_camera_reference, second.T_camera_reference), (first.covariance, second.covariance)):
         assert list(a) == list(b) == sorted(cameras)
         assert all(a[name].tobytes() == b[name].tobytes() for name in a)
@@ -95,15 +102,24 @@ def test_two_cameras_agree_with_stereo_calibration_of_opencv():
     cameras = {"cam01": camera_at("cam01", (2.5, -0.4, 1.4)), "cam02": camera_at("cam02", (2.5, 0.4, 1.4))}
     rng = np.random.default_rng(3)
     sightings = sightings_of(cameras, carried(rng, 40), "moving", rng)
-    moments = sorted({s.moment for s in sightings if s.camera == "cam01"}
-                     & {s.moment for s in sightings if s.camera == "cam02"})  # fmt: skip
+    moments = sorted(
+        {s.moment for s in sightings if s.camera == "cam01"} & {s.moment for s in sightings if s.camera == "cam02"}
+    )
     pixels = {(s.camera, s.moment): s.pixels.astype(np.float32) for s in sightings}
     board = BOARD.corners_board.astype(np.float32)
     a, b = cameras.values()
-    result = cv2.stereoCalibrate([board] * len(moments), [pixels["cam01", m] for m in moments],
-                                 [pixels["cam02", m] for m in moments], a.K.copy(), a.D.copy(), b.K.copy(), b.D.copy(),
-                                 SIZE, flags=cv2.CALIB_FIX_INTRINSIC,
-                                 criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12))  # fmt: skip
+    result = cv2.stereoCalibrate(
+        [board] * len(moments),
+        [pixels["cam01", m] for m in moments],
+        [pixels["cam02", m] for m in moments],
+        a.K.copy(),
+        a.D.copy(),
+        b.K.copy(),
+        b.D.copy(),
+        SIZE,
+        flags=cv2.CALIB_FIX_INTRINSIC,
+        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12),
+    )
     both = [s for s in sightings if s.moment in moments]
     T = solve_rig(cameras, both, {"moving": BOARD.corners_board}, reference="cam01").T_camera_reference["cam02"]
     assert len(moments) > 8
@@ -133,8 +149,9 @@ def test_minimum_is_that_of_scipy_least_squares():
     def vector(T: np.ndarray) -> np.ndarray:
         return np.concatenate([cv2.Rodrigues(T[:3, :3])[0].ravel(), T[:3, 3]])
 
-    x = np.concatenate([vector(solution.T_camera_reference[n]) for n in names]
-                       + [vector(solution.T_reference_target[k]) for k in keys])  # fmt: skip
+    x = np.concatenate(
+        [vector(solution.T_camera_reference[n]) for n in names] + [vector(solution.T_reference_target[k]) for k in keys]
+    )
     found = least_squares(residuals, x + 1e-3, loss="linear", x_scale="jac")
     assert len(solution.sightings) == len(sightings)
     assert 2 * found.cost == pytest.approx(float(np.sum(residuals(x) ** 2)), rel=1e-3)

@@ -42,8 +42,11 @@ def test_both_mirror_poses_are_kept_when_the_board_is_small_and_far():
     sighting = Sighting("cam01", 0, np.arange(30), project(camera, T, points), SIZE)
     noisy = replace(sighting, pixels=sighting.pixels + 0.3 * np.random.default_rng(0).normal(size=(30, 2)))
     poses = sighting_poses(noisy, camera, target_shape("", points))
-    near = sighting_poses(seen_once(T @ transform(np.eye(3), np.array([1.0, 0, 1])), BOARD.corners_board), camera_at(
-        "cam01", (3, 0, 2)), target_shape("", BOARD.corners_board))  # fmt: skip
+    near = sighting_poses(
+        seen_once(T @ transform(np.eye(3), np.array([1.0, 0, 1])), BOARD.corners_board),
+        camera_at("cam01", (3, 0, 2)),
+        target_shape("", BOARD.corners_board),
+    )
     assert poses is not None and near is not None
     assert len(poses.t) == 2 and poses.ambiguity > 0.5
     assert near.ambiguity < 0.01
@@ -91,8 +94,10 @@ def test_relative_pose_survives_ambiguous_and_turned_views():
     for T in carried(rng, 40).values():
         pixels = [project(camera, T, points) + 0.3 * rng.normal(size=(16, 2)) for camera in cameras.values()]
         ids = [np.arange(16), shape.turns[rng.integers(4)].permutation]
-        poses = [sighting_poses(Sighting("", 0, i, p, SIZE), camera, shape)
-                 for i, p, camera in zip(ids, pixels, cameras.values(), strict=True)]  # fmt: skip
+        poses = [
+            sighting_poses(Sighting("", 0, i, p, SIZE), camera, shape)
+            for i, p, camera in zip(ids, pixels, cameras.values(), strict=True)
+        ]
         if poses[0] is not None and poses[1] is not None:
             common.append((poses[0], poses[1]))
     expected = cameras["b"].T_camera_world @ inverse(cameras["a"].T_camera_world)
@@ -111,8 +116,10 @@ def test_groups_and_common_moments_are_counted():
 
 
 def test_cameras_without_common_view_are_named_by_group():
-    shown = [Sighting(camera, moment, np.arange(30), np.zeros((30, 2)), SIZE)
-             for camera, moment in (("cam01", 0), ("cam02", 0), ("cam03", 1), ("cam04", 1))]  # fmt: skip
+    shown = [
+        Sighting(camera, moment, np.arange(30), np.zeros((30, 2)), SIZE)
+        for camera, moment in (("cam01", 0), ("cam02", 0), ("cam03", 1), ("cam04", 1))
+    ]
     with pytest.raises(InputError, match=r"cam01, cam02 \| cam03, cam04.*Show the board where cameras of both groups"):
         require_connected(["cam04", "cam03", "cam02", "cam01"], shown)
     with pytest.raises(InputError, match=r"cam05: no picture"):

@@ -108,8 +108,13 @@ def test_spots_that_are_no_wand_are_not_taken_for_one():
 @pytest.mark.parametrize("marks", [UNEVEN, EVEN, TWO])
 def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
     cameras = ring(4)
-    solution = solve_rig(cameras, wand_sightings(marks, 30, seed=1), {WAND: wand_points(marks)}, reference="cam01",
-                         turnable={WAND: wand_turns(marks)})  # fmt: skip
+    solution = solve_rig(
+        cameras,
+        wand_sightings(marks, 30, seed=1),
+        {WAND: wand_points(marks)},
+        reference="cam01",
+        turnable={WAND: wand_turns(marks)},
+    )
     found = errors(solution, truth(cameras, "cam01"))
     centre_mm, rotation_deg = worst_of(found)
     assert centre_mm < 5 and rotation_deg < 0.1
@@ -120,9 +125,13 @@ def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
 def test_wand_and_floor_board_together_give_the_world():
     cameras = ring(4)
     floor = sightings_of(cameras, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
-    solution = solve_rig(cameras, wand_sightings(TWO, 40, seed=2) + floor,
-                         {WAND: wand_points(TWO), "floor": TARGETS["floor"]}, reference="floor",
-                         turnable={WAND: 2})  # fmt: skip
+    solution = solve_rig(
+        cameras,
+        wand_sightings(TWO, 40, seed=2) + floor,
+        {WAND: wand_points(TWO), "floor": TARGETS["floor"]},
+        reference="floor",
+        turnable={WAND: 2},
+    )
     centre_mm, rotation_deg = worst_of(errors(solution, truth(cameras)))
     assert centre_mm < 7 and rotation_deg < 0.12
     ratio, sd = solution.scale_of["floor"]
@@ -131,8 +140,10 @@ def test_wand_and_floor_board_together_give_the_world():
 
 def test_same_bytes_from_the_same_wand_in_another_order():
     cameras, sightings = ring(3), [s for s in wand_sightings(TWO, 14, seed=3) if s.camera != "cam04"]
-    first, second = (solve_rig(cameras, order, {WAND: wand_points(TWO)}, turnable={WAND: 2})
-                     for order in (sightings, sightings[::-1]))  # fmt: skip
+    first, second = (
+        solve_rig(cameras, order, {WAND: wand_points(TWO)}, turnable={WAND: 2})
+        for order in (sightings, sightings[::-1])
+    )
     for name in cameras:
         assert first.T_camera_reference[name].tobytes() == second.T_camera_reference[name].tobytes()
 

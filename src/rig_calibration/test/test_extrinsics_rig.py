@@ -41,8 +41,9 @@ def floor_sightings(cameras: dict[str, CameraModel], board: Checkerboard = FLOOR
     seen = see_all(cameras, board, [on_floor(board)] * FRAMES, FLOOR)
     return [
         average_still_board([s for s in seen if s.camera == name], board, target=FLOOR).sighting
-        for name in cameras if any(s.camera == name for s in seen)
-    ]  # fmt: skip
+        for name in cameras
+        if any(s.camera == name for s in seen)
+    ]
 
 
 def carried_sightings(cameras: dict[str, CameraModel], count: int = 60) -> list[Sighting]:

@@ -34,9 +34,15 @@ def test_lens_is_found_within_its_own_standard_deviations(noise_px):
 
 
 @pytest.mark.parametrize(
-    "camera", [lens(), lens((-0.22, 0.06, -2e-4, 2e-4, 0.0), focal=330.0), lens((0.1, -0.3, 0, 0, 0), focal=2500.0),
-               lens(RATIONAL, "rational_polynomial")], ids=["wide", "wider", "long", "rational"],
-)  # fmt: skip
+    "camera",
+    [
+        lens(),
+        lens((-0.22, 0.06, -2e-4, 2e-4, 0.0), focal=330.0),
+        lens((0.1, -0.3, 0, 0, 0), focal=2500.0),
+        lens(RATIONAL, "rational_polynomial"),
+    ],
+    ids=["wide", "wider", "long", "rational"],
+)
 def test_corners_without_noise_give_the_lens_back(camera):
     result = found(shown(camera, 20, 0.0, seed=2), model=camera.distortion_model)
     assert result.rms_px < 1e-3

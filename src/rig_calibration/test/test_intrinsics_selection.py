@@ -48,9 +48,13 @@ def test_chosen_pictures_are_all_taken():
 
 @pytest.mark.parametrize(
     "blur_px, motion_px, said",
-    [(3.0, 0.0, "too blurred: by 3.0 px"), (np.nan, 0.0, "too blurred: beyond measure"),
-     (0.5, 8.0, "the board moves: hold it still"), (0.5, np.inf, "the board moves")],
-)  # fmt: skip
+    [
+        (3.0, 0.0, "too blurred: by 3.0 px"),
+        (np.nan, 0.0, "too blurred: beyond measure"),
+        (0.5, 8.0, "the board moves: hold it still"),
+        (0.5, np.inf, "the board moves"),
+    ],
+)
 def test_blurred_and_moving_boards_are_refused_with_the_reason(blur_px, motion_px, said):
     collector = ViewCollector(BOARD)
     offer = collector.offer(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px, motion_px=motion_px)

@@ -61,8 +61,11 @@ def build_graph(
     """
     if session is not None:
         if rig is not None or cameras is not None:
-            raise InputError("a session brings its own rig and cameras", where="rig, cameras",
-                             remedy="Give a session, or a rig with cameras.")  # fmt: skip
+            raise InputError(
+                "a session brings its own rig and cameras",
+                where="rig, cameras",
+                remedy="Give a session, or a rig with cameras.",
+            )
         graph = session_graph(load_session(session), rate=rate, epoch_ns=epoch_ns, loop=loop, body=body)
     elif rig is not None:
         graph = server_graph(rig, body=body)
@@ -76,30 +79,31 @@ def build_graph(
 
 
 def session_graph(
-    session: Session,
-    *,
-    rate: float = 1.0,
-    epoch_ns: int = 0,
-    loop: bool = False,
-    body: str | Path | None = None,
+    session: Session, *, rate: float = 1.0, epoch_ns: int = 0, loop: bool = False, body: str | Path | None = None
 ) -> list[NodeSpec]:
     """The whole graph on recorded footage."""
     rig_file = (session.folder / "rig.yaml").resolve()
     unlearned = [name for name in session.rig.names if name not in session.backgrounds]
     if unlearned:
-        raise InputError(f"there is no background for {', '.join(unlearned)}", where=str(session.folder),
-                         remedy=f"Add {unlearned[0]}_background.mp4 or .png: the empty scene.")  # fmt: skip
+        raise InputError(
+            f"there is no background for {', '.join(unlearned)}",
+            where=str(session.folder),
+            remedy=f"Add {unlearned[0]}_background.mp4 or .png: the empty scene.",
+        )
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
     cameras = [
-        camera_node(name, {
-            "rig_file": str(rig_file),
-            "source": "footage",
-            "background": str(session.backgrounds[name].resolve()),
-            "footage.path": str(session.videos[name].resolve()),
-            **{f"footage.{key}": value for key, value in footage.items()},
-        })
+        camera_node(
+            name,
+            {
+                "rig_file": str(rig_file),
+                "source": "footage",
+                "background": str(session.backgrounds[name].resolve()),
+                "footage.path": str(session.videos[name].resolve()),
+                **{f"footage.{key}": value for key, value in footage.items()},
+            },
+        )
         for name in session.rig.names
-    ]  # fmt: skip
+    ]
     graph = server_graph(rig_file, body=body) + cameras
     patience = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
     if rate == 0:
@@ -136,8 +140,11 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
     nodes = {node.label: node for node in cameras_from_files(cameras)}
     strangers, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
     if strangers:
-        raise InputError(f"the rig {rig} has no camera {', '.join(strangers)}", where=str(cameras),
-                         remedy=f"Known cameras: {', '.join(names)}.")  # fmt: skip
+        raise InputError(
+            f"the rig {rig} has no camera {', '.join(strangers)}",
+            where=str(cameras),
+            remedy=f"Known cameras: {', '.join(names)}.",
+        )
     if absent:
         raise InputError(
             f"the rig {rig} has {len(names)} cameras, but there is no parameter file for {', '.join(absent)}",
@@ -154,8 +161,9 @@ def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
     labels = [node.label for node in nodes]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
-        raise InputError(f"{', '.join(twice)} is described twice", where=str(cameras),
-                         remedy="Keep one parameter file a camera.")  # fmt: skip
+        raise InputError(
+            f"{', '.join(twice)} is described twice", where=str(cameras), remedy="Keep one parameter file a camera."
+        )
     return sorted(nodes, key=lambda node: node.label)
 
 
@@ -165,13 +173,17 @@ def camera_from_file(path: str | Path) -> NodeSpec:
     document = _read_yaml(path)
     keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
     if len(document) != 1 or len(keys) != 1:
-        raise InputError(f"has the keys {', '.join(map(str, document))}", where=str(path),
-                         remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.")  # fmt: skip
+        raise InputError(
+            f"has the keys {', '.join(map(str, document))}",
+            where=str(path),
+            remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.",
+        )
     entry = document[keys[0]]
     parameters = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
     if not isinstance(parameters, Mapping):
-        raise InputError("has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}",
-                         remedy="Put the parameters under it.")  # fmt: skip
+        raise InputError(
+            "has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}", remedy="Put the parameters under it."
+        )
     return camera_node(str(keys[0]).split("/")[1], _flat(parameters))
 
 
@@ -185,8 +197,9 @@ def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:
     chosen = [node for node in graph if node.label == only]
     if not chosen:
         labels = ", ".join(node.label for node in graph)
-        raise InputError(f"the graph has no part '{only}'", where="only",
-                         remedy=f"Give server, cameras, or one of: {labels}.")  # fmt: skip
+        raise InputError(
+            f"the graph has no part '{only}'", where="only", remedy=f"Give server, cameras, or one of: {labels}."
+        )
     return chosen
 
 
@@ -197,8 +210,11 @@ def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> li
         target, _, parameter = key.partition(".")
         if not parameter or target not in labels | {ALL_CAMERAS}:
             known = ", ".join([*sorted(labels), ALL_CAMERAS])
-            raise InputError(f"'{key}' names no node of the graph", where="settings",
-                             remedy=f"Write NODE.PARAMETER, with NODE one of: {known}.")  # fmt: skip
+            raise InputError(
+                f"'{key}' names no node of the graph",
+                where="settings",
+                remedy=f"Write NODE.PARAMETER, with NODE one of: {known}.",
+            )
     return [node.with_parameters(_parameters_for(node, settings)) for node in graph]
 
 
@@ -218,8 +234,11 @@ def _body_file(path: Path) -> str:
 def _camera_files(path: Path) -> list[Path]:
     files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
     if not files or not all(file.is_file() for file in files):
-        raise InputError("no camera parameter file", where=str(path),
-                         remedy="Give a folder with one YAML a camera, or one such file.")  # fmt: skip
+        raise InputError(
+            "no camera parameter file",
+            where=str(path),
+            remedy="Give a folder with one YAML a camera, or one such file.",
+        )
     return files
 
 
@@ -227,11 +246,13 @@ def _read_yaml(path: Path) -> Mapping[str, Any]:
     try:
         document = yaml.safe_load(path.read_text())
     except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path),
-                         remedy="Give the path of a ROS parameter file.") from None  # fmt: skip
+        raise InputError(
+            f"cannot be read ({error.strerror})", where=str(path), remedy="Give the path of a ROS parameter file."
+        ) from None
     except yaml.YAMLError as error:
-        raise InputError(f"is not valid YAML ({' '.join(str(error).split())})", where=str(path),
-                         remedy="Mend the file.") from None  # fmt: skip
+        raise InputError(
+            f"is not valid YAML ({' '.join(str(error).split())})", where=str(path), remedy="Mend the file."
+        ) from None
     if not isinstance(document, Mapping):
         raise InputError("is not a mapping", where=str(path), remedy=f"It needs the key /CAMERA/{CAMERA_NODE}.")
     return document

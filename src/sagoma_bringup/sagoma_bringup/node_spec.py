@@ -43,8 +43,15 @@ class NodeSpec:
 
     def with_parameters(self, parameters: Mapping[str, Any]) -> NodeSpec:
         """The same node with some parameters set or replaced."""
-        return NodeSpec(self.package, self.executable, self.module, self.name, self.namespace, self.role,
-                        {**self.parameters, **parameters})  # fmt: skip
+        return NodeSpec(
+            self.package,
+            self.executable,
+            self.module,
+            self.name,
+            self.namespace,
+            self.role,
+            {**self.parameters, **parameters},
+        )
 
     def parameter_document(self) -> dict[str, Any]:
         """Its parameters as the document of a ROS parameter file."""

@@ -25,9 +25,15 @@ REFERENCE_POINTS = _layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
 UPPER_TRIANGLE = np.triu_indices(3)
 
 _NUMPY_TYPES = {
-    PointField.INT8: "i1", PointField.UINT8: "u1", PointField.INT16: "i2", PointField.UINT16: "u2",
-    PointField.INT32: "i4", PointField.UINT32: "u4", PointField.FLOAT32: "f4", PointField.FLOAT64: "f8",
-}  # fmt: skip
+    PointField.INT8: "i1",
+    PointField.UINT8: "u1",
+    PointField.INT16: "i2",
+    PointField.UINT16: "u2",
+    PointField.INT32: "i4",
+    PointField.UINT32: "u4",
+    PointField.FLOAT32: "f4",
+    PointField.FLOAT64: "f8",
+}
 
 
 def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
@@ -57,16 +63,20 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     wanted = [name for name in layout.names or () if name in fields or name not in ONE_BODY]
     missing = [name for name in wanted if name not in fields]
     if missing:
-        raise InputError(f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})", where=where,
-                         remedy=f"Publish the fields {', '.join(layout.names or ())}.")  # fmt: skip
+        raise InputError(
+            f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})",
+            where=where,
+            remedy=f"Publish the fields {', '.join(layout.names or ())}.",
+        )
     wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, [fields[name] for name in wanted], where))
     points = np.empty(len(wire), layout)
     with np.errstate(over="ignore"):  # a double too big for float32 is refused below
         for name in layout.names or ():
             points[name] = wire[name] if name in fields else ONE_BODY[name]
     if not np.isfinite(points.view(np.float32)).all():
-        raise InputError("the cloud holds numbers that are not finite", where=where,
-                         remedy="Drop such points before publishing.")  # fmt: skip
+        raise InputError(
+            "the cloud holds numbers that are not finite", where=where, remedy="Drop such points before publishing."
+        )
     return points
 
 
@@ -82,12 +92,14 @@ def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str) -> np
                 where=where,
                 remedy="The message is damaged; check its publisher.",
             )
-    return np.dtype({
-        "names": [field.name for field in fields],
-        "formats": formats,
-        "offsets": [field.offset for field in fields],
-        "itemsize": cloud.point_step,
-    })  # fmt: skip
+    return np.dtype(
+        {
+            "names": [field.name for field in fields],
+            "formats": formats,
+            "offsets": [field.offset for field in fields],
+            "itemsize": cloud.point_step,
+        }
+    )
 
 
 def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
@@ -111,9 +123,9 @@ def xyz(points: np.ndarray) -> np.ndarray:
 
 def reference_points_array(points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray) -> np.ndarray:
     """Points (15, 3), covariances (15, 3, 3) m^2 and visibility (15,) as the layout REFERENCE_POINTS."""
-    table = np.column_stack([
-        points_world, np.asarray(covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]], np.asarray(visible, float),
-    ]).astype(np.float32)  # fmt: skip
+    table = np.column_stack(
+        [points_world, np.asarray(covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]], np.asarray(visible, float)]
+    ).astype(np.float32)
     return np.ascontiguousarray(table).view(REFERENCE_POINTS).reshape(-1)
 
 

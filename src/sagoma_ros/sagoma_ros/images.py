@@ -48,8 +48,11 @@ def decode_silhouette(
     """
     data = np.frombuffer(message.data, np.uint8)
     if data[:8].tobytes() != mask_png.SIGNATURE:
-        raise InputError(f"format '{message.format}' is not a PNG silhouette", where=where,
-                         remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")  # fmt: skip
+        raise InputError(
+            f"format '{message.format}' is not a PNG silhouette",
+            where=where,
+            remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.",
+        )
     mask = mask_png.decode(data.tobytes(), candidates)
     if mask is None:
         mask = _decode_other(data, where, candidates)
@@ -69,8 +72,11 @@ def _decode_other(data: np.ndarray, where: str, candidates: int) -> np.ndarray:
         raise InputError("the PNG cannot be decoded", where=where, remedy="The message is damaged; check the network.")
     depth_and_colour = data[PNG_DEPTH_AND_COLOUR].tolist()
     if depth_and_colour not in MONO_PNG:
-        raise InputError(f"the PNG is not mono8: its bit depth and colour type are {depth_and_colour}", where=where,
-                         remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")  # fmt: skip
+        raise InputError(
+            f"the PNG is not mono8: its bit depth and colour type are {depth_and_colour}",
+            where=where,
+            remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.",
+        )
     return cv2.LUT(mask, _levels(candidates))
 
 

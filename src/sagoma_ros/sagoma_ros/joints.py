@@ -56,8 +56,11 @@ def read_prediction(message: JointState, where: str) -> Prediction:
         return Prediction(stamp_ns, None, np.zeros(len(TANGENT_NAMES)))
     sizes = {len(message.name), len(message.position), len(message.velocity)}
     if tuple(message.name) != TANGENT_NAMES or len(sizes) != 1:
-        raise InputError("names or lengths are not those of a prediction", where=where,
-                         remedy=f"Give position and velocity of {', '.join(TANGENT_NAMES)}.")  # fmt: skip
+        raise InputError(
+            "names or lengths are not those of a prediction",
+            where=where,
+            remedy=f"Give position and velocity of {', '.join(TANGENT_NAMES)}.",
+        )
     position, velocity = np.array(message.position), np.array(message.velocity)
     if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
         raise InputError("the prediction holds numbers that are not finite", where=where, remedy="Check its publisher.")

@@ -77,8 +77,13 @@ def test_cloud_is_laid_out_as_its_fields_say() -> None:
 
 
 def test_foreign_order_types_padding_and_extra_fields_are_read() -> None:
-    fields = [("surface", 0, PointField.UINT8), ("z", 4, PointField.FLOAT32), ("rgb", 8, PointField.UINT32),
-              ("y", 12, PointField.INT16), ("x", 16, PointField.FLOAT64)]  # fmt: skip
+    fields = [
+        ("surface", 0, PointField.UINT8),
+        ("z", 4, PointField.FLOAT32),
+        ("rgb", 8, PointField.UINT32),
+        ("y", 12, PointField.INT16),
+        ("x", 16, PointField.FLOAT64),
+    ]
     cloud = foreign_cloud([(1, 0.5, 7, -3, 0.25), (0, 1.5, 7, 4, 1e3)], "<BxxxfIhxxd", fields)
     points = from_cloud(cloud, VOXELS, TOPIC)
     assert points.dtype == VOXELS

@@ -61,8 +61,16 @@ def test_node_without_overrides_has_the_defaults(ros: Ros) -> None:
 
 
 def test_overrides_are_read_typed(ros: Ros) -> None:
-    given = {"rig_file": "rig.yaml", "cameras": 6, "loop": True, "voxel_m": 0.01, "axes": ["z"], "low": [-1.5, 2.0],
-             "ids": [3, 1], "blob.min_area_m2": 0.5}  # fmt: skip
+    given = {
+        "rig_file": "rig.yaml",
+        "cameras": 6,
+        "loop": True,
+        "voxel_m": 0.01,
+        "axes": ["z"],
+        "low": [-1.5, 2.0],
+        "ids": [3, 1],
+        "blob.min_area_m2": 0.5,
+    }
     settings = read_parameters(make_node(ros, given), Settings)
     assert settings == Settings("rig.yaml", "auto", 6, True, 0.01, ["z"], [-1.5, 2.0], [3, 1], Blob(0.5))
 

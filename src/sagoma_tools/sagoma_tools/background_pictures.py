@@ -39,7 +39,8 @@ def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path
             folder.mkdir(parents=True, exist_ok=True)
             path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
         except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", where=str(path),
-                             remedy="Choose another folder with --output.") from None  # fmt: skip
+            raise InputError(
+                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another folder with --output."
+            ) from None
         written.append(path)
     return written

@@ -51,9 +51,10 @@ def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
     found = settled(lambda: owners_of(node, SERVICE, SERVICE_TYPE), expect, wait_s)
     if len(found) < max(expect, 1):
         raise InputError(
-            f"found {len(found)} camera clients, expected {max(expect, 1)}", where="the ROS graph",
+            f"found {len(found)} camera clients, expected {max(expect, 1)}",
+            where="the ROS graph",
             remedy="Start them (sagoma up --cameras FOLDER), or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.",
-        )  # fmt: skip
+        )
     return found
 
 
@@ -120,9 +121,10 @@ def teach(
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
     return [
         Lesson(camera_of(name), said[name].message, lesson_of(board, name) if told(name) else None)
-        if said[name] is not None else Lesson(camera_of(name), silence)
+        if said[name] is not None
+        else Lesson(camera_of(name), silence)
         for name in names
-    ]  # fmt: skip
+    ]
 
 
 def learn_backgrounds(supervisor: Supervisor, timeout_s: float = TIMEOUT_S) -> dict[str, str]:
@@ -134,8 +136,11 @@ def learn_backgrounds(supervisor: Supervisor, timeout_s: float = TIMEOUT_S) -> d
     lessons = teach(supervisor.node, supervisor.board, names, timeout_s)
     refused = [lesson for lesson in lessons if lesson.grade == REDO]
     if refused:
-        raise InputError("; ".join(f"{lesson.camera}: {lesson.said}" for lesson in refused),
-                         where="learning the background", remedy="Clear the scene and try again.")  # fmt: skip
+        raise InputError(
+            "; ".join(f"{lesson.camera}: {lesson.said}" for lesson in refused),
+            where="learning the background",
+            remedy="Clear the scene and try again.",
+        )
     return {lesson.camera: lesson.said for lesson in lessons}
 
 

@@ -25,9 +25,16 @@ from .cdr import TYPES
 INFINITE = QosTime(9223372036, 854775807)
 # what every publisher of the graph offers (sagoma_ros.qos)
 OFFERED = Qos(
-    QosHistory.KEEP_LAST, 20, QosReliability.RELIABLE, QosDurability.VOLATILE,
-    INFINITE, INFINITE, QosLiveliness.AUTOMATIC, INFINITE, False,
-)  # fmt: skip
+    QosHistory.KEEP_LAST,
+    20,
+    QosReliability.RELIABLE,
+    QosDurability.VOLATILE,
+    INFINITE,
+    INFINITE,
+    QosLiveliness.AUTOMATIC,
+    INFINITE,
+    False,
+)
 OFFERED_LATCHED = OFFERED._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
 GIT_TIMEOUT_S = 5.0
 VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags")

@@ -80,15 +80,22 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
         raise InputError("there is no such bag", where=str(bag), remedy="Give the folder that holds metadata.yaml.")
     if bag.is_dir() and not (bag / "metadata.yaml").exists():
         mcap = bool(list(bag.glob("*.mcap")))
-        raise InputError("has no metadata.yaml", where=str(bag),
-                         remedy=f"Its writer was killed: run `sagoma recover {bag}`." if mcap
-                         else "Give the folder of a rosbag2 bag.")  # fmt: skip
+        raise InputError(
+            "has no metadata.yaml",
+            where=str(bag),
+            remedy=f"Its writer was killed: run `sagoma recover {bag}`."
+            if mcap
+            else "Give the folder of a rosbag2 bag.",
+        )
     try:
         with Reader(bag) as reader:
             yield reader
     except ReaderError as error:
-        raise InputError(f"cannot be read as a rosbag2 bag ({error})", where=str(bag),
-                         remedy="Record it again, or try `sagoma recover`.") from error  # fmt: skip
+        raise InputError(
+            f"cannot be read as a rosbag2 bag ({error})",
+            where=str(bag),
+            remedy="Record it again, or try `sagoma recover`.",
+        ) from error
 
 
 def bag_topics(bag: str | Path) -> dict[str, str]:
@@ -111,8 +118,11 @@ def bag_cameras(bag: str | Path) -> tuple[str, ...]:
     """The cameras whose silhouettes a bag holds, in name order; InputError when it holds none."""
     cameras = cameras_in(bag_topics(bag))
     if not cameras:
-        raise InputError("holds no topic /CAMERA/silhouette/compressed", where=str(bag),
-                         remedy="Record the cameras' topics too: `sagoma record` does.")  # fmt: skip
+        raise InputError(
+            "holds no topic /CAMERA/silhouette/compressed",
+            where=str(bag),
+            remedy="Record the cameras' topics too: `sagoma record` does.",
+        )
     return cameras
 
 

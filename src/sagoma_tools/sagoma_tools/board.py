@@ -16,9 +16,21 @@ from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3.0
 LOSS_WORDS = (
-    "ahead", "unexpected", "dropped", "late", "missing", "refused", "timeout", "backwards", "duplicate", "bad", "lost",
-    "incomplete", "stalls", "control_losses",
-)  # fmt: skip
+    "ahead",
+    "unexpected",
+    "dropped",
+    "late",
+    "missing",
+    "refused",
+    "timeout",
+    "backwards",
+    "duplicate",
+    "bad",
+    "lost",
+    "incomplete",
+    "stalls",
+    "control_losses",
+)
 LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
 
 

@@ -26,9 +26,20 @@ from .commands import (
 from .supervisor import GraphError
 
 COMMANDS = (
-    demo, calibrate, background, up, control, record, replay, evaluate, compare, recover, import_session, doctor,
+    demo,
+    calibrate,
+    background,
+    up,
+    control,
+    record,
+    replay,
+    evaluate,
+    compare,
+    recover,
+    import_session,
+    doctor,
     studio,
-)  # fmt: skip
+)
 GRAPH_FAILED, BAD_INPUT = 1, 2
 
 

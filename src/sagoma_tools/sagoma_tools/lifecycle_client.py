@@ -182,9 +182,14 @@ class LifecycleClient:
             return {n + suffix: r for n, r in inferred({s.removesuffix(suffix) for s in services}).items()}
 
         replies = call_all(
-            self._node, srv_type, {name + suffix: request for name, request in requests.items()}, timeout_s,
-            lambda n: self._alive(n.removesuffix(suffix)), repeatable=repeatable, inferred=inferred_replies,
-        )  # fmt: skip
+            self._node,
+            srv_type,
+            {name + suffix: request for name, request in requests.items()},
+            timeout_s,
+            lambda n: self._alive(n.removesuffix(suffix)),
+            repeatable=repeatable,
+            inferred=inferred_replies,
+        )
         return {name.removesuffix(suffix): reply for name, reply in replies.items()}
 
 

@@ -97,8 +97,11 @@ def wait_for_listeners(node: Node, timeout_s: float) -> None:
     deadline_s = time.monotonic() + timeout_s
     while deaf := _deaf(node):
         if time.monotonic() > deadline_s:
-            raise InputError(f"not heard by {', '.join(sorted(set().union(*deaf.values())))} within {timeout_s:g} s",
-                             where=", ".join(deaf), remedy="All three nodes of the server must be active.")  # fmt: skip
+            raise InputError(
+                f"not heard by {', '.join(sorted(set().union(*deaf.values())))} within {timeout_s:g} s",
+                where=", ".join(deaf),
+                remedy="All three nodes of the server must be active.",
+            )
         threading.Event().wait(LOOK_S)  # rclpy has no event for a change of the graph
 
 
@@ -110,8 +113,11 @@ def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
     known, recorded = load_rig(rig_file).names, bag_cameras(bag)
     strangers = [name for name in recorded if name not in known]
     if strangers:
-        raise InputError(f"the bag has silhouettes of {', '.join(strangers)}, which the rig does not know",
-                         where=str(rig_file), remedy=f"Known cameras: {', '.join(known)}.")  # fmt: skip
+        raise InputError(
+            f"the bag has silhouettes of {', '.join(strangers)}, which the rig does not know",
+            where=str(rig_file),
+            remedy=f"Known cameras: {', '.join(known)}.",
+        )
     return rig_file
 
 

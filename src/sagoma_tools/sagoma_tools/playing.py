@@ -62,8 +62,11 @@ def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]
     for message in read_messages(bag, cameras.__contains__):
         stamps.setdefault(cameras[message.topic], []).append(message.stamp_ns)
     if not stamps:
-        raise InputError("holds no silhouette of the session's cameras", where=str(bag),
-                         remedy="Give a bag of this session; if it is, read the cameras' logs beside it.")  # fmt: skip
+        raise InputError(
+            "holds no silhouette of the session's cameras",
+            where=str(bag),
+            remedy="Give a bag of this session; if it is, read the cameras' logs beside it.",
+        )
     return {name: sorted(values) for name, values in stamps.items()}
 
 

@@ -67,9 +67,14 @@ class Child:
         self._stopping = False
         with log.open("wb") as sink:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT, env=dict(env),
-                process_group=0, preexec_fn=_prepare_child,
-            )  # fmt: skip
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=sink,
+                stderr=subprocess.STDOUT,
+                env=dict(env),
+                process_group=0,
+                preexec_fn=_prepare_child,
+            )
         self._on_death = on_death
         self._ended = threading.Event()
         threading.Thread(target=self._watch, name=f"watch {name}", daemon=True).start()

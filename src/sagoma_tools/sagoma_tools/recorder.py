@@ -53,9 +53,13 @@ class Recorder:
                 return
             self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
         self._subscriptions[topic.name] = self._node.create_subscription(
-            message_class(topic.msgtype), topic.name, self._taker(topic), topic.qos, raw=True,
+            message_class(topic.msgtype),
+            topic.name,
+            self._taker(topic),
+            topic.qos,
+            raw=True,
             event_callbacks=SubscriptionEventCallbacks(matched=self._noter(topic)),
-        )  # fmt: skip
+        )
 
     def follow_cameras(self) -> None:
         """Look for cameras that publish silhouettes, now and from time to time, and record them too."""

@@ -56,11 +56,13 @@ class InputPublishers:
         self._subscribers = dict.fromkeys(topics, 0)
         self._publishers: dict[str, Publisher] = {
             name: node.create_publisher(
-                message_class(msgtype), name, LOSSLESS,
+                message_class(msgtype),
+                name,
+                LOSSLESS,
                 event_callbacks=PublisherEventCallbacks(matched=self._noter(name)),
             )
             for name, msgtype in topics.items()
-        }  # fmt: skip
+        }
 
     def wait_for_subscribers(self, topics: Iterable[str], timeout_s: float) -> None:
         """Return once every one of ``topics`` has a subscriber; InputError names those that have none in time."""
@@ -68,9 +70,12 @@ class InputPublishers:
         with self._matched:
             if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
                 lonely = ", ".join(name for name in names if not self._subscribers[name])
-                raise InputError(f"nobody subscribed within {timeout_s:g} s", where=lonely,
-                                 remedy="Start the hull server (`sagoma up --rig ... --server`), or check "
-                                 "ROS_DOMAIN_ID and the camera names of its rig.")  # fmt: skip
+                raise InputError(
+                    f"nobody subscribed within {timeout_s:g} s",
+                    where=lonely,
+                    remedy="Start the hull server (`sagoma up --rig ... --server`), or check "
+                    "ROS_DOMAIN_ID and the camera names of its rig.",
+                )
 
     def publish(self, message: BagMessage) -> None:
         """Publish the serialized message as it is."""
@@ -171,7 +176,10 @@ def play_lockstep(
         if not answers.wait_for(frame_set.stamp_ns, timeout_s):
             report.unanswered_ns.append(frame_set.stamp_ns)
             if report.sets == 1:
-                raise InputError(f"no answer to the first frame set within {timeout_s:g} s", where=PREDICTION_TOPIC,
-                                 remedy="All of hull_server, icp_tracker and ekf_tracker must be active.")  # fmt: skip
+                raise InputError(
+                    f"no answer to the first frame set within {timeout_s:g} s",
+                    where=PREDICTION_TOPIC,
+                    remedy="All of hull_server, icp_tracker and ekf_tracker must be active.",
+                )
     report.stray_answers = answers.strays(asked)
     return report

@@ -102,8 +102,15 @@ class StudioStage(Stage):
         if not fps > 0:
             raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
         self._fps = fps
-        arguments = ("--session", str(self.session.folder), "--fps", f"{fps:g}", "--empty",
-                     "--address", free_first_address(len(self.session.rig.names)))  # fmt: skip
+        arguments = (
+            "--session",
+            str(self.session.folder),
+            "--fps",
+            f"{fps:g}",
+            "--empty",
+            "--address",
+            free_first_address(len(self.session.rig.names)),
+        )
         self.studio = StudioProcess(folder, *arguments)
 
     def open(self, cancel: threading.Event) -> None:
@@ -139,5 +146,6 @@ def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) 
     for first in candidates:
         if all(is_free(address) for address in following(first, count)):
             return first
-    raise InputError("other studios hold every address", where=f"{candidates[0]} to {candidates[-1]}",
-                     remedy="End one of them.")  # fmt: skip
+    raise InputError(
+        "other studios hold every address", where=f"{candidates[0]} to {candidates[-1]}", remedy="End one of them."
+    )

@@ -53,8 +53,17 @@ class StudioProcess:
     def start(self, cancel: threading.Event | None = None) -> StudioProcess:
         """Return once every camera is on."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-u", "-m", "virtual_studio.gige", "--control", str(self._control),
-                   "--write", str(self.folder), *self._arguments]  # fmt: skip
+        command = [
+            sys.executable,
+            "-u",
+            "-m",
+            "virtual_studio.gige",
+            "--control",
+            str(self._control),
+            "--write",
+            str(self.folder),
+            *self._arguments,
+        ]
         ended = threading.Event()
         log = self.folder / "studio.log"
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
@@ -62,8 +71,11 @@ class StudioProcess:
         while self._child.log_tail(1) != "ready":
             if ended.wait(LOOK_S) or time.monotonic() > deadline_s or (cancel is not None and cancel.is_set()):
                 self.close()
-                raise InputError(f"the studio did not start ({self._child.log_tail(2) or 'it said nothing'})",
-                                 where=str(log), remedy="Mend what its log says.")  # fmt: skip
+                raise InputError(
+                    f"the studio did not start ({self._child.log_tail(2) or 'it said nothing'})",
+                    where=str(log),
+                    remedy="Mend what its log says.",
+                )
         return self
 
     def ask(self, do: str, **words: Any) -> dict[str, Any]:

@@ -189,9 +189,14 @@ class Supervisor:
         parameters.write_text(yaml.safe_dump(spec.parameter_document(), sort_keys=False))
         command = [
             *node_command(spec.package, spec.executable, spec.module),
-            "--ros-args", "-r", f"__node:={spec.name}", "-r", f"__ns:={spec.namespace}",
-            "--params-file", str(parameters),
-        ]  # fmt: skip
+            "--ros-args",
+            "-r",
+            f"__node:={spec.name}",
+            "-r",
+            f"__ns:={spec.namespace}",
+            "--params-file",
+            str(parameters),
+        ]
         log = self.run_folder / f"{spec.label}.log"
         return Child(spec.label, command, log, self._child_environment(), lambda child: self._bury(spec, child))
 
@@ -241,8 +246,10 @@ class Supervisor:
         asked = {answer.node for answer in configured.answers}
         foreign = sorted(n for n in self._children if seen[n] > 1 or (self.states()[n] == FRESH and n not in asked))
         if foreign:
-            raise GraphError(f"{', '.join(foreign)} run already in this ROS domain: stop that graph, or give this one "
-                             "another ROS_DOMAIN_ID")  # fmt: skip
+            raise GraphError(
+                f"{', '.join(foreign)} run already in this ROS domain: stop that graph, or give this one "
+                "another ROS_DOMAIN_ID"
+            )
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()

@@ -15,11 +15,21 @@ FOCAL_PX, CENTRE_PX, SIZE = 470.0, (322.0, 236.5), (640, 480)
 FINE = 2
 # place of the board's middle in the picture (of its width and height), lean about its x and y, distance m
 STATIONS = [
-    (0.5, 0.5, 35, 0, 0.32), (0.5, 0.5, -35, 0, 0.32), (0.5, 0.5, 0, 35, 0.32), (0.5, 0.5, 0, -35, 0.32),
-    (0.25, 0.27, 25, 25, 0.42), (0.75, 0.27, 25, -25, 0.42), (0.25, 0.73, -25, 25, 0.42), (0.75, 0.73, -25, -25, 0.42),
-    (0.5, 0.5, 0, 0, 0.3), (0.2, 0.5, 20, 30, 0.5), (0.8, 0.5, -20, -30, 0.5), (0.5, 0.25, 40, 10, 0.55),
-    (0.5, 0.75, -40, -10, 0.55), (0.35, 0.4, 30, -30, 0.6),
-]  # fmt: skip
+    (0.5, 0.5, 35, 0, 0.32),
+    (0.5, 0.5, -35, 0, 0.32),
+    (0.5, 0.5, 0, 35, 0.32),
+    (0.5, 0.5, 0, -35, 0.32),
+    (0.25, 0.27, 25, 25, 0.42),
+    (0.75, 0.27, 25, -25, 0.42),
+    (0.25, 0.73, -25, 25, 0.42),
+    (0.75, 0.73, -25, -25, 0.42),
+    (0.5, 0.5, 0, 0, 0.3),
+    (0.2, 0.5, 20, 30, 0.5),
+    (0.8, 0.5, -20, -30, 0.5),
+    (0.5, 0.25, 40, 10, 0.55),
+    (0.5, 0.75, -40, -10, 0.55),
+    (0.35, 0.4, 30, -30, 0.6),
+]
 
 
 def picture(station: tuple[float, ...], *, board: Board = BOARD, noise: float = 2.0, seed: int = 0) -> np.ndarray:
@@ -33,8 +43,14 @@ def picture(station: tuple[float, ...], *, board: Board = BOARD, noise: float = 
     H = K @ np.column_stack([R[:, 0], R[:, 1], t]) @ np.linalg.inv(drawn.T_pixel_board)
     finer = np.array([[FINE, 0, (FINE - 1) / 2], [0, FINE, (FINE - 1) / 2], [0, 0, 1.0]])
     blurred = cv2.GaussianBlur(drawn.image, (0, 0), 3.0)
-    large = cv2.warpPerspective(blurred, finer @ H, (SIZE[0] * FINE, SIZE[1] * FINE), flags=cv2.INTER_LINEAR,
-                                borderMode=cv2.BORDER_CONSTANT, borderValue=110.0)  # fmt: skip
+    large = cv2.warpPerspective(
+        blurred,
+        finer @ H,
+        (SIZE[0] * FINE, SIZE[1] * FINE),
+        flags=cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=110.0,
+    )
     light = 20 + 0.8 * cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(float)
     light += np.random.default_rng(seed).normal(0, noise, light.shape)
     return np.rint(light).clip(0, 255).astype(np.uint8)

@@ -32,15 +32,32 @@ SHOULDER_WIDTH_MM = 354.0
 SHOULDER_OFFSET_MM = {"L": 46.0, "R": 52.0}
 HEAD_MM, PELVIS_MM, MARKER_RADIUS_MM = 316.103, 50.0, 7.0
 MARKER_NEAR = {  # the 39 markers: each near one of the fifteen points
-    0: ("T10", "RBAK", "STRN"), 1: ("LFHD", "RFHD", "LBHD", "RBHD"), 2: ("C7", "CLAV"), 3: ("LSHO",), 4: ("RSHO",),
-    5: ("LASI", "LPSI", "LTHI"), 6: ("RASI", "RPSI", "RTHI"), 7: ("LELB", "LUPA"), 8: ("RELB", "RUPA"),
-    9: ("LKNE", "LTIB"), 10: ("RKNE", "RTIB"), 11: ("LWRA", "LWRB", "LFIN", "LFRM"),
-    12: ("RWRA", "RWRB", "RFIN", "RFRA"), 13: ("LANK", "LHEE", "LTOE"), 14: ("RANK", "RHEE", "RTOE"),
-}  # fmt: skip
+    0: ("T10", "RBAK", "STRN"),
+    1: ("LFHD", "RFHD", "LBHD", "RBHD"),
+    2: ("C7", "CLAV"),
+    3: ("LSHO",),
+    4: ("RSHO",),
+    5: ("LASI", "LPSI", "LTHI"),
+    6: ("RASI", "RPSI", "RTHI"),
+    7: ("LELB", "LUPA"),
+    8: ("RELB", "RUPA"),
+    9: ("LKNE", "LTIB"),
+    10: ("RKNE", "RTIB"),
+    11: ("LWRA", "LWRB", "LFIN", "LFRM"),
+    12: ("RWRA", "RWRB", "RFIN", "RFRA"),
+    13: ("LANK", "LHEE", "LTOE"),
+    14: ("RANK", "RHEE", "RTOE"),
+}
 
 
-def write_c3d(path: Path, tracks_mm: dict[str, Array], rate_hz: float = 120.0, unit: str = "mm", step: float = 0.0,
-              prefix: str = "") -> Path:  # fmt: skip
+def write_c3d(
+    path: Path,
+    tracks_mm: dict[str, Array],
+    rate_hz: float = 120.0,
+    unit: str = "mm",
+    step: float = 0.0,
+    prefix: str = "",
+) -> Path:
     """A C3D file of tracks (F, 3) by label; ``step`` > 0: 16-bit integers of so many units each, else 32-bit floats."""
     points = np.stack(list(tracks_mm.values()), axis=1)
     frames, count = points.shape[:2]
@@ -84,8 +101,14 @@ def write_cal(path: Path, camera: CameraModel) -> Path:
 
 
 def write_mp(path: Path) -> Path:
-    measures = {"MarkerDiameter": 14, "LKneeWidth": 110, "RKneeWidth": 108, "LShoulderOffset": SHOULDER_OFFSET_MM["L"],
-                "RShoulderOffset": SHOULDER_OFFSET_MM["R"], "HeadOffset": 12.5}  # fmt: skip
+    measures = {
+        "MarkerDiameter": 14,
+        "LKneeWidth": 110,
+        "RKneeWidth": 108,
+        "LShoulderOffset": SHOULDER_OFFSET_MM["L"],
+        "RShoulderOffset": SHOULDER_OFFSET_MM["R"],
+        "HeadOffset": 12.5,
+    }
     path.write_text("".join(f"${name} = {value}\r\n" for name, value in measures.items()))
     return path
 
@@ -179,8 +202,12 @@ def _frame(name: str, origin: Array, z: Array, towards_x: Array, length: Array |
     """Origin, and points on x (100 mm), y (100 mm) and z (``length`` mm) of a frame with this z axis."""
     x = unit(towards_x - np.sum(towards_x * z, axis=1, keepdims=True) * z)
     reach = np.broadcast_to(length, len(origin))[:, None]
-    return {f"{name}O": origin, f"{name}A": origin + 100 * x, f"{name}L": origin + 100 * np.cross(z, x),
-            f"{name}P": origin + reach * z}  # fmt: skip
+    return {
+        f"{name}O": origin,
+        f"{name}A": origin + 100 * x,
+        f"{name}L": origin + 100 * np.cross(z, x),
+        f"{name}P": origin + reach * z,
+    }
 
 
 MOCAP_HZ, GRID_HZ = 120, 600

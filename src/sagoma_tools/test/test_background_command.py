@@ -91,8 +91,9 @@ def test_every_camera_that_is_found_learns_and_good_ones_end_with_status_0(clien
     status, said, result = learn(capsys, made)
     assert status == 0 and "learning: cam01, cam02" in said
     assert {camera: (r["grade"], r["frames"], r["saved"]) for camera, r in result.items()} == {
-        "cam01": (GOOD, 100, "cam01.npz"), "cam02": (GOOD, 100, "cam02.npz"),
-    }  # fmt: skip
+        "cam01": (GOOD, 100, "cam01.npz"),
+        "cam02": (GOOD, 100, "cam02.npz"),
+    }
 
 
 def test_worst_verdict_is_the_exit_status_and_findings_come_with_remedies(clients, capsys):

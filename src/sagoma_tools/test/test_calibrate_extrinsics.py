@@ -111,8 +111,18 @@ def test_lenses_may_come_from_a_rig_file(room: Path, cameras: dict[str, CameraMo
     rig = load_rig(room / "rig.yaml")
     moved = replace(rig, cameras=tuple(replace(c, T_camera_world=np.eye(4)) for c in rig.cameras))
     save_rig(moved, room / "old.yaml")
-    arguments = ["calibrate", "extrinsics", "--floor", room / "floor", "--intrinsics", room / "old.yaml",
-                 "--board", BOARD_TEXT, "--output", room / "new.yaml"]  # fmt: skip
+    arguments = [
+        "calibrate",
+        "extrinsics",
+        "--floor",
+        room / "floor",
+        "--intrinsics",
+        room / "old.yaml",
+        "--board",
+        BOARD_TEXT,
+        "--output",
+        room / "new.yaml",
+    ]
     assert main([str(argument) for argument in arguments]) == 0
     assert (room / "new.yaml").read_bytes() == (room / "rig.yaml").read_bytes()
 

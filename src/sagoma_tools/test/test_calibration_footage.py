@@ -91,10 +91,16 @@ def test_video_and_background_of_one_camera_in_a_folder_are_refused(tmp_path):
         open_footage_of_cameras([str(tmp_path)])
 
 
-@pytest.mark.parametrize(("source", "says"), [
-    ("{}/nothing.mp4", "does not exist"), ("{}", "holds no video"), ("cam={}/*.png", "holds no video"),
-    ("={}/a.png", "begins with"), ("{}/notes.txt", "neither a video nor a still"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ("{}/nothing.mp4", "does not exist"),
+        ("{}", "holds no video"),
+        ("cam={}/*.png", "holds no video"),
+        ("={}/a.png", "begins with"),
+        ("{}/notes.txt", "neither a video nor a still"),
+    ],
+)
 def test_source_without_footage_is_refused(tmp_path, source, says):
     (tmp_path / "notes.txt").write_text("none")
     with pytest.raises(InputError, match=says):

@@ -45,10 +45,18 @@ def file(tmp_path, camera):
 
     def write(name="cam01", **changes):
         parameters = {
-            "autostart": True, "rig_file": str(tmp_path / "rig.yaml"), "camera_name": name, "source": "aravis",
-            "background": str(tmp_path / "bg.npz"), "aravis.address": camera.address, "aravis.exposure_us": 4000.0,
-            "aravis.frame_rate": 60.0, "aravis.gain": 0.0, "aravis.socket_buffer_bytes": 65536, **changes,
-        }  # fmt: skip
+            "autostart": True,
+            "rig_file": str(tmp_path / "rig.yaml"),
+            "camera_name": name,
+            "source": "aravis",
+            "background": str(tmp_path / "bg.npz"),
+            "aravis.address": camera.address,
+            "aravis.exposure_us": 4000.0,
+            "aravis.frame_rate": 60.0,
+            "aravis.gain": 0.0,
+            "aravis.socket_buffer_bytes": 65536,
+            **changes,
+        }
         path = tmp_path / f"{name}.yaml"
         path.write_text(yaml.safe_dump({f"/{name}/camera_client": {"ros__parameters": parameters}}))
         return path

@@ -22,13 +22,25 @@ from sagoma_tools.doctor.network_checks import (
 
 LINK = InterfaceFacts("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
 DEVICE = DeviceFacts(
-    "192.168.1.11", name="Maker Model", serial="123", own_address="192.168.1.11", subnet_mask="255.255.255.0",
-    controlled=False, controller="", can_ptp=True, can_resend=True,
-)  # fmt: skip
+    "192.168.1.11",
+    name="Maker Model",
+    serial="123",
+    own_address="192.168.1.11",
+    subnet_mask="255.255.255.0",
+    controlled=False,
+    controller="",
+    can_ptp=True,
+    can_resend=True,
+)
 HOST = HostFacts(
-    rmem_max=8 << 20, cores=8, load=1.0, available_bytes=8 << 30, governors=("performance",) * 8,
-    clock=ClockFacts("chrony", True, 20e-6), environment={"ROS_DOMAIN_ID": "7"},
-)  # fmt: skip
+    rmem_max=8 << 20,
+    cores=8,
+    load=1.0,
+    available_bytes=8 << 30,
+    governors=("performance",) * 8,
+    clock=ClockFacts("chrony", True, 20e-6),
+    environment={"ROS_DOMAIN_ID": "7"},
+)
 CAMERA = CameraModel("cam01", 640, 480, np.eye(3), "plumb_bob", np.zeros(5), np.eye(4))
 SETTINGS = CameraClientSettings(
     aravis=AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
@@ -46,15 +58,19 @@ def aravis(**changes):
     return replace(SETTINGS.aravis, **changes)
 
 
-@pytest.mark.parametrize("findings", [
-    check_interface(LINK, DEVICE.address, SETTINGS.aravis),
-    check_device(DEVICE, SETTINGS.aravis, LINK),
-    check_bandwidth([GREY_VGA], LINK, 0),
-    check_receive_buffer(HOST, SETTINGS.aravis),
-    check_host(HOST),
-    check_timing(SETTINGS),
-    check_background(BackgroundFacts("bg.npz", age_s=60.0, shape=(480, 640)), CAMERA, SETTINGS),
-], ids=["interface", "device", "bandwidth", "buffer", "host", "timing", "background"])  # fmt: skip
+@pytest.mark.parametrize(
+    "findings",
+    [
+        check_interface(LINK, DEVICE.address, SETTINGS.aravis),
+        check_device(DEVICE, SETTINGS.aravis, LINK),
+        check_bandwidth([GREY_VGA], LINK, 0),
+        check_receive_buffer(HOST, SETTINGS.aravis),
+        check_host(HOST),
+        check_timing(SETTINGS),
+        check_background(BackgroundFacts("bg.npz", age_s=60.0, shape=(480, 640)), CAMERA, SETTINGS),
+    ],
+    ids=["interface", "device", "bandwidth", "buffer", "host", "timing", "background"],
+)
 def test_nothing_is_found_on_a_camera_pc_as_it_should_be(findings):
     assert worst(findings).severity is Severity.OK
 

@@ -35,8 +35,12 @@ def said(findings, about):
 
 def test_every_node_is_heard_with_state_round_trip_and_machine(heard):
     assert {node.name for node in heard.nodes} == {
-        "/hull_server", "/icp_tracker", "/ekf_tracker", "/cam01/camera_client", "/cam02/camera_client",
-    }  # fmt: skip
+        "/hull_server",
+        "/icp_tracker",
+        "/ekf_tracker",
+        "/cam01/camera_client",
+        "/cam02/camera_client",
+    }
     for node in heard.nodes:
         assert node.state == "active" and node.copies == 1 and node.reports >= 4
         assert 0 < node.round_trip_s < 1.0
@@ -56,7 +60,7 @@ def test_silhouettes_are_looked_at(heard):
 def test_clock_half_a_second_ahead_is_measured_to_a_round_trip(heard, found):
     node = heard.node("/cam02/camera_client")
     assert max(node.lead_s) <= 0.5 <= max(node.lead_s) + node.round_trip_s + 0.02
-    (severity, what), = said(found["camera cam02"], "clock")  # fmt: skip
+    ((severity, what),) = said(found["camera cam02"], "clock")
     assert severity == "ERROR" and "ahead of" in what
     assert said(found["camera cam02"], "stamps")[0][0] == "ERROR"
     assert said(found["camera cam01"], "clock")[0][0] in ("OK", "NOTE")

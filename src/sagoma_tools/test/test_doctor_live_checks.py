@@ -24,8 +24,19 @@ def node(name, **changes):
 
 def silhouettes(camera, **changes):
     canvas = CANVASES[camera]
-    facts = SilhouetteFacts(camera, 1, 60, canvas, 60, sizes=((canvas.width, canvas.height),), shares=(0.05,) * 50,
-                            changes=59, age_s=0.02, rate_hz=10.0, largest_bytes=4000)  # fmt: skip
+    facts = SilhouetteFacts(
+        camera,
+        1,
+        60,
+        canvas,
+        60,
+        sizes=((canvas.width, canvas.height),),
+        shares=(0.05,) * 50,
+        changes=59,
+        age_s=0.02,
+        rate_hz=10.0,
+        largest_bytes=4000,
+    )
     return replace(facts, **changes)
 
 
@@ -79,10 +90,16 @@ C2 = CLIENTS["cam02"]
         (replace(C2, lead_s=(-0.52, -0.5012)), "ERROR", "clock", "500.4 ms behind"),
         (replace(C2, lead_s=(0.009,)), "WARNING", "clock", "9.0 ms ahead of"),
         (replace(C2, values={"background_age_h": "30.2"}), "WARNING", "background", "30 h old"),
-        (replace(C2, values={"camera_moved": State.MOVED.value, "camera_shift_px": "8.30", "camera_turn_deg": "0.2"}),
-         "WARNING", "moved", "shifted by 8.3 px"),
+        (
+            replace(
+                C2, values={"camera_moved": State.MOVED.value, "camera_shift_px": "8.30", "camera_turn_deg": "0.2"}
+            ),
+            "WARNING",
+            "moved",
+            "shifted by 8.3 px",
+        ),
     ],
-)  # fmt: skip
+)
 def test_ill_node_is_named(changed, severity, about, text):
     assert [(s, subject, a) for s, subject, a, _ in troubles(graph([changed]))] == [(severity, "camera cam02", about)]
     assert text in troubles(graph([changed]))[0][3]
@@ -196,8 +213,12 @@ def test_frame_sets_that_do_not_come_or_fit_are_named(sets, subject, text):
 
 
 def test_camera_that_the_hull_suspects_is_named_with_degrees():
-    figures = {"calibration_push_deg_cam02": "1.020", "calibration_push_sd_deg_cam02": "0.11",
-               "calibration_push_deg_cam01": "0.100", "calibration_suspects": "cam02"}  # fmt: skip
+    figures = {
+        "calibration_push_deg_cam02": "1.020",
+        "calibration_push_sd_deg_cam02": "0.11",
+        "calibration_push_deg_cam01": "0.100",
+        "calibration_suspects": "cam02",
+    }
     (trouble,) = troubles(graph([replace(HULL, values=figures)]))
     assert trouble[:3] == ("WARNING", "camera cam02", "calibration") and "1.02 degrees (sd 0.11)" in trouble[3]
 

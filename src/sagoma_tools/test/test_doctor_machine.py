@@ -103,11 +103,14 @@ def test_domains_are_told_from_well_known_ports():
     assert domains_of_ports({7400, 7411, 18900, 18910, 18913, 22, 3956, 40000}) == (0, 46)
 
 
-@pytest.mark.parametrize("answer, error_us, expected", [
-    (5, 16_000_000, ClockFacts("nobody, says the kernel", False)),
-    (0, 250, ClockFacts("a service that the kernel knows of", True, 250e-6)),
-    (0, 16_000_000, ClockFacts("a service that the kernel knows of", True)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "answer, error_us, expected",
+    [
+        (5, 16_000_000, ClockFacts("nobody, says the kernel", False)),
+        (0, 250, ClockFacts("a service that the kernel knows of", True, 250e-6)),
+        (0, 16_000_000, ClockFacts("a service that the kernel knows of", True)),
+    ],
+)
 def test_kernel_says_whether_its_clock_is_in_step(answer, error_us, expected):
     found = judge_kernel_clock(answer, error_us)
     assert (found.in_step, found.keeper) == (expected.in_step, expected.keeper)
@@ -161,13 +164,16 @@ def test_loopback_carries_every_packet_and_says_that_it_is_this_machine():
     assert [finding.severity.name for finding in check_reach(facts)] == ["OK", "NOTE"]
 
 
-@pytest.mark.parametrize("facts, severity, text", [
-    (ReachFacts("10.0.0.2", None), "ERROR", "no way"),
-    (ReachFacts("10.0.0.2", LINK), "WARNING", "does not answer"),
-    (ReachFacts("10.0.0.2", LINK, True, 1500), "OK", "1500 bytes"),
-    (ReachFacts("10.0.0.2", replace(LINK, mtu=9000), True, 1500), "ERROR", "1500 bytes at most"),
-    (ReachFacts("10.0.0.2", LINK, True, 0), "ERROR", "less than 1280 bytes at most"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "facts, severity, text",
+    [
+        (ReachFacts("10.0.0.2", None), "ERROR", "no way"),
+        (ReachFacts("10.0.0.2", LINK), "WARNING", "does not answer"),
+        (ReachFacts("10.0.0.2", LINK, True, 1500), "OK", "1500 bytes"),
+        (ReachFacts("10.0.0.2", replace(LINK, mtu=9000), True, 1500), "ERROR", "1500 bytes at most"),
+        (ReachFacts("10.0.0.2", LINK, True, 0), "ERROR", "less than 1280 bytes at most"),
+    ],
+)
 def test_way_to_another_machine_is_judged_by_what_gets_there(facts, severity, text):
     finding = worst(check_reach(facts))
     assert finding.severity.name == severity and text in finding.what

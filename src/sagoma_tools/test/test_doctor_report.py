@@ -12,7 +12,7 @@ FINDINGS = [
     *on("this machine", [ok("disk", "is large"), warning("clock", "is off", "chrony"), ok("memory", "is there")]),
     *on("camera cam01", [ok("lens", "f 468 px"), note("report", "none"), error("place", "below the floor", "redo")]),
     *on("graph", [error("nodes", "no node is heard", "start the graph")]),
-]  # fmt: skip
+]
 
 
 def shown(findings, **options):
@@ -43,9 +43,14 @@ def test_lines_of_a_file_are_whole_whatever_their_length():
     assert text.strip() in shown([warning("way", text.strip(), "walk")])
 
 
-@pytest.mark.parametrize("findings, strict, status", [
-    ([note("a", "")], True, 0), ([warning("a", "", "do")], False, 1), ([warning("a", "", "do")], True, 2),
-    ([error("a", "", "do")], False, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "findings, strict, status",
+    [
+        ([note("a", "")], True, 0),
+        ([warning("a", "", "do")], False, 1),
+        ([warning("a", "", "do")], True, 2),
+        ([error("a", "", "do")], False, 2),
+    ],
+)
 def test_exit_status_of_strict_and_lenient_users(findings, strict, status):
     assert exit_status(findings, strict) == status

@@ -26,9 +26,16 @@ from virtual_studio.session import write_session
 
 FRAMES = 12
 FIGURES = {
-    "frames", "tracked", "mean_mm", "p95_mm", "over_200mm", "thesis_mean_mm", "mean_mm_without_offset", "inside_95",
+    "frames",
+    "tracked",
+    "mean_mm",
+    "p95_mm",
+    "over_200mm",
+    "thesis_mean_mm",
+    "mean_mm_without_offset",
+    "inside_95",
     "time_to_track_s",
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -44,9 +44,17 @@ def track_of(points_world: np.ndarray, states: list[str] | None = None, first: i
 
 
 BENT = {
-    "left_elbow": -1.2, "right_elbow": -0.9, "left_knee": 0.8, "right_knee": 1.1, "left_shoulder_y": 0.3,
-    "right_shoulder_y": -0.4, "left_hip_z": 0.2, "right_hip_z": -0.25, "neck_x": 0.2, "left_hip_y": -0.5,
-}  # fmt: skip
+    "left_elbow": -1.2,
+    "right_elbow": -0.9,
+    "left_knee": 0.8,
+    "right_knee": 1.1,
+    "left_shoulder_y": 0.3,
+    "right_shoulder_y": -0.4,
+    "left_hip_z": 0.2,
+    "right_hip_z": -0.25,
+    "neck_x": 0.2,
+    "left_hip_y": -0.5,
+}
 
 
 def test_angle_truth_comes_from_the_points_where_the_reference_has_no_angles():

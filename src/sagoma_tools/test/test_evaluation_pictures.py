@@ -40,8 +40,13 @@ def judged(session) -> Judgement:
 def test_every_page_of_plots_is_written(judged, tmp_path):
     paths = draw_plots(tmp_path, judged)
     assert {path.stem for path in paths} == {
-        "angles_torso_neck_elbows", "angles_shoulders", "angles_hips", "angles_knees", "point_errors", "errors",
-    }  # fmt: skip
+        "angles_torso_neck_elbows",
+        "angles_shoulders",
+        "angles_hips",
+        "angles_knees",
+        "point_errors",
+        "errors",
+    }
     for path in paths:
         assert cv2.imread(str(path)).std() > 5.0  # there is something on it
 

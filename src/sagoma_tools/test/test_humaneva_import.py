@@ -23,8 +23,22 @@ FIRST = 6
 CAMERAS = ("C1", "C2", "C3", "BW1")
 NAMES = dict(zip(CAMERAS, ("cam01", "cam02", "cam03", "cam04"), strict=True))
 WITH_TRUTH = [*range(8, 10), *range(13, 20), *range(21, 36)]  # common frames, from the data set's DROPOUTS
-JOINT_OF_POINT = {1: "Head", 2: "Neck", 3: "LShoulder", 4: "RShoulder", 5: "LHip", 6: "RHip", 7: "LElbow", 8: "RElbow",
-                  9: "LKnee", 10: "RKnee", 11: "LWrist", 12: "RWrist", 13: "LAnkle", 14: "RAnkle"}  # fmt: skip
+JOINT_OF_POINT = {
+    1: "Head",
+    2: "Neck",
+    3: "LShoulder",
+    4: "RShoulder",
+    5: "LHip",
+    6: "RHip",
+    7: "LElbow",
+    8: "RElbow",
+    9: "LKnee",
+    10: "RKnee",
+    11: "LWrist",
+    12: "RWrist",
+    13: "LAnkle",
+    14: "RAnkle",
+}
 
 
 @pytest.fixture(scope="module")
@@ -169,8 +183,25 @@ def test_session_file_says_where_it_comes_from(imported):
 
 def import_by_command(data_set, out):
     # the folder behind the cameras, where argparse would take it for one of them
-    return main(["import", "humaneva", str(data_set.root), "--subject", "S2", "--action", "Walking", "--frames", "13",
-                 "22", "--cameras", "C1", "C2", "C3", str(out)])  # fmt: skip
+    return main(
+        [
+            "import",
+            "humaneva",
+            str(data_set.root),
+            "--subject",
+            "S2",
+            "--action",
+            "Walking",
+            "--frames",
+            "13",
+            "22",
+            "--cameras",
+            "C1",
+            "C2",
+            "C3",
+            str(out),
+        ]
+    )
 
 
 def test_command_imports_chosen_frames_and_says_what_is_there(data_set, tmp_path, capsys):
@@ -251,7 +282,7 @@ def other_size(root):
         (other_size, r"Background_1_\(C2\)\.avi: its images have shape \(120, 160, 3\)"),
         (lambda root: shutil.rmtree(root / "Background"), r"Background: has no Background_\*_\(C1\)\.avi"),
     ],
-)  # fmt: skip
+)
 def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(data_set, copy, tmp_path, damage, message):
     damage(copy)
     with pytest.raises(InputError, match=message) as caught:
@@ -271,7 +302,7 @@ def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(data_set, copy,
         (["--subject", "S2", "--action", "Walking", "--frames", "36", "38"], "no imported frame of S2 Walking_1 has"),
         (["--subject", "S2", "--action", "Walking", "--cameras", "C1", "C9"], "no camera 'C9'"),
     ],
-)  # fmt: skip
+)
 def test_command_says_what_it_cannot_use(data_set, tmp_path, capsys, arguments, message):
     defaults = [] if "--cameras" in arguments else ["--cameras", "C1"]
     assert main(["import", "humaneva", str(data_set.root), str(tmp_path / "out"), *arguments, *defaults]) == 2

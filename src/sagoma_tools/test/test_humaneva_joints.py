@@ -61,10 +61,22 @@ def test_sixteen_bit_points_move_the_joints_by_less_than_a_millimetre(person, tm
 def test_torso_leans_back_and_upper_arms_turn_back(person):
     points, R_torso = (a[:1] for a in person)
     mocap = mocap_of(points, R_torso)
-    for label, at in (("PELO", [0, 0, 0]), ("PELA", [100, 0, 0]), ("PELL", [0, 100, 0]), ("PELP", [0, 0, 100]),
-                      ("TRXO", [0, 0, 400]), ("LCLO", [0, 200, 400]), ("LHUO", [0, 200, 100]), ("LHUA", [90, 200, 100]),
-                      ("LHUL", [0, 290, 100]), ("LHUP", [0, 200, 190]), ("LRAO", [0, 200, -150]),
-                      ("LRAA", [90, 200, -150]), ("LRAL", [0, 290, -150]), ("LRAP", [0, 200, -60])):  # fmt: skip
+    for label, at in (
+        ("PELO", [0, 0, 0]),
+        ("PELA", [100, 0, 0]),
+        ("PELL", [0, 100, 0]),
+        ("PELP", [0, 0, 100]),
+        ("TRXO", [0, 0, 400]),
+        ("LCLO", [0, 200, 400]),
+        ("LHUO", [0, 200, 100]),
+        ("LHUA", [90, 200, 100]),
+        ("LHUL", [0, 290, 100]),
+        ("LHUP", [0, 200, 190]),
+        ("LRAO", [0, 200, -150]),
+        ("LRAA", [90, 200, -150]),
+        ("LRAL", [0, 290, -150]),
+        ("LRAP", [0, 200, -60]),
+    ):
         mocap.points_mm[0, mocap.column[label]] = [1000.0 + at[0], at[1], at[2]]  # a body that faces +x; mm
     found = joints(mocap, np.array([1.0]), Measures(160.0, {"L": 60.0, "R": 60.0})).points_mm
     # the torso, 400 long, leans back by atan(80 / 400) from 50 behind the pelvis; the neck is half way to the thorax

@@ -22,9 +22,16 @@ def running_graph(tmp_path):
     def start(camera_behaviour="good"):
         graph = [
             NodeSpec("none", "none", "tiny_lifecycle_node", "hull_server", "/", Role.SERVER, {"behaviour": "good"}),
-            NodeSpec("none", "none", "tiny_lifecycle_node", "camera_client", "/cam01", Role.CAMERA,
-                     {"behaviour": camera_behaviour}),
-        ]  # fmt: skip
+            NodeSpec(
+                "none",
+                "none",
+                "tiny_lifecycle_node",
+                "camera_client",
+                "/cam01",
+                Role.CAMERA,
+                {"behaviour": camera_behaviour},
+            ),
+        ]
         supervisors.append(Supervisor(graph, tmp_path / "run"))
         supervisors[-1].start()
         return supervisors[-1]

@@ -67,5 +67,7 @@ def test_chain_goes_on_with_a_camera_missing(standing, t_pose):
 
 
 def _no_masks(chain):
-    return {name: np.zeros((height, width), np.uint8)
-            for name, (width, height) in zip(chain.hull.views.names, chain.hull.views.sizes, strict=True)}  # fmt: skip
+    return {
+        name: np.zeros((height, width), np.uint8)
+        for name, (width, height) in zip(chain.hull.views.names, chain.hull.views.sizes, strict=True)
+    }

@@ -112,6 +112,9 @@ def _number(value: Any, where: str, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise InputError(f"value {value!r} is not a number", where=where, remedy="Give a positive number.")
     if not 0.0 < value <= high:
-        raise InputError(f"value {value:g} is out of range", where=where,
-                         remedy=f"Give a number above 0 and at most {high:g} (metres for lengths).")  # fmt: skip
+        raise InputError(
+            f"value {value:g} is out of range",
+            where=where,
+            remedy=f"Give a number above 0 and at most {high:g} (metres for lengths).",
+        )
     return float(value)

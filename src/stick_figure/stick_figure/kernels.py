@@ -18,10 +18,20 @@ import math
 import numpy as np
 from numba import njit
 
-CHAIN = np.array([
-    [-1, -1, -1, -1], [6, 7, -1, -1], [8, 10, 12, -1], [9, 11, 13, -1], [16, 18, 22, -1], [17, 19, 23, -1],
-    [8, 10, 12, 14], [9, 11, 13, 15], [16, 18, 22, 20], [17, 19, 23, 21],
-])  # fmt: skip
+CHAIN = np.array(
+    [
+        [-1, -1, -1, -1],
+        [6, 7, -1, -1],
+        [8, 10, 12, -1],
+        [9, 11, 13, -1],
+        [16, 18, 22, -1],
+        [17, 19, 23, -1],
+        [8, 10, 12, 14],
+        [9, 11, 13, 15],
+        [16, 18, 22, 20],
+        [17, 19, 23, 21],
+    ]
+)
 """(10, 4) tangent slots of the joints above each stick, beyond the torso's six; -1 pads."""
 PIVOT_STICK = np.array([0, 0, 0, 0, 0, 0, 1, 1, 2, 3, 2, 3, 2, 3, 6, 7, 4, 5, 4, 5, 8, 9, 4, 5])
 """(24,) stick whose origin A is the pivot of each tangent slot (the first six turn about t0 instead)."""

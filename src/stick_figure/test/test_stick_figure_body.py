@@ -32,18 +32,21 @@ def test_impossible_stature_is_refused(stature):
 def test_measured_body_equals_the_one_that_made_the_points():
     rng = np.random.default_rng(1)
     body = Body.from_stature(1.68)
-    points = np.array([
-        forward(body, Pose.from_angles(rng.normal(size=3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH)))
-        for _ in range(20)
-    ])  # fmt: skip
+    points = np.array(
+        [
+            forward(body, Pose.from_angles(rng.normal(size=3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH)))
+            for _ in range(20)
+        ]
+    )
     points[3:6, 8] = np.nan
     points[0] = np.nan
     measured = Body.from_points(points)
     np.testing.assert_allclose(measured.half_lengths, body.half_lengths, atol=1e-12)
     np.testing.assert_allclose(
         [measured.half_shoulder_width, measured.shoulder_height_ratio, measured.hip_width_ratio],
-        [body.half_shoulder_width, body.shoulder_height_ratio, body.hip_width_ratio], atol=1e-12,
-    )  # fmt: skip
+        [body.half_shoulder_width, body.shoulder_height_ratio, body.hip_width_ratio],
+        atol=1e-12,
+    )
 
 
 def test_measured_body_pools_left_and_right_and_ignores_outliers():
@@ -141,9 +144,13 @@ def test_thickness_of_limbs_survives_the_file_and_may_be_absent(tmp_path):
 
 @pytest.mark.parametrize(
     ("thickness", "words"),
-    [({"thig": 1.1}, ["thig", "thigh"]), ({"thigh": -1.0}, ["thickness.thigh", "-1"]), ([1.1], ["thickness", "1.1"]),
-     ({"calf": "fat"}, ["thickness.calf", "fat"])],
-)  # fmt: skip
+    [
+        ({"thig": 1.1}, ["thig", "thigh"]),
+        ({"thigh": -1.0}, ["thickness.thigh", "-1"]),
+        ([1.1], ["thickness", "1.1"]),
+        ({"calf": "fat"}, ["thickness.calf", "fat"]),
+    ],
+)
 def test_bad_thickness_is_refused_with_its_key(tmp_path, thickness, words):
     path = tmp_path / "body.yaml"
     save_body(Body.from_stature(1.75), path)

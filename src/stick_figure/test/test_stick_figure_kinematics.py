@@ -81,9 +81,13 @@ def test_inverse_keeps_limb_directions_when_the_body_has_other_lengths():
 
 @pytest.mark.parametrize(
     ("straight", "twist", "value"),
-    [("left_elbow", "left_shoulder_y", 0.4), ("right_elbow", "right_shoulder_y", -0.5),
-     ("left_knee", "left_hip_z", 0.3), ("right_knee", "right_hip_z", -0.2)],
-)  # fmt: skip
+    [
+        ("left_elbow", "left_shoulder_y", 0.4),
+        ("right_elbow", "right_shoulder_y", -0.5),
+        ("left_knee", "left_hip_z", 0.3),
+        ("right_knee", "right_hip_z", -0.2),
+    ],
+)
 def test_inverse_of_straight_limb_keeps_previous_twist(straight, twist, value):
     angles = T_POSE_ANGLES.copy()
     angles[[ANGLE_NAMES.index(n) for n in ("left_hip_y", "right_hip_y")]] = -2.0  # thigh above the horizontal

@@ -59,8 +59,17 @@ def cast_alone(T, greys, clear, samples):
     """(h, w) the hand board before black."""
     light = np.zeros((480, 640), np.float32)
     far = np.full(light.shape, np.inf, np.float32)
-    cast_board(EYE._ideal, homographies(T), np.array([greys]), HAND.texture, clear, sample_places(samples),
-               np.array([0, 0, 640, 480]), far, light)  # fmt: skip
+    cast_board(
+        EYE._ideal,
+        homographies(T),
+        np.array([greys]),
+        HAND.texture,
+        clear,
+        sample_places(samples),
+        np.array([0, 0, 640, 480]),
+        far,
+        light,
+    )
     return light
 
 
@@ -73,9 +82,12 @@ def found_corners(image, start, window_px):
 
 @pytest.mark.parametrize(
     ("distance_m", "tilt_rad", "about", "aside", "window_px"),
-    [(0.6, 0.4, (0.6, 0.8, 0), (0.1, -0.1), 8), (0.9, 0.7, (0.8, -0.6, 0), (-0.35, 0.25), 4),
-     (1.3, 0.3, (0.5, 0.5, 0.6), (0.4, 0.3), 4)],
-)  # fmt: skip
+    [
+        (0.6, 0.4, (0.6, 0.8, 0), (0.1, -0.1), 8),
+        (0.9, 0.7, (0.8, -0.6, 0), (-0.35, 0.25), 4),
+        (1.3, 0.3, (0.5, 0.5, 0.6), (0.4, 0.3), 4),
+    ],
+)
 def test_corners_lie_where_the_lens_projects_them(distance_m, tilt_rad, about, aside, window_px):
     board = held(shown(distance_m, tilt_rad, about, aside))
     truth = CAMERA.project(board.corners_world)

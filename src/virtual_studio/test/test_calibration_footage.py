@@ -79,10 +79,12 @@ def test_floor_board_is_in_every_camera_s_picture():
 def test_carried_board_is_shared_by_neighbours_and_by_the_camera_above():
     path = carry(FLOOR, 24.0, 1)
     moments = [path(t) for t in np.arange(0.0, 24.0, 0.2)]
-    seen = np.array([
-        [corners_px(c, FLOOR, T) is not None and angle_seen_deg(c, FLOOR, T) < 65.0 for c in RIG.cameras]
-        for T in moments
-    ])  # fmt: skip
+    seen = np.array(
+        [
+            [corners_px(c, FLOOR, T) is not None and angle_seen_deg(c, FLOOR, T) < 65.0 for c in RIG.cameras]
+            for T in moments
+        ]
+    )
     assert (seen.sum(axis=0) >= 15).all()
     shared = seen.T.astype(int) @ seen
     assert all(shared[i, (i + 1) % 5] >= 5 for i in range(5))
@@ -107,9 +109,16 @@ def footage(tmp_path_factory):
 
 def test_folder_holds_footage_boards_and_the_truth_apart(footage):
     assert sorted(path.name for path in footage.iterdir()) == [
-        "board.yaml", "floor", "floor_board.yaml", "intrinsics", "moving", "setup.yaml", "truth_floor.yaml",
-        "truth_rig.yaml", "wand",
-    ]  # fmt: skip
+        "board.yaml",
+        "floor",
+        "floor_board.yaml",
+        "intrinsics",
+        "moving",
+        "setup.yaml",
+        "truth_floor.yaml",
+        "truth_rig.yaml",
+        "wand",
+    ]
     for part, count in (("intrinsics", 19), ("moving", 2), ("wand", 2)):
         video = cv2.VideoCapture(str(footage / part / "cam01.mp4"))
         assert abs(video.get(cv2.CAP_PROP_FRAME_COUNT) - count) <= 2

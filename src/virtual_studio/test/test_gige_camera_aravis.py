@@ -10,14 +10,7 @@ from gige_client import AravisClient, eventually
 
 from gige_vision.gvcp_payloads import Action
 from gige_vision.pixel_formats import PixelFormat
-from virtual_studio.gige import (
-    CameraSettings,
-    EventLoop,
-    PatternScene,
-    SimulatedCamera,
-    TriggerWire,
-    free_addresses,
-)
+from virtual_studio.gige import CameraSettings, EventLoop, PatternScene, SimulatedCamera, TriggerWire, free_addresses
 
 MS = 1_000_000
 TAI_MINUS_UTC_NS = 37_000_000_000
@@ -245,8 +238,9 @@ def test_packet_delay_spreads_a_frame_and_loses_nothing(aravis, address):
     with SimulatedCamera(address, Still(noise(480, 640))), AravisClient(aravis, address) as client:
         client.camera.set_integer("GevSCPD", 100_000)
         for _ in range(3):
-            np.testing.assert_array_equal(client.start().bytes() if client.stream is None else client.bytes(),
-                                          noise(480, 640).reshape(-1))  # fmt: skip
+            np.testing.assert_array_equal(
+                client.start().bytes() if client.stream is None else client.bytes(), noise(480, 640).reshape(-1)
+            )
 
 
 def test_software_triggers_take_one_frame_each(aravis, address):

@@ -38,8 +38,11 @@ def status_of(action):
 def test_every_name_that_the_description_refers_to_is_described(generation):
     root = ElementTree.fromstring(genicam_xml(table(generation), "V", "M"))
     nodes = {node.get("Name"): node for node in root.iter() if node.get("Name") and node.tag != NAMESPACE + "EnumEntry"}
-    references = [node.text for tag in ("pFeature", "pValue", "pMin", "pMax", "pPort", "pSelected")
-                  for node in root.iter(NAMESPACE + tag)]  # fmt: skip
+    references = [
+        node.text
+        for tag in ("pFeature", "pValue", "pMin", "pMax", "pPort", "pSelected")
+        for node in root.iter(NAMESPACE + tag)
+    ]
     assert len(references) > 150
     assert set(references) <= set(nodes)
 

@@ -158,8 +158,9 @@ def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable():
         wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, 2, 3)))
         packets = wire.packets(2)
     assert [(h.block_id, h.packet_id, h.status) for h, _, _ in packets] == [
-        (1, 2, Status.PACKET_UNAVAILABLE), (1, 3, Status.PACKET_UNAVAILABLE),
-    ]  # fmt: skip
+        (1, 2, Status.PACKET_UNAVAILABLE),
+        (1, 3, Status.PACKET_UNAVAILABLE),
+    ]
     assert wire.counters["resend_missed"] == 1
 
 

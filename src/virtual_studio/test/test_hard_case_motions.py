@@ -136,8 +136,9 @@ def test_truth_of_a_hard_case_does_not_depend_on_the_frame_rate():
 
 def test_arm_on_chest_keeps_the_forearm_on_the_skin_for_two_seconds():
     person, motion, _ = played("arm_on_chest")
-    gaps = np.array([gap_m(person.place(pose), parts_of(person, L_FOREARM), parts_of(person, TORSO))
-                     for pose in motion.poses])  # fmt: skip
+    gaps = np.array(
+        [gap_m(person.place(pose), parts_of(person, L_FOREARM), parts_of(person, TORSO)) for pose in motion.poses]
+    )
     assert (gaps < 0.01).sum() >= 2 * FPS
 
 

@@ -37,8 +37,14 @@ def channels(order: str) -> str:
     return " ".join(f"{axis}rotation" for axis in order)
 
 
-def arm(path: Path, root: str = "ZXY", arm: str = "ZXY", rows: str = "0 0 0 0 0 0 0 0 0", frames: int = 1,
-        period: str = "0.025") -> Path:  # fmt: skip
+def arm(
+    path: Path,
+    root: str = "ZXY",
+    arm: str = "ZXY",
+    rows: str = "0 0 0 0 0 0 0 0 0",
+    frames: int = 1,
+    period: str = "0.025",
+) -> Path:
     path.write_text(ARM.format(root=channels(root), arm=channels(arm), frames=frames, period=period, rows=rows))
     return path
 

@@ -20,17 +20,24 @@ from virtual_studio.motion_files.to_stick_figure import ReadingOptions, read_joi
 
 # offsets in centimetres, y up, facing z, left is +x: the usual axes of character animation
 TREE = {
-    "Hips": ("", (0, 0, 0)), "Spine": ("Hips", (0, 20, 0)), "Neck": ("Spine", (0, 35, 0)), "Head": ("Neck", (0, 8, 0)),
+    "Hips": ("", (0, 0, 0)),
+    "Spine": ("Hips", (0, 20, 0)),
+    "Neck": ("Spine", (0, 35, 0)),
+    "Head": ("Neck", (0, 8, 0)),
     "HeadTop_End": ("Head", (0, 17, 0)),
 } | {
     f"{side}{name}": (side + parent if parent not in ("Hips", "Spine") else parent, (sign * x, y, z))
     for side, sign in (("Left", 1), ("Right", -1))
     for name, parent, (x, y, z) in (
-        ("Shoulder", "Spine", (3, 30, 0)), ("Arm", "Shoulder", (15, 0, 0)), ("ForeArm", "Arm", (29.2, 0, 0)),
-        ("Hand", "ForeArm", (25, 0, 0)), ("UpLeg", "Hips", (9, -2, 0)), ("Leg", "UpLeg", (0, -43, 0)),
+        ("Shoulder", "Spine", (3, 30, 0)),
+        ("Arm", "Shoulder", (15, 0, 0)),
+        ("ForeArm", "Arm", (29.2, 0, 0)),
+        ("Hand", "ForeArm", (25, 0, 0)),
+        ("UpLeg", "Hips", (9, -2, 0)),
+        ("Leg", "UpLeg", (0, -43, 0)),
         ("Foot", "Leg", (0, -42, 0)),
     )
-}  # fmt: skip
+}
 HEIGHT = 90.0
 
 

@@ -63,8 +63,11 @@ def test_mask_equals_brute_force_rays_against_parts(frame):
 def test_part_around_the_camera_does_not_break_the_picture():
     camera, capsules = CAMERAS[0], PERSON.place(MOTION.poses[0])
     centre = camera.camera.centre_world
-    behind = replace(capsules, starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
-                     ends=capsules.ends - capsules.starts[0] + 1.2 * centre)  # fmt: skip
+    behind = replace(
+        capsules,
+        starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
+        ends=capsules.ends - capsules.starts[0] + 1.2 * centre,
+    )
     light, mask = camera.see(behind, None)
     assert mask.max() == 0
     np.testing.assert_array_equal(light, camera.empty_room())

@@ -126,9 +126,15 @@ def test_interrupted_writing_leaves_the_older_session_and_no_rest(tmp_path):
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [({"motion": "dance"}, "dance"), ({"noise": -1.0}, "noise"), ({"flicker": 2.0}, "flicker"),
-     ({"seed": -3}, "seed"), ({"fps": 0.0}, "fps"), ({"noise": float("nan")}, "noise")],
-)  # fmt: skip
+    [
+        ({"motion": "dance"}, "dance"),
+        ({"noise": -1.0}, "noise"),
+        ({"flicker": 2.0}, "flicker"),
+        ({"seed": -3}, "seed"),
+        ({"fps": 0.0}, "fps"),
+        ({"noise": float("nan")}, "noise"),
+    ],
+)
 def test_impossible_settings_are_refused_before_anything_is_written(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         write_session(tmp_path / "session", **(SETTINGS | change))

@@ -29,10 +29,19 @@ def main(arguments: list[str] | None = None) -> int:
         rig = ring(options.cameras - options.ceiling, options.ceiling)
         body = person_of(options.stature, options.arms, options.legs)
         folder = write_session(
-            options.folder, rig, body, _motion(options), options.fps, options.seconds, options.seed, options.noise,
-            options.shadow, options.flicker, options.build,
+            options.folder,
+            rig,
+            body,
+            _motion(options),
+            options.fps,
+            options.seconds,
+            options.seed,
+            options.noise,
+            options.shadow,
+            options.flicker,
+            options.build,
             _show_progress if sys.stderr.isatty() else lambda done, total: None,
-        )  # fmt: skip
+        )
     except InputError as error:
         print(f"virtual_studio: {error}", file=sys.stderr)
         return 2
@@ -50,12 +59,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
     parser.add_argument("--cameras", type=int, default=6, help="number of cameras in all")
-    parser.add_argument("--ceiling", action=argparse.BooleanOptionalAction, default=True,
-                        help="the last camera hangs from the ceiling")  # fmt: skip
+    parser.add_argument(
+        "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
+    )
     parser.add_argument("--seconds", type=float, default=6.0, help="length, s (of a file: at most); first a T-pose")
     parser.add_argument("--fps", type=float, default=60.0, help="frames a second")
-    parser.add_argument("--motion", default="tour", metavar="NAME|FILE",
-                        help=f"what the person does: {', '.join(MOTIONS)}; or a BVH or AMC file")  # fmt: skip
+    parser.add_argument(
+        "--motion",
+        default="tour",
+        metavar="NAME|FILE",
+        help=f"what the person does: {', '.join(MOTIONS)}; or a BVH or AMC file",
+    )
     parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of the file to leave out")
     parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
     parser.add_argument("--motion-fps", type=float, help="frames a second of an AMC file")
@@ -75,8 +89,13 @@ def _parser() -> argparse.ArgumentParser:
 def _motion(options: argparse.Namespace) -> str | Player:
     if not is_motion_file(options.motion):
         return options.motion
-    reading = ReadingOptions(up=options.motion_up, fps=options.motion_fps, skeleton=options.motion_skeleton,
-                             joints=options.motion_joints, start_s=options.motion_start)  # fmt: skip
+    reading = ReadingOptions(
+        up=options.motion_up,
+        fps=options.motion_fps,
+        skeleton=options.motion_skeleton,
+        joints=options.motion_joints,
+        start_s=options.motion_start,
+    )
     return RecordedMotion(Path(options.motion), reading)
 
 

@@ -27,7 +27,7 @@ from stick_figure.skeleton import (
     R_THIGH,
     R_UPPER_ARM,
     TORSO,
-)  # fmt: skip
+)
 
 Array = NDArray[np.float64]
 
@@ -80,8 +80,10 @@ class VolumetricBody:
 
     def __post_init__(self) -> None:
         if not LEAST_BUILD <= self.build <= GREATEST_BUILD:
-            raise InputError(f"a build of {self.build:g} is not a person's",
-                             remedy=f"Give {LEAST_BUILD} (slim) to {GREATEST_BUILD} (heavy).")  # fmt: skip
+            raise InputError(
+                f"a build of {self.build:g} is not a person's",
+                remedy=f"Give {LEAST_BUILD} (slim) to {GREATEST_BUILD} (heavy).",
+            )
 
     @property
     def scale(self) -> float:
@@ -96,8 +98,12 @@ class VolumetricBody:
     @cached_property
     def _parts(self) -> list[_Part]:
         thick, thin = self.scale * self.build, self.scale * self._slight_build
-        return [*_trunk(self.body, thick), *_head(self.body, thin), *_arms(self.body, thick, thin),
-                *_legs(self.body, thick)]  # fmt: skip
+        return [
+            *_trunk(self.body, thick),
+            *_head(self.body, thin),
+            *_arms(self.body, thick, thin),
+            *_legs(self.body, thick),
+        ]
 
     @property
     def _slight_build(self) -> float:
@@ -153,8 +159,10 @@ class VolumetricBody:
         up = np.cross(forward, side)
         sole = ankle - 0.030 * s * up
         starts = [sole - 0.035 * s * forward, sole]
-        ends = [sole + 0.150 * s * forward - 0.010 * s * up + 0.02 * s * side,
-                sole + 0.140 * s * forward - 0.014 * s * up - 0.02 * s * side]  # fmt: skip
+        ends = [
+            sole + 0.150 * s * forward - 0.010 * s * up + 0.02 * s * side,
+            sole + 0.140 * s * forward - 0.014 * s * up - 0.02 * s * side,
+        ]
         return np.array(starts), np.array(ends)
 
 

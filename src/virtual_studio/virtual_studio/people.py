@@ -29,8 +29,10 @@ def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
     """
     for name, factor in (("arms", arms), ("legs", legs)):
         if not LEAST <= factor <= GREATEST:
-            raise InputError(f"{name} {factor:g} times as long as the average's are not a person's",
-                             remedy=f"Give {LEAST} to {GREATEST}.")  # fmt: skip
+            raise InputError(
+                f"{name} {factor:g} times as long as the average's are not a person's",
+                remedy=f"Give {LEAST} to {GREATEST}.",
+            )
     average = Body.from_stature(stature_m)
     halves = average.half_lengths.copy()
     halves[ARMS] *= arms

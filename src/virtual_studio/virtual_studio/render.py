@@ -41,8 +41,19 @@ class VirtualCamera:
         if shadow is not None:
             light *= cv2.remap(shadow, *self._shadow_map, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 1.0)
         depth, mask = np.full(shape, np.inf, np.float32), np.zeros(shape, np.uint8)
-        cast(self.camera.centre_world, self._view.rays, capsules.starts, capsules.ends, capsules.radii,
-             part_boxes(self.camera, capsules), LIGHT_WORLD, capsules.albedo, depth, light, mask)  # fmt: skip
+        cast(
+            self.camera.centre_world,
+            self._view.rays,
+            capsules.starts,
+            capsules.ends,
+            capsules.radii,
+            part_boxes(self.camera, capsules),
+            LIGHT_WORLD,
+            capsules.albedo,
+            depth,
+            light,
+            mask,
+        )
         return light, mask
 
 

@@ -69,9 +69,16 @@ def write_session(
         save_rig(rig, partial / "rig.yaml")
         save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
         write_truth(partial / "truth.csv", body, played)
-        recipe = {"motion": str(motion), "seconds": seconds, "seed": seed, "noise_grey_levels": noise,
-                  "flicker": flicker, "shadow": shadow, "build": build,
-                  "stature_m": round(body.stature, 4)}  # fmt: skip
+        recipe = {
+            "motion": str(motion),
+            "seconds": seconds,
+            "seed": seed,
+            "noise_grey_levels": noise,
+            "flicker": flicker,
+            "shadow": shadow,
+            "build": build,
+            "stature_m": round(body.stature, 4),
+        }
         _write_description(partial / "session.yaml", fps, recipe)
         _film(partial, rig, person, played, Sensor(noise, flicker, seed), shadow, progress)
     return folder

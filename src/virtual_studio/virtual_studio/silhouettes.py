@@ -28,8 +28,15 @@ class ExactSilhouettes:
         masks = {}
         for camera, rays, view in zip(self.rig.cameras, self._rays, self._views, strict=True):
             mask = np.zeros((camera.height, camera.width), np.uint8)
-            cast_silhouette(camera.centre_world, rays, capsules.starts, capsules.ends, capsules.radii,
-                            part_boxes(camera, capsules), mask)  # fmt: skip
+            cast_silhouette(
+                camera.centre_world,
+                rays,
+                capsules.starts,
+                capsules.ends,
+                capsules.radii,
+                part_boxes(camera, capsules),
+                mask,
+            )
             masks[camera.name] = view.undistort_mask(mask)
         return masks
 

@@ -18,9 +18,21 @@ from stick_figure.skeleton import ANGLE_NAMES
 from .motion import Motion
 
 POINT_COLUMNS = {
-    "neck": 2, "head_top": 1, "l_shoulder": 3, "r_shoulder": 4, "l_elbow": 7, "r_elbow": 8, "l_hand_tip": 11,
-    "r_hand_tip": 12, "l_hip": 5, "r_hip": 6, "l_knee": 9, "r_knee": 10, "l_ankle": 13, "r_ankle": 14,
-}  # fmt: skip
+    "neck": 2,
+    "head_top": 1,
+    "l_shoulder": 3,
+    "r_shoulder": 4,
+    "l_elbow": 7,
+    "r_elbow": 8,
+    "l_hand_tip": 11,
+    "r_hand_tip": 12,
+    "l_hip": 5,
+    "r_hip": 6,
+    "l_knee": 9,
+    "r_knee": 10,
+    "l_ankle": 13,
+    "r_ankle": 14,
+}
 """Column name of each reference point; the pelvis (mid-hips) comes before them, p1 is the torso's position."""
 TORSO_COLUMNS = ("torso_x", "torso_y", "torso_z", "torso_rx_rad", "torso_ry_rad", "torso_rz_rad")
 """p1 (m) and the rotation vector of R_world_torso (rad)."""

@@ -28,8 +28,11 @@ class VideoFile:
         fourcc = cv2.VideoWriter.fourcc(*codec)
         self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), (width, height), False)
         if not self._writer.isOpened():
-            raise InputError(f"a video with codec {codec} cannot be written", where=str(path),
-                             remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).")  # fmt: skip
+            raise InputError(
+                f"a video with codec {codec} cannot be written",
+                where=str(path),
+                remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).",
+            )
 
     def write(self, image: NDArray[np.uint8]) -> None:
         """Appends one image (h, w) uint8."""

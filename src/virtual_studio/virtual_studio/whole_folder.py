@@ -36,8 +36,11 @@ def _check(folder: Path, description: str) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError("is not a folder", where=str(folder), remedy="Give the path of a new folder.")
     if folder.is_dir() and any(folder.iterdir()) and not _is_own(folder / description):
-        raise InputError("is not empty and was not written by the virtual studio", where=str(folder),
-                         remedy="Give a new folder, or empty this one yourself.")  # fmt: skip
+        raise InputError(
+            "is not empty and was not written by the virtual studio",
+            where=str(folder),
+            remedy="Give a new folder, or empty this one yourself.",
+        )
 
 
 def _is_own(description: Path) -> bool:

@@ -47,10 +47,14 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str) -
     chunks, chunk_warnings = _set_chunks(features, settings.chunks)
     triggered = settings.sync in ("line", "action", "software")
     return CameraSetup(
-        standard_name(pixel_format), _integer(features, "Width"), _integer(features, "Height"),
-        features.number("ExposureTime"), None if triggered else features.number("AcquisitionFrameRate"), chunks,
+        standard_name(pixel_format),
+        _integer(features, "Width"),
+        _integer(features, "Height"),
+        features.number("ExposureTime"),
+        None if triggered else features.number("AcquisitionFrameRate"),
+        chunks,
         warnings + chunk_warnings,
-    )  # fmt: skip
+    )
 
 
 def _set_format(features: Features, settings: AravisSettings, channels: str) -> str:
@@ -58,8 +62,11 @@ def _set_format(features: Features, settings: AravisSettings, channels: str) -> 
     wanted = settings.pixel_format
     chosen = choose_format(available, channels) if wanted == "auto" else find_format(wanted, available)
     if chosen is None:
-        raise InputError(f"does not offer pixel format {wanted!r} but {', '.join(available)}", where=features.where,
-                         remedy=f"aravis.pixel_format can be {', '.join(FORMATS)}.")  # fmt: skip
+        raise InputError(
+            f"does not offer pixel format {wanted!r} but {', '.join(available)}",
+            where=features.where,
+            remedy=f"aravis.pixel_format can be {', '.join(FORMATS)}.",
+        )
     features.set("PixelFormat", chosen, "aravis.pixel_format")
     return chosen
 

@@ -156,9 +156,13 @@ class PtpTime:
 
 
 def choose_time_source(
-    wanted: str, reading: ClockReading | None, ptp_status: str | None, tai_utc_offset_s: int, camera_stamps: str,
+    wanted: str,
+    reading: ClockReading | None,
+    ptp_status: str | None,
+    tai_utc_offset_s: int,
+    camera_stamps: str,
     where: str,
-) -> tuple[TimeSource, str]:  # fmt: skip
+) -> tuple[TimeSource, str]:
     """The source for ``wanted`` (auto, ptp, camera, arrival), and a warning ("" when there is none).
 
     ptp_status : the camera's PTP status; None where it has no PTP.
@@ -175,8 +179,11 @@ def choose_time_source(
         away_ns = max(abs(_away_ns(reading, tai_utc_offset_s)) - reading.uncertainty_ns, 0)
         return PtpTime(tai_utc_offset_s, camera_stamps, reading.uncertainty_ns + away_ns, mapped), ""
     if wanted == "ptp":
-        raise InputError(f"cannot be stamped by PTP: {objection}", where=where,
-                         remedy="Set aravis.stamp_source to auto or camera to do without.")  # fmt: skip
+        raise InputError(
+            f"cannot be stamped by PTP: {objection}",
+            where=where,
+            remedy="Set aravis.stamp_source to auto or camera to do without.",
+        )
     return mapped, f"PTP is not used for stamps: {objection}"
 
 

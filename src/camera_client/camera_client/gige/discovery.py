@@ -62,8 +62,11 @@ def find_camera(wanted: Wanted) -> Found:
         _verify(found.device, wanted)
         return found
     if not (wanted.serial or wanted.user_id):
-        raise InputError("no camera is chosen", where="aravis.address",
-                         remedy="Give aravis.address, aravis.serial or aravis.user_id.")  # fmt: skip
+        raise InputError(
+            "no camera is chosen",
+            where="aravis.address",
+            remedy="Give aravis.address, aravis.serial or aravis.user_id.",
+        )
     chosen = chosen_interfaces(wanted.interface)
     answers = [(link, device) for link in chosen for device in listen(link)]
     return _the_one(answers, wanted, chosen)
@@ -103,8 +106,11 @@ def listen(link: Interface, listen_s: float = LISTEN_S) -> tuple[DeviceRecord, .
             flags = DISCOVERY.flags | ALLOW_BROADCAST_ACK
             sock.sendto(CommandPacket(Command.DISCOVERY, flags=flags).encode(), (BROADCAST, PORT))
         except OSError as error:
-            raise InputError(f"cannot broadcast on {link} ({error.strerror})", where="aravis.interface",
-                             remedy="Give aravis.address instead, or another interface.") from None  # fmt: skip
+            raise InputError(
+                f"cannot broadcast on {link} ({error.strerror})",
+                where="aravis.interface",
+                remedy="Give aravis.address instead, or another interface.",
+            ) from None
         for device in _answers(sock, time.monotonic() + listen_s):
             found[device.mac + device.address.encode()] = device
     return tuple(sorted(found.values(), key=lambda device: (device.serial, device.address)))
@@ -116,14 +122,20 @@ def chosen_interfaces(names: str) -> tuple[Interface, ...]:
     listed = ", ".join(map(str, present)) or "none"
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     if not wanted:
-        raise InputError("a search by serial or user id needs an interface to search on", where="aravis.interface",
-                         remedy=f"Name one or more of: {listed}. Or give aravis.address.")  # fmt: skip
+        raise InputError(
+            "a search by serial or user id needs an interface to search on",
+            where="aravis.interface",
+            remedy=f"Name one or more of: {listed}. Or give aravis.address.",
+        )
     chosen = []
     for name in wanted:
         fitting = [link for link in present if name in (link.name, link.host)]
         if not fitting:
-            raise InputError(f"there is no interface {name!r} with an IPv4 address", where="aravis.interface",
-                             remedy=f"This machine has: {listed}.")  # fmt: skip
+            raise InputError(
+                f"there is no interface {name!r} with an IPv4 address",
+                where="aravis.interface",
+                remedy=f"This machine has: {listed}.",
+            )
         chosen.append(fitting[0])
     return tuple(dict.fromkeys(chosen))
 
@@ -133,12 +145,18 @@ def _the_one(answers: list[tuple[Interface, DeviceRecord]], wanted: Wanted, aske
     on = ", ".join(map(str, asked))
     if not fitting:
         heard = ", ".join(_named(device) for _, device in answers) or "nobody"
-        raise SourceUnavailable(f"does not answer on {on}; {heard} did", where=str(wanted),
-                                remedy="Check power and cable, and the serial number or user id.")  # fmt: skip
+        raise SourceUnavailable(
+            f"does not answer on {on}; {heard} did",
+            where=str(wanted),
+            remedy="Check power and cable, and the serial number or user id.",
+        )
     link, device = fitting[0]
     if any(other.mac != device.mac for _, other in fitting):
-        raise InputError(f"is not one camera but {len(fitting)} on {on}: {', '.join(_named(d) for _, d in fitting)}",
-                         where=str(wanted), remedy="Choose by aravis.serial or aravis.address.")  # fmt: skip
+        raise InputError(
+            f"is not one camera but {len(fitting)} on {on}: {', '.join(_named(d) for _, d in fitting)}",
+            where=str(wanted),
+            remedy="Choose by aravis.serial or aravis.address.",
+        )
     reachable = [other for other, _ in fitting if ipaddress.IPv4Address(device.address) in other.address.network]
     if not reachable:
         raise InputError(
@@ -174,11 +192,15 @@ def _check_unicast(address: str) -> None:
     try:
         ip = ipaddress.IPv4Address(address)
     except ValueError:
-        raise InputError(f"{address!r} is not an IPv4 address", where="aravis.address",
-                         remedy="Give the camera's address, such as 192.168.1.10.") from None  # fmt: skip
+        raise InputError(
+            f"{address!r} is not an IPv4 address",
+            where="aravis.address",
+            remedy="Give the camera's address, such as 192.168.1.10.",
+        ) from None
     if ip.is_multicast or ip.is_unspecified or str(ip).endswith(".255"):
-        raise InputError(f"{address} is not the address of one device", where="aravis.address",
-                         remedy="Give the camera's own.")  # fmt: skip
+        raise InputError(
+            f"{address} is not the address of one device", where="aravis.address", remedy="Give the camera's own."
+        )
 
 
 def _ask(link: socket.socket) -> DeviceRecord | None:

@@ -83,8 +83,10 @@ class Features:
         """Like find(), but InputError (blaming the setting ``key``) when the device has no such feature."""
         found = self.find(name)
         if found is None:
-            raise self._error(f"has no feature {' or '.join(spellings(name))}, which {key} needs",
-                              f"Leave {key} out, or use a camera that has it.")  # fmt: skip
+            raise self._error(
+                f"has no feature {' or '.join(spellings(name))}, which {key} needs",
+                f"Leave {key} out, or use a camera that has it.",
+            )
         return found
 
     def read(self, name: str) -> Value | None:
@@ -117,8 +119,10 @@ class Features:
         found = self.require(name, key)
         kind = self.access.kind(found)
         if kind is Kind.COMMAND:
-            raise self._error(f"{found} is a command and takes no value (asked for {wanted!r})",
-                              f"Write '{found}!' in {key} to run it.")  # fmt: skip
+            raise self._error(
+                f"{found} is a command and takes no value (asked for {wanted!r})",
+                f"Write '{found}!' in {key} to run it.",
+            )
         assert kind is not None
         value = self._allowed(found, self._parsed(found, kind, wanted, key), key)
         try:
@@ -132,8 +136,10 @@ class Features:
         if got is None:
             return Applied(found, value, value)
         if not self._same(found, value, got):
-            raise self._error(f"took {found} = {got} instead of {value}",
-                              f"{self._allowance(found)}Set {key} to a value that the camera keeps.")  # fmt: skip
+            raise self._error(
+                f"took {found} = {got} instead of {value}",
+                f"{self._allowance(found)}Set {key} to a value that the camera keeps.",
+            )
         return Applied(found, value, got)
 
     def switch(self, name: str, on: bool, key: str) -> Applied:

@@ -62,14 +62,19 @@ def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callab
 def require_rate(settings: AravisSettings, where: str) -> None:
     """Raises InputError when no frame rate is given."""
     if settings.frame_rate <= 0:
-        raise InputError(f"sync {settings.sync} needs a frame rate", where=where,
-                         remedy="Set aravis.frame_rate, to the same for all cameras.")  # fmt: skip
+        raise InputError(
+            f"sync {settings.sync} needs a frame rate",
+            where=where,
+            remedy="Set aravis.frame_rate, to the same for all cameras.",
+        )
 
 
 def enable_ptp(
-    features: Features, wait_s: float, clock: Callable[[], float] = time.monotonic,
+    features: Features,
+    wait_s: float,
+    clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> str | None:  # fmt: skip
+) -> str | None:
     """Switch PTP on and wait until the camera is in step; returns its status, None for a camera without PTP."""
     if features.find("PtpEnable") is None:
         return None

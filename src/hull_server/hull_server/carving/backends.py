@@ -38,8 +38,10 @@ def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> Choice:
     except (NoGraphics, InputError) as error:
         if kind == "auto":
             return Choice(CpuCarver(views, grid), f"the CPU backend, because of OpenGL: {error}")
-        raise InputError(f"backend = '{kind}' cannot be used: {error}",
-                         remedy="Choose backend 'cpu', which needs no OpenGL, or 'auto'.") from None  # fmt: skip
+        raise InputError(
+            f"backend = '{kind}' cannot be used: {error}",
+            remedy="Choose backend 'cpu', which needs no OpenGL, or 'auto'.",
+        ) from None
     return Choice(backend, f"OpenGL on {backend.device}")
 
 

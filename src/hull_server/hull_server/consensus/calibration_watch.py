@@ -133,9 +133,11 @@ class CalibrationWatch:
     def _reason(self, name: str, standing: Standing) -> str:
         aside, about = np.degrees(np.hypot(*standing.turn_rad[:2])), np.degrees(abs(standing.turn_rad[2]))
         size = np.degrees(standing.size_rad)
-        return (f"{name} stands {size:.1f} degrees from where its calibration says ({aside:.1f} aside, {about:.1f} "
-                f"about its axis), as the other {len(self.names) - 1} show: was it moved? Put it back, or calibrate it "
-                "again")  # fmt: skip
+        return (
+            f"{name} stands {size:.1f} degrees from where its calibration says ({aside:.1f} aside, {about:.1f} "
+            f"about its axis), as the other {len(self.names) - 1} show: was it moved? Put it back, or calibrate it "
+            "again"
+        )
 
 
 def _excess_rad(standings: list[Standing], camera: int, clearer: float) -> float:

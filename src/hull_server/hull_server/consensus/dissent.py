@@ -193,8 +193,10 @@ class DissentWatch:
         if suspects or self._conflict <= self.settings.warning_limit:
             return ""
         believed = [name for name, record in zip(self.names, self._records, strict=True) if not record.out]
-        return (f"{', '.join(believed)} contradict each other: {self._conflict:.0%} of what they show fits no common "
-                "hull, and it cannot be told who is wrong. Or is somebody outside the volume?")  # fmt: skip
+        return (
+            f"{', '.join(believed)} contradict each other: {self._conflict:.0%} of what they show fits no common "
+            "hull, and it cannot be told who is wrong. Or is somebody outside the volume?"
+        )
 
 
 def _testimony(evidence: Evidence, slot: int) -> Testimony:

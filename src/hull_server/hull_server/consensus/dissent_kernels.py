@@ -87,8 +87,11 @@ def find_shared(room, labels, tables, question, voxels, vetoes):  # type: ignore
         opinion = _judge(room.coarse, tables, question, block, ((1 << question.cameras.size) - 1, 0, 0))
         if not _may_be_shared(question, opinion):
             continue
-        corner = (block % coarse[0] * ratio, block // coarse[0] % coarse[1] * ratio,
-                  block // (coarse[0] * coarse[1]) * ratio)  # fmt: skip
+        corner = (
+            block % coarse[0] * ratio,
+            block // coarse[0] % coarse[1] * ratio,
+            block // (coarse[0] * coarse[1]) * ratio,
+        )
         for z in range(corner[2], min(corner[2] + ratio, fine[2])):
             for y in range(corner[1], min(corner[1] + ratio, fine[1])):
                 for x in range(corner[0], min(corner[0] + ratio, fine[0])):

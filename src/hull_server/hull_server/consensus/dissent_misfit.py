@@ -31,11 +31,7 @@ class Misfit:
 
 
 def find_misfit(
-    room: Room,
-    labels: npt.NDArray[np.int32],
-    camera: int,
-    voxels: npt.NDArray[np.int16],
-    stride: int,
+    room: Room, labels: npt.NDArray[np.int32], camera: int, voxels: npt.NDArray[np.int16], stride: int
 ) -> Misfit:
     """Push the silhouette of ``camera``, labelled (H, W), over the outline of the ``voxels`` (M, 3) of the hull."""
     height, width = labels.shape

@@ -47,17 +47,22 @@ def reason(name: str, record: Record, rest: list[Record], settings: DissentSetti
     """Why a camera is not believed, in words a user can act on. ``rest`` are the cameras that are believed."""
     seen, others = record.accused, f"the other {len(rest)}"
     if seen.excess > settings.excess_limit:
-        return (f"{name}: {seen.excess:.0%} of its view is foreground that {others} know nothing of: has the light "
-                "changed, is its background old, or does something stand before it?")  # fmt: skip
+        return (
+            f"{name}: {seen.excess:.0%} of its view is foreground that {others} know nothing of: has the light "
+            "changed, is its background old, or does something stand before it?"
+        )
     if seen.coverage == 0.0:
-        return (f"{name}: its silhouette is empty where {others} see somebody: is its lens covered, or its exposure "
-                "wrong?")  # fmt: skip
+        return (
+            f"{name}: its silhouette is empty where {others} see somebody: is its lens covered, or its exposure wrong?"
+        )
     denies = f"{name} denies {seen.denied:.0%} of the body that {others} agree on"
     if record.still_s >= STILL_S and rest and sum(r.still_s == 0.0 for r in rest) > len(rest) / 2:
         return f"{denies}, and its silhouette has not changed for {record.still_s:.1f} s: are its images frozen?"
     if record.lasting_misfit > settings.misfit_allowance:
         push_px = float(np.hypot(*record.latest_push_px))
         turned_deg = np.degrees(np.arctan2(push_px, focal_px))
-        return (f"{denies}, and its silhouette fits better when it is pushed by {push_px:.0f} pixels ({turned_deg:.1f} "
-                "degrees): was it moved or turned? Then calibrate it again.")  # fmt: skip
+        return (
+            f"{denies}, and its silhouette fits better when it is pushed by {push_px:.0f} pixels ({turned_deg:.1f} "
+            "degrees): was it moved or turned? Then calibrate it again."
+        )
     return f"{denies}: is something before it, or is its background old?"

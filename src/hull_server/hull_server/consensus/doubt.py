@@ -66,8 +66,11 @@ class DoubtResolver:
         camera that is not in the rig, and for a mask of the wrong size.
         """
         self._views.present(masks)
-        doubtful = {name: cv2.boundingRect(where) for name, mask in sorted(masks.items())
-                    if cv2.countNonZero(where := _between(mask, CANDIDATE_LEVELS[0], DARK_LEVELS[-1]))}  # fmt: skip
+        doubtful = {
+            name: cv2.boundingRect(where)
+            for name, mask in sorted(masks.items())
+            if cv2.countNonZero(where := _between(mask, CANDIDATE_LEVELS[0], DARK_LEVELS[-1]))
+        }
         binary = {name: person(mask) if name in doubtful else mask for name, mask in masks.items()}
         if not doubtful or not self._settings.enabled:
             return Resolved(binary, 0, 0)
@@ -98,8 +101,18 @@ class DoubtResolver:
         left, top, right, bottom = box
         shape = -(-(bottom - top) // STRIDE), -(-(right - left) // STRIDE)
         verdicts = Verdicts(*np.zeros((len(Verdicts._fields), *shape), np.uint8))
-        judge(scene, self._levels, camera, box, seeing, settings.tolerance, settings.min_height_m, settings.reach_m,
-              self._floor_px, verdicts)  # fmt: skip
+        judge(
+            scene,
+            self._levels,
+            camera,
+            box,
+            seeing,
+            settings.tolerance,
+            settings.min_height_m,
+            settings.reach_m,
+            self._floor_px,
+            verdicts,
+        )
         shadow_px, body_px = settle(scene.kind, self._levels[camera], box, verdicts, binary)
         return shadow_px, body_px
 
@@ -117,8 +130,12 @@ def person(mask: Mask) -> Mask:
 def _scene(views: RigViews, volume: Volume) -> Scene:
     centres = np.stack([-np.linalg.solve(P[:, :3], P[:, 3]) for P in views.P])
     homogeneous = np.concatenate([centres, np.ones((len(centres), 1))], axis=1)
-    floor = np.stack([np.linalg.inv(P[:, [0, 1, 3]]) if abs(c[2]) > 1e-6 else np.full((3, 3), np.nan)
-                      for P, c in zip(views.P, centres, strict=True)])  # fmt: skip
+    floor = np.stack(
+        [
+            np.linalg.inv(P[:, [0, 1, 3]]) if abs(c[2]) > 1e-6 else np.full((3, 3), np.nan)
+            for P, c in zip(views.P, centres, strict=True)
+        ]
+    )
     return Scene(
         P=np.ascontiguousarray(views.P),
         centres=centres,

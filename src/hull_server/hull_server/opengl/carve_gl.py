@@ -52,8 +52,11 @@ class GlCarver:
 
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
         if len(views.names) > MAX_GL_CAMERAS:
-            raise InputError(f"{len(views.names)} cameras are too many for the GL backend", where="backend",
-                             remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.")  # fmt: skip
+            raise InputError(
+                f"{len(views.names)} cameras are too many for the GL backend",
+                where="backend",
+                remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.",
+            )
         self.views, self.grid = views, grid
         self._upload, self._filling = FrameUpload(views), threading.Lock()
         self._context = GlContext(hardware)
@@ -111,9 +114,18 @@ class GlCarver:
         nx, ny, nz = (-(-count // COARSE_EDGE) for count in self.grid.shape)
         self._coarse_blocks = nx * ny * nz
         rows, centre, border = single_precision(self.views, self.grid)
-        header = HEADER.format(cameras=cameras, width=width, height=height, labels=self._upload.labels_start,
-                               grid=self.grid.shape, bricks=self.grid.brick_shape, coarse=(nx, ny, nz),
-                               centre=tuple(map(int, centre)), border=border, groups=GROUPS_IN_ROW)  # fmt: skip
+        header = HEADER.format(
+            cameras=cameras,
+            width=width,
+            height=height,
+            labels=self._upload.labels_start,
+            grid=self.grid.shape,
+            bricks=self.grid.brick_shape,
+            coarse=(nx, ny, nz),
+            centre=tuple(map(int, centre)),
+            border=border,
+            groups=GROUPS_IN_ROW,
+        )
         self._programs = {name: make_program(compute=header + kernel) for name, kernel in KERNELS.items()}
         for program in self._programs.values():
             GL.glUseProgram(program)
@@ -140,12 +152,17 @@ class GlCarver:
         most_bytes = int(GL.glGetIntegerv(GL.GL_MAX_SHADER_STORAGE_BLOCK_SIZE))
         most_words = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_BUFFER_SIZE))
         if table_bytes > most_bytes:
-            raise InputError(f"{shape} voxels need tables of {table_bytes} bytes; {self.device} allows {most_bytes}",
-                             where="voxel_size_m",
-                             remedy="Use larger voxels or a smaller volume, or choose backend 'cpu'.")  # fmt: skip
+            raise InputError(
+                f"{shape} voxels need tables of {table_bytes} bytes; {self.device} allows {most_bytes}",
+                where="voxel_size_m",
+                remedy="Use larger voxels or a smaller volume, or choose backend 'cpu'.",
+            )
         if words > most_words:
-            raise InputError(f"all silhouettes together need {words} words; {self.device} allows {most_words}",
-                             where="backend", remedy="Scale the images down, or choose backend 'cpu'.")  # fmt: skip
+            raise InputError(
+                f"all silhouettes together need {words} words; {self.device} allows {most_words}",
+                where="backend",
+                remedy="Scale the images down, or choose backend 'cpu'.",
+            )
 
     def _boxes(self, edge: int) -> np.ndarray:
         """(N, blocks, 2) uint32: u, v from, in 15 bits each, and sight in the two bits above; u, v to."""

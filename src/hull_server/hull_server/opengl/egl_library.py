@@ -16,10 +16,18 @@ _PLATFORM_DEVICE, _PLATFORM_SURFACELESS = 0x313F, 0x31DD
 _MAJOR, _MINOR, _PROFILE_MASK, _CORE_PROFILE = 0x3098, 0x30FB, 0x30FD, 1
 _SURFACE_TYPE, _PBUFFER_BIT, _RENDERABLE_TYPE, _OPENGL_BIT = 0x3033, 1, 0x3040, 8
 _WIDTH, _HEIGHT = 0x3057, 0x3056
-_ERRORS = {0x3001: "EGL_NOT_INITIALIZED", 0x3002: "EGL_BAD_ACCESS", 0x3003: "EGL_BAD_ALLOC",
-           0x3004: "EGL_BAD_ATTRIBUTE", 0x3005: "EGL_BAD_CONFIG", 0x3006: "EGL_BAD_CONTEXT",
-           0x3008: "EGL_BAD_DISPLAY", 0x3009: "EGL_BAD_MATCH", 0x300C: "EGL_BAD_PARAMETER",
-           0x300E: "EGL_CONTEXT_LOST"}  # fmt: skip
+_ERRORS = {
+    0x3001: "EGL_NOT_INITIALIZED",
+    0x3002: "EGL_BAD_ACCESS",
+    0x3003: "EGL_BAD_ALLOC",
+    0x3004: "EGL_BAD_ATTRIBUTE",
+    0x3005: "EGL_BAD_CONFIG",
+    0x3006: "EGL_BAD_CONTEXT",
+    0x3008: "EGL_BAD_DISPLAY",
+    0x3009: "EGL_BAD_MATCH",
+    0x300C: "EGL_BAD_PARAMETER",
+    0x300E: "EGL_CONTEXT_LOST",
+}
 _pointer, _int, _uint, _text = ctypes.c_void_p, ctypes.c_int32, ctypes.c_uint, ctypes.c_char_p
 _SIGNATURES: tuple[tuple[str, Any, list], ...] = (
     ("eglGetProcAddress", _pointer, [_text]),
@@ -64,8 +72,10 @@ class Egl:
     def displays(self) -> list[Display]:
         """What to try, in this order: hardware devices, software devices, the surfaceless platform, the default."""
         devices = sorted(self._devices(), key=lambda device: device[0])
-        found = [(self._platform_display(_PLATFORM_DEVICE, handle), f"EGL device {number}", software)
-                 for number, (software, handle) in enumerate(devices)]  # fmt: skip
+        found = [
+            (self._platform_display(_PLATFORM_DEVICE, handle), f"EGL device {number}", software)
+            for number, (software, handle) in enumerate(devices)
+        ]
         only_software = bool(devices) and all(software for software, _ in devices)
         found.append((self._platform_display(_PLATFORM_SURFACELESS, None), "surfaceless EGL", only_software))
         found.append((self._library.eglGetDisplay(None), "default EGL display", only_software))

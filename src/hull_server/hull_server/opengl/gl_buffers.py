@@ -42,8 +42,10 @@ class BufferSet:
     def send_home(self) -> None:
         """Queue the copies of the lists' lengths and of as many bricks as are to be expected, and a fence behind."""
         GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._home.name)
-        for source, offset, nbytes in ((self.frame, 0, LISTS_BYTES),
-                                       (self._bricks, LISTS_BYTES, BRICK.itemsize * self._expected)):  # fmt: skip
+        for source, offset, nbytes in (
+            (self.frame, 0, LISTS_BYTES),
+            (self._bricks, LISTS_BYTES, BRICK.itemsize * self._expected),
+        ):
             GL.glBindBuffer(GL.GL_COPY_READ_BUFFER, source.name)
             GL.glCopyBufferSubData(GL.GL_COPY_READ_BUFFER, GL.GL_COPY_WRITE_BUFFER, 0, offset, nbytes)
         self._fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)

@@ -74,8 +74,11 @@ class SweepCarver(Immediate):
 
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
         if len(views.names) > MAX_GL_CAMERAS:
-            raise InputError(f"{len(views.names)} cameras are too many for the sweep", where="backend",
-                             remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.")  # fmt: skip
+            raise InputError(
+                f"{len(views.names)} cameras are too many for the sweep",
+                where="backend",
+                remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.",
+            )
         self.views, self.grid = views, grid
         self._foreground = np.zeros_like(views.seen)
         self._context = GlContext(hardware)
@@ -161,5 +164,6 @@ class SweepCarver(Immediate):
         for camera in present:
             texels = np.stack([np.where(self._foreground[camera], 255, 0), self.views.seen[camera]], axis=-1)
             texels = np.ascontiguousarray(texels, np.uint8)
-            GL.glTexSubImage3D(GL.GL_TEXTURE_2D_ARRAY, 0, 0, 0, int(camera), width, height, 1,
-                               GL.GL_RG, GL.GL_UNSIGNED_BYTE, texels)  # fmt: skip
+            GL.glTexSubImage3D(
+                GL.GL_TEXTURE_2D_ARRAY, 0, 0, 0, int(camera), width, height, 1, GL.GL_RG, GL.GL_UNSIGNED_BYTE, texels
+            )

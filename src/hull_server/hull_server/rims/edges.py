@@ -22,8 +22,9 @@ PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # a narrow blur for the place (curved 
 LEAST_SLOPE = 0.6  # of the gradient that a straight edge would have: less is a corner, or a thin or torn limb
 MOST_FILLED = 0.95  # a pixel whose surroundings are filled beyond this is not at an edge
 QUANTILE_STEPS = 256
-QUANTILES = np.array([NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS)
-                      for n in range(QUANTILE_STEPS + 1)])  # fmt: skip
+QUANTILES = np.array(
+    [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]
+)
 ONE = 1 << 20  # weights are whole numbers: sums of those are exact in any order, so they may be done in parallel
 
 

@@ -118,6 +118,5 @@ def _update(estimate: BodyEstimate, row: np.ndarray, value: float, sd: float) ->
     gain = P @ row / (row @ P @ row + sd**2)
     rest = np.eye(len(row)) - np.outer(gain, row)
     return BodyEstimate(
-        estimate.sizes + gain * (value - row @ estimate.sizes),
-        rest @ P @ rest.T + sd**2 * np.outer(gain, gain),
+        estimate.sizes + gain * (value - row @ estimate.sizes), rest @ P @ rest.T + sd**2 * np.outer(gain, gain)
     )

@@ -132,8 +132,10 @@ def _filled(frames: np.ndarray, points_world: np.ndarray, row: int, where: str) 
         if known.size == 0 or distance.min() > NEIGHBOUR_FRAMES:
             raise InputError(
                 f"the reference does not know the {POINT_NAMES[index]} within {NEIGHBOUR_FRAMES} frames of frame "
-                f"{frames[row]}", where=where, remedy="Choose a frame at which all points are known.",
-            )  # fmt: skip
+                f"{frames[row]}",
+                where=where,
+                remedy="Choose a frame at which all points are known.",
+            )
         points[index] = points_world[known[int(distance.argmin())], index]
     return points
 
@@ -164,8 +166,11 @@ def _numbers(value: Any, key: str, count: int, where: str) -> np.ndarray:
     except (TypeError, ValueError):
         numbers = np.empty(0)
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise InputError(f"{key} = {value!r} is not {count} finite number{'s' * (count > 1)}", where=where,
-                         remedy="Give metres or radians.")  # fmt: skip
+        raise InputError(
+            f"{key} = {value!r} is not {count} finite number{'s' * (count > 1)}",
+            where=where,
+            remedy="Give metres or radians.",
+        )
     return numbers
 
 

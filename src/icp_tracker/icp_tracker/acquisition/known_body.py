@@ -148,8 +148,11 @@ def _rough_pose(body: Body, upright: Upright, crown: float, left: float, right: 
     """Upright, under the hull's crown, arms raised by two angles, legs spread by one."""
     angles = T_POSE_ANGLES.copy()
     for name, value in (
-        ("left_shoulder_x", left), ("right_shoulder_x", np.pi - right), ("left_hip_x", spread), ("right_hip_x", -spread)
-    ):  # fmt: skip
+        ("left_shoulder_x", left),
+        ("right_shoulder_x", np.pi - right),
+        ("left_hip_x", spread),
+        ("right_hip_x", -spread),
+    ):
         angles[ANGLE_NAMES.index(name)] = value
     height = upright.floor_world + crown - body.lengths[HEAD] - body.half_lengths[0]
     x, y = upright.forward_world

@@ -24,10 +24,11 @@ class InitialPoseSettings:
     """Where the first pose comes from."""
 
     source: str = setting(
-        "t_pose", "where the first pose comes from: the hull of a T-pose (with body_file: anything near one), a pose "
+        "t_pose",
+        "where the first pose comes from: the hull of a T-pose (with body_file: anything near one), a pose "
         "file, or a session's reference",
         choices=("t_pose", "file", "session"),
-    )  # fmt: skip
+    )
     file: str = setting("", "pose file (YAML), for source 'file'")
     session: str = setting("", "session folder with a reference, for source 'session'")
     frame: int = setting(0, "video frame of the reference, for source 'session'", low=0)
@@ -56,8 +57,9 @@ def make_pose_source(settings: InitialPoseSettings, body_file: str = "", volume:
 
 def _from_file(path: str, body: Body | None) -> KnownPose:
     if not path:
-        raise InputError("initial_pose.file is empty", where=WHERE,
-                         remedy="Name a pose file, or choose another initial_pose.source.")  # fmt: skip
+        raise InputError(
+            "initial_pose.file is empty", where=WHERE, remedy="Name a pose file, or choose another initial_pose.source."
+        )
     pose, own_body = load_initial_pose(path)
     chosen = body or own_body
     if chosen is None:
@@ -69,8 +71,11 @@ def _from_session(folder: str, frame: int, body: Body | None) -> KnownPose:
     from capture_rig.session import load_session  # reads videos' headers: OpenCV is loaded only where it is needed
 
     if not folder:
-        raise InputError("initial_pose.session is empty", where=WHERE,
-                         remedy="Name a session folder, or choose another initial_pose.source.")  # fmt: skip
+        raise InputError(
+            "initial_pose.session is empty",
+            where=WHERE,
+            remedy="Name a session folder, or choose another initial_pose.source.",
+        )
     truth = load_session(folder).truth
     if truth is None:
         raise InputError("has no reference", where=folder, remedy="Add truth.csv, or choose another source.")

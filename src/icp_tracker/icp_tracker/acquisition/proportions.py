@@ -16,9 +16,17 @@ from stick_figure.body import Body
 from stick_figure.skeleton import HEAD, L_CALF, L_FOREARM, L_THIGH, L_UPPER_ARM, R_CALF, R_FOREARM, R_THIGH, R_UPPER_ARM
 
 SIZES = (
-    "head", "torso", "shoulder_rise", "half_shoulder_width", "upper_arm", "forearm", "half_hip_width", "thigh", "calf",
+    "head",
+    "torso",
+    "shoulder_rise",
+    "half_shoulder_width",
+    "upper_arm",
+    "forearm",
+    "half_hip_width",
+    "thigh",
+    "calf",
     "ankle_height",
-)  # fmt: skip
+)
 """Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
 height above the hips, half the joints' distances, and the ankles' height above the floor."""
 HEAD_, TORSO_, RISE, SHOULDER, UPPER_ARM, FOREARM, HIP, THIGH, CALF, ANKLE = range(len(SIZES))

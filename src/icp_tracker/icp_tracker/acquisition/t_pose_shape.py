@@ -28,9 +28,10 @@ class TPoseSettings:
     """What counts as a T-pose."""
 
     arms: str = setting(
-        LEVEL, "the pose that is asked for: arms level sideways (T-pose) or lowered by 45 degrees (A-pose)",
+        LEVEL,
+        "the pose that is asked for: arms level sideways (T-pose) or lowered by 45 degrees (A-pose)",
         choices=(LEVEL, LOWERED),
-    )  # fmt: skip
+    )
     stature_low_m: float = setting(1.2, "least stature", unit="m", low=0.5, high=2.6)
     stature_high_m: float = setting(2.2, "largest stature", unit="m", low=0.5, high=2.6)
     tilt: float = setting(0.33, "an arm's largest angle from where it should be", unit="rad", low=0.0, high=0.7)

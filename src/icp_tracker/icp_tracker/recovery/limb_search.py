@@ -35,9 +35,20 @@ def other_place(
     figure = Figure.of(body)
     R, flexion = pose.R_joints[limb.ball].copy(), np.array([pose.hinges[limb.hinge]])
     lead = _search(
-        *State.of(pose), figure, rest, own, limb.upper, figure.lengths[[limb.upper, limb.lower]], limb.is_arm,
-        library.R, library.flexion, rims, hull, R, flexion,
-    )  # fmt: skip
+        *State.of(pose),
+        figure,
+        rest,
+        own,
+        limb.upper,
+        figure.lengths[[limb.upper, limb.lower]],
+        limb.is_arm,
+        library.R,
+        library.flexion,
+        rims,
+        hull,
+        R,
+        flexion,
+    )
     return None if lead < LEAST_LEAD else with_limb(pose, limb, R, float(flexion[0]))
 
 
@@ -118,8 +129,11 @@ def _without_limb(t0, R0, RJ, hinges, figure, rest, rims, upper, lengths):
             count += 1
     rows = rows[:count]
     left_over = Rims(
-        np.ascontiguousarray(rims.points[:, rows]), np.ascontiguousarray(rims.directions[:, rows]),
-        np.ascontiguousarray(rims.normals[:, rows]), np.ascontiguousarray(rims.tangents[:, rows]),
-        rims.half_lengths[rows], rims.information[rows],
-    )  # fmt: skip
+        np.ascontiguousarray(rims.points[:, rows]),
+        np.ascontiguousarray(rims.directions[:, rows]),
+        np.ascontiguousarray(rims.normals[:, rows]),
+        np.ascontiguousarray(rims.tangents[:, rows]),
+        rims.half_lengths[rows],
+        rims.information[rows],
+    )
     return A, left_over, misfit[rows]

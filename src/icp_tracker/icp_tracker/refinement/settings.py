@@ -31,9 +31,12 @@ class RefinementSettings:
         low=1e-4,
     )
     independent_rays: float = setting(
-        6.0, "independent rays that all rays of a pose are worth: one for head, trunk and each limb, for the misfit of "
-        "the flesh is common to them", low=0.1, high=1e4,
-    )  # fmt: skip
+        6.0,
+        "independent rays that all rays of a pose are worth: one for head, trunk and each limb, for the misfit of "
+        "the flesh is common to them",
+        low=0.1,
+        high=1e4,
+    )
     thickness_sd: float = setting(
         0.12, "how people's limbs differ in thickness at equal stature, as a share of it", low=1e-3, high=1.0
     )

@@ -15,9 +15,14 @@ from .sighting import Sighting
 
 
 def find_board(
-    image: npt.NDArray[np.uint8], board: Board, *, camera: str = "", moment: int = 0, target: str = "",
+    image: npt.NDArray[np.uint8],
+    board: Board,
+    *,
+    camera: str = "",
+    moment: int = 0,
+    target: str = "",
     thorough: bool = False,
-) -> Sighting | None:  # fmt: skip
+) -> Sighting | None:
     """The board's corners in an image (H, W) or (H, W, 3) BGR uint8; None when they are not found.
 
     Of a checkerboard the whole width and height must be seen (a hand may cover some corners); of a ChArUco board any
@@ -43,6 +48,11 @@ def sighting_of(grid: CornerGrid, shape: tuple[int, ...], *, camera: str, moment
     """The grid, which is in the board's order, as a sighting."""
     found = grid.found.ravel()
     return Sighting(
-        camera=camera, moment=moment, target=target, ids=np.flatnonzero(found),
-        pixels=grid.pixels.reshape(-1, 2)[found].copy(), image_size=(shape[1], shape[0]), sigma_px=grid.sigma_px,
-    )  # fmt: skip
+        camera=camera,
+        moment=moment,
+        target=target,
+        ids=np.flatnonzero(found),
+        pixels=grid.pixels.reshape(-1, 2)[found].copy(),
+        image_size=(shape[1], shape[0]),
+        sigma_px=grid.sigma_px,
+    )

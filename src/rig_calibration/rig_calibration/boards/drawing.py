@@ -49,8 +49,10 @@ def black_rectangles(board: Board) -> list[Rectangle]:
     first = int(isinstance(board, CharucoBoard) and board.legacy and rows % 2 == 0)  # else the upper left one is black
     fields = [
         (column * width, row * height, width, height)
-        for row in range(rows) for column in range(columns) if (row + column) % 2 == first
-    ]  # fmt: skip
+        for row in range(rows)
+        for column in range(columns)
+        if (row + column) % 2 == first
+    ]
     return fields + (_marker_rectangles(board) if isinstance(board, CharucoBoard) else [])
 
 
@@ -95,6 +97,7 @@ def _marker_rectangles(board: CharucoBoard) -> list[Rectangle]:
         picture = cv2.aruco.generateImageMarker(dictionary, int(marker), cells, borderBits=1)
         for row, line in enumerate(picture):
             edges = np.flatnonzero(np.diff(np.concatenate([[0], (line == 0).astype(int), [0]])))
-            rectangles += [(float(left) + a * side, float(top) + row * side, (b - a) * side, side)
-                           for a, b in edges.reshape(-1, 2)]  # fmt: skip
+            rectangles += [
+                (float(left) + a * side, float(top) + row * side, (b - a) * side, side) for a, b in edges.reshape(-1, 2)
+            ]
     return rectangles

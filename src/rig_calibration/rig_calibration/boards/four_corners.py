@@ -72,9 +72,15 @@ class _View:
 
 
 def find_from_outer_corners(
-    image: npt.NDArray[np.uint8], board: Board, outer_px: npt.ArrayLike, *, camera: str = "", moment: int = 0,
-    target: str = "", model: CameraModel | None = None,
-) -> Sighting:  # fmt: skip
+    image: npt.NDArray[np.uint8],
+    board: Board,
+    outer_px: npt.ArrayLike,
+    *,
+    camera: str = "",
+    moment: int = 0,
+    target: str = "",
+    model: CameraModel | None = None,
+) -> Sighting:
     """The board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order: first,
     end of the first row, last, start of the last row; up to 6 pixels or half a field off.
 
@@ -94,8 +100,9 @@ def find_from_outer_corners(
     if grid.count < MIN_FOUND * grid.found.size:
         raise InputError(
             f"only {grid.count} of {grid.found.size} corners are seen where the four given ones put the board",
-            where=where, remedy=f"{ORDER} Check that the board has {shape[1]} x {shape[0]} of them, and is in focus.",
-        )  # fmt: skip
+            where=where,
+            remedy=f"{ORDER} Check that the board has {shape[1]} x {shape[0]} of them, and is in focus.",
+        )
     ordered = _ordered(_whole(grey, grid, board), board, outer, where)
     return sighting_of(ordered, grey.shape, camera=camera, moment=moment, target=target)
 
@@ -193,8 +200,12 @@ def _ordered(grid: CornerGrid, board: Board, outer: Array, where: str) -> Corner
         choices = possible_orders(grid, board)
     lines = [grid.found[0], grid.found[-1], grid.found[:, 0], grid.found[:, -1]]
     if not choices or not all(line.any() for line in lines):
-        raise InputError("the corners given seem to be a field off: colours are wrong there, or an outer line of "
-                         "corners is not seen", where=where, remedy=ORDER)  # fmt: skip
+        raise InputError(
+            "the corners given seem to be a field off: colours are wrong there, or an outer line of "
+            "corners is not seen",
+            where=where,
+            remedy=ORDER,
+        )
     return min(choices, key=lambda choice: _off(choice, outer))
 
 

@@ -52,8 +52,12 @@ def trimmed(pixels: Array, fewest: float) -> Array:
         if all(line.sum() >= max(2, fewest * line.size) for line in lines):
             break
         worst = int(np.argmin([line.sum() / line.size if line.sum() > 1 else line.sum() * 1e-3 for line in lines]))
-        cut = [(slice(1, None), slice(None)), (slice(None, -1), slice(None)),
-               (slice(None), slice(1, None)), (slice(None), slice(None, -1))][worst]  # fmt: skip
+        cut = [
+            (slice(1, None), slice(None)),
+            (slice(None, -1), slice(None)),
+            (slice(None), slice(1, None)),
+            (slice(None), slice(None, -1)),
+        ][worst]
         pixels, known = pixels[cut], known[cut]
     return pixels
 

@@ -16,9 +16,20 @@ OWN_BLUR_PX = 0.6  # of an ordinary image: optics and pixel
 COMFORTABLE_PX = 900  # long side at which boards are found fast
 MAX_PIXELS = 8e6
 STRETCHES: tuple[tuple[Any, ...], ...] = (  # across, down, blur, equalised
-    (1, 2), (1, 1, 1.0), (1, 3), (1, 4), (2, 2), (1, 1, 2.5), (2, 4), (2, 6), (1, 2, 2.2), (2, 1),
-    (1, 1, 1.35, True), (0.5, 0.5), (1, 1, 4.0),
-)  # fmt: skip
+    (1, 2),
+    (1, 1, 1.0),
+    (1, 3),
+    (1, 4),
+    (2, 2),
+    (1, 1, 2.5),
+    (2, 4),
+    (2, 6),
+    (1, 2, 2.2),
+    (2, 1),
+    (1, 1, 1.35, True),
+    (0.5, 0.5),
+    (1, 1, 4.0),
+)
 
 
 @dataclass(frozen=True)

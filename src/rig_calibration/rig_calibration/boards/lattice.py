@@ -159,8 +159,10 @@ def _quad_is_sound(pixels: Array, corners: list[npt.NDArray[np.int64]]) -> npt.N
     turns = np.stack([_cross(sides[k], sides[(k + 1) % 4]) for k in range(4)])
     convex = np.all(turns > 0, axis=0) | np.all(turns < 0, axis=0)
     lengths = [np.linalg.norm(side, axis=2) for side in sides]
-    alike = [np.abs(np.log(np.maximum(lengths[k], 1e-9) / np.maximum(lengths[k + 2], 1e-9))) < np.log(MAX_RATIO)
-             for k in (0, 1)]  # fmt: skip
+    alike = [
+        np.abs(np.log(np.maximum(lengths[k], 1e-9) / np.maximum(lengths[k + 2], 1e-9))) < np.log(MAX_RATIO)
+        for k in (0, 1)
+    ]
     return convex & alike[0] & alike[1]
 
 

@@ -49,8 +49,11 @@ def lay_out(black_m: Sequence[Rectangle], size_m: tuple[float, float], title: st
         raise InputError(
             f"the board needs {across * down} pages {paper}", remedy="Choose larger paper, or smaller fields."
         )
-    return [_page(black, size, (column, row), (across, down), paper_mm, title)
-            for row in range(down) for column in range(across)]  # fmt: skip
+    return [
+        _page(black, size, (column, row), (across, down), paper_mm, title)
+        for row in range(down)
+        for column in range(across)
+    ]
 
 
 def _room(paper_mm: tuple[float, float]) -> tuple[float, float]:
@@ -62,8 +65,14 @@ def _pages_needed(size: tuple[float, float], paper_mm: tuple[float, float]) -> t
     return math.ceil(size[0] / room[0] - 1e-9), math.ceil(size[1] / room[1] - 1e-9)
 
 
-def _page(black: list[Rectangle], size: tuple[float, float], place: tuple[int, int], count: tuple[int, int],
-          paper_mm: tuple[float, float], title: str) -> Page:  # fmt: skip
+def _page(
+    black: list[Rectangle],
+    size: tuple[float, float],
+    place: tuple[int, int],
+    count: tuple[int, int],
+    paper_mm: tuple[float, float],
+    title: str,
+) -> Page:
     tile = size[0] / count[0], size[1] / count[1]
     low = place[0] * tile[0], place[1] * tile[1]
     room = _room(paper_mm)
@@ -97,8 +106,10 @@ def _cut_marks(left: float, top: float, width: float, height: float) -> list[Rec
 def _ruler(paper_mm: tuple[float, float]) -> list[Rectangle]:
     """100 mm, a tick every 10 mm; its ends are the outer edges of the end ticks' middle lines."""
     x, y = MARGIN_MM, paper_mm[1] - MARGIN_MM - 6
-    ticks = [(x + k * 10 - HAIR_MM / 2, y - (4 if k in (0, 10) else 2), HAIR_MM, 4.0 if k in (0, 10) else 2.0)
-             for k in range(11)]  # fmt: skip
+    ticks = [
+        (x + k * 10 - HAIR_MM / 2, y - (4 if k in (0, 10) else 2), HAIR_MM, 4.0 if k in (0, 10) else 2.0)
+        for k in range(11)
+    ]
     return [(x, y - HAIR_MM / 2, RULER_MM, HAIR_MM), *ticks]
 
 

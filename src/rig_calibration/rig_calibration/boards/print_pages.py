@@ -30,13 +30,20 @@ def save_pages(pages: Sequence[Page], path: Path) -> list[Path]:
 
 def svg(page: Page) -> str:
     """One page; a unit of the drawing is a millimetre."""
-    lines = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{page.width_mm:g}mm" height="{page.height_mm:g}mm" '
-             f'viewBox="0 0 {page.width_mm:g} {page.height_mm:g}" shape-rendering="crispEdges">',
-             '<rect width="100%" height="100%" fill="white"/>']  # fmt: skip
-    lines += [f'<rect x="{left:.4f}" y="{top:.4f}" width="{width:.4f}" height="{height:.4f}"/>'
-              for left, top, width, height in page.black_mm]  # fmt: skip
-    lines += [f'<text x="{x:.2f}" y="{y:.2f}" font-family="Helvetica, Arial, sans-serif" font-size="{height:g}">'
-              f"{escape(text)}</text>" for x, y, height, text in page.texts]  # fmt: skip
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{page.width_mm:g}mm" height="{page.height_mm:g}mm" '
+        f'viewBox="0 0 {page.width_mm:g} {page.height_mm:g}" shape-rendering="crispEdges">',
+        '<rect width="100%" height="100%" fill="white"/>',
+    ]
+    lines += [
+        f'<rect x="{left:.4f}" y="{top:.4f}" width="{width:.4f}" height="{height:.4f}"/>'
+        for left, top, width, height in page.black_mm
+    ]
+    lines += [
+        f'<text x="{x:.2f}" y="{y:.2f}" font-family="Helvetica, Arial, sans-serif" font-size="{height:g}">'
+        f"{escape(text)}</text>"
+        for x, y, height, text in page.texts
+    ]
     return "\n".join([*lines, "</svg>", ""])
 
 
@@ -51,8 +58,10 @@ def pdf(pages: Sequence[Page]) -> bytes:
     for k, page in enumerate(pages):
         content = _content(page).encode("latin-1", "replace")
         box = f"{page.width_mm * POINTS_PER_MM:.4f} {page.height_mm * POINTS_PER_MM:.4f}"
-        objects.append(f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {box}] /Contents {5 + 2 * k} 0 R "
-                       f"/Resources << /Font << /F 3 0 R >> >> >>".encode())  # fmt: skip
+        objects.append(
+            f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {box}] /Contents {5 + 2 * k} 0 R "
+            f"/Resources << /Font << /F 3 0 R >> >> >>".encode()
+        )
         objects.append(b"<< /Length %d >>\nstream\n%b\nendstream" % (len(content), content))
     return _document(objects)
 
@@ -60,8 +69,10 @@ def pdf(pages: Sequence[Page]) -> bytes:
 def _content(page: Page) -> str:
     """Millimetres from the upper left corner to points from the lower left one."""
     unit, height = POINTS_PER_MM, page.height_mm
-    lines = [f"{left * unit:.4f} {(height - top - high) * unit:.4f} {wide * unit:.4f} {high * unit:.4f} re"
-             for left, top, wide, high in page.black_mm]  # fmt: skip
+    lines = [
+        f"{left * unit:.4f} {(height - top - high) * unit:.4f} {wide * unit:.4f} {high * unit:.4f} re"
+        for left, top, wide, high in page.black_mm
+    ]
     texts = []
     for x, y, size, text in page.texts:
         safe = text.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)")
@@ -77,5 +88,9 @@ def _document(objects: Sequence[bytes]) -> bytes:
         body += b"%d 0 obj\n%b\nendobj\n" % (number, content)
     table = b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
     head = b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
-    return body + head + table + b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (
-        len(objects) + 1, len(body))  # fmt: skip
+    return (
+        body
+        + head
+        + table
+        + b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n" % (len(objects) + 1, len(body))
+    )

@@ -51,10 +51,13 @@ def read_board(text: str) -> Board:
     if match := _CHARUCO.fullmatch(text):
         columns, rows, square, square_unit, marker, marker_unit, dictionary, legacy = match.groups()
         mapping = {
-            "columns": int(columns), "rows": int(rows), "square_m": _metres(square, METRES[square_unit.lower()]),
-            "marker_m": _metres(marker, METRES[marker_unit.lower()]), "dictionary": dictionary.upper(),
+            "columns": int(columns),
+            "rows": int(rows),
+            "square_m": _metres(square, METRES[square_unit.lower()]),
+            "marker_m": _metres(marker, METRES[marker_unit.lower()]),
+            "dictionary": dictionary.upper(),
             "legacy": bool(legacy),
-        }  # fmt: skip
+        }
         return _charuco(mapping, f'board "{text}"')
     raise InputError("describes no board", where=f'board "{text}"', remedy=EXAMPLES)
 
@@ -81,15 +84,19 @@ def _metres(number: str, scale: float) -> float:
 def _from_mapping(mapping: Mapping[str, Any], where: str) -> Board:
     kind = mapping.get("type")
     if kind not in KEYS:
-        raise InputError(f"type = {kind!r} is not a type of board", where=where,
-                         remedy=f"Give one of {', '.join(KEYS)}.")  # fmt: skip
+        raise InputError(
+            f"type = {kind!r} is not a type of board", where=where, remedy=f"Give one of {', '.join(KEYS)}."
+        )
     needed, optional = KEYS[kind]
     given = set(mapping) - {"type"}
     if missing := sorted(needed - given):
         raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=EXAMPLES)
     if unknown := sorted(map(str, given - needed - optional)):
-        raise InputError(f"key '{unknown[0]}' is not known for a {kind}", where=where,
-                         remedy=f"Known keys: {', '.join(sorted(needed | optional))}.")  # fmt: skip
+        raise InputError(
+            f"key '{unknown[0]}' is not known for a {kind}",
+            where=where,
+            remedy=f"Known keys: {', '.join(sorted(needed | optional))}.",
+        )
     return _checkerboard(mapping, where) if kind == "checkerboard" else _charuco(mapping, where)
 
 
@@ -100,14 +107,18 @@ def _checkerboard(mapping: Mapping[str, Any], where: str) -> Checkerboard:
         raise InputError("key 'field_m' is missing", where=where, remedy="Give the side of a field in metres.")
     sides = mapping[key] if isinstance(mapping[key], list | tuple) else [mapping[key]] * 2
     if len(sides) != 2:
-        raise InputError(f"{key} = {mapping[key]!r} is neither a side nor [width, height]", where=where,
-                         remedy="Give metres, such as 0.025 or [0.297, 0.21].")  # fmt: skip
+        raise InputError(
+            f"{key} = {mapping[key]!r} is neither a side nor [width, height]",
+            where=where,
+            remedy="Give metres, such as 0.025 or [0.297, 0.21].",
+        )
     width, height = (_length(side, key, where) for side in sides)
     if columns == rows and columns % 2 == 0:
         raise InputError(
-            f"a checkerboard of {columns} x {rows} inner corners looks the same from all four sides", where=where,
+            f"a checkerboard of {columns} x {rows} inner corners looks the same from all four sides",
+            where=where,
             remedy=f"Use one with an odd and an even number, or cover a row of fields: {columns} x {rows - 1}.",
-        )  # fmt: skip
+        )
     return Checkerboard(columns, rows, (width, height))
 
 
@@ -115,12 +126,18 @@ def _charuco(mapping: Mapping[str, Any], where: str) -> CharucoBoard:
     columns, rows = (_count(mapping, key, where, "fields") for key in ("columns", "rows"))
     square, marker = (_length(mapping[key], key, where) for key in ("square_m", "marker_m"))
     if marker >= square:
-        raise InputError(f"marker_m = {marker:g} is not smaller than square_m = {square:g}", where=where,
-                         remedy="Give the side of a field first, then the side of a marker.")  # fmt: skip
+        raise InputError(
+            f"marker_m = {marker:g} is not smaller than square_m = {square:g}",
+            where=where,
+            remedy="Give the side of a field first, then the side of a marker.",
+        )
     legacy = mapping.get("legacy", False)
     if not isinstance(legacy, bool):
-        raise InputError(f"legacy = {legacy!r} is neither true nor false", where=where,
-                         remedy="Prints of OpenCV before 4.6 with an even number of rows are legacy.")  # fmt: skip
+        raise InputError(
+            f"legacy = {legacy!r} is neither true nor false",
+            where=where,
+            remedy="Prints of OpenCV before 4.6 with an even number of rows are legacy.",
+        )
     dictionary = _dictionary(mapping["dictionary"], columns * rows // 2, where)
     return CharucoBoard(columns, rows, square, marker, dictionary, legacy)
 
@@ -128,26 +145,36 @@ def _charuco(mapping: Mapping[str, Any], where: str) -> CharucoBoard:
 def _dictionary(name: Any, markers: int, where: str) -> str:
     known = sorted(key for key in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_\d+|ARUCO_\w+|APRILTAG_\w+)", key))
     if name not in known:
-        raise InputError(f"dictionary = {name!r} is not one of OpenCV's", where=where,
-                         remedy=f"Known are {', '.join(known)}.")  # fmt: skip
+        raise InputError(
+            f"dictionary = {name!r} is not one of OpenCV's", where=where, remedy=f"Known are {', '.join(known)}."
+        )
     size = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
     if markers > size:
-        raise InputError(f"the board has {markers} markers, but {name} only {size}", where=where,
-                         remedy="Use a larger dictionary, or fewer fields.")  # fmt: skip
+        raise InputError(
+            f"the board has {markers} markers, but {name} only {size}",
+            where=where,
+            remedy="Use a larger dictionary, or fewer fields.",
+        )
     return str(name)
 
 
 def _count(mapping: Mapping[str, Any], key: str, where: str, of: str) -> int:
     value = mapping[key]
     if not isinstance(value, int) or isinstance(value, bool) or not MIN_CORNERS <= value <= MAX_CORNERS:
-        raise InputError(f"{key} = {value!r} is not a number of {of} from {MIN_CORNERS} to {MAX_CORNERS}", where=where,
-                         remedy="Count them on the board.")  # fmt: skip
+        raise InputError(
+            f"{key} = {value!r} is not a number of {of} from {MIN_CORNERS} to {MAX_CORNERS}",
+            where=where,
+            remedy="Count them on the board.",
+        )
     return value
 
 
 def _length(value: Any, key: str, where: str) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not MIN_FIELD_M <= value <= MAX_FIELD_M:
-        raise InputError(f"{key} = {value!r} is not a length of {MIN_FIELD_M:g} to {MAX_FIELD_M:g} m", where=where,
-                         remedy="Lengths in files are in metres: 25 mm is 0.025.")  # fmt: skip
+        raise InputError(
+            f"{key} = {value!r} is not a length of {MIN_FIELD_M:g} to {MAX_FIELD_M:g} m",
+            where=where,
+            remedy="Lengths in files are in metres: 25 mm is 0.025.",
+        )
     return float(value)

@@ -43,9 +43,15 @@ class XCorners:
 
 
 def fit_x_corners(
-    image: npt.NDArray[np.uint8], pixels: Array, row_step: Array, column_step: Array, *, marker_margin: float = 1.0,
-    rounds: int = 2, max_half_window_px: int = MAX_HALF_WINDOW_PX,
-) -> XCorners:  # fmt: skip
+    image: npt.NDArray[np.uint8],
+    pixels: Array,
+    row_step: Array,
+    column_step: Array,
+    *,
+    marker_margin: float = 1.0,
+    rounds: int = 2,
+    max_half_window_px: int = MAX_HALF_WINDOW_PX,
+) -> XCorners:
     """Refine corners near ``pixels`` (n, 2) in a grey image (H, W).
 
     ``row_step``, ``column_step`` (n, 2): from the corner to the next in its row, and to the next row, pixels; the two

@@ -45,9 +45,13 @@ class Covariance:
 
 
 def covariance(
-    fit: Adjusted, seen: Observations, free: Free, lens_covariance: Mapping[int, Array], displacement: Array,
+    fit: Adjusted,
+    seen: Observations,
+    free: Free,
+    lens_covariance: Mapping[int, Array],
+    displacement: Array,
     prior: Prior | None = None,
-) -> Covariance:  # fmt: skip
+) -> Covariance:
     """Covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were refined).
 
     ``lens_covariance``: by row of the camera, (12, 12) of its lens parameters, where these were held fixed;

@@ -86,11 +86,23 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
     in_front = (np.isfinite(residuals_px(state, seen)).all(axis=2) | (seen.weight == 0)).all(axis=1)
     keep = placed & in_front
     on_a_line = np.array([view.shape.dimension == LINE for view in views], bool)  # one view of a wand is no mishap
-    left_out = tuple(LeftOut(sightings[i], ODD_ONE if placed[i] else NO_POSE)
-                     for i in np.flatnonzero(~keep & (placed | ~on_a_line)))  # fmt: skip
+    left_out = tuple(
+        LeftOut(sightings[i], ODD_ONE if placed[i] else NO_POSE) for i in np.flatnonzero(~keep & (placed | ~on_a_line))
+    )
     nothing = np.zeros(len(problem.shapes), bool)
-    return Fit(problem, sightings, seen, np.flatnonzero(keep), Adjusted(state, 1.0, 0), names.index(initial.root),
-               nothing, left_out, {}, np.ones(len(sightings)), np.zeros(len(sightings)))  # fmt: skip
+    return Fit(
+        problem,
+        sightings,
+        seen,
+        np.flatnonzero(keep),
+        Adjusted(state, 1.0, 0),
+        names.index(initial.root),
+        nothing,
+        left_out,
+        {},
+        np.ones(len(sightings)),
+        np.zeros(len(sightings)),
+    )
 
 
 def lens_covariances(fit: Fit) -> dict[int, Array]:
@@ -104,6 +116,11 @@ def lens_covariances(fit: Fit) -> dict[int, Array]:
 def _first_state(problem: Problem, initial: InitialPoses) -> State:
     T_root_camera = inverse(np.array([initial.T_camera_root[name] for name in problem.cameras]))
     T = np.array([initial.T_root_target.get(key, np.eye(4)) for key in problem.keys])
-    return State(np.swapaxes(T_root_camera[:, :3, :3], 1, 2), T_root_camera[:, :3, 3],
-                 np.array([lens_of(camera) for camera in problem.cameras.values()]), T[:, :3, :3], T[:, :3, 3],
-                 np.ones(len(problem.shapes)))  # fmt: skip
+    return State(
+        np.swapaxes(T_root_camera[:, :3, :3], 1, 2),
+        T_root_camera[:, :3, 3],
+        np.array([lens_of(camera) for camera in problem.cameras.values()]),
+        T[:, :3, :3],
+        T[:, :3, 3],
+        np.ones(len(problem.shapes)),
+    )

@@ -22,12 +22,16 @@ def choose_reference(problem: Problem, reference: str | Key | None, root: str) -
             return reference
         keys = [key for key in problem.keys if key[0] == reference]
         if len(keys) > 1:
-            raise InputError(f"target '{reference}' cannot be the reference: it was seen at {len(keys)} moments",
-                             remedy="Say at which: (target, moment).")  # fmt: skip
+            raise InputError(
+                f"target '{reference}' cannot be the reference: it was seen at {len(keys)} moments",
+                remedy="Say at which: (target, moment).",
+            )
         reference = keys[0] if keys else (reference, 0)
     if reference not in problem.keys:
-        raise InputError(f"the reference {reference} is neither a camera nor a target that was seen",
-                         remedy=f"Cameras: {', '.join(problem.cameras)}.")  # fmt: skip
+        raise InputError(
+            f"the reference {reference} is neither a camera nor a target that was seen",
+            remedy=f"Cameras: {', '.join(problem.cameras)}.",
+        )
     return reference
 
 
@@ -40,11 +44,19 @@ def in_gauge(fit: Fit, reference: str | Key) -> Fit:
     else:
         row = problem.keys.index(reference)
         if row not in fit.used.pose:
-            raise InputError(f"the reference, target '{reference[0]}' at moment {reference[1]}, contradicts the rest",
-                             remedy="Take another reference, or take its pictures again.")  # fmt: skip
+            raise InputError(
+                f"the reference, target '{reference[0]}' at moment {reference[1]}, contradicts the rest",
+                remedy="Take another reference, or take its pictures again.",
+            )
         R, origin = state.R_pose[row].T, target_origin(problem, state, row)
-    moved = State(state.R_camera @ R.T, (state.centre - origin) @ R.T, state.lens, R @ state.R_pose,
-                  (state.position - origin) @ R.T, state.scale)  # fmt: skip
+    moved = State(
+        state.R_camera @ R.T,
+        (state.centre - origin) @ R.T,
+        state.lens,
+        R @ state.R_pose,
+        (state.position - origin) @ R.T,
+        state.scale,
+    )
     return replace(fit, adjusted=replace(fit.adjusted, state=moved))
 
 

@@ -72,12 +72,15 @@ def chain(names: Sequence[str], pairs: Mapping[tuple[str, str], RelativePose]) -
     root = max(names, key=lambda name: support[name])
     T_camera_root = {root: np.eye(4)}
     while len(T_camera_root) < len(names):
-        edges = [(pose.support, (a, b)) for (a, b), pose in pairs.items()
-                 if (a in T_camera_root) != (b in T_camera_root)]  # fmt: skip
+        edges = [
+            (pose.support, (a, b)) for (a, b), pose in pairs.items() if (a in T_camera_root) != (b in T_camera_root)
+        ]
         if not edges:
             lost = ", ".join(name for name in names if name not in T_camera_root)
-            raise InputError(f"{lost}: too few common views of the wand to tie it to the other cameras",
-                             remedy="Wave it longer where cameras see it at the same time.")  # fmt: skip
+            raise InputError(
+                f"{lost}: too few common views of the wand to tie it to the other cameras",
+                remedy="Wave it longer where cameras see it at the same time.",
+            )
         _, (a, b) = max(edges, key=lambda edge: edge[0])
         if a in T_camera_root:
             T_camera_root[b] = pairs[a, b].T_b_a @ T_camera_root[a]

@@ -17,8 +17,9 @@ def distort(points: Array, D: Array) -> Array:
     x, y = points[..., 0], points[..., 1]
     q = x * x + y * y
     g = (1 + q * (k1 + q * (k2 + q * k3))) / (1 + q * (k4 + q * (k5 + q * k6)))
-    return np.stack([x * g + 2 * p1 * x * y + p2 * (q + 2 * x * x),
-                     y * g + p1 * (q + 2 * y * y) + 2 * p2 * x * y], axis=-1)  # fmt: skip
+    return np.stack(
+        [x * g + 2 * p1 * x * y + p2 * (q + 2 * x * x), y * g + p1 * (q + 2 * y * y) + 2 * p2 * x * y], axis=-1
+    )
 
 
 def by_point(points: Array, D: Array) -> Array:
@@ -30,8 +31,13 @@ def by_point(points: Array, D: Array) -> Array:
     g = top / bottom
     d_g = (k1 + q * (2 * k2 + q * 3 * k3) - g * (k4 + q * (2 * k5 + q * 3 * k6))) / bottom
     across = 2 * x * y * d_g + 2 * p1 * x + 2 * p2 * y
-    return np.stack([np.stack([g + 2 * x * x * d_g + 2 * p1 * y + 6 * p2 * x, across], axis=-1),
-                     np.stack([across, g + 2 * y * y * d_g + 6 * p1 * y + 2 * p2 * x], axis=-1)], axis=-2)  # fmt: skip
+    return np.stack(
+        [
+            np.stack([g + 2 * x * x * d_g + 2 * p1 * y + 6 * p2 * x, across], axis=-1),
+            np.stack([across, g + 2 * y * y * d_g + 6 * p1 * y + 2 * p2 * x], axis=-1),
+        ],
+        axis=-2,
+    )
 
 
 def by_coefficients(points: Array, D: Array) -> Array:
@@ -44,6 +50,7 @@ def by_coefficients(points: Array, D: Array) -> Array:
     powers = np.stack([q, q**2, q**3], axis=-1) / bottom[..., None]
     radial = np.concatenate([powers, -g[..., None] * powers], axis=-1)  # by k1 k2 k3 k4 k5 k6
     both = radial[..., None, :] * points[..., :, None]
-    tangential = np.stack([np.stack([2 * x * y, q + 2 * x * x], axis=-1),
-                           np.stack([q + 2 * y * y, 2 * x * y], axis=-1)], axis=-2)  # fmt: skip
+    tangential = np.stack(
+        [np.stack([2 * x * y, q + 2 * x * x], axis=-1), np.stack([q + 2 * y * y, 2 * x * y], axis=-1)], axis=-2
+    )
     return np.concatenate([both[..., :2], tangential, both[..., 2:]], axis=-1)

@@ -117,8 +117,11 @@ def _fit_line(seen: Sequence[tuple[View, Array]], turns: Sequence[int]) -> tuple
     ids = [shape.turns[turn].permutation[view.sighting.ids] for (view, _), turn in zip(seen, turns, strict=True)]
     found, where = [], []
     for marker in range(len(shape.points)):
-        shown = [(view.ideal[np.flatnonzero(rows == marker)[0]], T)
-                 for (view, T), rows in zip(seen, ids, strict=True) if marker in rows]  # fmt: skip
+        shown = [
+            (view.ideal[np.flatnonzero(rows == marker)[0]], T)
+            for (view, T), rows in zip(seen, ids, strict=True)
+            if marker in rows
+        ]
         if len(shown) >= 2 and all(np.isfinite(ideal).all() for ideal, _ in shown):
             found.append(_triangulate([ideal for ideal, _ in shown], [T for _, T in shown]))
             where.append(marker)

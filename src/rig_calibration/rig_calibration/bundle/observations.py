@@ -45,9 +45,14 @@ class State:
         cameras = len(self.centre)
         by_camera = shared[: -len(self.scale)].reshape(cameras, -1)
         lens = self.lens + by_camera[:, POSE:] if by_camera.shape[1] > POSE else self.lens
-        return State(orthonormal(rotation(by_camera[:, :3]) @ self.R_camera), self.centre + by_camera[:, 3:POSE], lens,
-                     orthonormal(rotation(poses[:, :3]) @ self.R_pose), self.position + poses[:, 3:],
-                     self.scale + shared[-len(self.scale) :])  # fmt: skip
+        return State(
+            orthonormal(rotation(by_camera[:, :3]) @ self.R_camera),
+            self.centre + by_camera[:, 3:POSE],
+            lens,
+            orthonormal(rotation(poses[:, :3]) @ self.R_pose),
+            self.position + poses[:, 3:],
+            self.scale + shared[-len(self.scale) :],
+        )
 
 
 @dataclass(frozen=True)
@@ -76,8 +81,9 @@ class Layout:
 
     def columns(self, camera: Ints, target: Ints) -> Ints:
         """(s, width + 1) the shared unknowns on which each sighting depends."""
-        return np.column_stack([camera[:, None] * self.width + np.arange(self.width),
-                                self.cameras * self.width + target])  # fmt: skip
+        return np.column_stack(
+            [camera[:, None] * self.width + np.arange(self.width), self.cameras * self.width + target]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +127,10 @@ def observe(
         np.array([camera_row[s.camera] for s in sightings], np.int64),
         np.array([pose_row[s.target, s.moment] for s in sightings], np.int64),
         np.array([target_row[s.target] for s in sightings], np.int64),
-        points, pixels, weight,
-    )  # fmt: skip
+        points,
+        pixels,
+        weight,
+    )
 
 
 def lens_of(camera: CameraModel) -> Array:

@@ -114,9 +114,12 @@ def _misfit_without(fit: Adjusted, seen: Observations, disputed: Sequence[Ints])
 
 
 def _misfit_turned(
-    fit: Adjusted, seen: Observations, disputed: Sequence[Ints], sightings: Sequence[Sighting],
+    fit: Adjusted,
+    seen: Observations,
+    disputed: Sequence[Ints],
+    sightings: Sequence[Sighting],
     shapes: Mapping[str, TargetShape],
-) -> dict[int, float]:  # fmt: skip
+) -> dict[int, float]:
     """For each disputed sighting of a target that has a half turn: the worst misfit of its pose with it turned."""
     cases = [(int(row), rows) for rows in disputed for row in rows if shapes[sightings[row].target].half_turn]
     if not cases:

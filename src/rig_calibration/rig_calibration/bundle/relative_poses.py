@@ -70,14 +70,20 @@ def _offers(common: Sequence[tuple[SightingPoses, SightingPoses]]) -> _Offers:
             centre_b.append(b.t)
             weight.append(a.weight[i] * b.weight)
             moment.append(np.full(len(b.t), index))
-    return _Offers(np.concatenate(R), np.concatenate(centre_a), np.concatenate(centre_b), np.concatenate(weight),
-                   np.concatenate(moment))  # fmt: skip
+    return _Offers(
+        np.concatenate(R),
+        np.concatenate(centre_a),
+        np.concatenate(centre_b),
+        np.concatenate(weight),
+        np.concatenate(moment),
+    )
 
 
 def _only(offers: _Offers, moments: npt.NDArray[np.int64]) -> _Offers:
     rows = np.isin(offers.moment, moments)
-    return _Offers(offers.R[rows], offers.centre_a[rows], offers.centre_b[rows], offers.weight[rows],
-                   offers.moment[rows])  # fmt: skip
+    return _Offers(
+        offers.R[rows], offers.centre_a[rows], offers.centre_b[rows], offers.weight[rows], offers.moment[rows]
+    )
 
 
 def _every(count: int, wanted: int) -> npt.NDArray[np.int64]:

@@ -28,18 +28,23 @@ def describe(fit: Fit, reference: str | Key, initial: InitialPoses) -> RigSoluti
     """The solution: poses, residuals, covariance relative to the reference, what was left out and why."""
     problem, state, used = fit.problem, fit.adjusted.state, fit.used
     names = list(problem.cameras)
-    T_camera = {name: transform(R, -R @ centre)
-                for name, R, centre in zip(names, state.R_camera, state.centre, strict=True)}  # fmt: skip
-    T_target = {key: transform(state.R_pose[row], target_origin(problem, state, row))
-                for row, key in enumerate(problem.keys) if row in used.pose}  # fmt: skip
+    T_camera = {
+        name: transform(R, -R @ centre) for name, R, centre in zip(names, state.R_camera, state.centre, strict=True)
+    }
+    T_target = {
+        key: transform(state.R_pose[row], target_origin(problem, state, row))
+        for row, key in enumerate(problem.keys)
+        if row in used.pose
+    }
     residuals = residuals_px(state, used)
     corners = used.weight > 0
     squares = np.where(corners, (residuals**2).sum(axis=2), 0.0)
     tau = fit.displacement[fit.rows]
     found = covariance(fit.adjusted, used, _free(fit, reference), lens_covariances(fit), tau, fit.prior)
     turned = tuple(s for s, turn in zip(problem.sightings, initial.turns, strict=True) if turn)
-    cameras = {name: _camera(problem.cameras[name], lens, T_camera[name])
-               for name, lens in zip(names, state.lens, strict=True)}  # fmt: skip
+    cameras = {
+        name: _camera(problem.cameras[name], lens, T_camera[name]) for name, lens in zip(names, state.lens, strict=True)
+    }
     return RigSolution(
         reference=reference,
         cameras=cameras,

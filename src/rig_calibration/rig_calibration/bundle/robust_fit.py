@@ -100,12 +100,14 @@ def _compare_sizes(fit: Fit) -> Fit:
     if not fit.free_scales.any():
         return fit
     with_lens = Layout(fit.layout.cameras, fit.layout.targets, with_lens=True)
-    sd = covariance(fit.adjusted, fit.used, fit.free(with_lens), lens_covariances(fit),
-                    fit.displacement[fit.rows]).scale  # fmt: skip
+    sd = covariance(
+        fit.adjusted, fit.used, fit.free(with_lens), lens_covariances(fit), fit.displacement[fit.rows]
+    ).scale
     ratio = fit.adjusted.state.scale
     agree = np.abs(ratio - 1) <= np.maximum(SCALE_SDS * sd, SCALE_TOLERANCE)
     names = list(fit.problem.shapes)
     scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in np.flatnonzero(fit.free_scales)}
     state = replace(fit.adjusted.state, scale=np.where(agree, 1.0, ratio))
-    return replace(fit, adjusted=replace(fit.adjusted, state=state), free_scales=fit.free_scales & ~agree,
-                   scale_of=scale_of)  # fmt: skip
+    return replace(
+        fit, adjusted=replace(fit.adjusted, state=state), free_scales=fit.free_scales & ~agree, scale_of=scale_of
+    )

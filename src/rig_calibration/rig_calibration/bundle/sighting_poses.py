@@ -89,8 +89,12 @@ def poses_of(ids: npt.NDArray[np.int64], ideal: Array, camera: CameraModel, shap
     rms, R, t = (np.array(column) for column in zip(*distinct, strict=True))
     turned = [R @ turn.R.T for turn in shape.turns]
     copies = len(turned)
-    return SightingPoses(np.concatenate(turned), np.tile(t, (copies, 1)), np.tile(np.maximum(rms, 1e-9), copies),
-                         np.repeat(np.arange(copies), len(rms)))  # fmt: skip
+    return SightingPoses(
+        np.concatenate(turned),
+        np.tile(t, (copies, 1)),
+        np.tile(np.maximum(rms, 1e-9), copies),
+        np.repeat(np.arange(copies), len(rms)),
+    )
 
 
 def _spread(points: Array) -> Array:

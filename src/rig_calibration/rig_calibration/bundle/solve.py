@@ -66,5 +66,7 @@ def solve_rig(
 def _check_refinement(problem: Problem, refine_intrinsics: bool) -> None:
     missing = sorted(set(problem.cameras) - set(problem.lens_covariance))
     if refine_intrinsics and missing:
-        raise InputError(f"the intrinsics of {', '.join(missing)} are to be refined, but how well they are known is "
-                         "not given", remedy="Give their covariance, or do not refine them.")  # fmt: skip
+        raise InputError(
+            f"the intrinsics of {', '.join(missing)} are to be refined, but how well they are known is not given",
+            remedy="Give their covariance, or do not refine them.",
+        )

@@ -56,8 +56,10 @@ def target_shape(name: str, points_target: npt.ArrayLike, fold: int = 1) -> Targ
     axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
     found = [_turn(centred, axis * 2 * np.pi * k / fold) for k in range(fold)]
     if any(turn is None for turn in found):
-        raise InputError(f"target '{name}' does not look alike after 1/{fold} of a turn",
-                         remedy="Name it turnable only when its turns cannot be seen.")  # fmt: skip
+        raise InputError(
+            f"target '{name}' does not look alike after 1/{fold} of a turn",
+            remedy="Name it turnable only when its turns cannot be seen.",
+        )
     half_turn = _turn(centred, axis * np.pi) if dimension < VOLUME else None
     return TargetShape(name, centred, points.mean(0), dimension, tuple(t for t in found if t is not None), half_turn)
 

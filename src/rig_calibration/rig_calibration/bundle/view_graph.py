@@ -56,10 +56,14 @@ def require_connected(
     blind = sorted(set(names) - {sighting.camera for sighting in sightings})
     why = "".join(f" Left out for {name}: {reasons[name]}." for name in blind or names if name in reasons)
     if blind:
-        raise InputError(f"{', '.join(blind)}: no picture that can be used shows a target.{why}",
-                         remedy="Show the board to it, or leave that camera out.")  # fmt: skip
+        raise InputError(
+            f"{', '.join(blind)}: no picture that can be used shows a target.{why}",
+            remedy="Show the board to it, or leave that camera out.",
+        )
     groups = groups_of(names, sightings)
     if len(groups) > 1:
         listed = " | ".join(", ".join(group) for group in groups)
-        raise InputError(f"these groups of cameras share no view: {listed}.{why}",
-                         remedy="Show the board where cameras of both groups see it at the same moment.")  # fmt: skip
+        raise InputError(
+            f"these groups of cameras share no view: {listed}.{why}",
+            remedy="Show the board where cameras of both groups see it at the same moment.",
+        )

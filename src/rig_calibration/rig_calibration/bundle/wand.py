@@ -37,9 +37,14 @@ def wand_turns(marks_m: Sequence[float]) -> int:
 
 
 def find_wand(
-    image: np.ndarray, marks_m: Sequence[float], camera: CameraModel, *, moment: int = 0, target: str = WAND,
+    image: np.ndarray,
+    marks_m: Sequence[float],
+    camera: CameraModel,
+    *,
+    moment: int = 0,
+    target: str = WAND,
     background: np.ndarray | None = None,
-) -> Sighting | None:  # fmt: skip
+) -> Sighting | None:
     """The wand in an image (H, W[, 3]) uint8, or None when its markers are not all seen.
 
     The image should be dark but for the wand (short exposure), or ``background`` be given: the same view without it.
@@ -62,8 +67,11 @@ def _marks(marks_m: Sequence[float]) -> Array:
     if not 2 <= len(marks) <= 6 or not np.isfinite(marks).all():
         raise InputError(f"a wand of {len(marks)} markers cannot be used", where="wand marks", remedy=remedy)
     if np.any(np.diff(marks) < LEAST_MARK_DISTANCE * np.ptp(marks)) or np.ptp(marks) <= 0:
-        raise InputError(f"the markers at {', '.join(f'{m:g}' for m in marks)} m do not rise, or nearly coincide",
-                         where="wand marks", remedy=remedy)  # fmt: skip
+        raise InputError(
+            f"the markers at {', '.join(f'{m:g}' for m in marks)} m do not rise, or nearly coincide",
+            where="wand marks",
+            remedy=remedy,
+        )
     return marks
 
 
@@ -73,7 +81,10 @@ def _symmetric(marks: Array) -> bool:
     if np.allclose(spacing, mirrored, atol=1e-3):
         return True
     if np.abs(spacing - mirrored).max() < TELLING:
-        raise InputError(f"the markers at {', '.join(f'{m:g}' for m in marks)} m are spaced almost, but not quite, "
-                         "alike from both ends", where="wand marks",
-                         remedy="Space them evenly, or clearly unevenly (0, 0.25, 0.4).")  # fmt: skip
+        raise InputError(
+            f"the markers at {', '.join(f'{m:g}' for m in marks)} m are spaced almost, but not quite, "
+            "alike from both ends",
+            where="wand marks",
+            remedy="Space them evenly, or clearly unevenly (0, 0.25, 0.4).",
+        )
     return False

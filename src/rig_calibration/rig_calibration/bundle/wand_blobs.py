@@ -66,17 +66,22 @@ def _above(grey: npt.NDArray[np.uint8], background: npt.NDArray[np.uint8] | None
         round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
         behind = cv2.morphologyEx(grey, cv2.MORPH_OPEN, round_).astype(np.uint8)
     elif behind.shape != grey.shape:
-        raise InputError(f"the background has {behind.shape[1]} x {behind.shape[0]} pixels, the image "
-                         f"{grey.shape[1]} x {grey.shape[0]}",
-                         remedy="Take both with the same camera settings.")  # fmt: skip
+        raise InputError(
+            f"the background has {behind.shape[1]} x {behind.shape[0]} pixels, the image "
+            f"{grey.shape[1]} x {grey.shape[0]}",
+            remedy="Take both with the same camera settings.",
+        )
     difference = cv2.subtract(grey, behind).astype(np.float32)
     return np.maximum(difference - 2 * np.median(difference), 0)
 
 
 def _compact(box: np.ndarray, image_px: int) -> bool:
     _, _, width, height, area = box
-    return bool(MIN_AREA_PX <= area <= MAX_AREA_SHARE * image_px and max(width, height) <= LONGEST * min(width, height)
-                and area > 0.3 * width * height)  # fmt: skip
+    return bool(
+        MIN_AREA_PX <= area <= MAX_AREA_SHARE * image_px
+        and max(width, height) <= LONGEST * min(width, height)
+        and area > 0.3 * width * height
+    )
 
 
 def _measure(bright: npt.NDArray[np.float32], box: np.ndarray) -> tuple[float, float, float, float]:

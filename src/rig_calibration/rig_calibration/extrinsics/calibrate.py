@@ -96,10 +96,13 @@ def calibrate_rig(
     require_way_round(sightings, targets)
     # all cameras and targets at once, in the frame of what lies on the floor
     solution = solve_rig(
-        cameras, sightings, {name: target.points for name, target in targets.items()},
+        cameras,
+        sightings,
+        {name: target.points for name, target in targets.items()},
         reference=FLOOR_POSE if floor is not None else None,
-        turnable={name: target.turns for name, target in targets.items()}, intrinsics_covariance=intrinsics_covariance,
-    )  # fmt: skip
+        turnable={name: target.turns for name, target in targets.items()},
+        intrinsics_covariance=intrinsics_covariance,
+    )
     # z up, the origin on the floor (thesis 6.1)
     placed = place_rig(solution.cameras, solution.T_camera_reference, _world(solution, floor))
     views = {} if floor is None else _floor_views(solution, cameras, floor)
@@ -108,8 +111,10 @@ def calibrate_rig(
     checks = tuple(measure.check(placed.rig) for measure in tape)
     evidence = replace(
         _evidence(placed, solution, figures, views, checks),
-        floor_known=floor is not None, floor_guess=floor_guess, strays=strays or {},
-    )  # fmt: skip
+        floor_known=floor is not None,
+        floor_guess=floor_guess,
+        strays=strays or {},
+    )
     on_floor = None if floor is None else floor.points @ floor.T_world_floor[:3, :3].T + floor.T_world_floor[:3, 3]
     return RigCalibration(placed, solution, views, on_floor, figures, evidence, _verdict(evidence, solution))
 
@@ -168,9 +173,12 @@ def _adjusted(solution: RigSolution) -> dict[str, Adjusted]:
 
 
 def _evidence(
-    placed: PlacedRig, solution: RigSolution, figures: RigFigures, views: Mapping[str, FloorView],
+    placed: PlacedRig,
+    solution: RigSolution,
+    figures: RigFigures,
+    views: Mapping[str, FloorView],
     checks: tuple[TapeCheck, ...],
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     tied = {sighting.camera for sighting in solution.sightings if sighting.target != FLOOR}
     left_out: dict[str, tuple[str, ...]] = {}
     for left in solution.left_out:

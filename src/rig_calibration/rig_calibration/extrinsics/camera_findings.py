@@ -35,22 +35,29 @@ def _of_view(camera: CameraFigures, evidence: Evidence) -> Iterator[Finding]:
         return
     alone = camera.name in evidence.by_floor_alone
     if view.other is not None and alone:
-        yield Finding(REDO, f"two poses of {camera.name} fit the floor board equally well",
-                      "Use a larger board, lay it nearer to the camera, or carry a board through the room "
-                      "(--moving).")  # fmt: skip
+        yield Finding(
+            REDO,
+            f"two poses of {camera.name} fit the floor board equally well",
+            "Use a larger board, lay it nearer to the camera, or carry a board through the room (--moving).",
+        )
     if camera.floor_angle_deg > GRAZING_DEG and alone:
-        yield Finding(USABLE, f"{camera.name} sees the board at {camera.floor_angle_deg:.0f} degrees from its normal",
-                      "Raise the camera, move the board nearer to it, or carry a board through the room "
-                      "(--moving).")  # fmt: skip
+        yield Finding(
+            USABLE,
+            f"{camera.name} sees the board at {camera.floor_angle_deg:.0f} degrees from its normal",
+            "Raise the camera, move the board nearer to it, or carry a board through the room (--moving).",
+        )
 
 
 def _of_precision(camera: CameraFigures, evidence: Evidence) -> Iterator[Finding]:
     widening = max(1.0, evidence.widths_px[camera.name] / RMS_WIDTH_PX)
     if camera.rms_px > RMS_USABLE_PX * widening:
         grade = REDO if camera.rms_px > RMS_REDO_PX * widening else USABLE
-        yield Finding(grade, f"{camera.name}: the corners miss their places by {camera.rms_px:.2f} px (rms)",
-                      "Check that the intrinsics are this camera's, at this focus and image size, that the board is "
-                      "flat and specified as printed, and that it was held still.")  # fmt: skip
+        yield Finding(
+            grade,
+            f"{camera.name}: the corners miss their places by {camera.rms_px:.2f} px (rms)",
+            "Check that the intrinsics are this camera's, at this focus and image size, that the board is "
+            "flat and specified as printed, and that it was held still.",
+        )
     if camera.sd_centre_mm > SD_USABLE_MM:
         grade = REDO if camera.sd_centre_mm > SD_REDO_MM else USABLE
         yield Finding(grade, f"the place of {camera.name} is known to {camera.sd_centre_mm:.0f} mm only (sd)", _NEARER)
@@ -67,26 +74,40 @@ def _of_height(camera: CameraFigures, evidence: Evidence) -> Iterator[Finding]:
     if not evidence.floor_known:
         return
     if camera.height_m < LOWEST_M:
-        yield Finding(REDO, f"{camera.name} comes to lie {-camera.height_m:.2f} m below the floor",
-                      "Lay the board on the floor, print upwards; where corners are given by hand, give them in "
-                      "reading order.")  # fmt: skip
+        yield Finding(
+            REDO,
+            f"{camera.name} comes to lie {-camera.height_m:.2f} m below the floor",
+            "Lay the board on the floor, print upwards; where corners are given by hand, give them in reading order.",
+        )
     elif camera.height_m > HIGHEST_M:
-        yield Finding(USABLE, f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor",
-                      "If it hangs lower, the board's size is wrong: measure a field of the print.")  # fmt: skip
+        yield Finding(
+            USABLE,
+            f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor",
+            "If it hangs lower, the board's size is wrong: measure a field of the print.",
+        )
 
 
 def _of_sightings(camera: CameraFigures, evidence: Evidence) -> Iterator[Finding]:
     if (reason := evidence.floor_left_out.get(camera.name)) is not None:
-        yield Finding(REDO, f"{camera.name} sees the floor board otherwise than the rest of the rig does: {reason}",
-                      "Was the board, or the camera, moved in between, or are its outer corners given the wrong way "
-                      "round? Take the pictures of the floor board again.")  # fmt: skip
+        yield Finding(
+            REDO,
+            f"{camera.name} sees the floor board otherwise than the rest of the rig does: {reason}",
+            "Was the board, or the camera, moved in between, or are its outer corners given the wrong way "
+            "round? Take the pictures of the floor board again.",
+        )
     reasons = evidence.left_out.get(camera.name, ())
     total = len(reasons) + camera.sightings
     if len(reasons) > LEFT_OUT_SHARE * total:
-        yield Finding(USABLE, f"{len(reasons)} of {total} sightings of {camera.name} contradict the rest: {reasons[0]}",
-                      "Check that the cameras are synchronised, that the board was carried slowly, and that nobody "
-                      "touched the camera.")  # fmt: skip
+        yield Finding(
+            USABLE,
+            f"{len(reasons)} of {total} sightings of {camera.name} contradict the rest: {reasons[0]}",
+            "Check that the cameras are synchronised, that the board was carried slowly, and that nobody "
+            "touched the camera.",
+        )
     strays, frames = evidence.strays.get(camera.name, (0, 0))
     if strays > STRAY_SHARE * frames:
-        yield Finding(USABLE, f"in {strays} of {frames} frames of {camera.name} the floor board lies elsewhere",
-                      "Film it lying still, and start when everybody has left it.")  # fmt: skip
+        yield Finding(
+            USABLE,
+            f"in {strays} of {frames} frames of {camera.name} the floor board lies elsewhere",
+            "Film it lying still, and start when everybody has left it.",
+        )

@@ -114,8 +114,10 @@ def _gaps_deg(cameras: Sequence[CameraModel], centre: Array) -> dict[tuple[str, 
     order = sorted(around, key=lambda name: (around[name], name))
     if len(order) < 2:
         return {}
-    gaps = {(a, b): float(np.rad2deg((around[b] - around[a]) % (2 * np.pi)))
-            for a, b in zip(order, order[1:] + order[:1], strict=True)}  # fmt: skip
+    gaps = {
+        (a, b): float(np.rad2deg((around[b] - around[a]) % (2 * np.pi)))
+        for a, b in zip(order, order[1:] + order[:1], strict=True)
+    }
     return gaps if len(order) > 2 else dict([min(gaps.items(), key=lambda item: item[1])])
 
 

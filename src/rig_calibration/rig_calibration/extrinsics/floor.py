@@ -60,18 +60,27 @@ def see_floor(sighting: Sighting, corners_board: Array, camera: CameraModel) -> 
     ``corners_board`` (n, 3) metres. Raises InputError for too few corners, and for a board seen from below.
     """
     if len(sighting) < FEWEST_CORNERS:
-        raise InputError(f"only {len(sighting)} corners of the board are seen", where=sighting.camera,
-                         remedy=f"Show it whole, or give its {FEWEST_CORNERS} outer corners (--corners).")  # fmt: skip
+        raise InputError(
+            f"only {len(sighting)} corners of the board are seen",
+            where=sighting.camera,
+            remedy=f"Show it whole, or give its {FEWEST_CORNERS} outer corners (--corners).",
+        )
     points = corners_board[sighting.ids]
     solutions = _solutions(sighting, corners_board, camera)
     if not solutions:
-        raise InputError("the corners fit no pose of the board", where=sighting.camera,
-                         remedy="Check its corners in the picture, or give its outer corners (--corners).")  # fmt: skip
+        raise InputError(
+            "the corners fit no pose of the board",
+            where=sighting.camera,
+            remedy="Check its corners in the picture, or give its outer corners (--corners).",
+        )
     above = [(rms, T) for rms, T in solutions if inverse(T)[2, 3] > 0]
     if not above:
-        raise InputError("the corners' order is that of a board seen from below or in a mirror", where=sighting.camera,
-                         remedy="Lay the print upwards, switch off the camera's mirroring, and give outer corners "
-                         "in reading order: the first row's two ends, then the last row's last and first.")  # fmt: skip
+        raise InputError(
+            "the corners' order is that of a board seen from below or in a mirror",
+            where=sighting.camera,
+            remedy="Lay the print upwards, switch off the camera's mirroring, and give outer corners "
+            "in reading order: the first row's two ends, then the last row's last and first.",
+        )
     rms, T = above[0]
     sigma = max(sighting.sigma_px, rms)
     sd_rotation, sd_centre = _standard_deviations(points, camera, T, sigma)

@@ -37,8 +37,10 @@ def moments_on_floor(
         return resting_around(moving, when)
     chosen = set(choose_moments(moving))
     if not chosen:
-        raise InputError("at no moment do two cameras show the carried board",
-                         remedy="Carry it where two or more cameras see it at once.")  # fmt: skip
+        raise InputError(
+            "at no moment do two cameras show the carried board",
+            remedy="Carry it where two or more cameras see it at once.",
+        )
     some = [sighting for sighting in moving if sighting.moment in chosen]
     solution = solve_rig(
         cameras, some, {some[0].target: board.corners_board}, turnable={some[0].target: turns_of(board)}

@@ -35,8 +35,10 @@ def resting_around(sightings: Iterable[Sighting], moment: int) -> tuple[int, ...
     """
     groups = group_by_moment(sightings)
     if moment not in groups:
-        raise InputError(f"no camera shows the board in frame {moment}",
-                         remedy=f"Name a frame that does, of {_ranges(list(groups))}.")  # fmt: skip
+        raise InputError(
+            f"no camera shows the board in frame {moment}",
+            remedy=f"Name a frame that does, of {_ranges(list(groups))}.",
+        )
     moments = list(groups)
     here = moments.index(moment)
     first = last = here

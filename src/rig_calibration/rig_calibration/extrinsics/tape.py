@@ -42,8 +42,11 @@ class TapeMeasure:
         """The same length in the calibration. Raises InputError for an unknown camera and a useless length."""
         what = f"height of {self.one}" if self.other is None else f"{self.one} to {self.other}"
         if not np.isfinite(self.tape_m) or self.tape_m < FEWEST_M:
-            raise InputError(f"{self.tape_m} m is no length to check with", where=what,
-                             remedy=f"Measure {FEWEST_M} m or more, to the middle of the lens.")  # fmt: skip
+            raise InputError(
+                f"{self.tape_m} m is no length to check with",
+                where=what,
+                remedy=f"Measure {FEWEST_M} m or more, to the middle of the lens.",
+            )
         centre = rig.camera(self.one).centre_world
         length = centre[2] if self.other is None else np.linalg.norm(centre - rig.camera(self.other).centre_world)
         return TapeCheck(what, self.tape_m, float(length))

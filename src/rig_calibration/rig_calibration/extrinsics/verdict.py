@@ -51,8 +51,11 @@ def _of_guess(evidence: Evidence) -> Iterator[Finding]:
 
 def _of_sides(evidence: Evidence) -> Iterator[Finding]:
     if evidence.undecided:
-        yield Finding(REDO, f"nothing tells on which side of the board {', '.join(evidence.undecided)} stand(s)",
-                      "Use a board with an odd and an even number of inner corners, or a ChArUco board.")  # fmt: skip
+        yield Finding(
+            REDO,
+            f"nothing tells on which side of the board {', '.join(evidence.undecided)} stand(s)",
+            "Use a board with an odd and an even number of inner corners, or a ChArUco board.",
+        )
 
 
 def _of_scale(evidence: Evidence) -> Iterator[Finding]:
@@ -87,21 +90,33 @@ def _of_layout(evidence: Evidence) -> Iterator[Finding]:
             REDO, "one camera alone makes no hull", "Give the pictures of all cameras (--cameras names them)."
         )
     elif len(figures.cameras) < FEWEST_CAMERAS:
-        yield Finding(USABLE, f"{len(figures.cameras)} cameras: the hull will be much fatter than the body",
-                      "Use three or more, around the person.")  # fmt: skip
+        yield Finding(
+            USABLE,
+            f"{len(figures.cameras)} cameras: the hull will be much fatter than the body",
+            "Use three or more, around the person.",
+        )
     if not evidence.usable_volume:
-        yield Finding(USABLE, "nowhere do enough cameras see a standing person from feet to head",
-                      "Move the cameras back, or turn them towards one place.")  # fmt: skip
+        yield Finding(
+            USABLE,
+            "nowhere do enough cameras see a standing person from feet to head",
+            "Move the cameras back, or turn them towards one place.",
+        )
     for (one, other), angle in figures.facing_deg.items():
         if angle > FACING_DEG:
             what = f"{one} and {other} look at each other ({angle:.0f} degrees): they see the same outline"
             yield Finding(USABLE, what, "Move one of them sideways, by 20 degrees or more around the volume.")
         if angle < CLOSE_DEG:
-            yield Finding(USABLE, f"{one} and {other} see almost the same ({angle:.0f} degrees apart)",
-                          "Move one of them around the volume; if they stand far apart in the room, check that each "
-                          "has its own footage.")  # fmt: skip
+            yield Finding(
+                USABLE,
+                f"{one} and {other} see almost the same ({angle:.0f} degrees apart)",
+                "Move one of them around the volume; if they stand far apart in the room, check that each "
+                "has its own footage.",
+            )
     if len(figures.cameras) >= FEWEST_CAMERAS:
         for (one, other), gap in figures.gaps_deg.items():
             if gap > WIDE_DEG:
-                yield Finding(USABLE, f"no camera stands between {one} and {other}, {gap:.0f} degrees apart",
-                              "Spread the cameras around the volume.")  # fmt: skip
+                yield Finding(
+                    USABLE,
+                    f"no camera stands between {one} and {other}, {gap:.0f} degrees apart",
+                    "Spread the cameras around the volume.",
+                )

@@ -40,9 +40,15 @@ class Fit:
 
 
 def adjust(
-    theta: Array, poses: Array, views: Sequence[View], model: LensModel, prior: Prior, *, robust: float = np.inf,
+    theta: Array,
+    poses: Array,
+    views: Sequence[View],
+    model: LensModel,
+    prior: Prior,
+    *,
+    robust: float = np.inf,
     converged: float = CONVERGED,
-) -> Fit:  # fmt: skip
+) -> Fit:
     """The most probable camera and poses, from a start (p,), (V, 6).
 
     ``robust`` : standard deviations from which a corner counts for less (Cauchy's loss); infinite for least squares.

@@ -47,9 +47,15 @@ def calibrate_intrinsics(
 
 
 def _result(
-    robust: RobustFit, model: LensModel, board: Board, name: str, covariance: Array, jackknife: float,
-    left_out: tuple[LeftOut, ...], choice: Choice | None,
-) -> Intrinsics:  # fmt: skip
+    robust: RobustFit,
+    model: LensModel,
+    board: Board,
+    name: str,
+    covariance: Array,
+    jackknife: float,
+    left_out: tuple[LeftOut, ...],
+    choice: Choice | None,
+) -> Intrinsics:
     theta, unit_m = robust.fit.theta, diagonal_m(board)
     width, height = robust.views[0].sighting.image_size
     camera = CameraModel(name, width, height, model.K(theta), model.name, model.D(theta), np.eye(4))

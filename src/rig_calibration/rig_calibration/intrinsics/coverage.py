@@ -78,8 +78,12 @@ def coverage_of(views: Sequence[View], looks: Sequence[BoardView], image_size: t
         cells |= covered_cells(view.pixels, image_size, cells.shape)
     leans = np.rad2deg(np.array([look.nearer for look in looks]).reshape(-1, 2))
     x, y = leans.T
-    tilt = {"left": (-x).max(initial=0.0), "right": x.max(initial=0.0),
-            "top": (-y).max(initial=0.0), "bottom": y.max(initial=0.0)}  # fmt: skip
+    tilt = {
+        "left": (-x).max(initial=0.0),
+        "right": x.max(initial=0.0),
+        "top": (-y).max(initial=0.0),
+        "bottom": y.max(initial=0.0),
+    }
     sizes = [max(look.size, 1e-6) for look in looks] or [1.0]
     return Coverage(cells, {side: float(lean) for side, lean in tilt.items()}, max(sizes) / min(sizes))
 

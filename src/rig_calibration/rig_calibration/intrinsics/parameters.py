@@ -27,8 +27,16 @@ ASPECT_PRIOR = 0.02  # of fx / fy around 1
 CENTRE_PRIOR = 0.1  # of the image's longer side, around the middle
 # coefficient -> by how much its term moves the image's corner, as a share of the distance from the centre; and the
 # power of the corner's normalised radius that its term grows with
-DISTORTION_PRIOR = {"k1": (0.5, 2), "k2": (0.2, 4), "p1": (0.01, 1), "p2": (0.01, 1), "k3": (0.03, 6),
-                    "k4": (0.5, 2), "k5": (0.5, 4), "k6": (0.25, 6)}  # fmt: skip
+DISTORTION_PRIOR = {
+    "k1": (0.5, 2),
+    "k2": (0.2, 4),
+    "p1": (0.01, 1),
+    "p2": (0.01, 1),
+    "k3": (0.03, 6),
+    "k4": (0.5, 2),
+    "k5": (0.5, 4),
+    "k6": (0.25, 6),
+}
 BOW_PRIOR = 0.003  # of the board's diagonal: a millimetre on a sheet of A4
 
 

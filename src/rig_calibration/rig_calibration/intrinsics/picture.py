@@ -40,8 +40,15 @@ def _residuals(axis: Axes, result: Intrinsics) -> None:
     every = max(1, -(-len(pixels) // MAX_ARROWS))
     typical = max(float(np.percentile(np.hypot(*residuals.T), PERCENTILE)), 1e-9)
     magnified = ARROW_SHARE * result.camera.width / typical
-    axis.quiver(*pixels[::every].T, *residuals[::every].T, color=SEEN, angles="xy", scale_units="xy",
-                scale=1 / magnified, width=0.0015)  # fmt: skip
+    axis.quiver(
+        *pixels[::every].T,
+        *residuals[::every].T,
+        color=SEEN,
+        angles="xy",
+        scale_units="xy",
+        scale=1 / magnified,
+        width=0.0015,
+    )
     for entry in result.left_out:
         if entry.whole:
             axis.plot(*np.asarray(entry.sighting.pixels).T, "x", color=WRONG, markersize=3, alpha=0.5)
@@ -59,11 +66,15 @@ def _coverage(axis: Axes, result: Intrinsics) -> None:
         axis.plot(*view.pixels.T, ".", markersize=2)
     leans = np.array([look.nearer for look in looks])
     centres = np.array([look.centre_px for look in looks])
-    axis.quiver(*centres.T, *leans.T, angles="xy", scale_units="xy", scale=np.deg2rad(45) / (0.1 * size[0]),
-                width=0.004)  # fmt: skip
+    axis.quiver(
+        *centres.T, *leans.T, angles="xy", scale_units="xy", scale=np.deg2rad(45) / (0.1 * size[0]), width=0.004
+    )
     _image_frame(axis, result)
-    axis.set_title(f"corners cover {100 * coverage.image:.0f} % of the image; arrows: the edge\nthat leans towards the "
-                   "camera (45 degrees: a tenth of the width)", fontsize=10)  # fmt: skip
+    axis.set_title(
+        f"corners cover {100 * coverage.image:.0f} % of the image; arrows: the edge\nthat leans towards the "
+        "camera (45 degrees: a tenth of the width)",
+        fontsize=10,
+    )
 
 
 def _image_frame(axis: Axes, result: Intrinsics) -> None:
@@ -88,8 +99,12 @@ def _views(axis: Axes, result: Intrinsics) -> None:
 def _distortion(axis: Axes, result: Intrinsics) -> None:
     """How far the lens moves a point outwards, along four directions from the principal point."""
     camera = result.camera
-    ends = {"right": [camera.width - 1, camera.K[1, 2]], "left": [0, camera.K[1, 2]],
-            "corner": [camera.width - 1, camera.height - 1], "opposite corner": [0, 0]}  # fmt: skip
+    ends = {
+        "right": [camera.width - 1, camera.K[1, 2]],
+        "left": [0, camera.K[1, 2]],
+        "corner": [camera.width - 1, camera.height - 1],
+        "opposite corner": [0, 0],
+    }
     for name, end in ends.items():
         pixels = camera.K[:2, 2] + np.linspace(0, 1, 60)[:, None] * (np.array(end, float) - camera.K[:2, 2])
         rays = camera.rays_world(pixels)

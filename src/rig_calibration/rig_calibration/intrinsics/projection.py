@@ -60,9 +60,17 @@ def normal_equations(
     size = kernel.PARAMETERS + kernel.POSE
     matrices, rights = np.empty((len(poses), size, size)), np.empty((len(poses), size))
     kernel.normal_equations(
-        _widened(theta, model), poses, corners.first, corners.points_board, corners.bow, corners.pixels,
-        corners.sigma_px, robust, matrices, rights,
-    )  # fmt: skip
+        _widened(theta, model),
+        poses,
+        corners.first,
+        corners.points_board,
+        corners.bow,
+        corners.pixels,
+        corners.sigma_px,
+        robust,
+        matrices,
+        rights,
+    )
     own, pose = _places(model), slice(kernel.PARAMETERS, size)
     return NormalEquations(
         matrices[:, own[:, None], own], matrices[:, own, pose], matrices[:, pose, pose], rights[:, own], rights[:, pose]

@@ -31,13 +31,23 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
         },
         "uncertainty_in_image_corners_px": _short(result.edge_sd_px),
         "corners_reach": _short(result.reach),
-        "board_bow_mm": {axis: {"value": _short(1e3 * bow), "sd": _short(1e3 * sd)}
-                         for axis, bow, sd in zip("xy", result.bow_m, result.bow_sd_m, strict=True)},
-        **({"model_choice": {"held_out_px": {name: _short(rms) for name, rms in result.choice.held_out_px.items()},
-                             "reason": result.choice.reason}} if result.choice else {}),
+        "board_bow_mm": {
+            axis: {"value": _short(1e3 * bow), "sd": _short(1e3 * sd)}
+            for axis, bow, sd in zip("xy", result.bow_m, result.bow_sd_m, strict=True)
+        },
+        **(
+            {
+                "model_choice": {
+                    "held_out_px": {name: _short(rms) for name, rms in result.choice.held_out_px.items()},
+                    "reason": result.choice.reason,
+                }
+            }
+            if result.choice
+            else {}
+        ),
         "views": [_view(view) for view in result.views],
         "left_out": [_left_out(entry) for entry in result.left_out],
-    }  # fmt: skip
+    }
 
 
 def _view(view: ViewResult) -> dict[str, Any]:

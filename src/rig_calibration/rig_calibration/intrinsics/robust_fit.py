@@ -80,8 +80,14 @@ def _cleaned(fit: Fit, views: Sequence[View], model: LensModel) -> tuple[list[Vi
         miss = np.hypot(*residuals(fit.theta, pose, view, model).T)
         off = miss > max(CORNER_SIGMAS * view.sigma_px, NEGLIGIBLE_PX)
         if np.median(miss) > max(VIEW_FACTOR * expected, NEGLIGIBLE_PX) or len(view) - off.sum() < MIN_CORNERS:
-            wrong.append(LeftOut(view.sighting, (), f"its corners lie {np.median(miss):.1f} px from where the other "
-                                 f"views' lens puts them, against {expected:.2f} px elsewhere"))  # fmt: skip
+            wrong.append(
+                LeftOut(
+                    view.sighting,
+                    (),
+                    f"its corners lie {np.median(miss):.1f} px from where the other "
+                    f"views' lens puts them, against {expected:.2f} px elsewhere",
+                )
+            )
             continue
         if off.any():
             corners = tuple(map(int, view.ids[off]))
@@ -99,10 +105,12 @@ def _with_noise(fit: Fit, views: Sequence[View], model: LensModel) -> list[View]
     factor. By medians: views that are wrong do not matter.
     """
     promised = np.array([max(view.sighting.sigma_px, LEAST_SIGMA_PX) for view in views])
-    seen = np.array([
-        np.median(np.hypot(*residuals(fit.theta, pose, view, model).T)) / MEDIAN_OF_RAYLEIGH
-        for pose, view in zip(fit.poses, views, strict=True)
-    ])  # fmt: skip
+    seen = np.array(
+        [
+            np.median(np.hypot(*residuals(fit.theta, pose, view, model).T)) / MEDIAN_OF_RAYLEIGH
+            for pose, view in zip(fit.poses, views, strict=True)
+        ]
+    )
     added = max(float(np.median(seen**2 - promised**2)), 0.0)
     together = np.sqrt(promised**2 + added)
     together *= max(float(np.median(seen / together)), LEAST_SIGMA_PX / float(together.min()))

@@ -82,8 +82,9 @@ class _Held:
 class ViewCollector:
     """Collects views of ``board`` by one camera. ``every`` : take alike views, too (a few chosen photographs)."""
 
-    def __init__(self, board: Board, *, model: str = "plumb_bob", every: bool = False,
-                 targets: Targets | None = None) -> None:  # fmt: skip
+    def __init__(
+        self, board: Board, *, model: str = "plumb_bob", every: bool = False, targets: Targets | None = None
+    ) -> None:
         self._board, self._model, self._every = board, LensModel(model), every
         self.targets = targets or Targets()
         self._held: list[_Held] = []
@@ -158,9 +159,11 @@ class ViewCollector:
         if isinstance(view, str):
             return Offer(False, view)
         if self._held and sighting.image_size != self._held[0].view.sighting.image_size:
-            raise InputError("the images have several sizes: "
-                             f"{self._held[0].view.sighting.image_size}, then {sighting.image_size}",
-                             where=sighting.camera, remedy="Give images of one size.")  # fmt: skip
+            raise InputError(
+                f"the images have several sizes: {self._held[0].view.sighting.image_size}, then {sighting.image_size}",
+                where=sighting.camera,
+                remedy="Give images of one size.",
+            )
         held = self._looked_at(view, float(np.hypot(blur_px, motion_px)))
         return Offer(False, "its pose cannot be told") if held is None else self._compare(held)
 

@@ -34,10 +34,12 @@ def honest_covariance(fit: Fit) -> tuple[Array, float]:
 def leave_one_out(fit: Fit) -> Array:
     """(V, p) how the parameters would change without each view."""
     total = fit.precision
-    return np.array([
-        np.linalg.solve(total - information, -score)
-        for information, score in zip(fit.information, fit.score, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            np.linalg.solve(total - information, -score)
+            for information, score in zip(fit.information, fit.score, strict=True)
+        ]
+    )
 
 
 def _expected_scatter(fit: Fit) -> Array:

@@ -61,9 +61,11 @@ def make_views(sightings: Sequence[Sighting], board: Board) -> tuple[list[View],
         else:
             kept.append(view)
     if len(kept) < MIN_VIEWS:
-        raise InputError(f"{len(kept)} views of the board can be used, {MIN_VIEWS} are the least",
-                         where=ordered[0].camera if ordered else "",
-                         remedy="Take 20 or more, tilted and all over the image; check the board's size.")  # fmt: skip
+        raise InputError(
+            f"{len(kept)} views of the board can be used, {MIN_VIEWS} are the least",
+            where=ordered[0].camera if ordered else "",
+            remedy="Take 20 or more, tilted and all over the image; check the board's size.",
+        )
     return kept, poor
 
 
@@ -104,12 +106,17 @@ def _require_one_camera(sightings: Sequence[Sighting]) -> None:
     sizes = sorted({sighting.image_size for sighting in sightings})
     if len(sizes) > 1:
         listed = ", ".join(f"{w} x {h} (first: moment {_first(sightings, (w, h))})" for w, h in sizes)
-        raise InputError(f"the images have several sizes: {listed}", where=sightings[0].camera,
-                         remedy="Give images of one size: the one that the camera will work with.")  # fmt: skip
+        raise InputError(
+            f"the images have several sizes: {listed}",
+            where=sightings[0].camera,
+            remedy="Give images of one size: the one that the camera will work with.",
+        )
     cameras = sorted({sighting.camera for sighting in sightings})
     if len(cameras) > 1:
-        raise InputError(f"the views come from several cameras: {', '.join(cameras)}",
-                         remedy="Calibrate each camera's intrinsics by itself.")  # fmt: skip
+        raise InputError(
+            f"the views come from several cameras: {', '.join(cameras)}",
+            remedy="Calibrate each camera's intrinsics by itself.",
+        )
 
 
 def _first(sightings: Sequence[Sighting], size: tuple[int, int]) -> int:
@@ -125,5 +132,6 @@ def _require_corners_of(sighting: Sighting, count: int) -> None:
             remedy="Name the board that was filmed, and film only one.",
         )
     if len(np.unique(sighting.ids)) != len(sighting.ids):
-        raise InputError(f"moment {sighting.moment} shows a corner twice", where=sighting.camera,
-                         remedy="Leave this view out.")  # fmt: skip
+        raise InputError(
+            f"moment {sighting.moment} shows a corner twice", where=sighting.camera, remedy="Leave this view out."
+        )

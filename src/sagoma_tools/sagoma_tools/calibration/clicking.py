@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from rig_calibration.boards.four_corners import find_from_outer_corners
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board
+from rig_calibration.boards.four_corners import find_from_outer_corners
 from rig_calibration.boards.sighting import Sighting
 
 FORMAT = (

@@ -50,12 +50,18 @@ def _part(document: Mapping[str, Any], key: str, path: str | Path) -> list[tuple
 
 def _sighting(camera: CameraModel, seen: Any, order: Mapping[str, int], where: str) -> Sighting:
     if not isinstance(seen, Mapping) or len(seen) < FEWEST_POINTS:
-        raise InputError(f"shows fewer than {FEWEST_POINTS} points", where=where,
-                         remedy="Measure more points, spread over what the camera sees.")  # fmt: skip
+        raise InputError(
+            f"shows fewer than {FEWEST_POINTS} points",
+            where=where,
+            remedy="Measure more points, spread over what the camera sees.",
+        )
     unknown = sorted(set(map(str, seen)) - set(order))
     if unknown:
-        raise InputError(f"point '{unknown[0]}' is not among the measured ones", where=where,
-                         remedy=f"Known points: {', '.join(order)}.")  # fmt: skip
+        raise InputError(
+            f"point '{unknown[0]}' is not among the measured ones",
+            where=where,
+            remedy=f"Known points: {', '.join(order)}.",
+        )
     pixels = np.array([_numbers(uv, (2,), f"{where}.{name}") for name, uv in seen.items()])
     ids = np.array([order[str(name)] for name in seen], np.int64)
     return Sighting(camera.name, 0, ids, pixels, (camera.width, camera.height), FLOOR, CLICKED_SD_PX)

@@ -92,8 +92,10 @@ def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
     for source in sources:
         for name, files in _cameras_of(source):
             if name in found:
-                raise InputError(f"camera '{name}' is given twice, by {found[name][0]} and by {source}",
-                                 remedy="Give each camera one source, and each its own name: NAME=PATH.")  # fmt: skip
+                raise InputError(
+                    f"camera '{name}' is given twice, by {found[name][0]} and by {source}",
+                    remedy="Give each camera one source, and each its own name: NAME=PATH.",
+                )
             found[name] = source, files
     if not found:
         raise InputError("no footage is given", remedy=HELP)
@@ -158,8 +160,11 @@ def _one_piece(camera: str, entries: list[Path], source: str) -> list[Path]:
     unnumbered = [entry for entry in entries if _kind(entry) != "still" or _number(entry, camera) is None]
     if unnumbered:
         others = ", ".join(entry.name for entry in entries[:4])
-        raise InputError(f"camera '{camera}' has several pieces of footage ({others})", where=source,
-                         remedy=f"Take one away, or name it: {camera}={unnumbered[0]}.")  # fmt: skip
+        raise InputError(
+            f"camera '{camera}' has several pieces of footage ({others})",
+            where=source,
+            remedy=f"Take one away, or name it: {camera}={unnumbered[0]}.",
+        )
     return entries
 
 
@@ -168,8 +173,11 @@ def _video_or_stills(files: list[Path], source: str) -> list[Path]:
     if not files:
         raise InputError("holds no video and no still", where=source, remedy=HELP)
     if videos and len(files) > 1:
-        raise InputError(f"holds {len(files)} files, of which {videos[0].name} is a video", where=source,
-                         remedy="Give one video a camera, or stills only.")  # fmt: skip
+        raise InputError(
+            f"holds {len(files)} files, of which {videos[0].name} is a video",
+            where=source,
+            remedy="Give one video a camera, or stills only.",
+        )
     return files
 
 
@@ -177,8 +185,11 @@ def _existing(path: Path, source: str) -> Path:
     if not path.is_file():
         raise InputError("does not exist", where=source, remedy=HELP)
     if not _kind(path):
-        raise InputError(f"'{path.suffix}' is neither a video nor a still", where=source,
-                         remedy=f"Known are {', '.join(VIDEOS + STILLS)}.")  # fmt: skip
+        raise InputError(
+            f"'{path.suffix}' is neither a video nor a still",
+            where=source,
+            remedy=f"Known are {', '.join(VIDEOS + STILLS)}.",
+        )
     return path
 
 

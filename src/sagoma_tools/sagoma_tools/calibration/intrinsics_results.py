@@ -38,8 +38,11 @@ def save_results(folder: Path, result: Intrinsics, board: Board, source: str) ->
 
         draw(result).savefig(picture, dpi=PICTURE_DPI)
     except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", where=str(folder),
-                         remedy="Name a folder that may be written (--output).") from None  # fmt: skip
+        raise InputError(
+            f"cannot be written ({error.strerror})",
+            where=str(folder),
+            remedy="Name a folder that may be written (--output).",
+        ) from None
     return [info, report, picture]
 
 
@@ -49,8 +52,9 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
     for result in results:
         numbers = (f"{result.values[key]:.2f} ± {result.sd[key]:.2f}" for key in ("fx", "fy", "cx", "cy"))
         grade = result.verdict.grade
-        table.add_row(result.camera.name, str(len(result.views)), f"{result.rms_px:.3f}", *numbers,
-                      f"[{COLOURS[grade]}]{grade}")  # fmt: skip
+        table.add_row(
+            result.camera.name, str(len(result.views)), f"{result.rms_px:.3f}", *numbers, f"[{COLOURS[grade]}]{grade}"
+        )
     console.print(table)
     for result in results:
         for line in remarks(result):

@@ -33,14 +33,19 @@ def image_of(message: Image | CompressedImage, where: str) -> np.ndarray:
     if isinstance(message, CompressedImage):
         return _decoded(message, where)
     if message.encoding not in ENCODINGS:
-        raise InputError(f"encoding '{message.encoding}' is not known", where=where,
-                         remedy=f"Publish one of {', '.join(ENCODINGS)}.")  # fmt: skip
+        raise InputError(
+            f"encoding '{message.encoding}' is not known", where=where, remedy=f"Publish one of {', '.join(ENCODINGS)}."
+        )
     channels, kind, conversion = ENCODINGS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * dtype.itemsize
     if message.step < row_bytes or len(message.data) != message.step * message.height or not message.width:
-        raise InputError(f"an image of {message.width} x {message.height} with step {message.step} does not have "
-                         f"{len(message.data)} bytes", where=where, remedy="Mend the publisher.")  # fmt: skip
+        raise InputError(
+            f"an image of {message.width} x {message.height} with step {message.step} does not have "
+            f"{len(message.data)} bytes",
+            where=where,
+            remedy="Mend the publisher.",
+        )
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)[:, :row_bytes]
     pixels = np.ascontiguousarray(rows).view(dtype).reshape(message.height, message.width, channels)
     if dtype.itemsize == 2:
@@ -52,6 +57,7 @@ def image_of(message: Image | CompressedImage, where: str) -> np.ndarray:
 def _decoded(message: CompressedImage, where: str) -> np.ndarray:
     image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_ANYCOLOR)
     if image is None:
-        raise InputError(f"the image (format '{message.format}') cannot be decoded", where=where,
-                         remedy="Publish JPEG or PNG.")  # fmt: skip
+        raise InputError(
+            f"the image (format '{message.format}') cannot be decoded", where=where, remedy="Publish JPEG or PNG."
+        )
     return image

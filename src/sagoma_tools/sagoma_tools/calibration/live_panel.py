@@ -35,10 +35,19 @@ def state_of(watcher: BoardWatcher, last: str, received: int, dropped: int) -> L
     """The watcher's state now."""
     collector = watcher.collector
     return LiveState(
-        watcher.camera, received, dropped, watcher.examined, watcher.found, len(collector),
-        collector.coverage.progress(), collector.expected, collector.targets, collector.advice(), last,
+        watcher.camera,
+        received,
+        dropped,
+        watcher.examined,
+        watcher.found,
+        len(collector),
+        collector.coverage.progress(),
+        collector.expected,
+        collector.targets,
+        collector.advice(),
+        last,
         collector.enough,
-    )  # fmt: skip
+    )
 
 
 def panel(state: LiveState) -> Panel:

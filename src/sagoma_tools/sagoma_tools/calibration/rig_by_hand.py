@@ -27,8 +27,11 @@ def click_missing(
     wanted = [name for name in request.click or [name for name, seen in floor.items() if not seen.sightings]]
     unknown = sorted(set(wanted) - set(floor))
     if unknown:
-        raise InputError(f"there is no picture of the floor by '{unknown[0]}'", where="--click",
-                         remedy=f"Cameras with one: {', '.join(sorted(floor))}.")  # fmt: skip
+        raise InputError(
+            f"there is no picture of the floor by '{unknown[0]}'",
+            where="--click",
+            remedy=f"Cameras with one: {', '.join(sorted(floor))}.",
+        )
     if not wanted:
         return {}
     from .click_window import click_corners, open_display  # matplotlib takes a second to load

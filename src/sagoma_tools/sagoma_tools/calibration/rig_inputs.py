@@ -45,9 +45,12 @@ def floor_inputs(
 
 
 def moving_inputs(
-    cameras: Mapping[str, CameraModel], moving: Sequence[Sighting], board: Board, choice: WorldChoice,
+    cameras: Mapping[str, CameraModel],
+    moving: Sequence[Sighting],
+    board: Board,
+    choice: WorldChoice,
     floor_at: FloorAt | None,
-) -> RigInputs:  # fmt: skip
+) -> RigInputs:
     """The carried board at chosen moments; with ``floor_at``, what it shows while it lies on the floor becomes the
     floor target."""
     if floor_at is None:

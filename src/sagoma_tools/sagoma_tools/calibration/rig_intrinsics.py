@@ -27,8 +27,9 @@ def read_intrinsics(path: str | Path, names: Iterable[str]) -> dict[str, CameraM
         rig = load_rig(path)
         return {name: rig.camera(name) for name in wanted}
     if not path.is_dir():
-        raise InputError("does not exist", where=str(path),
-                         remedy=f"Give the folder of camera_info files. {CALIBRATE}.")  # fmt: skip
+        raise InputError(
+            "does not exist", where=str(path), remedy=f"Give the folder of camera_info files. {CALIBRATE}."
+        )
     return {name: _read(path, name) for name in wanted}
 
 
@@ -62,12 +63,16 @@ def _read(folder: Path, name: str) -> CameraModel:
     if not path.is_file():
         files = sorted(file.stem for file in folder.glob("*.yaml") if not file.stem.endswith(".report"))
         there = f"it holds {', '.join(files)}" if files else "it holds no .yaml file"
-        raise InputError(f"there is no {path.name} with the intrinsics of camera '{name}'; {there}", where=str(folder),
-                         remedy=f"{CALIBRATE}, rename the footage or the file, or leave the camera out "
-                         f"(--without {name}).")  # fmt: skip
+        raise InputError(
+            f"there is no {path.name} with the intrinsics of camera '{name}'; {there}",
+            where=str(folder),
+            remedy=f"{CALIBRATE}, rename the footage or the file, or leave the camera out (--without {name}).",
+        )
     camera = read_camera_info(path)
     if camera.name != name:
-        raise InputError(f"camera_name = '{camera.name}', but the footage is called '{name}'", where=str(path),
-                         remedy="If the file belongs to this camera, correct camera_name in it; else give the right "
-                         "folder.")  # fmt: skip
+        raise InputError(
+            f"camera_name = '{camera.name}', but the footage is called '{name}'",
+            where=str(path),
+            remedy="If the file belongs to this camera, correct camera_name in it; else give the right folder.",
+        )
     return camera

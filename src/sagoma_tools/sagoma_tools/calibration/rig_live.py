@@ -37,9 +37,15 @@ class LiveSources(RigSources):
     ``stop`` ends the carrying early. Raises InputError naming cameras that do not publish."""
 
     def __init__(
-        self, node: Node, wanted: Sequence[str], without: Sequence[str], carried: bool, console: Console, ask: Ask,
+        self,
+        node: Node,
+        wanted: Sequence[str],
+        without: Sequence[str],
+        carried: bool,
+        console: Console,
+        ask: Ask,
         stop: threading.Event,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._topics = {name: topic for name, topic in find_topics(node, wanted).items() if name not in without}
         self.names = tuple(sorted(self._topics))
         self._node, self._carried, self._console, self._ask, self._stop = node, carried, console, ask, stop
@@ -93,9 +99,11 @@ def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEO
             return seen
         time.sleep(POLL_S)  # the graph offers no event to wait for
     missing = ", ".join(sorted(set(wanted) - set(seen)))
-    raise InputError(f"nobody publishes /{missing or 'NAME'}/{TOPIC}",
-                     remedy="Start the camera clients with publish_raw (or without a rig), check ROS_DOMAIN_ID. "
-                     f"Published: {', '.join(sorted(seen)) or 'none'}.")  # fmt: skip
+    raise InputError(
+        f"nobody publishes /{missing or 'NAME'}/{TOPIC}",
+        remedy="Start the camera clients with publish_raw (or without a rig), check ROS_DOMAIN_ID. "
+        f"Published: {', '.join(sorted(seen)) or 'none'}.",
+    )
 
 
 def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = SHOTS_TIMEOUT_S) -> dict[str, Shots]:
@@ -119,8 +127,10 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
         node.destroy_subscription(subscription)
     silent = [name for name, taken in pictures.items() if not taken]
     if silent:
-        raise InputError(f"no picture came from {', '.join(silent)} for {timeout_s:g} s",
-                         remedy="Check the camera client: sagoma doctor; or leave it out (--without).")  # fmt: skip
+        raise InputError(
+            f"no picture came from {', '.join(silent)} for {timeout_s:g} s",
+            remedy="Check the camera client: sagoma doctor; or leave it out (--without).",
+        )
     return {name: Shots(name, tuple(taken)) for name, taken in pictures.items()}
 
 

@@ -72,10 +72,15 @@ class MotionRecorder:
         """What each camera saw."""
         with self._lock:
             return {
-                name: Seen(name, tuple(s for s in self._sightings if s.camera == name), self.examined,
-                           self._blurred[name], picture)
+                name: Seen(
+                    name,
+                    tuple(s for s in self._sightings if s.camera == name),
+                    self.examined,
+                    self._blurred[name],
+                    picture,
+                )
                 for name, picture in sorted(self._pictures.items())
-            }  # fmt: skip
+            }
 
     def __enter__(self) -> MotionRecorder:
         return self

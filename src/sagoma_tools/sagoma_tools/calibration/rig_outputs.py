@@ -28,8 +28,11 @@ def write_outputs(
         save_rig(calibrated.placed.rig, path)
         written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
     except OSError as error:
-        raise InputError(f"cannot be written ({error.strerror})", where=str(path),
-                         remedy="Name a file in a folder that may be written (--output).") from None  # fmt: skip
+        raise InputError(
+            f"cannot be written ({error.strerror})",
+            where=str(path),
+            remedy="Name a file in a folder that may be written (--output).",
+        ) from None
     figures = {camera.name: camera for camera in calibrated.figures.cameras}
     written.append(
         draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))
@@ -57,8 +60,13 @@ def _overlays(path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.
     rig = calibrated.placed.rig
     return [
         write_overlay(
-            path.with_name(f"{path.stem}_{name}.png"), pictures[name], rig.camera(name), rig.volume,
-            board_world=calibrated.floor_world, found_px=found.get(name, np.empty((0, 2))),
+            path.with_name(f"{path.stem}_{name}.png"),
+            pictures[name],
+            rig.camera(name),
+            rig.volume,
+            board_world=calibrated.floor_world,
+            found_px=found.get(name, np.empty((0, 2))),
         )
-        for name in rig.names if name in pictures
-    ]  # fmt: skip
+        for name in rig.names
+        if name in pictures
+    ]

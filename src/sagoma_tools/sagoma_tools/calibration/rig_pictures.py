@@ -106,7 +106,14 @@ def _draw_residuals(
 ) -> None:
     step = -(-len(places) // MOST_ARROWS) or 1
     magnified = min(ARROW_SHARE * camera.width / max(figures.rms_px, 1e-3), MOST_MAGNIFIED)
-    axes.quiver(*places[::step].T, *(residuals[::step] * magnified).T, angles="xy", scale_units="xy", scale=1.0,
-                color=RESIDUAL, width=0.003)  # fmt: skip
+    axes.quiver(
+        *places[::step].T,
+        *(residuals[::step] * magnified).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color=RESIDUAL,
+        width=0.003,
+    )
     axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", xticks=[], yticks=[])
     axes.set_title(f"{camera.name}: {figures.rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)

@@ -98,8 +98,17 @@ def _table(figures: RigFigures) -> Table:
         table.add_column(heading, justify="right")
     for c in figures.cameras:
         angle = "never" if c.floor_angle_deg is None else f"{c.floor_angle_deg:.0f} deg"
-        table.add_row(c.name, str(c.sightings), f"{c.rms_px:.2f}", f"{c.mm_per_px:.1f}", f"{c.distance_m:.2f}",
-                      f"{c.height_m:.2f}", angle, f"{c.sd_centre_mm:.1f}", f"{c.sd_rotation_deg:.3f}")  # fmt: skip
+        table.add_row(
+            c.name,
+            str(c.sightings),
+            f"{c.rms_px:.2f}",
+            f"{c.mm_per_px:.1f}",
+            f"{c.distance_m:.2f}",
+            f"{c.height_m:.2f}",
+            angle,
+            f"{c.sd_centre_mm:.1f}",
+            f"{c.sd_rotation_deg:.3f}",
+        )
     return table
 
 

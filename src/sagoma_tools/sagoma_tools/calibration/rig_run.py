@@ -36,9 +36,14 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
     inputs = together(parts)
     require_seen(cameras, inputs, _footage(request, floor, moving, wands))
     calibrated = calibrate_rig(
-        cameras, inputs.sightings, inputs.targets, strays=inputs.strays, floor_guess=inputs.floor_guess,
-        intrinsics_covariance=read_lens_deviations(request.intrinsics, cameras), tape=request.tape,
-    )  # fmt: skip
+        cameras,
+        inputs.sightings,
+        inputs.targets,
+        strays=inputs.strays,
+        floor_guess=inputs.floor_guess,
+        intrinsics_covariance=read_lens_deviations(request.intrinsics, cameras),
+        tape=request.tape,
+    )
     print_report(console, calibrated)
     pictures: dict[str, np.ndarray] = {name: seen.picture for name, seen in floor.items()}
     for path in write_outputs(request.output, calibrated, pictures, request.text):
@@ -56,8 +61,11 @@ def _see_floor(
     corners = read_corners(request.corners) if request.corners is not None else {}
     unknown = sorted(set(corners) - set(sources.names) - set(request.without))
     if unknown:
-        raise InputError(f"there is no camera '{unknown[0]}'", where=str(request.corners),
-                         remedy=f"Known cameras: {', '.join(sources.names)}.")  # fmt: skip
+        raise InputError(
+            f"there is no camera '{unknown[0]}'",
+            where=str(request.corners),
+            remedy=f"Known cameras: {', '.join(sources.names)}.",
+        )
     floor = sources.see_floor(board, cameras, corners)
     if request.click is not None and floor:
         clicked = click_missing(request, floor, cameras, board, console)

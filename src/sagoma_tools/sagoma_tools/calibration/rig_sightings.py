@@ -11,12 +11,12 @@ from itertools import islice
 from typing import Protocol
 
 import numpy as np
-from rig_calibration.boards.diagnosis import diagnose_board
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.detection import find_board
+from rig_calibration.boards.diagnosis import diagnose_board
 from rig_calibration.boards.sharpness import blur_px
 from rig_calibration.boards.sighting import Sighting
 from rig_calibration.bundle.wand import find_wand
@@ -173,8 +173,11 @@ def _in_one(
             sightings.append(sighting)
         progress()
     if picture is None:
-        raise InputError(f"has no frame {only}" if only is not None else "has no frame", where=footage.name,
-                         remedy="Give a frame that exists, or footage that can be decoded.")  # fmt: skip
+        raise InputError(
+            f"has no frame {only}" if only is not None else "has no frame",
+            where=footage.name,
+            remedy="Give a frame that exists, or footage that can be decoded.",
+        )
     return Seen(footage.name, tuple(sightings), examined, blurred, picture, None if sightings else refused)
 
 

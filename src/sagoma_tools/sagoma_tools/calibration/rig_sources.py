@@ -47,8 +47,11 @@ class FootageSources(RigSources):
         every = self._floor.keys() | self._moving.keys() | self._wand.keys()
         unknown = sorted(set(without) - every)
         if unknown:
-            raise InputError(f"there is no footage of camera '{unknown[0]}' to leave out", where="--without",
-                             remedy=f"Known cameras: {', '.join(sorted(every))}.")  # fmt: skip
+            raise InputError(
+                f"there is no footage of camera '{unknown[0]}' to leave out",
+                where="--without",
+                remedy=f"Known cameras: {', '.join(sorted(every))}.",
+            )
         self.names = tuple(sorted(every - set(without)))
         self._console = console
 

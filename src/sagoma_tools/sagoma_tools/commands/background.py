@@ -35,16 +35,27 @@ EPILOG = "exit status: 0 all good, 1 a camera is only usable, 2 one has to be do
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
-    parser = subparsers.add_parser("background", help="let the cameras of a running graph learn the empty room",
-                                   epilog=EPILOG)  # fmt: skip
-    parser.add_argument("--countdown", type=int, default=COUNTDOWN_S, metavar="S",
-                        help=f"seconds to leave the room (default: {COUNTDOWN_S})")  # fmt: skip
+    parser = subparsers.add_parser(
+        "background", help="let the cameras of a running graph learn the empty room", epilog=EPILOG
+    )
+    parser.add_argument(
+        "--countdown",
+        type=int,
+        default=COUNTDOWN_S,
+        metavar="S",
+        help=f"seconds to leave the room (default: {COUNTDOWN_S})",
+    )
     parser.add_argument("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
     parser.add_argument(
         "--repeat", action="store_true", help="only those that have none, or whose background is no good"
     )
-    parser.add_argument("--retries", type=int, default=1, metavar="N",
-                        help="so often those that have to be redone are tried again at once (default: 1)")  # fmt: skip
+    parser.add_argument(
+        "--retries",
+        type=int,
+        default=1,
+        metavar="N",
+        help="so often those that have to be redone are tried again at once (default: 1)",
+    )
     parser.add_argument(
         "--expect", type=int, default=1, metavar="N", help="wait until so many camera clients are there"
     )
@@ -135,8 +146,11 @@ def chosen(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
     by_camera = {camera_of(name): name for name in names}
     absent = sorted(set(cameras) - set(by_camera))
     if absent:
-        raise InputError(f"no client of {', '.join(absent)} is there", where="--cameras",
-                         remedy=f"There are: {', '.join(sorted(by_camera))}.")  # fmt: skip
+        raise InputError(
+            f"no client of {', '.join(absent)} is there",
+            where="--cameras",
+            remedy=f"There are: {', '.join(sorted(by_camera))}.",
+        )
     return [by_camera[camera] for camera in sorted(set(cameras))]
 
 

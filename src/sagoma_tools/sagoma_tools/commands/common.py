@@ -44,8 +44,11 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that describe a graph; :func:`graph_from` reads them."""
     parser.add_argument("session", nargs="?", help="folder of footage: rig.yaml, camNN.mp4, camNN_background.png|mp4")
     parser.add_argument("--rig", help="rig YAML of live cameras (instead of a session)")
-    parser.add_argument("--cameras", help="folder with one parameter file a camera, or one such file; without --rig "
-                        "the camera clients run alone, as before a calibration")  # fmt: skip
+    parser.add_argument(
+        "--cameras",
+        help="folder with one parameter file a camera, or one such file; without --rig "
+        "the camera clients run alone, as before a calibration",
+    )
     parser.add_argument("--only", metavar="PART", help="run only this part: server, cameras, or one camera's name")
     parser.add_argument("--rate", type=float, default=1.0, help="playing speed of footage; 0: as fast as the graph can")
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
@@ -64,9 +67,15 @@ def add_settings_argument(parser: argparse.ArgumentParser) -> None:
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
     """The graph that the arguments describe."""
     return build_graph(
-        session=args.session, rig=args.rig, cameras=args.cameras, only=args.only, rate=args.rate, loop=args.loop,
-        body=args.body, settings=parse_settings(args.settings),
-    )  # fmt: skip
+        session=args.session,
+        rig=args.rig,
+        cameras=args.cameras,
+        only=args.only,
+        rate=args.rate,
+        loop=args.loop,
+        body=args.body,
+        settings=parse_settings(args.settings),
+    )
 
 
 def parse_settings(texts: list[str]) -> dict[str, Any]:

@@ -22,8 +22,11 @@ def run(args: argparse.Namespace) -> int:
     """Print one line a topic with its SHA-256; 0 when all agree."""
     topics = args.topics or sorted({*default_comparison(args.a), *default_comparison(args.b)})
     if not topics:
-        raise InputError("neither bag holds an output of the graph", where=f"{args.a}, {args.b}",
-                         remedy="Name the topics to compare with --topics.")  # fmt: skip
+        raise InputError(
+            "neither bag holds an output of the graph",
+            where=f"{args.a}, {args.b}",
+            remedy="Name the topics to compare with --topics.",
+        )
     digests_a, digests_b = bag_digest(args.a, topics), bag_digest(args.b, topics)
     different = [topic for topic in topics if digests_a[topic] != digests_b[topic]]
     for topic in topics:

@@ -55,13 +55,19 @@ def discover(node: Node, expect: int, wait_s: float) -> list[str]:
     """
 
     def ours() -> set[str]:
-        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()
-                if name in (CAMERA_NODE, *SERVER_NODES)}  # fmt: skip
+        return {
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in node.get_node_names_and_namespaces()
+            if name in (CAMERA_NODE, *SERVER_NODES)
+        }
 
     found = settled(ours, expect, wait_s)
     if len(found) < expect:
-        raise InputError(f"found {len(found)} nodes of ours, expected {expect}", where="the ROS graph",
-                         remedy="Start them, or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.")  # fmt: skip
+        raise InputError(
+            f"found {len(found)} nodes of ours, expected {expect}",
+            where="the ROS graph",
+            remedy="Start them, or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.",
+        )
     return found
 
 

@@ -33,13 +33,23 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)"
     )
-    parser.add_argument("--fps", type=float, default=CAMERA_FPS,
-                        help=f"frame rate of the simulated cameras (default: {CAMERA_FPS:g})")  # fmt: skip
-    parser.add_argument("--rate", type=float, default=None, metavar="R",
-                        help="no cameras: the clients read the videos, at this speed, or at 0 as fast as the graph "
-                        "keeps up, dropping nothing")  # fmt: skip
-    parser.add_argument("--start", choices=("auto", "t_pose", "session"), default="auto",
-                        help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
+    parser.add_argument(
+        "--fps", type=float, default=CAMERA_FPS, help=f"frame rate of the simulated cameras (default: {CAMERA_FPS:g})"
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=None,
+        metavar="R",
+        help="no cameras: the clients read the videos, at this speed, or at 0 as fast as the graph "
+        "keeps up, dropping nothing",
+    )
+    parser.add_argument(
+        "--start",
+        choices=("auto", "t_pose", "session"),
+        default="auto",
+        help="first pose: from a T-pose, or from the session's reference",
+    )
     add_settings_argument(parser)
     parser.set_defaults(run=run)
 
@@ -69,8 +79,9 @@ def run(args: argparse.Namespace) -> int:
     if live.answered < live.sets:
         console.print(
             "this machine did not keep up with every frame set: give the cameras a lower rate (--fps), or read the "
-            "videos as fast as it can (--rate 0)", style="yellow",
-        )  # fmt: skip
+            "videos as fast as it can (--rate 0)",
+            style="yellow",
+        )
     print(json.dumps(figures(live, outcome.scores)))
     return 0 if live.answered >= KEPT_UP * live.sets else 1
 

@@ -27,16 +27,24 @@ with --camera also a camera PC's parameter file and its camera. Exit status: 0 a
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        "doctor", help="examine this machine, a rig, a camera PC, the running graph: findings with remedies",
+        "doctor",
+        help="examine this machine, a rig, a camera PC, the running graph: findings with remedies",
         description=DESCRIPTION,
-    )  # fmt: skip
+    )
     help_camera = "'camera PARAMS.yaml': that file, its camera, and what they need of this machine"
     parser.add_argument("what", nargs="?", choices=["camera"], help=help_camera)
     parser.add_argument("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path,
-                        help="a camera's parameter file (any number of times)")  # fmt: skip
-    parser.add_argument("--open", action="store_true",
-                        help="take control of those cameras for a moment, as their clients would")  # fmt: skip
+    parser.add_argument(
+        "--camera",
+        action="append",
+        default=[],
+        metavar="PARAMS.yaml",
+        type=Path,
+        help="a camera's parameter file (any number of times)",
+    )
+    parser.add_argument(
+        "--open", action="store_true", help="take control of those cameras for a moment, as their clients would"
+    )
     parser.add_argument("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
     parser.add_argument(
         "--intrinsics",
@@ -47,10 +55,20 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     parser.add_argument("--live", action="store_true", help="listen to the running graph")
     parser.add_argument("--seconds", type=float, default=LIVE_S, help="how long to listen (default: %(default)g)")
-    parser.add_argument("--host", action="append", default=[], metavar="ADDRESS",
-                        help="another machine of the graph: does it answer, which packets get there?")  # fmt: skip
-    parser.add_argument("--bags", metavar="FOLDER", type=Path, default=Path("output"),
-                        help="where bags are written (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--host",
+        action="append",
+        default=[],
+        metavar="ADDRESS",
+        help="another machine of the graph: does it answer, which packets get there?",
+    )
+    parser.add_argument(
+        "--bags",
+        metavar="FOLDER",
+        type=Path,
+        default=Path("output"),
+        help="where bags are written (default: %(default)s)",
+    )
     parser.add_argument("--no-machine", action="store_true", help="leave this machine out")
     parser.add_argument("--all", action="store_true", help="also say in words what is well")
     parser.add_argument("--strict", action="store_true", help="warnings fail as errors do (exit status 2)")
@@ -67,9 +85,15 @@ def run(args: argparse.Namespace) -> int:
     findings = list(examined(args))
     status = exit_status(findings, args.strict)
     if args.json:
-        print(json.dumps({
-            "status": status, "summary": summary(findings), "findings": [finding.as_dict() for finding in findings],
-        }))  # fmt: skip
+        print(
+            json.dumps(
+                {
+                    "status": status,
+                    "summary": summary(findings),
+                    "findings": [finding.as_dict() for finding in findings],
+                }
+            )
+        )
     else:
         show(findings, Console(), all_of_them=args.all)
     return status

@@ -37,12 +37,18 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("session", metavar="SESSION|BAG", help="folder of footage, or a bag that was recorded on one")
     parser.add_argument("--bag", help="judge this bag, recorded on the session, instead of tracking it here")
     parser.add_argument("--exact-masks", action="store_true", help="take the session's exact silhouettes")
-    parser.add_argument("--ablation", action="store_true",
-                        help="also one row a part of the tracker, from the thesis's method to ours")  # fmt: skip
-    parser.add_argument("--thesis", action="store_true",
-                        help="with a bag: also run the thesis's method on the session's footage")  # fmt: skip
-    parser.add_argument("--start", choices=("auto", T_POSE_START, REFERENCE_START), default="auto",
-                        help="first pose: from a T-pose, or from the session's reference")  # fmt: skip
+    parser.add_argument(
+        "--ablation", action="store_true", help="also one row a part of the tracker, from the thesis's method to ours"
+    )
+    parser.add_argument(
+        "--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage"
+    )
+    parser.add_argument(
+        "--start",
+        choices=("auto", T_POSE_START, REFERENCE_START),
+        default="auto",
+        help="first pose: from a T-pose, or from the session's reference",
+    )
     parser.add_argument("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
     parser.add_argument("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
     parser.add_argument("--json", action="store_true", help="print the line of JSON only; pictures only with --plots")
@@ -82,8 +88,11 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
 def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, Track], int]:
     """The track in a bag that was recorded while the session played, and the thesis's track where it is wanted."""
     if args.ablation:
-        raise InputError("a bag holds one track and no variants of it", where="--ablation",
-                         remedy=f"Run sagoma evaluate {session.folder} --ablation.")  # fmt: skip
+        raise InputError(
+            "a bag holds one track and no variants of it",
+            where="--ablation",
+            remedy=f"Run sagoma evaluate {session.folder} --ablation.",
+        )
     play = play_of(bag, session)
     tracks = {OURS: track_from_bag(bag, play.frame_of).between(0, play.frames)}
     if args.thesis and not session.videos:
@@ -97,8 +106,11 @@ def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict
 def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track], int]:
     """The session tracked with the given settings, by the thesis's method, and by what lies between for an ablation."""
     if args.ablation and session.truth is None:
-        raise InputError("has no truth.csv or reference*.csv to compare with", where=args.session,
-                         remedy="Leave out --ablation, or give a session with a truth.")  # fmt: skip
+        raise InputError(
+            "has no truth.csv or reference*.csv to compare with",
+            where=args.session,
+            remedy="Leave out --ablation, or give a session with a truth.",
+        )
     settings = _settings(args, session)
     variants = ablation_rows(settings)
     if not args.ablation:

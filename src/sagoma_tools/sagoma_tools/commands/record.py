@@ -36,8 +36,11 @@ def run(args: argparse.Namespace) -> int:
         recorder.follow_cameras()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         stop.wait(args.seconds)
-        nodes = [f"{namespace.rstrip('/')}/{name}" for name, namespace in link.node.get_node_names_and_namespaces()
-                 if name in (CAMERA_NODE, *SERVER_NODES)]  # fmt: skip
+        nodes = [
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in link.node.get_node_names_and_namespaces()
+            if name in (CAMERA_NODE, *SERVER_NODES)
+        ]
         configuration = read_configuration(link.node, nodes, PARAMETERS_TIMEOUT_S)
         counts = recorder.close({"graph": configuration}, Path(args.rig) if args.rig else None)
     for name, count in sorted(counts.items()):

@@ -23,8 +23,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("replay", help="play a bag through the graph: timed, or set by set (lockstep)")
     parser.add_argument("bag", help="rosbag2 bag (mcap or sqlite3), ours or of `ros2 bag record`")
     parser.add_argument("--rate", type=float, default=1.0, help="speed as a factor of the recorded timing")
-    parser.add_argument("--topics", choices=("inputs", "outputs", "all"), default="inputs",
-                        help="inputs: what cameras send, for the graph; outputs: the rest, for viewers")  # fmt: skip
+    parser.add_argument(
+        "--topics",
+        choices=("inputs", "outputs", "all"),
+        default="inputs",
+        help="inputs: what cameras send, for the graph; outputs: the rest, for viewers",
+    )
     parser.add_argument("--lockstep", action="store_true", help="send the next frame set when the EKF has answered")
     parser.add_argument("--graph", action="store_true", help="with --lockstep: start the server's nodes for this run")
     parser.add_argument("--output", metavar="BAG", help="with --graph: record what the graph says into this bag")
@@ -41,9 +45,14 @@ def run(args: argparse.Namespace) -> int:
     with StopOnSignal() as stop:
         if args.graph:
             report = replay_through_graph(
-                args.bag, args.output, new_run_folder(args.run_folder, "replay"), rig=args.rig, body=args.body,
-                settings=parse_settings(args.settings), cancel=stop,
-            )  # fmt: skip
+                args.bag,
+                args.output,
+                new_run_folder(args.run_folder, "replay"),
+                rig=args.rig,
+                body=args.body,
+                settings=parse_settings(args.settings),
+                cancel=stop,
+            )
             return print_report(report)
         with RosLink("sagoma_replayer") as link:
             if args.lockstep:
@@ -79,10 +88,16 @@ def _play(args: argparse.Namespace, link: RosLink, stop: threading.Event) -> int
 def _check(args: argparse.Namespace) -> None:
     """Refuse combinations that mean nothing, before anything is started."""
     if args.graph != (args.output is not None) or (args.graph and not args.lockstep):
-        raise InputError("--graph and --output belong together, with --lockstep", where="arguments",
-                         remedy="Write `sagoma replay BAG --graph --lockstep --output OUT`.")  # fmt: skip
+        raise InputError(
+            "--graph and --output belong together, with --lockstep",
+            where="arguments",
+            remedy="Write `sagoma replay BAG --graph --lockstep --output OUT`.",
+        )
     if args.rate <= 0:
-        raise InputError(f"--rate {args.rate:g} is not a speed", where="arguments",
-                         remedy="Give a factor above 0, or --lockstep for as fast as the graph can.")  # fmt: skip
+        raise InputError(
+            f"--rate {args.rate:g} is not a speed",
+            where="arguments",
+            remedy="Give a factor above 0, or --lockstep for as fast as the graph can.",
+        )
     if args.output is not None:
         require_new(args.output)

@@ -63,8 +63,11 @@ def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) 
     except InputError as problem:
         yield error("rig", f"{problem.where}: {problem.what}", problem.remedy)
     if file.settings.camera_name not in ("", file.name):
-        yield warning("file", f"its key names {file.name}, camera_name says '{file.settings.camera_name}'",
-                      "Give both the same name.")  # fmt: skip
+        yield warning(
+            "file",
+            f"its key names {file.name}, camera_name says '{file.settings.camera_name}'",
+            "Give both the same name.",
+        )
     if camera is not None:
         shape = (camera.height, camera.width)
         yield from check_background(collect_background(file.settings, shape), camera, file.settings)
@@ -119,8 +122,11 @@ def _examine_live(file: CameraFile, host: HostFacts, open_it: bool) -> Iterator[
     yield from check_timing(file.settings)
     yield from check_receive_buffer(host, settings)
     if not settings.address:
-        yield note("camera", "found by broadcast when the client starts; not asked here",
-                   "Give aravis.address to have it examined.")  # fmt: skip
+        yield note(
+            "camera",
+            "found by broadcast when the client starts; not asked here",
+            "Give aravis.address to have it examined.",
+        )
     else:
         interface = collect_interface(settings.address)
         yield from check_interface(interface, settings.address, settings)
@@ -145,15 +151,21 @@ def _opened(file: CameraFile) -> Iterator[Finding]:
 
 
 def _unopened(file: CameraFile) -> Iterator[Finding]:
-    yield note("opened", "PTP, temperature and features are known only to who controls the camera",
-               "Run again with --open while no client runs.")  # fmt: skip
+    yield note(
+        "opened",
+        "PTP, temperature and features are known only to who controls the camera",
+        "Run again with --open while no client runs.",
+    )
 
 
 def _camera_info(settings: CameraClientSettings) -> Iterator[Finding]:
     path = settings.camera_info_file
     if path and not Path(path).exists():
-        yield note("camera_info", f"{path} does not exist yet: the rig's intrinsics are in use",
-                   "Calibrate the camera: set_camera_info writes it.")  # fmt: skip
+        yield note(
+            "camera_info",
+            f"{path} does not exist yet: the rig's intrinsics are in use",
+            "Calibrate the camera: set_camera_info writes it.",
+        )
     elif path:
         yield ok("camera_info", f"intrinsics of {path}")
 

@@ -20,13 +20,19 @@ def check_calibration(calibration: Calibration, settings: CameraClientSettings) 
     """How much is known of the camera."""
     camera = calibration.camera
     if camera is None:
-        return note("rig", "not calibrated yet: it sends images, no silhouettes",
-                    f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD")  # fmt: skip
+        return note(
+            "rig",
+            "not calibrated yet: it sends images, no silhouettes",
+            f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD",
+        )
     size = f"{camera.name}, {camera.width} x {camera.height} pixels"
     if calibration.placed:
         return ok("rig", f"{settings.rig_file}: {size}")
-    return note("rig", f"{settings.camera_info_file}: {size}; its lens is known, its place is not",
-                "sagoma calibrate extrinsics, then name the rig file in rig_file.")  # fmt: skip
+    return note(
+        "rig",
+        f"{settings.camera_info_file}: {size}; its lens is known, its place is not",
+        "sagoma calibrate extrinsics, then name the rig file in rig_file.",
+    )
 
 
 def check_background(
@@ -41,8 +47,11 @@ def check_background(
         yield error("background", facts.error, f"Name the right file, or empty the parameter, and {learn}")
         return
     if facts.shape[:2] != (camera.height, camera.width):
-        yield error("background", f"{facts.path} is {facts.shape[1]} x {facts.shape[0]}, the camera "
-                    f"{camera.width} x {camera.height} pixels", learn)  # fmt: skip
+        yield error(
+            "background",
+            f"{facts.path} is {facts.shape[1]} x {facts.shape[0]}, the camera {camera.width} x {camera.height} pixels",
+            learn,
+        )
         return
     age = f"{facts.age_s / 3600:.0f} h old"
     if facts.age_s > OLD_S:
@@ -66,8 +75,11 @@ def check_timing(settings: CameraClientSettings) -> Iterator[Finding]:
     """Do exposure and frame rate go together, and is anything left to the camera?"""
     exposure_us, rate = settings.aravis.exposure_us, settings.aravis.frame_rate
     if exposure_us > 0 and rate > 0 and exposure_us * 1e-6 * rate >= 1:
-        yield error("exposure", f"{exposure_us:g} us do not fit {rate:g} frames a second (at most {1e6 / rate:.0f} us)",
-                    "Shorten aravis.exposure_us or lower aravis.frame_rate.")  # fmt: skip
+        yield error(
+            "exposure",
+            f"{exposure_us:g} us do not fit {rate:g} frames a second (at most {1e6 / rate:.0f} us)",
+            "Shorten aravis.exposure_us or lower aravis.frame_rate.",
+        )
     elif exposure_us > 0 and rate > 0:
         yield ok("exposure", f"{exposure_us:g} us at {rate:g} frames a second")
     for key, value in (("exposure_us", exposure_us), ("gain", settings.aravis.gain), ("frame_rate", rate)):

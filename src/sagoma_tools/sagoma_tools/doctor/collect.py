@@ -65,9 +65,14 @@ def collect_interface(address: str) -> InterfaceFacts | None:
             if entry.family == socket.AF_INET and _belongs(entry.address, ours):
                 state = psutil.net_if_stats()[name]
                 return InterfaceFacts(
-                    name, ours, entry.netmask or "255.255.255.255", state.mtu, state.speed, state.isup,
+                    name,
+                    ours,
+                    entry.netmask or "255.255.255.255",
+                    state.mtu,
+                    state.speed,
+                    state.isup,
                     loopback=ours.startswith("127."),
-                )  # fmt: skip
+                )
     return None
 
 

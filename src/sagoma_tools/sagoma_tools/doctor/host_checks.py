@@ -47,8 +47,11 @@ def _check_cores(host: HostFacts) -> Iterator[Finding]:
         yield ok("governor", "performance on all cores")
     else:
         names = ", ".join(sorted(set(host.governors)))
-        yield note("governor", f"{names}: cores that sleep wake up late, which adds latency",
-                   "sudo cpupower frequency-set -g performance")  # fmt: skip
+        yield note(
+            "governor",
+            f"{names}: cores that sleep wake up late, which adds latency",
+            "sudo cpupower frequency-set -g performance",
+        )
 
 
 def _check_clock(clock: ClockFacts) -> Iterator[Finding]:
@@ -60,8 +63,11 @@ def _check_clock(clock: ClockFacts) -> Iterator[Finding]:
     elif clock.offset_s is None:
         yield ok("clock", f"kept in step by {clock.keeper}; how closely is unknown")
     elif abs(clock.offset_s) > CLOCK_LIMIT_S:
-        yield warning("clock", f"{1e3 * abs(clock.offset_s):.1f} ms off ({clock.keeper})",
-                      "Wait until it has settled, or use a server in this network.")  # fmt: skip
+        yield warning(
+            "clock",
+            f"{1e3 * abs(clock.offset_s):.1f} ms off ({clock.keeper})",
+            "Wait until it has settled, or use a server in this network.",
+        )
     else:
         yield ok("clock", f"{1e6 * abs(clock.offset_s):.0f} us off ({clock.keeper})")
 
@@ -78,8 +84,11 @@ def _check_environment(host: HostFacts) -> Iterator[Finding]:
         yield error("ros", f"ROS_AUTOMATIC_DISCOVERY_RANGE = '{reach}'", f"Give one of {', '.join(RANGES)}.")
     elif reach in ("LOCALHOST", "OFF") or given.get("ROS_LOCALHOST_ONLY") == "1":
         what = "ROS_LOCALHOST_ONLY = 1" if not reach else f"ROS_AUTOMATIC_DISCOVERY_RANGE = {reach}"
-        yield warning("ros", f"{what}: other machines do not hear this one",
-                      "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here.")  # fmt: skip
+        yield warning(
+            "ros",
+            f"{what}: other machines do not hear this one",
+            "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here.",
+        )
     rmw = given.get("RMW_IMPLEMENTATION", "")
     if rmw and rmw != TESTED_RMW:
         yield note("ros", f"RMW_IMPLEMENTATION = {rmw}; tested with {TESTED_RMW}", "All machines must use the same.")

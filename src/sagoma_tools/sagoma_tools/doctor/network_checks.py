@@ -20,8 +20,11 @@ BUSY, FULL = 0.7, 0.95  # shares of the link
 def check_interface(facts: InterfaceFacts | None, address: str, settings: AravisSettings) -> Iterator[Finding]:
     """Is there a way to the camera, and does it carry large packets?"""
     if facts is None:
-        yield error("interface", f"there is no way to {address} from this machine",
-                    f"Give an interface an address in the camera's subnet; see: ip route get {address}")  # fmt: skip
+        yield error(
+            "interface",
+            f"there is no way to {address} from this machine",
+            f"Give an interface an address in the camera's subnet; see: ip route get {address}",
+        )
         return
     if not facts.up:
         yield error("interface", f"{facts.name} is down", f"Plug the cable in, or: sudo ip link set {facts.name} up")
@@ -29,13 +32,19 @@ def check_interface(facts: InterfaceFacts | None, address: str, settings: Aravis
     yield ok("interface", f"{facts.name}, {facts.address}/{facts.netmask}, MTU {facts.mtu}")
     jumbo = f"sudo ip link set {facts.name} mtu {JUMBO_MTU} (and the same on the switch)"
     if settings.packet_size > facts.mtu:
-        yield error("mtu", f"aravis.packet_size = {settings.packet_size}, but the MTU of {facts.name} is {facts.mtu}",
-                    f"{jumbo}, or a smaller packet_size, or 0: the largest that passes")  # fmt: skip
+        yield error(
+            "mtu",
+            f"aravis.packet_size = {settings.packet_size}, but the MTU of {facts.name} is {facts.mtu}",
+            f"{jumbo}, or a smaller packet_size, or 0: the largest that passes",
+        )
     elif facts.mtu < JUMBO_MTU and not facts.loopback:
         yield warning("mtu", f"{facts.name} carries packets of {facts.mtu} bytes: six times the interrupts", jumbo)
     if 0 < facts.speed_mbit < GIGABIT and not facts.loopback:
-        yield warning("speed", f"{facts.name} runs at {facts.speed_mbit} Mbit/s",
-                      "Check cable and switch: GigE Vision needs 1000 Mbit/s or more.")  # fmt: skip
+        yield warning(
+            "speed",
+            f"{facts.name} runs at {facts.speed_mbit} Mbit/s",
+            "Check cable and switch: GigE Vision needs 1000 Mbit/s or more.",
+        )
 
 
 def check_device(facts: DeviceFacts, settings: AravisSettings, interface: InterfaceFacts | None) -> Iterator[Finding]:
@@ -46,22 +55,31 @@ def check_device(facts: DeviceFacts, settings: AravisSettings, interface: Interf
     yield ok("camera", f"{facts.name}, serial {facts.serial}, answers at {facts.address}")
     for key, wanted, got in (("serial", settings.serial, facts.serial), ("user_id", settings.user_id, facts.user_id)):
         if wanted and wanted != got:
-            yield error(key, f"the camera at {facts.address} has {key} '{got}', aravis.{key} asks for '{wanted}'",
-                        f"Correct aravis.address or aravis.{key}.")  # fmt: skip
+            yield error(
+                key,
+                f"the camera at {facts.address} has {key} '{got}', aravis.{key} asks for '{wanted}'",
+                f"Correct aravis.address or aravis.{key}.",
+            )
     yield from _check_subnet(facts, interface)
     yield from _check_control(facts, interface)
     yield from _check_ptp(facts, settings)
     if facts.can_resend is False:
-        yield warning("resend", "the camera cannot send a packet again: each one lost costs a frame",
-                      "Use its own cable to this machine, and jumbo frames.")  # fmt: skip
+        yield warning(
+            "resend",
+            "the camera cannot send a packet again: each one lost costs a frame",
+            "Use its own cable to this machine, and jumbo frames.",
+        )
 
 
 def check_bandwidth(streams: Sequence[Stream], interface: InterfaceFacts | None, packet_size: int) -> Iterator[Finding]:
     """Does what the cameras on this interface send fit the link? ``streams`` holds this camera first."""
     unknown = [stream.camera for stream in streams if not stream.frame_rate]
     if unknown:
-        yield note("bandwidth", f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera",
-                   "Set it, so that all cameras run at one rate.")  # fmt: skip
+        yield note(
+            "bandwidth",
+            f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera",
+            "Set it, so that all cameras run at one rate.",
+        )
         return
     if interface is None:
         return
@@ -113,8 +131,11 @@ def _check_subnet(facts: DeviceFacts, interface: InterfaceFacts | None) -> Itera
     theirs = ipaddress.IPv4Interface(f"{facts.own_address}/{facts.subnet_mask}").network
     if ipaddress.IPv4Address(facts.own_address) in ours and ipaddress.IPv4Address(interface.address) in theirs:
         return
-    yield warning("subnet", f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router",
-                  "Put both into one subnet (the maker's IP tool, or DHCP).")  # fmt: skip
+    yield warning(
+        "subnet",
+        f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router",
+        "Put both into one subnet (the maker's IP tool, or DHCP).",
+    )
 
 
 def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding]:
@@ -130,8 +151,11 @@ def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding
         yield note("ptp", f"{what}; whether the camera has it is unknown", "See with --open, while no client runs.")
     else:
         # the capability bit is of GigE Vision 2.0; older cameras may have PTP all the same
-        yield warning("ptp", f"{what}, and the camera does not announce it",
-                      "See with --open; else set aravis.sync to line or software, stamp_source to camera.")  # fmt: skip
+        yield warning(
+            "ptp",
+            f"{what}, and the camera does not announce it",
+            "See with --open; else set aravis.sync to line or software, stamp_source to camera.",
+        )
 
 
 def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iterator[Finding]:
@@ -140,8 +164,14 @@ def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iter
     elif not facts.controlled:
         yield ok("control", "nobody controls the camera: it can be opened")
     elif interface is not None and facts.controller == interface.address:
-        yield note("control", f"a program on this machine ({facts.controller}) controls the camera",
-                   "Well, if that is the camera client; else stop it.")  # fmt: skip
+        yield note(
+            "control",
+            f"a program on this machine ({facts.controller}) controls the camera",
+            "Well, if that is the camera client; else stop it.",
+        )
     else:
-        yield warning("control", f"{facts.controller or 'another program'} controls the camera",
-                      "Stop the program there; a camera has one controller.")  # fmt: skip
+        yield warning(
+            "control",
+            f"{facts.controller or 'another program'} controls the camera",
+            "Stop the program there; a camera has one controller.",
+        )

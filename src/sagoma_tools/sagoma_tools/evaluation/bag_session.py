@@ -32,8 +32,11 @@ def session_of_bag(bag: Path) -> Session:
     if named:
         return load_session(named)
     if not (bag / SIDECAR_RIG).is_file():
-        raise InputError(f"says neither of which session it is nor, in {SIDECAR_RIG}, by which cameras", where=str(bag),
-                         remedy=f"Run sagoma evaluate SESSION --bag {bag}.")  # fmt: skip
+        raise InputError(
+            f"says neither of which session it is nor, in {SIDECAR_RIG}, by which cameras",
+            where=str(bag),
+            remedy=f"Run sagoma evaluate SESSION --bag {bag}.",
+        )
     fps = 0.5e9 / frame_tolerance_ns(bag)
     return Session(bag, load_rig(bag / SIDECAR_RIG), fps, videos={}, backgrounds={}, masks={}, truth=None)
 

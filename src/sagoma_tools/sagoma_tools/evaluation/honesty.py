@@ -40,9 +40,12 @@ def honesty(errors: np.ndarray, covariance: np.ndarray) -> Honesty:
     count = known.sum(0).max(initial=0)
     interval = chi2.ppf([0.025, 0.975], DIMENSIONS * count) / count if count else [np.nan, np.nan]
     return Honesty(
-        _mean(inside, 0), float(_mean(inside)), _mean(squared, 0), float(_mean(squared)),
+        _mean(inside, 0),
+        float(_mean(inside)),
+        _mean(squared, 0),
+        float(_mean(squared)),
         (float(interval[0]), float(interval[1])),
-    )  # fmt: skip
+    )
 
 
 def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:

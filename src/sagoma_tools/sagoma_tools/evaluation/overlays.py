@@ -78,8 +78,11 @@ def write_overlay(path: Path, judged: Judgement, progress: Callable[[int], None]
                 size = sheet.shape[1], sheet.shape[0]
                 writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), session.fps, size)
                 if not writer.isOpened():
-                    raise InputError(f"a video with codec {CODEC} cannot be written", where=str(path),
-                                     remedy="Install an OpenCV with FFmpeg, or name another folder.")  # fmt: skip
+                    raise InputError(
+                        f"a video with codec {CODEC} cannot be written",
+                        where=str(path),
+                        remedy="Install an OpenCV with FFmpeg, or name another folder.",
+                    )
             writer.write(sheet)
     finally:
         if writer is not None:

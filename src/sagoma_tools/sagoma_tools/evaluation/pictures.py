@@ -104,8 +104,14 @@ def draw_skeleton(
     thick = max(2, round(image.shape[0] / 240))
     for a, b in BONES:
         if drawable[[a, b]].all():
-            cv2.line(image, _rounded(pixels[a]), _rounded(pixels[b]), colour or _side_colour(a, b),
-                     max(1, thick // 3) if colour else thick, cv2.LINE_AA)  # fmt: skip
+            cv2.line(
+                image,
+                _rounded(pixels[a]),
+                _rounded(pixels[b]),
+                colour or _side_colour(a, b),
+                max(1, thick // 3) if colour else thick,
+                cv2.LINE_AA,
+            )
     for pixel in pixels[drawable] if colour is None else ():
         cv2.circle(image, _rounded(pixel), thick, JOINT_BGR, -1, cv2.LINE_AA)
 

@@ -26,12 +26,16 @@ OURS, TRUTH, THESIS, DOUBT, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b
 ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
     "torso_neck_elbows": ("torso_heading", "torso_lean", "neck_x", "neck_y", "left_elbow", "right_elbow"),
     "shoulders": (
-        "left_shoulder_x", "right_shoulder_x", "left_shoulder_z", "right_shoulder_z", "left_shoulder_y",
+        "left_shoulder_x",
+        "right_shoulder_x",
+        "left_shoulder_z",
+        "right_shoulder_z",
+        "left_shoulder_y",
         "right_shoulder_y",
     ),
     "hips": ("left_hip_x", "right_hip_x", "left_hip_y", "right_hip_y", "left_hip_z", "right_hip_z"),
     "knees": ("left_knee", "right_knee"),
-}  # fmt: skip
+}
 POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 """The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
 ROBUST = 99.5

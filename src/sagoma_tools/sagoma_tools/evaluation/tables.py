@@ -37,18 +37,40 @@ def print_scores(console: Console, scores: Scores) -> None:
 
 
 def _points(scores: Scores) -> Table:
-    table = _table("error of the points (RMSE: thesis Table 7.2)", "point", "RMSE mm", "mean", "median", "95 %",
-                   ">200 mm", "no offset", "in 95 %", "NEES")  # fmt: skip
+    table = _table(
+        "error of the points (RMSE: thesis Table 7.2)",
+        "point",
+        "RMSE mm",
+        "mean",
+        "median",
+        "95 %",
+        ">200 mm",
+        "no offset",
+        "in 95 %",
+        "NEES",
+    )
     columns = (
-        scores.point_rmse_mm, scores.point_mm, scores.point_median_mm, scores.point_p95_mm, scores.point_over_200mm,
-        scores.point_mm_without_offset, scores.honesty.point_inside_95, scores.honesty.point_nees,
-    )  # fmt: skip
+        scores.point_rmse_mm,
+        scores.point_mm,
+        scores.point_median_mm,
+        scores.point_p95_mm,
+        scores.point_over_200mm,
+        scores.point_mm_without_offset,
+        scores.honesty.point_inside_95,
+        scores.honesty.point_nees,
+    )
     for name, row in zip(POINT_NAMES, zip(*columns, strict=True), strict=True):
         table.add_row(name.replace("_", " "), *_point_cells(*row))
     whole = (
-        scores.rmse_mean_mm, scores.mean_mm, scores.median_mm, scores.p95_mm, scores.over_200mm,
-        scores.mean_mm_without_offset, scores.honesty.inside_95, scores.honesty.nees,
-    )  # fmt: skip
+        scores.rmse_mean_mm,
+        scores.mean_mm,
+        scores.median_mm,
+        scores.p95_mm,
+        scores.over_200mm,
+        scores.mean_mm_without_offset,
+        scores.honesty.inside_95,
+        scores.honesty.nees,
+    )
     table.add_row("all", *_point_cells(*whole), style="bold")
     return table
 
@@ -71,8 +93,12 @@ def _angles(angles: AngleScores) -> Table:
     for slot in PAIRED_ANGLES:
         name = ANGLE_NAMES[slot].removeprefix("left_").replace("_", " ")
         rmse, share = angles.rmse_rad[slot : slot + 2], angles.share_defined[slot : slot + 2]
-        table.add_row(name, *(f"{r:.2f}" for r in rmse), *(f"{np.rad2deg(r):.1f}" for r in rmse),
-                      *(f"{100 * s:.0f} %" for s in share))  # fmt: skip
+        table.add_row(
+            name,
+            *(f"{r:.2f}" for r in rmse),
+            *(f"{np.rad2deg(r):.1f}" for r in rmse),
+            *(f"{100 * s:.0f} %" for s in share),
+        )
     table.caption = "frames: where the truth determines the angle (see docs/evaluate.md)"
     table.caption_justify = "left"
     return table
@@ -89,9 +115,10 @@ def print_judgement(console: Console, judged: Judgement) -> None:
     console.print(f"tracking {judged.time_to_track_s:.2f} s after the first frame; {states}")
     resting = int(judged.jitter.at_rest.sum())
     console.print(
-        f"jitter at rest: {judged.jitter.rms_mm:.2f} mm rms ({resting} points in frames)" if resting
+        f"jitter at rest: {judged.jitter.rms_mm:.2f} mm rms ({resting} points in frames)"
+        if resting
         else "jitter at rest: nothing rests long enough to say"
-    )  # fmt: skip
+    )
     if judged.scores is not None and judged.thesis is not None:
         ratio = judged.thesis.mean_mm / judged.scores.mean_mm
         console.print(
@@ -102,8 +129,18 @@ def print_judgement(console: Console, judged: Judgement) -> None:
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
     """One row a configuration, None where it found no body; ratio: the first row's mean to this one's."""
-    table = _table("ablation: each row adds one part to the row above", "method", "mean", "median", "95 %",
-                   ">200 mm", "no offset", "in 95 %", "NEES", "ratio")  # fmt: skip
+    table = _table(
+        "ablation: each row adds one part to the row above",
+        "method",
+        "mean",
+        "median",
+        "95 %",
+        ">200 mm",
+        "no offset",
+        "in 95 %",
+        "NEES",
+        "ratio",
+    )
     first = next(iter(rows.values()), None)
     for name, scores in rows.items():
         if scores is None:
@@ -111,10 +148,16 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
             continue
         better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
         table.add_row(
-            name, f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}",
-            f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}",
-            f"{100 * scores.inside_95:.0f} %", f"{scores.honesty.nees:.1f}", better,
-        )  # fmt: skip
+            name,
+            f"{scores.mean_mm:.1f}",
+            f"{scores.median_mm:.1f}",
+            f"{scores.p95_mm:.0f}",
+            f"{100 * scores.over_200mm:.1f} %",
+            f"{scores.mean_mm_without_offset:.1f}",
+            f"{100 * scores.inside_95:.0f} %",
+            f"{scores.honesty.nees:.1f}",
+            better,
+        )
     console.print(table)
 
 

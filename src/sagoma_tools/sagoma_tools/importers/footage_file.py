@@ -23,8 +23,11 @@ class FootageFile:
         fourcc = cv2.VideoWriter.fourcc(*CODEC)
         self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, image.ndim == 3)
         if not self._writer.isOpened():
-            raise InputError(f"a video with codec {CODEC} cannot be written", where=str(path),
-                             remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).")  # fmt: skip
+            raise InputError(
+                f"a video with codec {CODEC} cannot be written",
+                where=str(path),
+                remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).",
+            )
 
     def write(self, image: np.ndarray) -> None:
         """Append one image of the first one's shape."""

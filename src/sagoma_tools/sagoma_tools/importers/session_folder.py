@@ -19,8 +19,11 @@ def new_session_folder(folder: str | Path) -> Iterator[Path]:
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError("exists and is not an empty folder", where=str(folder),
-                         remedy="Give the path of a new folder, or remove this one yourself.")  # fmt: skip
+        raise InputError(
+            "exists and is not an empty folder",
+            where=str(folder),
+            remedy="Give the path of a new folder, or remove this one yourself.",
+        )
     partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
     partial.mkdir(parents=True)
     try:

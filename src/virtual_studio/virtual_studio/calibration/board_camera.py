@@ -93,9 +93,19 @@ class BoardCamera:
         light = self._room.copy()
         depth = np.full(light.shape, np.inf, np.float32)
         if people is not None:
-            cast(self.camera.centre_world, self._rays, people.starts, people.ends, people.radii,
-                 part_boxes(self.camera, people), LIGHT_WORLD, people.albedo, depth, light,
-                 np.zeros(light.shape, np.uint8))  # fmt: skip
+            cast(
+                self.camera.centre_world,
+                self._rays,
+                people.starts,
+                people.ends,
+                people.radii,
+                part_boxes(self.camera, people),
+                LIGHT_WORLD,
+                people.albedo,
+                depth,
+                light,
+                np.zeros(light.shape, np.uint8),
+            )
         return light, depth
 
     def _focused(self, light: Light, blur_px: float) -> Light:

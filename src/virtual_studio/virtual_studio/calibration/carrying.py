@@ -17,8 +17,9 @@ UPRIGHT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """R_world_board of a board that stands upright and faces the world's x axis."""
 
 
-def on_floor(board: BoardPrint, xy: tuple[float, float] = FLOOR_MIDDLE_WORLD[:2],
-             heading_rad: float = FLOOR_HEADING_RAD) -> Array:  # fmt: skip
+def on_floor(
+    board: BoardPrint, xy: tuple[float, float] = FLOOR_MIDDLE_WORLD[:2], heading_rad: float = FLOOR_HEADING_RAD
+) -> Array:
     """T_world_board (4, 4) of a board on the floor, print up, its middle at ``xy`` m, its rows along the heading."""
     R = Rotation.from_rotvec([0.0, 0.0, heading_rad]).as_matrix()
     return pose(R, np.array([*xy, 0.0])) @ pose(np.eye(3), -board.middle_board)

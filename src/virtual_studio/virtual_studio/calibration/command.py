@@ -24,8 +24,14 @@ def main(arguments: list[str]) -> int:
     started = time.monotonic()
     try:
         rig = ring(options.cameras - options.ceiling, options.ceiling)
-        folder = write_setup(options.folder, rig, plan_of(options), motion=options.motion, seconds=options.seconds,
-                             progress=_say if sys.stderr.isatty() else lambda what: None)  # fmt: skip
+        folder = write_setup(
+            options.folder,
+            rig,
+            plan_of(options),
+            motion=options.motion,
+            seconds=options.seconds,
+            progress=_say if sys.stderr.isatty() else lambda what: None,
+        )
     except InputError as error:
         print(f"virtual_studio: {error}", file=sys.stderr)
         return 2
@@ -38,9 +44,12 @@ def main(arguments: list[str]) -> int:
 def plan_of(options: argparse.Namespace) -> FootagePlan:
     """Raises InputError for a text that describes no board."""
     plan = FootagePlan(
-        hand_board=read_board(options.board), floor_board=read_board(options.floor_board),
-        wand=Wand() if options.wand else None, seed=options.seed, noise=options.noise,
-    )  # fmt: skip
+        hand_board=read_board(options.board),
+        floor_board=read_board(options.floor_board),
+        wand=Wand() if options.wand else None,
+        seed=options.seed,
+        noise=options.noise,
+    )
     return replace(plan, brief=True, fps=QUICK_FPS, moving_s=QUICK_MOVING_S) if options.quick else plan
 
 
@@ -64,8 +73,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("folder", help="folder to write (new, empty, or an older one of this command)")
     parser.add_argument("--cameras", type=int, default=6, help="number of cameras in all")
-    parser.add_argument("--ceiling", action=argparse.BooleanOptionalAction, default=True,
-                        help="the last camera hangs from the ceiling")  # fmt: skip
+    parser.add_argument(
+        "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
+    )
     parser.add_argument("--board", default=board_text(HAND_BOARD), help="waved before each camera")
     parser.add_argument("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
     parser.add_argument("--wand", action="store_true", help="swing a wand of three balls, too")

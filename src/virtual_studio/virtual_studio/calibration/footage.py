@@ -179,8 +179,12 @@ def _videos(folder: Path, crew: Sequence[Photographer], fps: float) -> Iterator[
 
 def _write_description(path: Path, plan: FootagePlan) -> None:
     recipe = {key: value for key, value in asdict(plan).items() if key not in ("hand_board", "floor_board")}
-    document = {"made_by": MADE_BY, "source": "rendered by python -m virtual_studio setup", "fps": plan.fps,
-                "recipe": {key: _plain(value) for key, value in recipe.items()}}  # fmt: skip
+    document = {
+        "made_by": MADE_BY,
+        "source": "rendered by python -m virtual_studio setup",
+        "fps": plan.fps,
+        "recipe": {key: _plain(value) for key, value in recipe.items()},
+    }
     path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
 
 

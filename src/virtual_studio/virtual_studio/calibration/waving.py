@@ -32,8 +32,10 @@ _CORNERS: Spots = [(-1, -1, 20, -20), (1, -1, 20, 20), (1, 1, -20, 20), (-1, 1, 
 _EDGES: Spots = [(0, -1, 30, 0), (1, 0, 0, 30), (0, 1, -30, 0), (-1, 0, 0, -30)]
 _TILTS: Spots = [(0, 0, 0, 0), (0, 0, 42, 0), (0, 0, 0, 42), (0, 0, -42, 0), (0, 0, 0, -42)]
 _SPREAD: Spots = [(x, y, 35 * y, -35 * x) for x in (-0.6, 0.6) for y in (-0.6, 0.6)]
-_FAR: Spots = [(x, y, 32 * ((i % 3) - 1), 32 * ((i + 1) % 3 - 1)) for i, (x, y) in enumerate(
-    [(-1, -1), (0, -1), (1, -1), (1, 0), (0, 0), (-1, 0), (-1, 1), (0, 1), (1, 1)])]  # fmt: skip
+_FAR: Spots = [
+    (x, y, 32 * ((i % 3) - 1), 32 * ((i + 1) % 3 - 1))
+    for i, (x, y) in enumerate([(-1, -1), (0, -1), (1, -1), (1, 0), (0, 0), (-1, 0), (-1, 1), (0, 1), (1, 1)])
+]
 FULL: dict[float, Spots] = {NEAR_M: _TILTS + _CORNERS, MIDDLE_M: _CORNERS + _EDGES + _SPREAD, FAR_M: _FAR}
 BRIEF: dict[float, Spots] = {NEAR_M: _TILTS[1:], MIDDLE_M: _CORNERS + _EDGES, FAR_M: [*_FAR[::2]]}
 
@@ -71,9 +73,13 @@ def wave(camera: CameraModel, board: BoardPrint, seed: int, brief: bool = False)
 
 
 def _shown(
-    camera: CameraModel, board: BoardPrint, distance_m: float, place: tuple[float, ...], rng: np.random.Generator,
+    camera: CameraModel,
+    board: BoardPrint,
+    distance_m: float,
+    place: tuple[float, ...],
+    rng: np.random.Generator,
     reach: float = 1.0,
-) -> Array:  # fmt: skip
+) -> Array:
     """T_camera_board of a board shown at a place in the picture; ``reach`` beyond 1 lets it leave the picture."""
     x, y, *tilt_deg = place
     tilt = np.deg2rad(np.array(tilt_deg) + rng.uniform(-6, 6, 2))

@@ -11,6 +11,15 @@ from .studio import Studio, StudioSettings
 from .trigger_wire import TriggerWire
 
 __all__ = [
-    "CameraScene", "CameraSettings", "EventLoop", "Faults", "PatternScene", "SimulatedCamera", "Stage",
-    "Studio", "StudioSettings", "TriggerWire", "free_addresses",
-]  # fmt: skip
+    "CameraScene",
+    "CameraSettings",
+    "EventLoop",
+    "Faults",
+    "PatternScene",
+    "SimulatedCamera",
+    "Stage",
+    "Studio",
+    "StudioSettings",
+    "TriggerWire",
+    "free_addresses",
+]

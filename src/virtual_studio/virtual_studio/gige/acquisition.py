@@ -38,9 +38,19 @@ class Acquisition:
     """Frames of one camera, from AcquisitionStart to AcquisitionStop. Only called from within the loop."""
 
     def __init__(
-        self, scene: CameraScene, registers: Registers, clock: CameraClock, exposure: ExposureControl, region: Region,
-        sensor: Sensor, timing: Timing, stream: StreamChannel, faults: Faults, counters: Counter[str], loop: EventLoop,
-    ) -> None:  # fmt: skip
+        self,
+        scene: CameraScene,
+        registers: Registers,
+        clock: CameraClock,
+        exposure: ExposureControl,
+        region: Region,
+        sensor: Sensor,
+        timing: Timing,
+        stream: StreamChannel,
+        faults: Faults,
+        counters: Counter[str],
+        loop: EventLoop,
+    ) -> None:
         self.scene = scene
         self._registers, self._clock, self._exposure, self._region = registers, clock, exposure, region
         self._sensor, self._timing, self._stream, self._faults = sensor, timing, stream, faults
@@ -65,8 +75,10 @@ class Acquisition:
         self._stream.forget()
         self.running, self._block_id = True, 0
         mode = self._registers.integer("AcquisitionMode")
-        wanted = {ACQUISITION_MODES["SingleFrame"]: 1,
-                  ACQUISITION_MODES["MultiFrame"]: self._registers.integer("AcquisitionFrameCount")}  # fmt: skip
+        wanted = {
+            ACQUISITION_MODES["SingleFrame"]: 1,
+            ACQUISITION_MODES["MultiFrame"]: self._registers.integer("AcquisitionFrameCount"),
+        }
         self._frames_left = wanted.get(mode, 0)
         self._busy_until_ns = time.time_ns()
         self._rearm()
@@ -150,9 +162,14 @@ class Acquisition:
             data = self._with_chunks(data, stamp)
             chunk_bytes = len(data)
         leader = ImageLeader(
-            stamp, self._announced_format(), r.integer("Width"), r.integer("Height"), r.integer("OffsetX"),
-            r.integer("OffsetY"), payload=Payload.IMAGE if chunk_bytes is None else Payload.IMAGE_WITH_CHUNKS,
-        )  # fmt: skip
+            stamp,
+            self._announced_format(),
+            r.integer("Width"),
+            r.integer("Height"),
+            r.integer("OffsetX"),
+            r.integer("OffsetY"),
+            payload=Payload.IMAGE if chunk_bytes is None else Payload.IMAGE_WITH_CHUNKS,
+        )
         self._stream.send(self._block_id, leader, data, ImageTrailer(r.integer("Height"), chunk_bytes))
 
     def _announced_format(self) -> int:

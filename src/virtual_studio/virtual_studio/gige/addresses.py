@@ -25,8 +25,11 @@ def free_addresses(count: int) -> list[str]:
         address = str(ipaddress.IPv4Address(random.randint(FIRST, LAST)))
         if not address.endswith((".0", ".255")) and address not in found and is_free(address):
             found.append(address)
-    raise InputError(f"found only {len(found)} of {count} free loopback addresses", where=f"port {PORT}",
-                     remedy="Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface.")  # fmt: skip
+    raise InputError(
+        f"found only {len(found)} of {count} free loopback addresses",
+        where=f"port {PORT}",
+        remedy="Simulated cameras need the whole of 127.0.0.0/8 on the loopback interface.",
+    )
 
 
 def is_free(address: str) -> bool:
@@ -46,6 +49,9 @@ def following(first: str, count: int) -> list[str]:
     except ipaddress.AddressValueError:
         addresses = []
     if not addresses or not all(a.is_loopback and a.packed[3] not in (0, 255) for a in addresses):
-        raise InputError(f"{count} cameras from address {first!r} on are not on the loopback interface",
-                         where="--address", remedy="Give an address such as 127.0.1.1.")  # fmt: skip
+        raise InputError(
+            f"{count} cameras from address {first!r} on are not on the loopback interface",
+            where="--address",
+            remedy="Give an address such as 127.0.1.1.",
+        )
     return [str(a) for a in addresses]

@@ -156,12 +156,32 @@ class _Parts:
         self._timing = Timing(self.registers, self._clock, self._exposure)
         sensor = Sensor(self.registers, self._exposure, settings, faults)
         self._stream = StreamChannel(camera.address, self.registers, settings, faults, counters, loop)
-        self.acquisition = Acquisition(camera.scene, self.registers, self._clock, self._exposure, self._region, sensor,
-                                       self._timing, self._stream, faults, counters, loop)  # fmt: skip
+        self.acquisition = Acquisition(
+            camera.scene,
+            self.registers,
+            self._clock,
+            self._exposure,
+            self._region,
+            sensor,
+            self._timing,
+            self._stream,
+            faults,
+            counters,
+            loop,
+        )
         self.privilege = ControlPrivilege(self.registers, counters, loop, self.acquisition.stop)
         try:
-            self._server = GvcpServer(camera.address, settings.broadcast, self.registers, self.privilege, faults,
-                                      counters, loop, self._stream.resend, self.acquisition.act)  # fmt: skip
+            self._server = GvcpServer(
+                camera.address,
+                settings.broadcast,
+                self.registers,
+                self.privilege,
+                faults,
+                counters,
+                loop,
+                self._stream.resend,
+                self.acquisition.act,
+            )
         except InputError:
             self._stream.close()
             raise
@@ -183,9 +203,10 @@ class _Parts:
             "frame_rate": round(float(1 / self._timing.period_s), 3),
             "trigger": self._timing.source,
             "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
-            "late_us": {name: round(float(np.percentile(late_us, q)), 1)
-                        for name, q in (("p50", 50), ("p99", 99), ("max", 100))},
-        }  # fmt: skip
+            "late_us": {
+                name: round(float(np.percentile(late_us, q)), 1) for name, q in (("p50", 50), ("p99", 99), ("max", 100))
+            },
+        }
 
     def _set_identity(self, description: bytes, user_id: str) -> None:
         url = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
@@ -247,9 +268,20 @@ class _Parts:
 
 
 _KEPT_BY_USER_SET = (
-    "FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress",
-    "GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD", "GevSCCFG",
-)  # fmt: skip
+    "FirstUrl",
+    "DeviceUserID",
+    "PtpClockID",
+    "ControlPrivilege",
+    "PrimaryPort",
+    "PrimaryAddress",
+    "GevHeartbeatTimeout",
+    "PacketSizeWord",
+    "GevSCPHostPort",
+    "GevSCDA",
+    "GevSCSP",
+    "GevSCPD",
+    "GevSCCFG",
+)
 
 
 def _features(settings: CameraSettings, address: str, scene: CameraScene) -> tuple[Feature, ...]:
@@ -257,8 +289,11 @@ def _features(settings: CameraSettings, address: str, scene: CameraScene) -> tup
     colour = len(scene.shape) == 3
     known = ("auto", *MONO_FORMATS, *(COLOUR_FORMATS if colour else ()))
     if settings.pixel_format not in known:
-        raise InputError(f"pixel_format = {settings.pixel_format!r} is not offered", where=f"camera {address}",
-                         remedy=f"Choose one of {', '.join(known)}.")  # fmt: skip
+        raise InputError(
+            f"pixel_format = {settings.pixel_format!r} is not offered",
+            where=f"camera {address}",
+            remedy=f"Choose one of {', '.join(known)}.",
+        )
     return feature_table(settings, address, width, height, colour)
 
 

@@ -10,8 +10,17 @@ from .settings import CameraSettings
 
 TICKS_PER_SECOND = 1_000_000_000
 LISTENING_SHARE = 0.4  # of the time it takes PTP to settle
-PTP_STATES = {"Initializing": 1, "Faulty": 2, "Disabled": 3, "Listening": 4, "PreMaster": 5, "Master": 6,
-              "Passive": 7, "Uncalibrated": 8, "Slave": 9}  # fmt: skip
+PTP_STATES = {
+    "Initializing": 1,
+    "Faulty": 2,
+    "Disabled": 3,
+    "Listening": 4,
+    "PreMaster": 5,
+    "Master": 6,
+    "Passive": 7,
+    "Uncalibrated": 8,
+    "Slave": 9,
+}
 """Port states of IEEE 1588-2008, table 8."""
 
 

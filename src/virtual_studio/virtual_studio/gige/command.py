@@ -44,16 +44,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
     parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
     parser.add_argument("--cameras", type=int, metavar="N", help="cameras of the built-in rig (default: 5)")
-    parser.add_argument("--scene", choices=(PERSON_SCENE, SETUP_SCENE), help="in the built-in room: somebody moves "
-                        "(default), or a set-up from the empty room over boards to the person, in phases")  # fmt: skip
+    parser.add_argument(
+        "--scene",
+        choices=(PERSON_SCENE, SETUP_SCENE),
+        help="in the built-in room: somebody moves "
+        "(default), or a set-up from the empty room over boards to the person, in phases",
+    )
     parser.add_argument("--pattern", action="store_true", help="show a test pattern")
     parser.add_argument("--fps", type=float, help="frame rate at power-on (default: the session's, else 60)")
     parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
     parser.add_argument("--memory", type=float, metavar="MB", help="memory for a session's pictures (default: 800)")
     parser.add_argument("--empty", action="store_true", help="begin with the empty room")
     parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings",
-                        help="any other setting, such as camera.generation=old or camera.noise=2")  # fmt: skip
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="settings",
+        help="any other setting, such as camera.generation=old or camera.noise=2",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,8 +89,15 @@ def run(args: argparse.Namespace) -> int:
 
 def settings_from(args: argparse.Namespace) -> StudioSettings:
     """The studio that the arguments describe. Raises InputError."""
-    named = {"session": args.session, "cameras": args.cameras, "frame_rate": args.fps, "address": args.address,
-             "memory_mb": args.memory, "scene": args.scene, "pattern": args.pattern or None}  # fmt: skip
+    named = {
+        "session": args.session,
+        "cameras": args.cameras,
+        "frame_rate": args.fps,
+        "address": args.address,
+        "memory_mb": args.memory,
+        "scene": args.scene,
+        "pattern": args.pattern or None,
+    }
     given = {key: value for key, value in named.items() if value is not None}
     # the built-in room is rendered without noise: it comes from the cameras' sensors
     noise = {} if args.session or args.pattern else {"camera.noise": 2.0}

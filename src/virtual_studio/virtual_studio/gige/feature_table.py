@@ -26,10 +26,18 @@ AUTO = {"Off": 0, "Once": 1, "Continuous": 2}
 CHUNKS = {"Timestamp": 0x0A01, "ExposureTime": 0x0A02, "FrameID": 0x0A03, "Gain": 0x0A04}
 IMAGE_CHUNK = 0x0A00
 CAPABILITIES = (
-    Capability.CONCATENATION | Capability.WRITE_MEMORY | Capability.PACKET_RESEND | Capability.PENDING_ACK
-    | Capability.ACTION | Capability.SCHEDULED_ACTION | Capability.PTP | Capability.EXTENDED_STATUS
-    | Capability.PRIMARY_APPLICATION | Capability.SERIAL_NUMBER | Capability.USER_NAME
-)  # fmt: skip
+    Capability.CONCATENATION
+    | Capability.WRITE_MEMORY
+    | Capability.PACKET_RESEND
+    | Capability.PENDING_ACK
+    | Capability.ACTION
+    | Capability.SCHEDULED_ACTION
+    | Capability.PTP
+    | Capability.EXTENDED_STATUS
+    | Capability.PRIMARY_APPLICATION
+    | Capability.SERIAL_NUMBER
+    | Capability.USER_NAME
+)
 
 OLD_NAMES = {
     "ExposureTime": "ExposureTimeAbs",
@@ -55,10 +63,17 @@ OLD_NAMES = {
 def feature_table(settings: CameraSettings, address: str, width: int, height: int, colour: bool) -> tuple[Feature, ...]:
     """Every feature and register of a camera with a sensor of width x height pixels."""
     features = [
-        *_bootstrap(settings, address), *_device(settings), *_image(settings, width, height, colour),
-        *_acquisition(settings), *_triggers(), *_analog(settings, colour), *_time(), *_actions(), *_chunks(),
+        *_bootstrap(settings, address),
+        *_device(settings),
+        *_image(settings, width, height, colour),
+        *_acquisition(settings),
+        *_triggers(),
+        *_analog(settings, colour),
+        *_time(),
+        *_actions(),
+        *_chunks(),
         *_transport(settings),
-    ]  # fmt: skip
+    ]
     if settings.generation == OLD:
         features = [_in_old_words(feature) for feature in features]
     return placed(features)
@@ -131,13 +146,17 @@ def _image(s: CameraSettings, width: int, height: int, colour: bool) -> list[Fea
         integer("OffsetY", where, 0, low=0, high_key="OffsetYLimit", step=2),
         *(
             dataclasses.replace(integer(key, where, default, writable=False, volatile=True), category="")
-            for key, default in (("WidthLimit", width), ("HeightLimit", height), ("OffsetXLimit", 0),
-                                 ("OffsetYLimit", 0))
+            for key, default in (
+                ("WidthLimit", width),
+                ("HeightLimit", height),
+                ("OffsetXLimit", 0),
+                ("OffsetYLimit", 0),
+            )
         ),
         integer("BinningHorizontal", where, 1, low=1, high=MAX_BINNING, locked=True),
         integer("BinningVertical", where, 1, low=1, high=MAX_BINNING, locked=True),
         choice("PixelFormat", where, formats, default, locked=True),
-    ]  # fmt: skip
+    ]
 
 
 def _acquisition(s: CameraSettings) -> list[Feature]:
@@ -170,10 +189,17 @@ def _triggers() -> list[Feature]:
         integer("SyncFreeRunTimerStartTimeHigh", where, low=0, high=0xFFFF_FFFF),
         real("SyncFreeRunTimerTriggerRate", where, 30.0, low=0.1, high=1000.0, unit="Hz"),
         command("SyncFreeRunTimerUpdate", where, help="The three values above take effect"),
-        real("BslPeriodicSignalPeriod", where, 33333.0, low=1000.0, high=1e7, unit="us",
-             help="Trigger source PeriodicSignal1: at whole multiples of this, in PTP time"),
+        real(
+            "BslPeriodicSignalPeriod",
+            where,
+            33333.0,
+            low=1000.0,
+            high=1e7,
+            unit="us",
+            help="Trigger source PeriodicSignal1: at whole multiples of this, in PTP time",
+        ),
         real("BslPeriodicSignalDelay", where, 0.0, low=0.0, high=1e7, unit="us"),
-    ]  # fmt: skip
+    ]
 
 
 def _analog(s: CameraSettings, colour: bool) -> list[Feature]:
@@ -236,10 +262,11 @@ def _transport(s: CameraSettings) -> list[Feature]:
         integer("GevSCDA", where, address=bootstrap.STREAM_DESTINATION, low=0, high=0xFFFF_FFFF),
         integer("GevSCSP", where, address=bootstrap.STREAM_SOURCE_PORT, writable=False),
         integer("GevSCCFG", where, address=bootstrap.STREAM_CONFIGURATION, low=0, high=bootstrap.EXTENDED_ID_MODE),
-        integer("GevHeartbeatTimeout", where, 3000, address=bootstrap.HEARTBEAT_TIMEOUT_MS, low=300, high=600_000,
-                unit="ms"),
+        integer(
+            "GevHeartbeatTimeout", where, 3000, address=bootstrap.HEARTBEAT_TIMEOUT_MS, low=300, high=600_000, unit="ms"
+        ),
         integer("GevTimestampTickFrequency", where, TICKS_PER_SECOND, length=8, writable=False, unit="Hz"),
-    ]  # fmt: skip
+    ]
 
 
 def _in_old_words(feature: Feature) -> Feature:

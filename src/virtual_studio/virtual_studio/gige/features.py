@@ -100,8 +100,9 @@ def text(key: str, category: str, default: str, length: int, **more: object) -> 
 def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: object) -> Feature:
     """An enumeration; its default is the first entry unless named."""
     first = entries[default] if default else next(iter(entries.values()))
-    return Feature(key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first,
-                   **more)  # type: ignore[arg-type]  # fmt: skip
+    return Feature(
+        key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first, **more
+    )  # type: ignore[arg-type]
 
 
 def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:

@@ -37,10 +37,17 @@ class GvcpServer:
     """One camera's control channel on ``address``:3956. Raises InputError where the address cannot be had."""
 
     def __init__(
-        self, address: str, broadcast: bool, registers: Registers, privilege: ControlPrivilege, faults: Faults,
-        counters: Counter[str], loop: EventLoop, on_resend: Callable[[ResendRequest], None],
+        self,
+        address: str,
+        broadcast: bool,
+        registers: Registers,
+        privilege: ControlPrivilege,
+        faults: Faults,
+        counters: Counter[str],
+        loop: EventLoop,
+        on_resend: Callable[[ResendRequest], None],
         on_action: Callable[[Action], Status | None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._registers, self._privilege, self._faults, self._counters = registers, privilege, faults, counters
         self._loop, self._on_resend, self._on_action = loop, on_resend, on_action
         self._socket = _bound(address)
@@ -82,8 +89,9 @@ class GvcpServer:
         if not delay_ms:
             self._send(answer, peer)
             return
-        pending = AcknowledgePacket(Command.PENDING.acknowledge, encode_words([round(delay_ms) + 500]),
-                                    packet.request_id)  # fmt: skip
+        pending = AcknowledgePacket(
+            Command.PENDING.acknowledge, encode_words([round(delay_ms) + 500]), packet.request_id
+        )
         self._send(pending, peer)
         self._loop.call_at(time.time_ns() + round(delay_ms * 1e6), lambda: self._send(answer, peer))
 
@@ -166,6 +174,9 @@ def _bound(address: str) -> socket.socket:
     except OSError as error:
         sock.close()
         reason = "another camera is there" if error.errno == errno.EADDRINUSE else error.strerror
-        raise InputError(f"cannot listen on port {PORT} ({reason})", where=f"camera {address}",
-                         remedy="Choose another loopback address (127.x.y.z).") from None  # fmt: skip
+        raise InputError(
+            f"cannot listen on port {PORT} ({reason})",
+            where=f"camera {address}",
+            remedy="Choose another loopback address (127.x.y.z).",
+        ) from None
     return sock

@@ -22,8 +22,16 @@ class Region:
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
         self.enabled_chunks: set[str] = set()
-        for key in ("Width", "Height", "OffsetX", "OffsetY", "BinningHorizontal", "BinningVertical", "PixelFormat",
-                    "ChunkModeActive"):  # fmt: skip
+        for key in (
+            "Width",
+            "Height",
+            "OffsetX",
+            "OffsetY",
+            "BinningHorizontal",
+            "BinningVertical",
+            "PixelFormat",
+            "ChunkModeActive",
+        ):
             registers.writes[key] = self.refresh
         registers.reads["ChunkEnable"] = lambda: int(registers.label("ChunkSelector") in self.enabled_chunks)
         registers.writes["ChunkEnable"] = self._chunk_written

@@ -20,9 +20,14 @@ class RoomScene(LiveScene):
     """A person who moves, seen by all cameras of a rig."""
 
     def __init__(
-        self, rig: Rig, motion: str = "tour", seconds: float = 20.0, stature_m: float = 1.75, shadow: bool = True,
+        self,
+        rig: Rig,
+        motion: str = "tour",
+        seconds: float = 20.0,
+        stature_m: float = 1.75,
+        shadow: bool = True,
         most_hz: float = 20.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         body = Body.from_stature(stature_m)
         self._body, self._shadow = VolumetricBody(body), shadow
         self._poses = MOTIONS[motion](body, seconds, POSES_PER_S).poses

@@ -100,8 +100,11 @@ def _decode(path: Path, budget: float) -> list[Image]:
     if not frames:
         raise InputError("holds no frame that can be decoded", where=str(path), remedy="Check the file, or its codec.")
     if frames[0].nbytes > budget:
-        raise InputError(f"one frame has {frames[0].nbytes / 1e6:.1f} MB", where=str(path),
-                         remedy="Give the studio more memory (--memory).")  # fmt: skip
+        raise InputError(
+            f"one frame has {frames[0].nbytes / 1e6:.1f} MB",
+            where=str(path),
+            remedy="Give the studio more memory (--memory).",
+        )
     return frames
 
 

@@ -41,9 +41,15 @@ class SetupScene(LiveScene):
     """
 
     def __init__(
-        self, rig: Rig, motion: str = "tour", seconds: float = 20.0, most_hz: float = 20.0,
-        hand_board: Board = HAND_BOARD, floor_board: Board = FLOOR_BOARD, seed: int = 1,
-    ) -> None:  # fmt: skip
+        self,
+        rig: Rig,
+        motion: str = "tour",
+        seconds: float = 20.0,
+        most_hz: float = 20.0,
+        hand_board: Board = HAND_BOARD,
+        floor_board: Board = FLOOR_BOARD,
+        seed: int = 1,
+    ) -> None:
         body = Body.from_stature(1.75)
         self._body, self._poses = VolumetricBody(body), MOTIONS[motion](body, seconds, POSES_PER_S).poses
         self._people = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
@@ -66,8 +72,11 @@ class SetupScene(LiveScene):
         if phase == NEXT:
             phase = PHASES[(PHASES.index(self.phase) + 1) % len(PHASES)]
         if phase not in PHASES:
-            raise InputError(f"there is no phase '{phase}'", where="studio",
-                             remedy=f"It shows {', '.join(PHASES)}, or the next one: {NEXT}.")  # fmt: skip
+            raise InputError(
+                f"there is no phase '{phase}'",
+                where="studio",
+                remedy=f"It shows {', '.join(PHASES)}, or the next one: {NEXT}.",
+            )
         if phase != EMPTY:
             self._before, self._phase, self._since_ns = self._phase, phase, time.time_ns() + SWITCH_AFTER_NS
         self.stage.occupy(phase != EMPTY)

@@ -29,8 +29,11 @@ class StudioSettings:
 
     session: str = setting("", "Session folder whose footage the cameras see")
     cameras: int = setting(5, "Cameras of the built-in rig, the last one on the ceiling", low=1, high=32)
-    scene: str = setting(PERSON_SCENE, "What goes on in the built-in room: somebody moves, or a set-up in phases",
-                         choices=(PERSON_SCENE, SETUP_SCENE))  # fmt: skip
+    scene: str = setting(
+        PERSON_SCENE,
+        "What goes on in the built-in room: somebody moves, or a set-up in phases",
+        choices=(PERSON_SCENE, SETUP_SCENE),
+    )
     pattern: bool = setting(False, "Show a test pattern instead, which carries frame number and time")
     address: str = setting("127.0.1.1", "Loopback address of the first camera; the others follow")
     frame_rate: float = setting(0.0, "Frame rate at power-on; 0: the session's, else 60", unit="Hz", low=0, high=1000)

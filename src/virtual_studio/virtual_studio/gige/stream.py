@@ -31,9 +31,14 @@ class StreamChannel:
     """Sends blocks to whom the registers name. Only called from within the loop."""
 
     def __init__(
-        self, address: str, registers: Registers, settings: CameraSettings, faults: Faults, counters: Counter[str],
+        self,
+        address: str,
+        registers: Registers,
+        settings: CameraSettings,
+        faults: Faults,
+        counters: Counter[str],
         loop: EventLoop,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._registers, self._settings, self._faults, self._loop = registers, settings, faults, loop
         self._counters = counters
         self._rng = np.random.default_rng(settings.seed)
@@ -83,8 +88,9 @@ class StreamChannel:
         if block is None:
             self._counters["resend_missed"] += 1
             for packet_id in range(request.first, min(request.last, request.first + MOST_REFUSALS) + 1):
-                header = PacketHeader(Content.PAYLOAD, request.block_id, packet_id, Status.PACKET_UNAVAILABLE,
-                                      request.extended)  # fmt: skip
+                header = PacketHeader(
+                    Content.PAYLOAD, request.block_id, packet_id, Status.PACKET_UNAVAILABLE, request.extended
+                )
                 self._transmit([header.encode()], self._destination)
             return
         for packet_id in range(request.first, min(request.last, block.packets - 1) + 1):

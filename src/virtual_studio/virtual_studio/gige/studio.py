@@ -41,10 +41,11 @@ class Studio:
         names = self._show.rig.names
         addresses = following(self.settings.address, len(names))
         self.cameras = {
-            name: SimulatedCamera(address, self._show.views[name], self._camera_settings(number, name),
-                                  loop=self.loop, wire=self.wire)
+            name: SimulatedCamera(
+                address, self._show.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
+            )
             for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
-        }  # fmt: skip
+        }
 
     @property
     def rig(self) -> Rig:
@@ -107,13 +108,24 @@ class Studio:
 
     def handle(self, request: Request) -> Request:
         """Answer one request of the control channel. Raises InputError for one that makes no sense."""
-        verbs = {"status": self._status, "set": self._set, "clear": self._clear, "off": self._power, "on": self._power,
-                 "room": self._room, "play": self._play, "hold": self._hold, "pulse": self._pulse,
-                 "wire": self._wire, "show": self._switch}  # fmt: skip
+        verbs = {
+            "status": self._status,
+            "set": self._set,
+            "clear": self._clear,
+            "off": self._power,
+            "on": self._power,
+            "room": self._room,
+            "play": self._play,
+            "hold": self._hold,
+            "pulse": self._pulse,
+            "wire": self._wire,
+            "show": self._switch,
+        }
         verb = request.get("do")
         if verb not in verbs:
-            raise InputError(f"'{verb}' is nothing a studio does", where="studio",
-                             remedy=f"It does {', '.join(verbs)}.")  # fmt: skip
+            raise InputError(
+                f"'{verb}' is nothing a studio does", where="studio", remedy=f"It does {', '.join(verbs)}."
+            )
         return verbs[verb](request)
 
     def __enter__(self) -> Studio:
@@ -127,9 +139,12 @@ class Studio:
     def _camera_settings(self, number: int, name: str) -> CameraSettings:
         given = self.settings.camera
         changes: dict[str, Any] = {
-            "serial": f"STUDIO{number:03d}", "user_id": name, "seed": given.seed + number,
-            "frame_rate": self.frame_rate, "drift_ppm": given.drift_ppm + 3.0 * number,
-        }  # fmt: skip
+            "serial": f"STUDIO{number:03d}",
+            "user_id": name,
+            "seed": given.seed + number,
+            "frame_rate": self.frame_rate,
+            "drift_ppm": given.drift_ppm + 3.0 * number,
+        }
         return build_settings(CameraSettings, {**_plain(given), **changes}, f"camera {name}")
 
     def _chosen(self, request: Request) -> list[SimulatedCamera]:
@@ -137,16 +152,24 @@ class Studio:
         names = request.get("cameras") or list(self.cameras)
         unknown = [name for name in names if name not in self.cameras]
         if unknown:
-            raise InputError(f"there is no camera {', '.join(map(str, unknown))}", where="studio",
-                             remedy=f"Known cameras: {', '.join(self.cameras)}.")  # fmt: skip
+            raise InputError(
+                f"there is no camera {', '.join(map(str, unknown))}",
+                where="studio",
+                remedy=f"Known cameras: {', '.join(self.cameras)}.",
+            )
         return [self.cameras[name] for name in names]
 
     def _status(self, request: Request) -> Request:
         stage = self.stage
         state: Request = {"cameras": {name: camera.status() for name, camera in self.cameras.items()}}
         if stage is not None:
-            state["stage"] = {"occupied": stage.occupied, "epoch_ns": stage.epoch_ns, "frames": stage.frames,
-                              "fps": stage.fps, "loop": stage.loop}  # fmt: skip
+            state["stage"] = {
+                "occupied": stage.occupied,
+                "epoch_ns": stage.epoch_ns,
+                "frames": stage.frames,
+                "fps": stage.fps,
+                "loop": stage.loop,
+            }
         if self._show.phases is not None:
             state["shows"] = self._show.phases.phase
         return state | ({"room": dict(self._show.counters)} if self._show.counters is not None else {})
@@ -174,12 +197,16 @@ class Studio:
 
     def _room(self, request: Request) -> Request:
         if request.get("state") not in ("empty", "occupied"):
-            raise InputError(f"the room cannot be {request.get('state')!r}", where="studio",
-                             remedy="It can be empty or occupied.")  # fmt: skip
+            raise InputError(
+                f"the room cannot be {request.get('state')!r}", where="studio", remedy="It can be empty or occupied."
+            )
         occupied = request["state"] == "occupied"
         if not occupied and not self.can_be_empty:
-            raise InputError("nobody knows what the empty room looks like", where="studio",
-                             remedy="Use a session with a background for every camera.")  # fmt: skip
+            raise InputError(
+                "nobody knows what the empty room looks like",
+                where="studio",
+                remedy="Use a session with a background for every camera.",
+            )
         self._playing_stage().occupy(occupied)
         return {"room": request["state"]}
 

@@ -76,13 +76,19 @@ def _check(line: Line, asf: AcclaimSkeleton, frames: list[dict[str, Line]]) -> N
     if not frames:
         raise InputError(f"'{name}' before the first frame", where=line.where, remedy="Give an AMC file.")
     if name not in asf.bones:
-        raise InputError(f"the skeleton {asf.source} has no bone '{name}'", where=line.where,
-                         remedy="Give the skeleton that the motion was recorded with.")  # fmt: skip
+        raise InputError(
+            f"the skeleton {asf.source} has no bone '{name}'",
+            where=line.where,
+            remedy="Give the skeleton that the motion was recorded with.",
+        )
     if name in frames[-1]:
         raise InputError(f"'{name}' comes twice in a frame", where=line.where, remedy=DAMAGED)
     if count != len(asf.bones[name].dofs):
-        raise InputError(f"'{name}' has {count} numbers and {len(asf.bones[name].dofs)} degrees of freedom",
-                         where=line.where, remedy="Give the skeleton that the motion was recorded with.")  # fmt: skip
+        raise InputError(
+            f"'{name}' has {count} numbers and {len(asf.bones[name].dofs)} degrees of freedom",
+            where=line.where,
+            remedy="Give the skeleton that the motion was recorded with.",
+        )
 
 
 def _check_complete(frames: list[dict[str, Line]], asf: AcclaimSkeleton, where: str) -> None:

@@ -72,8 +72,9 @@ def _sections(path: Path) -> dict[str, list[Line]]:
         if line.words[0].startswith(":"):
             current = sections.setdefault(line.words[0][1:].lower(), [])
         elif current is None:
-            raise InputError(f"'{line.words[0]}' before any section", where=line.where,
-                             remedy="Give an Acclaim skeleton (ASF).")  # fmt: skip
+            raise InputError(
+                f"'{line.words[0]}' before any section", where=line.where, remedy="Give an Acclaim skeleton (ASF)."
+            )
         else:
             current.append(line)
     return sections
@@ -163,6 +164,9 @@ def _in_order(bones: dict[str, Bone], hierarchy: list[Line], path: Path) -> dict
             open_ends.append(child)
     loose = [name for name in bones if name not in ordered]
     if loose:
-        raise InputError(f"bone '{loose[0]}' hangs on nothing", where=f"{path}, line {bones[loose[0]].line}",
-                         remedy="Name it in the hierarchy.")  # fmt: skip
+        raise InputError(
+            f"bone '{loose[0]}' hangs on nothing",
+            where=f"{path}, line {bones[loose[0]].line}",
+            remedy="Name it in the hierarchy.",
+        )
     return ordered

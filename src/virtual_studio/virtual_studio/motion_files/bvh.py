@@ -88,8 +88,11 @@ class _Tokens:
 
     def error(self, wanted: str) -> InputError:
         found = f"'{self.peek}'" if self.peek else "the end of the file"
-        return InputError(f"{found} where BVH has '{wanted}'", where=self.where(),
-                          remedy="The file is damaged or no BVH: export it again.")  # fmt: skip
+        return InputError(
+            f"{found} where BVH has '{wanted}'",
+            where=self.where(),
+            remedy="The file is damaged or no BVH: export it again.",
+        )
 
 
 def _split(line: str) -> list[str]:
@@ -148,8 +151,11 @@ def _channels(tokens: _Tokens) -> list[tuple[str, str]]:
     for _ in range(int(count)):
         where, word = tokens.where(), tokens.take()
         if word.lower() not in CHANNELS:
-            raise InputError(f"there is no channel '{word}'", where=where,
-                             remedy="Channels are Xposition to Zposition and Xrotation to Zrotation.")  # fmt: skip
+            raise InputError(
+                f"there is no channel '{word}'",
+                where=where,
+                remedy="Channels are Xposition to Zposition and Xrotation to Zrotation.",
+            )
         found.append(CHANNELS[word.lower()])
     return found
 
@@ -171,11 +177,17 @@ def _motion(tokens: _Tokens, channels: int) -> tuple[float, Array]:
     rows = [(n, line) for n, line in enumerate(tokens.lines, 1) if n >= first and line.strip()]
     for n, line in rows:
         if len(line.split()) != channels:
-            raise InputError(f"a frame has {len(line.split())} numbers, its joints have {channels} channels",
-                             where=tokens.where(n), remedy="The file is damaged: export it again.")  # fmt: skip
+            raise InputError(
+                f"a frame has {len(line.split())} numbers, its joints have {channels} channels",
+                where=tokens.where(n),
+                remedy="The file is damaged: export it again.",
+            )
     if len(rows) != frames:
-        raise InputError(f"{len(rows)} frames where {frames} are announced", where=announced,
-                         remedy="The file is cut short or its header is wrong: export it again.")  # fmt: skip
+        raise InputError(
+            f"{len(rows)} frames where {frames} are announced",
+            where=announced,
+            remedy="The file is cut short or its header is wrong: export it again.",
+        )
     values = [[number(word, tokens.where(n)) for word in line.split()] for n, line in rows]
     return 1.0 / period_s, np.array(values).reshape(frames, channels)
 

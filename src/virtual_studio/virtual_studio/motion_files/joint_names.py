@@ -59,14 +59,18 @@ def joints_by_role(motion: JointMotion) -> dict[str, str]:
     """
     names = {plain(name): name for name in motion.names}
     for naming in NAMINGS.values():
-        found = {role: names[next(n for n in choice if n in names)] for role, choice in naming.items()
-                 if any(n in names for n in choice)}  # fmt: skip
+        found = {
+            role: names[next(n for n in choice if n in names)]
+            for role, choice in naming.items()
+            if any(n in names for n in choice)
+        }
         if all(role in found for role in NEEDED):
             return found
     raise InputError(
-        f"its joints are named in no known way: {', '.join(motion.names[:8])} ...", where=str(motion.source),
+        f"its joints are named in no known way: {', '.join(motion.names[:8])} ...",
+        where=str(motion.source),
         remedy=f"Give a YAML file that says which joint is {', '.join(NEEDED)}.",
-    )  # fmt: skip
+    )
 
 
 def load_joints_by_role(path: str | Path, motion: JointMotion) -> dict[str, str]:
@@ -79,14 +83,18 @@ def load_joints_by_role(path: str | Path, motion: JointMotion) -> dict[str, str]
         raise InputError("is no mapping", where=str(path), remedy="Write 'role: joint' on every line.")
     for role in document:
         if role not in NEEDED + OPTIONAL:
-            raise InputError(f"there is no joint '{role}'", where=str(path),
-                             remedy=f"Known: {', '.join(NEEDED + OPTIONAL)}.")  # fmt: skip
+            raise InputError(
+                f"there is no joint '{role}'", where=str(path), remedy=f"Known: {', '.join(NEEDED + OPTIONAL)}."
+            )
     missing = [role for role in NEEDED if role not in document]
     if missing:
         raise InputError(f"'{missing[0]}' is missing", where=str(path), remedy="Give all of them.")
     for role, name in document.items():
         if name not in motion.names:
             near = difflib.get_close_matches(str(name), motion.names, 3, 0.0)
-            raise InputError(f"{motion.source.name} has no joint '{name}'", where=f"{path}, {role}",
-                             remedy=f"It has {', '.join(near)}.")  # fmt: skip
+            raise InputError(
+                f"{motion.source.name} has no joint '{name}'",
+                where=f"{path}, {role}",
+                remedy=f"It has {', '.join(near)}.",
+            )
     return {str(role): str(name) for role, name in document.items()}

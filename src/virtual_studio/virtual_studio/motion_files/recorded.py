@@ -44,8 +44,10 @@ class RecordedMotion:
         opening = round((T_POSE_S + BLEND_S) * fps)
         frames = frame_count(seconds, fps) - opening
         if frames < 1:
-            raise InputError(f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s",
-                             remedy="Give a longer time.")  # fmt: skip
+            raise InputError(
+                f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s",
+                remedy="Give a longer time.",
+            )
         poses = _placed(person, self._poses(body, fps)[:frames], self.path)
         poses = [*_opening(person, poses[0], fps, opening), *poses]
         angles: list[np.ndarray] = []
@@ -77,8 +79,11 @@ def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list
     shift[2] = -np.percentile([_lowest(person, pose) for pose in poses], FLOOR_PERCENTILE)
     farthest = np.abs(places[:, :2] + shift[:2]).max()
     if farthest > ROOM_M:
-        raise InputError(f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide",
-                         where=str(path), remedy="Take fewer seconds of it, or start elsewhere.")  # fmt: skip
+        raise InputError(
+            f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide",
+            where=str(path),
+            remedy="Take fewer seconds of it, or start elsewhere.",
+        )
     return [_moved(pose, shift) for pose in poses]
 
 

@@ -34,8 +34,20 @@ WORLD_FROM_UP = {
     "z": np.eye(3),
 }
 """Rotations that turn the file's up axis to z; even permutations, so nothing is mirrored."""
-ORDER = ("left_shoulder", "right_shoulder", "left_hip", "right_hip", "left_elbow", "right_elbow", "left_knee",
-         "right_knee", "left_wrist", "right_wrist", "left_ankle", "right_ankle")  # fmt: skip
+ORDER = (
+    "left_shoulder",
+    "right_shoulder",
+    "left_hip",
+    "right_hip",
+    "left_elbow",
+    "right_elbow",
+    "left_knee",
+    "right_knee",
+    "left_wrist",
+    "right_wrist",
+    "left_ankle",
+    "right_ankle",
+)
 
 
 @dataclass(frozen=True)
@@ -121,8 +133,11 @@ def reference_points(motion: JointMotion, options: ReadingOptions | None = None)
 def _first_frame(motion: JointMotion, start_s: float) -> int:
     first = round(start_s * motion.fps)
     if not 0 <= first < len(motion.positions):
-        raise InputError(f"there is no motion at {start_s:g} s", where=str(motion.source),
-                         remedy=f"It lasts {len(motion.positions) / motion.fps:.2f} s.")  # fmt: skip
+        raise InputError(
+            f"there is no motion at {start_s:g} s",
+            where=str(motion.source),
+            remedy=f"It lasts {len(motion.positions) / motion.fps:.2f} s.",
+        )
     return first
 
 
@@ -140,22 +155,34 @@ def _head_tip(joint: dict[str, Array]) -> Array:
 def _leg(joint: dict[str, Array]) -> float:
     """Hip to ankle along the leg, the file's unit."""
     parts = [("hip", "knee"), ("knee", "ankle")]
-    lengths = [np.linalg.norm(joint[f"{side}_{a}"] - joint[f"{side}_{b}"], axis=1)
-               for side in ("left", "right") for a, b in parts]  # fmt: skip
+    lengths = [
+        np.linalg.norm(joint[f"{side}_{a}"] - joint[f"{side}_{b}"], axis=1)
+        for side in ("left", "right")
+        for a, b in parts
+    ]
     return 0.5 * float(sum(np.median(length) for length in lengths))
 
 
 def _metres_per_unit(joint: dict[str, Array], motion: JointMotion, given: float | None) -> float:
     stature = STATURE_OVER_LEG * _leg(joint)
     if given is None:
-        fits = [f"{scale:.5g} ({name}) for a person of {scale * stature:.2f} m" for name, scale in LIKELY_UNITS.items()
-                if LIKELY_STATURES[0] <= scale * stature <= LIKELY_STATURES[1]]  # fmt: skip
+        fits = [
+            f"{scale:.5g} ({name}) for a person of {scale * stature:.2f} m"
+            for name, scale in LIKELY_UNITS.items()
+            if LIKELY_STATURES[0] <= scale * stature <= LIKELY_STATURES[1]
+        ]
         remedy = "Give the metres of one unit" + (f": {', '.join(fits)}." if fits else ".")
-        raise InputError(f"a motion file has no unit; its person is {stature:.4g} units tall",
-                         where=str(motion.source), remedy=remedy)  # fmt: skip
+        raise InputError(
+            f"a motion file has no unit; its person is {stature:.4g} units tall",
+            where=str(motion.source),
+            remedy=remedy,
+        )
     if not (np.isfinite(given) and 0.5 <= given * stature <= 2.6):
-        raise InputError(f"with {given:g} m a unit its person is {given * stature:.3g} m tall",
-                         where=str(motion.source), remedy="Give another unit.")  # fmt: skip
+        raise InputError(
+            f"with {given:g} m a unit its person is {given * stature:.3g} m tall",
+            where=str(motion.source),
+            remedy="Give another unit.",
+        )
     return given
 
 
@@ -166,8 +193,11 @@ def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> Non
     if standing[2] < UPRIGHT * np.linalg.norm(standing):
         in_file = WORLD_FROM_UP[up].T @ standing
         likely = "xyz"[int(np.argmax(np.abs(in_file)))]
-        raise InputError(f"the person does not stand along {up}", where=str(motion.source),
-                         remedy=f"Say which axis points up, probably {likely}.")  # fmt: skip
+        raise InputError(
+            f"the person does not stand along {up}",
+            where=str(motion.source),
+            remedy=f"Say which axis points up, probably {likely}.",
+        )
 
 
 def resampled(points: Array, fps: float, wanted_fps: float) -> Array:

@@ -16,17 +16,33 @@ LEG = ("hip_x", "hip_y", "hip_z", "knee")
 def crossed_legs(person: VolumetricBody) -> Timeline:
     """Standing with the left leg before the right and past it, then the other way round."""
     left_first, right_first = _crossed(with_left, with_right), _crossed(with_right, with_left)
-    keys = [Key(0.0, STANDING), Key(0.5, _lifted(with_left)), Key(1.0, left_first), Key(2.4, left_first),
-            Key(2.9, _lifted(with_left)), Key(3.4, STANDING), Key(3.9, _lifted(with_right)), Key(4.4, right_first),
-            Key(5.8, right_first), Key(6.3, _lifted(with_right)), Key(6.8, STANDING)]  # fmt: skip
+    keys = [
+        Key(0.0, STANDING),
+        Key(0.5, _lifted(with_left)),
+        Key(1.0, left_first),
+        Key(2.4, left_first),
+        Key(2.9, _lifted(with_left)),
+        Key(3.4, STANDING),
+        Key(3.9, _lifted(with_right)),
+        Key(4.4, right_first),
+        Key(5.8, right_first),
+        Key(6.3, _lifted(with_right)),
+        Key(6.8, STANDING),
+    ]
     return Timeline((hold(0.9, STANDING), activity_of(keys, 7.4)))
 
 
 def squat(person: VolumetricBody) -> Timeline:
     """Twice down to a deep squat, arms forward, the second time faster."""
     down = posture(legs(1.45, 0.60, 0.55, apart=0.16), _forward_arms(1.2))
-    keys = [Key(0.0, STANDING), Key(1.1, down, 0.55), Key(1.9, down, 0.55), Key(2.9, STANDING), Key(3.5, down, 0.55),
-            Key(4.1, STANDING)]  # fmt: skip
+    keys = [
+        Key(0.0, STANDING),
+        Key(1.1, down, 0.55),
+        Key(1.9, down, 0.55),
+        Key(2.9, STANDING),
+        Key(3.5, down, 0.55),
+        Key(4.1, STANDING),
+    ]
     return Timeline((hold(0.9, STANDING), activity_of(keys, 4.7)))
 
 
@@ -35,8 +51,16 @@ def sitting(person: VolumetricBody) -> Timeline:
     half = posture(legs(0.85, 0.35, 0.60, apart=0.08), _forward_arms(0.9))
     seated = posture(legs(1.42, 0.05, 0.0, apart=0.10), _forward_arms(0.75, bend=-0.55))
     leaning = posture(legs(1.42, 0.05, -0.25, apart=0.10), _forward_arms(0.35, bend=-1.1))
-    keys = [Key(0.0, STANDING), Key(0.7, half, 0.60), Key(1.5, seated, 0.0), Key(2.5, seated, 0.0),
-            Key(3.1, leaning, -0.25), Key(3.9, leaning, -0.25), Key(4.6, half, 0.60), Key(5.4, STANDING)]  # fmt: skip
+    keys = [
+        Key(0.0, STANDING),
+        Key(0.7, half, 0.60),
+        Key(1.5, seated, 0.0),
+        Key(2.5, seated, 0.0),
+        Key(3.1, leaning, -0.25),
+        Key(3.9, leaning, -0.25),
+        Key(4.6, half, 0.60),
+        Key(5.4, STANDING),
+    ]
     return Timeline((hold(0.9, STANDING), activity_of(keys, 6.0)))
 
 

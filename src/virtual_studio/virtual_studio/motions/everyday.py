@@ -10,8 +10,9 @@ from .timeline import Activity, Timeline
 STEP_HZ = 0.85
 """Full walking cycles (two steps) per second."""
 
-STANDING = both_sides(shoulder_x=-np.pi / 2 + 0.16, shoulder_z=-0.05, shoulder_y=0.25, elbow=-0.28, hip_x=0.04,
-                      hip_y=-0.10, knee=0.16)  # fmt: skip
+STANDING = both_sides(
+    shoulder_x=-np.pi / 2 + 0.16, shoulder_z=-0.05, shoulder_y=0.25, elbow=-0.28, hip_x=0.04, hip_y=-0.10, knee=0.16
+)
 
 
 def walking(t: float) -> Array:
@@ -37,8 +38,16 @@ def walking_lean(t: float) -> Array:
 def _raising_arms(t: float) -> Array:
     lift = 0.5 - 0.5 * np.cos(2 * np.pi * 0.5 * t)
     bend = -0.25 - 0.5 * lift * (1 - lift)
-    angles = both_sides(shoulder_x=-1.2 + 2.1 * lift, shoulder_z=-0.12, shoulder_y=0.2, elbow=bend, hip_x=0.05,
-                        hip_y=-0.12, knee=0.2, neck_y=-0.12 * lift)  # fmt: skip
+    angles = both_sides(
+        shoulder_x=-1.2 + 2.1 * lift,
+        shoulder_z=-0.12,
+        shoulder_y=0.2,
+        elbow=bend,
+        hip_x=0.05,
+        hip_y=-0.12,
+        knee=0.2,
+        neck_y=-0.12 * lift,
+    )
     for phase, leg in ((0.0, left), (np.pi, right)):  # stepping on the spot
         step = (0.5 + 0.5 * np.cos(2 * np.pi * STEP_HZ * t + phase)) ** 2
         angles[leg("hip_y")] -= 0.45 * step
@@ -48,9 +57,17 @@ def _raising_arms(t: float) -> Array:
 
 def _squatting(t: float) -> Array:
     depth = 0.5 - 0.5 * np.cos(2 * np.pi * 0.5 * t)
-    return both_sides(shoulder_x=-np.pi / 2 + 0.2, shoulder_z=-0.15 - 1.05 * depth, shoulder_y=0.2, elbow=-0.3,
-                      hip_x=0.12, hip_y=-0.15 - 1.35 * depth, hip_z=0.15 * depth, knee=0.2 + 1.35 * depth,
-                      neck_y=-0.15 * depth)  # fmt: skip
+    return both_sides(
+        shoulder_x=-np.pi / 2 + 0.2,
+        shoulder_z=-0.15 - 1.05 * depth,
+        shoulder_y=0.2,
+        elbow=-0.3,
+        hip_x=0.12,
+        hip_y=-0.15 - 1.35 * depth,
+        hip_z=0.15 * depth,
+        knee=0.2 + 1.35 * depth,
+        neck_y=-0.15 * depth,
+    )
 
 
 def _squatting_lean(t: float) -> Array:
@@ -61,8 +78,9 @@ def _squatting_lean(t: float) -> Array:
 def _turning(t: float) -> Array:
     """The torso turns over standing feet: the thighs turn back about themselves; one arm reaches, then the other."""
     side = np.sin(2 * np.pi * 0.4 * t)
-    angles = both_sides(shoulder_x=-0.75, shoulder_z=-0.35, shoulder_y=0.35, elbow=-1.1, hip_x=0.06, hip_y=-0.15,
-                        knee=0.25)  # fmt: skip
+    angles = both_sides(
+        shoulder_x=-0.75, shoulder_z=-0.35, shoulder_y=0.35, elbow=-1.1, hip_x=0.06, hip_y=-0.15, knee=0.25
+    )
     angles[[left("hip_z"), right("hip_z")]] = -0.45 * side
     angles[left("elbow")] += 0.6 * side
     angles[right("elbow")] -= 0.6 * side
@@ -76,12 +94,14 @@ def _turning_lean(t: float) -> Array:
     return np.array([0.0, 0.08, 0.45 * np.sin(2 * np.pi * 0.4 * t)])
 
 
-TOUR = Timeline((
-    Activity(2.6, walking, walking=1.0, lean=walking_lean, own_clock=False),
-    Activity(2.4, _raising_arms, own_clock=False),
-    Activity(2.4, _squatting, lean=_squatting_lean, own_clock=False),
-    Activity(2.4, _turning, lean=_turning_lean, own_clock=False),
-))  # fmt: skip
+TOUR = Timeline(
+    (
+        Activity(2.6, walking, walking=1.0, lean=walking_lean, own_clock=False),
+        Activity(2.4, _raising_arms, own_clock=False),
+        Activity(2.4, _squatting, lean=_squatting_lean, own_clock=False),
+        Activity(2.4, _turning, lean=_turning_lean, own_clock=False),
+    )
+)
 """T-pose, then walking in a circle, raising the arms, a squat, turning the torso, and round again."""
 WALK = Timeline((Activity(1e9, walking, walking=1.0, lean=walking_lean, own_clock=False),))
 """T-pose, then walking in a circle to the end."""

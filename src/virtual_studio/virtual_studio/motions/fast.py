@@ -93,8 +93,13 @@ def _kicks(ready: Array, side: Side, at_s: float) -> list[Key]:
     leg = ("hip_x", "hip_y", "knee")
     bent = side(ready, both_sides(hip_x=0.04, hip_y=-1.35, knee=1.7), leg)
     out = side(ready, both_sides(hip_x=0.04, hip_y=-1.45, knee=0.15), leg)
-    return [Key(at_s, ready), Key(at_s + 0.30, bent, -0.12), Key(at_s + 0.50, out, -0.25),
-            Key(at_s + 0.70, bent, -0.12), Key(at_s + 1.05, ready)]  # fmt: skip
+    return [
+        Key(at_s, ready),
+        Key(at_s + 0.30, bent, -0.12),
+        Key(at_s + 0.50, out, -0.25),
+        Key(at_s + 0.70, bent, -0.12),
+        Key(at_s + 1.05, ready),
+    ]
 
 
 def punch(person: VolumetricBody) -> Timeline:

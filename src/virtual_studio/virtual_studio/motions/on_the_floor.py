@@ -20,8 +20,14 @@ def lie_down(person: VolumetricBody) -> Timeline:
     seated = posture(legs(2.10, -0.75, -0.35, apart=0.10), _arms(0.2, out=0.35))
     half = posture(legs(2.00, -1.10, -1.0, apart=0.08), _arms(-0.1, out=0.5))
     flat = posture(legs(1.535, -1.535, ON_THE_BACK, apart=0.08), _arms(0.0, out=0.55))
-    down = [(0.0, STANDING, 0.0), (1.1, squatting, 0.75), (2.1, seated, -0.35), (2.8, half, -1.0),
-            (3.5, flat, ON_THE_BACK), (5.5, flat, ON_THE_BACK)]  # fmt: skip
+    down = [
+        (0.0, STANDING, 0.0),
+        (1.1, squatting, 0.75),
+        (2.1, seated, -0.35),
+        (2.8, half, -1.0),
+        (3.5, flat, ON_THE_BACK),
+        (5.5, flat, ON_THE_BACK),
+    ]
     up = [(6.4, half, -1.0), (7.2, seated, -0.35), (8.3, squatting, 0.75), (9.4, STANDING, 0.0)]
     return Timeline((hold(0.9, STANDING), activity_of([Key(*key) for key in down + up], 10.0)))
 

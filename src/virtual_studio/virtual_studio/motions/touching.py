@@ -21,16 +21,24 @@ def arm_on_chest(person: VolumetricBody) -> Timeline:
     across = with_left(STANDING, forearm_across(person, height=0.05), ARM)
     beside = 0.05 + 0.25 * max(person.build - 1.0, 0.0)
     along = with_right(STANDING, both_sides(shoulder_x=-np.pi / 2 + beside, elbow=-0.02, shoulder_z=0.02), ARM)
-    keys = [Key(0.0, STANDING), Key(0.6, across), Key(2.6, across), Key(3.2, STANDING), Key(3.8, along),
-            Key(5.0, along), Key(5.6, STANDING)]  # fmt: skip
+    keys = [
+        Key(0.0, STANDING),
+        Key(0.6, across),
+        Key(2.6, across),
+        Key(3.2, STANDING),
+        Key(3.8, along),
+        Key(5.0, along),
+        Key(5.6, STANDING),
+    ]
     return Timeline((hold(0.9, STANDING), activity_of(keys, 6.2)))
 
 
 def hands_clasped(person: VolumetricBody) -> Timeline:
     """Both hands meet before the belly, then before the face."""
     s = person.scale
-    belly = _with_arms(reaching(person.body, ((BELLY_M * person.build + 0.14) * s, 0.032 * s, -0.08 * s),
-                                (0.0, 0.45 * s, -0.25 * s)))  # fmt: skip
+    belly = _with_arms(
+        reaching(person.body, ((BELLY_M * person.build + 0.14) * s, 0.032 * s, -0.08 * s), (0.0, 0.45 * s, -0.25 * s))
+    )
     face = _with_arms(reaching(person.body, (0.30 * s, 0.044 * s, 0.32 * s), (0.25 * s, 0.35 * s, -0.20 * s)))
     keys = [Key(0.0, STANDING), Key(0.7, belly), Key(2.7, belly), Key(3.4, face), Key(4.4, face), Key(5.2, STANDING)]
     return Timeline((hold(0.9, STANDING), activity_of(keys, 5.8)))

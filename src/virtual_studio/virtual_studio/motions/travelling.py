@@ -30,8 +30,17 @@ def leave_and_return(person: VolumetricBody) -> Timeline:
     def ahead() -> Activity:
         return Activity(AWAY_S, walking, lean=walking_lean)
 
-    return Timeline((hold(0.9, STANDING), turned(AWAY_RAD), ahead(), turned(np.pi), ahead(),
-                     turned(-np.pi - AWAY_RAD), hold(1.2, STANDING)))  # fmt: skip
+    return Timeline(
+        (
+            hold(0.9, STANDING),
+            turned(AWAY_RAD),
+            ahead(),
+            turned(np.pi),
+            ahead(),
+            turned(-np.pi - AWAY_RAD),
+            hold(1.2, STANDING),
+        )
+    )
 
 
 def run(person: VolumetricBody) -> Timeline:

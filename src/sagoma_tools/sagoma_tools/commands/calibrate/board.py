@@ -13,12 +13,20 @@ from rig_calibration.boards.specification import board_text, read_board
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the step."""
     parser = subparsers.add_parser("board", help="write a calibration board as SVG or PDF to print true to scale")
-    parser.add_argument("board", help='a YAML file (config/board/...), or "checkerboard 9x6 25mm" (inner corners), '
-                        '"charuco 8x11 20mm 15mm DICT_5X5_100" (fields)')  # fmt: skip
-    parser.add_argument("--output", type=Path, default=Path("board.pdf"), metavar="FILE",
-                        help=".pdf or .svg (default: board.pdf)")  # fmt: skip
-    parser.add_argument("--paper", choices=sorted(PAPER_MM, reverse=True), default="A4",
-                        help="larger boards are laid over several pages (default: A4)")  # fmt: skip
+    parser.add_argument(
+        "board",
+        help='a YAML file (config/board/...), or "checkerboard 9x6 25mm" (inner corners), '
+        '"charuco 8x11 20mm 15mm DICT_5X5_100" (fields)',
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("board.pdf"), metavar="FILE", help=".pdf or .svg (default: board.pdf)"
+    )
+    parser.add_argument(
+        "--paper",
+        choices=sorted(PAPER_MM, reverse=True),
+        default="A4",
+        help="larger boards are laid over several pages (default: A4)",
+    )
     parser.set_defaults(run=run)
 
 

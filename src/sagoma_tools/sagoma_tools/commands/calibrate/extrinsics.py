@@ -11,14 +11,7 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.verdict import REDO
 
-from ...calibration.rig_request import (
-    RigRequest,
-    read_boards,
-    read_choice,
-    read_floor_at,
-    read_marks,
-    read_tape,
-)
+from ...calibration.rig_request import RigRequest, read_boards, read_choice, read_floor_at, read_marks, read_tape
 
 NOT_GOOD_ENOUGH = 1
 WIDTH = 120
@@ -31,29 +24,56 @@ Exit status: 0 when the verdict is good or usable, 1 when it is redo, 2 for inpu
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        "extrinsics", help="where the cameras stand: a board on the floor, a board carried through the room",
-        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        "extrinsics",
+        help="where the cameras stand: a board on the floor, a board carried through the room",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     _add_pictures(parser)
     _add_world(parser)
     _add_by_hand(parser)
     parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="leave these cameras out")
-    parser.add_argument("--check", nargs=3, action="append", default=[], metavar=("NAME", "NAME", "METRES"),
-                        help="distance between two lenses, measured with a tape")  # fmt: skip
-    parser.add_argument("--check-height", nargs=2, action="append", default=[], metavar=("NAME", "METRES"),
-                        help="height of a lens above the floor, measured with a tape")  # fmt: skip
-    parser.add_argument("--output", default="rig.yaml", metavar="FILE",
-                        help="rig file to write; report and pictures come beside it (default: rig.yaml)")  # fmt: skip
+    parser.add_argument(
+        "--check",
+        nargs=3,
+        action="append",
+        default=[],
+        metavar=("NAME", "NAME", "METRES"),
+        help="distance between two lenses, measured with a tape",
+    )
+    parser.add_argument(
+        "--check-height",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "METRES"),
+        help="height of a lens above the floor, measured with a tape",
+    )
+    parser.add_argument(
+        "--output",
+        default="rig.yaml",
+        metavar="FILE",
+        help="rig file to write; report and pictures come beside it (default: rig.yaml)",
+    )
     parser.set_defaults(run=run)
 
 
 def _add_pictures(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("pictures")
-    group.add_argument("--intrinsics", required=True, metavar="FOLDER",
-                       help="one NAME.yaml (camera_info) a camera; or a rig file to take the lenses from")  # fmt: skip
+    group.add_argument(
+        "--intrinsics",
+        required=True,
+        metavar="FOLDER",
+        help="one NAME.yaml (camera_info) a camera; or a rig file to take the lenses from",
+    )
     group.add_argument("--floor", nargs="+", default=[], metavar="SOURCE", help="the board lying still on the floor")
-    group.add_argument("--moving", nargs="*", default=None, metavar="SOURCE",
-                       help="a board carried through the room; same frame number = same moment")  # fmt: skip
+    group.add_argument(
+        "--moving",
+        nargs="*",
+        default=None,
+        metavar="SOURCE",
+        help="a board carried through the room; same frame number = same moment",
+    )
     group.add_argument("--wand", nargs="+", default=[], metavar="SOURCE", help="a wand with bright markers, carried")
     group.add_argument("--wand-marks", metavar="M,M,...", help="positions of its markers along it, metres")
     group.add_argument(
@@ -63,21 +83,38 @@ def _add_pictures(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--live", action="store_true", help="take the pictures from the running cameras' image_raw topics"
     )
-    group.add_argument("--cameras", nargs="+", default=[], metavar="NAME",
-                       help="with --live: these cameras (default: all that publish)")  # fmt: skip
+    group.add_argument(
+        "--cameras",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="with --live: these cameras (default: all that publish)",
+    )
 
 
 def _add_world(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("world")
-    group.add_argument("--origin", default="centre", metavar="WHERE",
-                       help="on the floor board: centre (default), first-corner, or x,y in metres from its first "
-                       "corner, along its rows and towards the top of the print")  # fmt: skip
-    group.add_argument("--heading", type=float, default=0.0, metavar="DEG",
-                       help="from the board's rows to world x, counterclockwise from above")  # fmt: skip
+    group.add_argument(
+        "--origin",
+        default="centre",
+        metavar="WHERE",
+        help="on the floor board: centre (default), first-corner, or x,y in metres from its first "
+        "corner, along its rows and towards the top of the print",
+    )
+    group.add_argument(
+        "--heading",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="from the board's rows to world x, counterclockwise from above",
+    )
     group.add_argument("--board-thickness", type=float, default=0.0, metavar="METRES", help="of the floor board")
-    group.add_argument("--floor-at", metavar="WHEN",
-                       help="without --floor: when the carried board lies on the floor: a frame's number, first, last, "
-                       "lowest (default: found), or none (no floor is known)")  # fmt: skip
+    group.add_argument(
+        "--floor-at",
+        metavar="WHEN",
+        help="without --floor: when the carried board lies on the floor: a frame's number, first, last, "
+        "lowest (default: found), or none (no floor is known)",
+    )
     group.add_argument(
         "--floor-points", metavar="FILE", help="YAML of points measured on the floor and seen by cameras"
     )
@@ -86,8 +123,13 @@ def _add_world(parser: argparse.ArgumentParser) -> None:
 def _add_by_hand(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("where the floor board is not found")
     group.add_argument("--corners", metavar="FILE", help="YAML: NAME: four [x, y] outer corners, in pixels")
-    group.add_argument("--click", nargs="*", default=None, metavar="NAME",
-                       help="click the outer corners, of these cameras or of all in which it is not found")  # fmt: skip
+    group.add_argument(
+        "--click",
+        nargs="*",
+        default=None,
+        metavar="NAME",
+        help="click the outer corners, of these cameras or of all in which it is not found",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -134,8 +176,11 @@ def request_from(args: argparse.Namespace) -> RigRequest:
     if not args.live and not (args.floor or moving or args.wand or args.floor_points):
         raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
     if args.live and (args.floor or moving or args.wand):
-        raise InputError("pictures come from the cameras", where="--live",
-                         remedy="Leave out the footage; write --moving alone to record a carried board.")  # fmt: skip
+        raise InputError(
+            "pictures come from the cameras",
+            where="--live",
+            remedy="Leave out the footage; write --moving alone to record a carried board.",
+        )
     if args.floor and args.floor_points:
         raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
     has_floor = bool(args.floor or args.floor_points or args.live)

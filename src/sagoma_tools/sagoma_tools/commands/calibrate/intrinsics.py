@@ -33,8 +33,12 @@ TABLE_WIDTH = 150
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the step."""
     parser = subparsers.add_parser("intrinsics", help="each camera's lens, from footage of a board or live")
-    parser.add_argument("sources", nargs="*", metavar="SOURCE", help="a folder with a video or a folder of stills a "
-                        "camera, one video, or NAME=PATH")  # fmt: skip
+    parser.add_argument(
+        "sources",
+        nargs="*",
+        metavar="SOURCE",
+        help="a folder with a video or a folder of stills a camera, one video, or NAME=PATH",
+    )
     parser.add_argument("--topic", help="live: a camera's image topic, such as /cam01/image_raw")
     parser.add_argument("--board", required=True, help="its YAML file, or e.g. 'checkerboard 9x6 25mm' (inner corners)")
     parser.add_argument("--model", choices=MODELS, default="plumb_bob", help="lens; auto: whichever predicts better")
@@ -45,8 +49,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     live.add_argument("--seconds", type=float, help="end after so long, with what there is")
     live.add_argument("--views", type=int, help="end after so many views (default: when the lens is known well enough)")
     live.add_argument("--wait", type=float, default=10.0, help="give up when no image comes for so long, in seconds")
-    live.add_argument("--set", action="store_true", dest="offer", help="hand the result to the running camera client "
-                      "(its service set_camera_info)")  # fmt: skip
+    live.add_argument(
+        "--set",
+        action="store_true",
+        dest="offer",
+        help="hand the result to the running camera client (its service set_camera_info)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -106,6 +114,9 @@ def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Co
             bar.update(task, description=said, completed=watcher.examined)
 
         watcher = watch_footage(footage, board, collecting, progress)
-    console.print(f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
-                  f"{len(watcher.collector)} views kept", highlight=False)  # fmt: skip
+    console.print(
+        f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
+        f"{len(watcher.collector)} views kept",
+        highlight=False,
+    )
     return calibrate_intrinsics(watcher.collector.best(), board, name=footage.name, model=model)

@@ -48,11 +48,14 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
         machines, copies = _machines(node), Counter(_node_names(node))
         nodes = tuple(
             reports.facts(
-                name, state=states.get(name), machine=machines.get(name, ""), copies=copies[name],
+                name,
+                state=states.get(name),
+                machine=machines.get(name, ""),
+                copies=copies[name],
                 round_trip_s=trips.get(name),
             )
             for name in sorted({*lifecycle, *reports.names})
-        )  # fmt: skip
+        )
         return GraphFacts(
             domain=node.context.get_domain_id(),
             discovery_range=reach,
@@ -125,8 +128,11 @@ def _node_names(node: Node) -> list[str]:
 
 def _lifecycle_nodes(node: Node) -> list[str]:
     services = node.get_service_names_and_types()
-    return sorted(name.removesuffix(GET_STATE) for name, types in services
-                  if name.endswith(GET_STATE) and "lifecycle_msgs/srv/GetState" in types)  # fmt: skip
+    return sorted(
+        name.removesuffix(GET_STATE)
+        for name, types in services
+        if name.endswith(GET_STATE) and "lifecycle_msgs/srv/GetState" in types
+    )
 
 
 def _machines(node: Node) -> dict[str, str]:

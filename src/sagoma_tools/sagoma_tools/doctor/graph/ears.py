@@ -49,10 +49,15 @@ class DiagnosticsEar:
             return NodeFacts(name, **known)
         span_s = 1e-9 * (heard[-1][0] - heard[0][0])
         return NodeFacts(
-            name, reports=len(heard), level=last.level[0], message=last.message,
-            values={pair.key: pair.value for pair in last.values}, rate_hz=_rate(len(heard), span_s),
-            lead_s=tuple(1e-9 * (stamp - arrival) for arrival, stamp in heard), **known,
-        )  # fmt: skip
+            name,
+            reports=len(heard),
+            level=last.level[0],
+            message=last.message,
+            values={pair.key: pair.value for pair in last.values},
+            rate_hz=_rate(len(heard), span_s),
+            lead_s=tuple(1e-9 * (stamp - arrival) for arrival, stamp in heard),
+            **known,
+        )
 
     def _take(self, message: DiagnosticArray, info: Any) -> None:
         stamp_ns = to_ns(message.header.stamp)
@@ -87,12 +92,20 @@ class SilhouetteEar:
             arrivals, numbers = self._arrivals_ns, self._numbers
             span_s = 1e-9 * (arrivals[-1] - arrivals[0]) if arrivals else 0.0
             return SilhouetteFacts(
-                self.camera, publishers, self._infos, self._canvas, len(arrivals), self._bad,
+                self.camera,
+                publishers,
+                self._infos,
+                self._canvas,
+                len(arrivals),
+                self._bad,
                 lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
-                sizes=tuple(sorted(self._sizes)), shares=tuple(self._shares), changes=self._changes,
+                sizes=tuple(sorted(self._sizes)),
+                shares=tuple(self._shares),
+                changes=self._changes,
                 age_s=1e-9 * float(np.median(self._ages_ns)) if self._ages_ns else None,
-                rate_hz=_rate(len(arrivals), span_s), largest_bytes=self._largest,
-            )  # fmt: skip
+                rate_hz=_rate(len(arrivals), span_s),
+                largest_bytes=self._largest,
+            )
 
     def _take(self, message: CompressedImage, info: Any) -> None:
         data, now_ns = bytes(message.data), info["received_timestamp"]
@@ -140,10 +153,14 @@ class FrameSetEar:
             return None
         said = [values for _, values in sets]
         return FrameSetFacts(
-            len(sets), _rate(len(sets), 1e-9 * (sets[-1][0] - sets[0][0])), _floats(said, "spread_ms"),
-            _floats(said, "published_ms"), tuple(int(value) for value in _floats(said, "points")),
-            _named(said, "missing"), _named(said, "left_out"),
-        )  # fmt: skip
+            len(sets),
+            _rate(len(sets), 1e-9 * (sets[-1][0] - sets[0][0])),
+            _floats(said, "spread_ms"),
+            _floats(said, "published_ms"),
+            tuple(int(value) for value in _floats(said, "points")),
+            _named(said, "missing"),
+            _named(said, "left_out"),
+        )
 
     def _take(self, message: DiagnosticArray, info: Any) -> None:
         values = {pair.key: pair.value for status in message.status for pair in status.values}

@@ -91,8 +91,11 @@ def _judge_refusals(facts: GraphFacts, canvases: dict[str, Canvas]) -> Iterator[
         canvas = published.get(name)
         if f"{name}:" in hull.message and canvas is not None and not check_canvas_agrees(canvas, wanted):
             has = facts.rig_files.get(HULL, "unknown")
-            yield error("rig", f"it refuses {name}, which agrees with the rig file: the server has another one ({has})",
-                        "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")  # fmt: skip
+            yield error(
+                "rig",
+                f"it refuses {name}, which agrees with the rig file: the server has another one ({has})",
+                "Give it the same rig file: sagoma stop, sagoma up --rig RIG.",
+            )
 
 
 def _hulls_rig(facts: GraphFacts) -> Rig | None:

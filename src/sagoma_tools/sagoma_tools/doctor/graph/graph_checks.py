@@ -31,16 +31,25 @@ def check_graph(facts: GraphFacts, cameras: Sequence[str]) -> Iterator[Finding]:
     heard = {node.name for node in facts.nodes}
     absent = [name for name in SERVER_NODES if name not in heard]
     if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
-        yield note("nodes", "cameras that are not calibrated yet, and no server: the set-up has begun",
-                   "Go on with docs/first_capture.md.")  # fmt: skip
+        yield note(
+            "nodes",
+            "cameras that are not calibrated yet, and no server: the set-up has begun",
+            "Go on with docs/first_capture.md.",
+        )
     elif absent:
-        yield error("nodes", f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not heard in {where}",
-                    "sagoma up --rig RIG on the server; the same ROS_DOMAIN_ID on all machines, and "
-                    "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several.")  # fmt: skip
+        yield error(
+            "nodes",
+            f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not heard in {where}",
+            "sagoma up --rig RIG on the server; the same ROS_DOMAIN_ID on all machines, and "
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several.",
+        )
     strangers = [facts.camera for facts in facts.cameras if cameras and facts.camera not in cameras]
     if strangers:
-        yield warning("cameras", f"{', '.join(strangers)} publish silhouettes, but are not in the rig file",
-                      "Calibrate them into the rig, or stop them.")  # fmt: skip
+        yield warning(
+            "cameras",
+            f"{', '.join(strangers)} publish silhouettes, but are not in the rig file",
+            "Calibrate them into the rig, or stop them.",
+        )
     if facts.simulated_time:
         yield note("clock", "the graph runs on simulated time (/clock): clocks are not compared")
 
@@ -48,9 +57,12 @@ def check_graph(facts: GraphFacts, cameras: Sequence[str]) -> Iterator[Finding]:
 def check_camera_is_there(camera: str, facts: GraphFacts) -> Iterator[Finding]:
     """A camera of the rig without its client."""
     if facts.nodes and facts.node(camera_node(camera)) is None:
-        yield error("node", f"its client {camera_node(camera)} is not heard",
-                    f"Start it on its machine (sagoma up --cameras FOLDER --only {camera}); the same ROS_DOMAIN_ID "
-                    f"({facts.domain}) and discovery range there.")  # fmt: skip
+        yield error(
+            "node",
+            f"its client {camera_node(camera)} is not heard",
+            f"Start it on its machine (sagoma up --cameras FOLDER --only {camera}); the same ROS_DOMAIN_ID "
+            f"({facts.domain}) and discovery range there.",
+        )
 
 
 def check_alike(facts: GraphFacts) -> Iterator[Finding]:
@@ -69,8 +81,11 @@ def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: i
     if hull is None or hull.state != ACTIVE:
         return
     if sets is None or not sets.sets:
-        yield error("frame sets", "the hull server forms none", "See the cameras; their stamps must lie within half a "
-                    "frame period: sync and clocks.")  # fmt: skip
+        yield error(
+            "frame sets",
+            "the hull server forms none",
+            "See the cameras; their stamps must lie within half a frame period: sync and clocks.",
+        )
         return
     period_ms = 1e3 / sets.rate_hz if sets.rate_hz else 1e3 * USUAL_PERIOD_S
     spread, latency = _high(sets.spread_ms), _high(sets.latency_ms)
@@ -81,8 +96,9 @@ def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: i
         yield ok("sync", text)
     text = f"{sets.rate_hz:.1f} frame sets a second, {latency:.0f} ms from exposure to the hull"
     if latency > max(LATE_PERIODS * period_ms, LATE_MS):
-        yield warning("latency", text, "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who "
-                      "is busy.")  # fmt: skip
+        yield warning(
+            "latency", text, "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy."
+        )
     else:
         yield ok("frame sets", text)
     yield from _check_hull(sets, seen)
@@ -94,11 +110,17 @@ def check_share_in_sets(camera: str, sets: FrameSetFacts | None) -> Iterator[Fin
         return
     missing, left_out = sets.missing.get(camera, 0), sets.left_out.get(camera, 0)
     if missing > MISSING * sets.sets:
-        yield warning("frame sets", f"it is missing from {missing} of {sets.sets}",
-                      "Frames come late, get lost, or have other stamps: see clock, sync and network.")  # fmt: skip
+        yield warning(
+            "frame sets",
+            f"it is missing from {missing} of {sets.sets}",
+            "Frames come late, get lost, or have other stamps: see clock, sync and network.",
+        )
     if left_out:
-        yield warning("consensus", f"it contradicts the others: left out of {left_out} of {sets.sets} frame sets",
-                      "Was it moved? Is something before its lens? docs/lying_cameras.md")  # fmt: skip
+        yield warning(
+            "consensus",
+            f"it contradicts the others: left out of {left_out} of {sets.sets} frame sets",
+            "Was it moved? Is something before its lens? docs/lying_cameras.md",
+        )
 
 
 def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
@@ -106,8 +128,11 @@ def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
     if bodies:
         yield ok("centerline", f"in {bodies} of {sets.sets} frame sets")
     elif seen >= ENOUGH_CAMERAS:
-        yield error("centerline", f"{seen} cameras see somebody, but the hull is empty",
-                    "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live")  # fmt: skip
+        yield error(
+            "centerline",
+            f"{seen} cameras see somebody, but the hull is empty",
+            "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live",
+        )
     else:
         yield note("centerline", "the hull is empty: nobody is there, as far as can be told")
 
@@ -115,9 +140,12 @@ def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
 def _nobody_is_heard(facts: GraphFacts) -> Finding:
     announcing = facts.elsewhere(facts.domain)
     if announcing:
-        return error("nodes", f"no node is heard in ROS_DOMAIN_ID {facts.domain}, though {', '.join(announcing)} "
-                     "announces some: what follows the first small packets does not get here",
-                     f"{BIG_MESSAGES} Run it there, too.")  # fmt: skip
+        return error(
+            "nodes",
+            f"no node is heard in ROS_DOMAIN_ID {facts.domain}, though {', '.join(announcing)} "
+            "announces some: what follows the first small packets does not get here",
+            f"{BIG_MESSAGES} Run it there, too.",
+        )
     return error("nodes", f"no node is heard in ROS_DOMAIN_ID {facts.domain}", _where_else(facts))
 
 

@@ -20,8 +20,10 @@ RECOVERY = "docs/recovery.md"
 PAGES = {"/hull_server": "docs/lying_cameras.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
 START = "sagoma start (or sagoma up, where no process runs)"
 UNREACHABLE = "Look for its process and log there; for the way: sagoma doctor --host ADDRESS, firewall, cable."
-BIG_MESSAGES = ("Large messages get lost: one MTU on all machines (sagoma doctor --host ADDRESS), "
-                "FASTRTPS_DEFAULT_PROFILES_FILE=config/dds/fastdds.xml, and UDP open between them.")  # fmt: skip
+BIG_MESSAGES = (
+    "Large messages get lost: one MTU on all machines (sagoma doctor --host ADDRESS), "
+    "FASTRTPS_DEFAULT_PROFILES_FILE=config/dds/fastdds.xml, and UDP open between them."
+)
 
 
 def camera_node(camera: str) -> str:
@@ -39,11 +41,17 @@ def check_node(node: NodeFacts, nobody: bool = False) -> Iterator[Finding]:
     """Does it answer and report, is it active, and is it well? ``nobody``: no camera sees anybody, which explains
     empty masks."""
     if node.copies > 1:
-        yield error("node", f"{node.copies} nodes call themselves {node.name}",
-                    "Stop all but one: the same camera or server was started twice.")  # fmt: skip
+        yield error(
+            "node",
+            f"{node.copies} nodes call themselves {node.name}",
+            "Stop all but one: the same camera or server was started twice.",
+        )
     if node.state is None and not node.reports:
-        yield error("node", f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do "
-                    "not get here", UNREACHABLE)  # fmt: skip
+        yield error(
+            "node",
+            f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here",
+            UNREACHABLE,
+        )
         return
     if node.state is None:
         yield warning("node", f"{node.name} reports, but does not answer questions: it is busy or hangs", UNREACHABLE)
@@ -91,8 +99,11 @@ def _what_it_says(node: NodeFacts, nobody: bool) -> Finding:
 
 def _check_work(node: NodeFacts) -> Iterator[Finding]:
     if node.reports >= FEW_REPORTS and node.rate_hz < RARE_HZ:
-        yield warning("diagnostics", f"come {node.rate_hz:.1f} times a second instead of {REPORT_HZ:.0f}: it "
-                      "is busy, or they get lost", BIG_MESSAGES)  # fmt: skip
+        yield warning(
+            "diagnostics",
+            f"come {node.rate_hz:.1f} times a second instead of {REPORT_HZ:.0f}: it is busy, or they get lost",
+            BIG_MESSAGES,
+        )
     busy = node.values.get("cpu_percent", "")
     if busy.isdigit() and float(busy) > BUSY_PERCENT:
         yield note("load", f"it uses {busy} % of a core")

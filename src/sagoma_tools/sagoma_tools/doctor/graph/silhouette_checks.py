@@ -54,9 +54,14 @@ def check_canvas_agrees(canvas: Canvas, rig: Canvas) -> str:
         return f"its canvas is {canvas.width} x {canvas.height}, the rig's {rig.width} x {rig.height} pixels"
     told = [
         f"{name} {mine:.2f}, in the rig {theirs:.2f}"
-        for name, mine, theirs in (("fx", canvas.fx, rig.fx), ("fy", canvas.fy, rig.fy), ("cx", canvas.cx, rig.cx),
-                                   ("cy", canvas.cy, rig.cy)) if abs(mine - theirs) > SAME_PX
-    ]  # fmt: skip
+        for name, mine, theirs in (
+            ("fx", canvas.fx, rig.fx),
+            ("fy", canvas.fy, rig.fy),
+            ("cx", canvas.cx, rig.cx),
+            ("cy", canvas.cy, rig.cy),
+        )
+        if abs(mine - theirs) > SAME_PX
+    ]
     return ", ".join(told)
 
 
@@ -79,16 +84,22 @@ def _check_canvas(facts: SilhouetteFacts, rig: Canvas | None, rig_file: str) -> 
         return
     if any(size != (canvas.width, canvas.height) for size in facts.sizes):
         sizes = " and ".join(f"{width} x {height}" for width, height in facts.sizes)
-        yield error("silhouettes", f"they are {sizes}, camera_info says {canvas.width} x {canvas.height} pixels",
-                    "Two clients of one name, or a damaged one: restart it.")  # fmt: skip
+        yield error(
+            "silhouettes",
+            f"they are {sizes}, camera_info says {canvas.width} x {canvas.height} pixels",
+            "Two clients of one name, or a damaged one: restart it.",
+        )
     if rig is None:
         return
     differs = check_canvas_agrees(canvas, rig)
     if differs:
         where = f" (its rig_file: {rig_file})" if rig_file else ""
-        yield error("camera_info", f"made with another calibration than the rig file: {differs}{where}",
-                    "Copy the newer of both rig files to both machines, configure both again; a calibration set "
-                    "by set_camera_info belongs into rig.yaml too.")  # fmt: skip
+        yield error(
+            "camera_info",
+            f"made with another calibration than the rig file: {differs}{where}",
+            "Copy the newer of both rig files to both machines, configure both again; a calibration set "
+            "by set_camera_info belongs into rig.yaml too.",
+        )
     else:
         yield ok("camera_info", "agrees with the rig file")
 
@@ -99,11 +110,17 @@ def _check_way(facts: SilhouetteFacts) -> Iterator[Finding]:
         large = " (larger than one packet)" if facts.largest_bytes > PACKET_BYTES else ""
         yield warning("network", f"{facts.lost} of {sent} silhouettes{large} got lost on the way here", BIG_MESSAGES)
     if facts.age_s is not None and facts.age_s < -EARLY_S:
-        yield error("stamps", f"its frames are stamped {-facts.age_s:.3f} s ahead of this machine's clock",
-                    "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.")  # fmt: skip
+        yield error(
+            "stamps",
+            f"its frames are stamped {-facts.age_s:.3f} s ahead of this machine's clock",
+            "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.",
+        )
     elif facts.age_s is not None and facts.age_s > OLD_S:
-        yield warning("latency", f"its silhouettes are {facts.age_s:.1f} s old when they arrive",
-                      "Its clock is behind (see clock), footage plays late, or the machine is too busy.")  # fmt: skip
+        yield warning(
+            "latency",
+            f"its silhouettes are {facts.age_s:.1f} s old when they arrive",
+            "Its clock is behind (see clock), footage plays late, or the machine is too busy.",
+        )
 
 
 def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterator[Finding]:
@@ -115,13 +132,22 @@ def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterato
     elif share >= FLOODED:
         yield error("silhouettes", f"flooded: {text}", f"The light or the camera was changed. {learn}")
     elif facts.masks >= ENOUGH_MASKS and not facts.changes and share > NOTHING:
-        yield error("silhouettes", f"frozen: the same one {facts.masks} times ({text})",
-                    "Cycle the camera's power; see what its client says.")  # fmt: skip
+        yield error(
+            "silhouettes",
+            f"frozen: the same one {facts.masks} times ({text})",
+            "Cycle the camera's power; see what its client says.",
+        )
     elif share < NOTHING and others_see:
-        yield warning("silhouettes", f"blank, while {', '.join(others_see)} see somebody",
-                      f"Lens cap, wrong direction, or he was in the room while it learned. {learn}")  # fmt: skip
+        yield warning(
+            "silhouettes",
+            f"blank, while {', '.join(others_see)} see somebody",
+            f"Lens cap, wrong direction, or he was in the room while it learned. {learn}",
+        )
     elif share < SOMEBODY and others_see:
-        yield note("silhouettes", f"nearly blank ({text}), while {', '.join(others_see)} see somebody",
-                   "Well, if nobody is in its view.")  # fmt: skip
+        yield note(
+            "silhouettes",
+            f"nearly blank ({text}), while {', '.join(others_see)} see somebody",
+            "Well, if nobody is in its view.",
+        )
     else:
         yield ok("silhouettes", text)

@@ -56,8 +56,11 @@ def check_software(software: SoftwareFacts) -> Iterator[Finding]:
     else:
         yield warning("python", f"{python}: not tried", "Use Python 3.11 or 3.12.")
     if software.rmw_error:
-        yield error("ros", f"no middleware can be loaded ({software.rmw_error})",
-                    "Source ROS 2 Jazzy before make setup, or let make setup install its wheels.")  # fmt: skip
+        yield error(
+            "ros",
+            f"no middleware can be loaded ({software.rmw_error})",
+            "Source ROS 2 Jazzy before make setup, or let make setup install its wheels.",
+        )
         return
     if software.ros_distro not in ("", ROS):
         yield warning("ros", f"ROS_DISTRO = {software.ros_distro}", "Source ROS 2 Jazzy, then make setup again.")
@@ -70,24 +73,35 @@ def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
     if not kernels.compiled:
         yield warning("kernels", "none is compiled yet: every node's first start takes a minute", "make setup")
     elif kernels.fresh is False:
-        yield warning("kernels", f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash",
-                      "make setup (it empties the cache and compiles anew)")  # fmt: skip
+        yield warning(
+            "kernels",
+            f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash",
+            "make setup (it empties the cache and compiles anew)",
+        )
     elif kernels.fresh is None:
-        yield note("kernels", f"{kernels.compiled} compiled; whether of these sources is unknown",
-                   f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then "
-                   "python -m sagoma_tools.warm_up")  # fmt: skip
+        yield note(
+            "kernels",
+            f"{kernels.compiled} compiled; whether of these sources is unknown",
+            f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then python -m sagoma_tools.warm_up",
+        )
     else:
         yield ok("kernels", f"{kernels.compiled} compiled, of these sources")
     if not kernels.writable:
-        yield warning("kernels", f"{kernels.folder} may not be written: kernels compile anew at every start",
-                      "Set NUMBA_CACHE_DIR to a folder that this user may write.")  # fmt: skip
+        yield warning(
+            "kernels",
+            f"{kernels.folder} may not be written: kernels compile anew at every start",
+            "Set NUMBA_CACHE_DIR to a folder that this user may write.",
+        )
 
 
 def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
     """What the hull server's backend "auto" takes."""
     if graphics.error:
-        yield note("opengl", f"none, the hull server carves on the CPU ({graphics.error})",
-                   "Nothing, on a machine without a GPU; else see docs/opengl.md.")  # fmt: skip
+        yield note(
+            "opengl",
+            f"none, the hull server carves on the CPU ({graphics.error})",
+            "Nothing, on a machine without a GPU; else see docs/opengl.md.",
+        )
     elif graphics.hardware:
         yield ok("opengl", f"{graphics.renderer}, OpenGL {graphics.version}: the hull server carves on it")
     else:
@@ -121,13 +135,19 @@ def check_disk(disk: DiskFacts) -> Iterator[Finding]:
 def check_shared_memory(memory: SharedMemoryFacts) -> Iterator[Finding]:
     """Room for the segments through which nodes of this machine talk."""
     if memory.free_bytes < SMALL_SHARED_MEMORY:
-        yield warning("shm", f"{memory.free_bytes >> 20} of {memory.size_bytes >> 20} MiB of /dev/shm are free",
-                      "In a container: --shm-size=512m (or --ipc=host); else mount it larger.")  # fmt: skip
+        yield warning(
+            "shm",
+            f"{memory.free_bytes >> 20} of {memory.size_bytes >> 20} MiB of /dev/shm are free",
+            "In a container: --shm-size=512m (or --ipc=host); else mount it larger.",
+        )
     else:
         yield ok("shm", f"{memory.free_bytes >> 20} MiB of /dev/shm are free")
     if memory.abandoned > ABANDONED:
-        yield note("shm", f"{memory.abandoned} segments there belong to nodes that were killed",
-                   "While no node runs: rm /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*")  # fmt: skip
+        yield note(
+            "shm",
+            f"{memory.abandoned} segments there belong to nodes that were killed",
+            "While no node runs: rm /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*",
+        )
 
 
 def check_limits(limits: LimitFacts) -> Iterator[Finding]:
@@ -145,9 +165,11 @@ def check_buffers(rmem_max: int | None, wmem_max: int | None) -> Iterator[Findin
         if value is None:
             yield note(name, f"unknown: this container does not show net.core.{name}", "Look at it on the host.")
         elif value < BUFFER_BYTES:
-            yield severity(name, f"net.core.{name} = {value} bytes: bursts of messages are lost",
-                           f"sudo sysctl -w net.core.{name}={BUFFER_BYTES} (for good: a line in "
-                           "/etc/sysctl.d/60-cameras.conf)")  # fmt: skip
+            yield severity(
+                name,
+                f"net.core.{name} = {value} bytes: bursts of messages are lost",
+                f"sudo sysctl -w net.core.{name}={BUFFER_BYTES} (for good: a line in /etc/sysctl.d/60-cameras.conf)",
+            )
         else:
             yield ok(name, f"net.core.{name} = {value} bytes")
 
@@ -159,12 +181,18 @@ def check_network(network: NetworkFacts) -> Iterator[Finding]:
     if not any(interface.up for interface in network.interfaces):
         yield note("network", "there is no network but loopback: the whole graph must run here")
     if network.firewalls:
-        yield note("firewall", f"active: {', '.join(network.firewalls)}",
-                   "Let UDP ports 7400 to 7650 + 250 x ROS_DOMAIN_ID in from the other machines, and multicast "
-                   "(239.255.0.1); ports 3956 and above 1024 from the cameras.")  # fmt: skip
+        yield note(
+            "firewall",
+            f"active: {', '.join(network.firewalls)}",
+            "Let UDP ports 7400 to 7650 + 250 x ROS_DOMAIN_ID in from the other machines, and multicast "
+            "(239.255.0.1); ports 3956 and above 1024 from the cameras.",
+        )
     if not network.profile_exists:
-        yield error("dds profile", f"{network.profile} does not exist, and the middleware ignores that silently",
-                    "export FASTRTPS_DEFAULT_PROFILES_FILE=/path/to/config/dds/fastdds.xml, or unset it.")  # fmt: skip
+        yield error(
+            "dds profile",
+            f"{network.profile} does not exist, and the middleware ignores that silently",
+            "export FASTRTPS_DEFAULT_PROFILES_FILE=/path/to/config/dds/fastdds.xml, or unset it.",
+        )
     elif network.profile:
         yield ok("dds profile", network.profile)
     if network.domains_here:

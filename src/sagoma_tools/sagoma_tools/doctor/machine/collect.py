@@ -19,14 +19,7 @@ from ...processes import owned_shared_memory
 from ..collect import collect_host
 from .ask_gl import collect_graphics
 from .collect_network import collect_network
-from .facts import (
-    DiskFacts,
-    KernelFacts,
-    LimitFacts,
-    MachineFacts,
-    SharedMemoryFacts,
-    SoftwareFacts,
-)
+from .facts import DiskFacts, KernelFacts, LimitFacts, MachineFacts, SharedMemoryFacts, SoftwareFacts
 
 SHARED_MEMORY = Path("/dev/shm")
 FINGERPRINT = ".sagoma-kernels"  # of the sources that the set-up compiled, in the virtual environment
@@ -56,9 +49,13 @@ def collect_software() -> SoftwareFacts:
         release = {}
     rmw, error = _middleware()
     return SoftwareFacts(
-        release.get("ID", platform.system().lower()), release.get("VERSION_ID", platform.release()),
-        sys.version_info[:2], os.environ.get("ROS_DISTRO", ""), rmw, error,
-    )  # fmt: skip
+        release.get("ID", platform.system().lower()),
+        release.get("VERSION_ID", platform.release()),
+        sys.version_info[:2],
+        os.environ.get("ROS_DISTRO", ""),
+        rmw,
+        error,
+    )
 
 
 def collect_kernels() -> KernelFacts:
@@ -94,8 +91,10 @@ def collect_shared_memory() -> SharedMemoryFacts:
 
 def collect_limits() -> LimitFacts:
     """The soft limits of this process, which those it starts inherit."""
-    soft = [resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_RTPRIO,
-                                                     resource.RLIMIT_MEMLOCK)]  # fmt: skip
+    soft = [
+        resource.getrlimit(kind)[0]
+        for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK)
+    ]
     return LimitFacts(*soft)
 
 

@@ -17,9 +17,14 @@ class _Timex(ctypes.Structure):
     """struct timex of <sys/timex.h>; what is behind ``status`` is not looked at."""
 
     _fields_ = (
-        ("modes", ctypes.c_uint), ("offset", _long), ("freq", _long), ("maxerror", _long), ("esterror", _long),
-        ("status", _int), ("rest", ctypes.c_char * 256),
-    )  # fmt: skip
+        ("modes", ctypes.c_uint),
+        ("offset", _long),
+        ("freq", _long),
+        ("maxerror", _long),
+        ("esterror", _long),
+        ("status", _int),
+        ("rest", ctypes.c_char * 256),
+    )
 
 
 def kernel_clock() -> ClockFacts:

@@ -55,18 +55,28 @@ def collect_reach(address: str) -> ReachFacts:
 def check_reach(facts: ReachFacts) -> Iterator[Finding]:
     """Is there a way, does it answer, does it carry whole packets?"""
     if facts.interface is None:
-        yield error("way", f"there is no way to {facts.address} from this machine",
-                    f"Check the address; see: ip route get {facts.address}")  # fmt: skip
+        yield error(
+            "way",
+            f"there is no way to {facts.address} from this machine",
+            f"Check the address; see: ip route get {facts.address}",
+        )
     elif not facts.answers:
-        yield warning("answer", f"{facts.address} does not answer through {facts.interface.name}: it is off, or a "
-                      "firewall is silent", f"ping {facts.address}; open UDP between the machines.")  # fmt: skip
+        yield warning(
+            "answer",
+            f"{facts.address} does not answer through {facts.interface.name}: it is off, or a firewall is silent",
+            f"ping {facts.address}; open UDP between the machines.",
+        )
     elif facts.largest >= min(facts.interface.mtu, max(SIZES)):
         yield ok("mtu", f"packets of {facts.largest} bytes reach {facts.address} through {facts.interface.name}")
     else:
         name, reach = facts.interface.name, f"{facts.largest or f'less than {SIZES[-1]}'} bytes at most"
-        yield error("mtu", f"{name} sends packets of {facts.interface.mtu} bytes, but {reach} reach {facts.address}: "
-                    "larger messages vanish", "Give both machines and the switch between them one MTU: "
-                    f"sudo ip link set {name} mtu {facts.largest or SIZES[-1]}, or raise the others'.")  # fmt: skip
+        yield error(
+            "mtu",
+            f"{name} sends packets of {facts.interface.mtu} bytes, but {reach} reach {facts.address}: "
+            "larger messages vanish",
+            "Give both machines and the switch between them one MTU: "
+            f"sudo ip link set {name} mtu {facts.largest or SIZES[-1]}, or raise the others'.",
+        )
     if facts.interface is not None and facts.interface.loopback:
         yield note("way", f"{facts.address} is this machine")
 

@@ -32,8 +32,11 @@ def check_rig(facts: RigFacts) -> Iterator[Finding]:
     yield from check_report(facts.report, CALIBRATE)
     bare = [camera.name for camera in facts.cameras if camera.name not in facts.reports]
     if bare:
-        yield note("reports", f"there is none of the lens of {', '.join(bare)}",
-                   f"{CALIBRATE_LENS}, or say with --intrinsics where they are.")  # fmt: skip
+        yield note(
+            "reports",
+            f"there is none of the lens of {', '.join(bare)}",
+            f"{CALIBRATE_LENS}, or say with --intrinsics where they are.",
+        )
     yield from _check_number(facts)
     yield from _check_common_view(facts)
     yield from _check_pairs(facts)
@@ -44,9 +47,12 @@ def check_camera(camera: CameraGeometry, report: ReportFacts | None, differing: 
     if report is not None:  # of those without one the rig's findings tell
         yield from check_report(report, CALIBRATE_LENS)
     if differing:
-        yield warning("intrinsics", f"its own camera_info differs from the rig file: {differing}",
-                      f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
-                      "else remove the old camera_info.")  # fmt: skip
+        yield warning(
+            "intrinsics",
+            f"its own camera_info differs from the rig file: {differing}",
+            f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
+            "else remove the old camera_info.",
+        )
     yield from _check_lens(camera)
     yield from _check_place(camera)
 
@@ -86,8 +92,11 @@ def check_footage(facts: FootageFacts, camera: CameraGeometry) -> Iterator[Findi
     else:
         yield ok("footage", f"{facts.frames} frames of {width} x {height} pixels")
     if facts.background_size is not None and facts.background_size != camera.size:
-        yield error("background", f"is {facts.background_size[0]} x {facts.background_size[1]} pixels, the camera "
-                    f"{width} x {height}", "Record the empty room at the camera's size.")  # fmt: skip
+        yield error(
+            "background",
+            f"is {facts.background_size[0]} x {facts.background_size[1]} pixels, the camera {width} x {height}",
+            "Record the empty room at the camera's size.",
+        )
 
 
 def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
@@ -95,8 +104,11 @@ def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
     frames = {facts.camera: facts.frames for facts in footage if not facts.error}
     if len(set(frames.values())) > 1:
         told = ", ".join(f"{camera} {count}" for camera, count in frames.items())
-        yield warning("footage", f"the videos have different numbers of frames ({told})",
-                      "Cut them so that frame k of all was taken at the same instant.")  # fmt: skip
+        yield warning(
+            "footage",
+            f"the videos have different numbers of frames ({told})",
+            "Cut them so that frame k of all was taken at the same instant.",
+        )
     bare = [facts.camera for facts in footage if not facts.error and facts.background_size is None]
     if bare:
         yield error("background", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4 or .png.")
@@ -107,8 +119,11 @@ def _check_number(facts: RigFacts) -> Iterator[Finding]:
     if number < ENOUGH_CAMERAS:
         yield error("cameras", f"{number} cannot carve a body", "Use four cameras or more; three at the least.")
     elif number == ENOUGH_CAMERAS:
-        yield note("cameras", "three: a limb before the trunk has no outline of its own, and no lying camera can be "
-                   "outvoted", "Add one or two where there is room.")  # fmt: skip
+        yield note(
+            "cameras",
+            "three: a limb before the trunk has no outline of its own, and no lying camera can be outvoted",
+            "Add one or two where there is room.",
+        )
     sizes = {camera.size for camera in facts.cameras}
     if len(sizes) > 1:
         yield note(
@@ -137,14 +152,23 @@ def _check_pairs(facts: RigFacts) -> Iterator[Finding]:
         angle = angle_deg(one.direction_world, other.direction_world)
         pair = f"{one.name} and {other.name}"
         if apart_m < SAME_PLACE_M:
-            yield error("cameras", f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?",
-                        f"{CALIBRATE}; check which file is whose.")  # fmt: skip
+            yield error(
+                "cameras",
+                f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?",
+                f"{CALIBRATE}; check which file is whose.",
+            )
         elif angle > 180.0 - SAME_OUTLINE_DEG:
-            yield warning("cameras", f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored",
-                          "Move one of them sideways by an eighth of the circle, or higher.")  # fmt: skip
+            yield warning(
+                "cameras",
+                f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored",
+                "Move one of them sideways by an eighth of the circle, or higher.",
+            )
         elif angle < SAME_OUTLINE_DEG:
-            yield warning("cameras", f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline",
-                          "Spread the cameras around the volume.")  # fmt: skip
+            yield warning(
+                "cameras",
+                f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline",
+                "Spread the cameras around the volume.",
+            )
 
 
 def _check_age(report: ReportFacts, again: str) -> Iterator[Finding]:
@@ -186,14 +210,23 @@ def _check_place(camera: CameraGeometry) -> Iterator[Finding]:
     elif height > HIGH_M:
         yield warning("place", f"it hangs {height:.1f} m above the floor", again)
     elif height < LOW_M:
-        yield note("place", f"it stands {height:.2f} m above the floor: feet and limbs hide each other",
-                   "Raise it to 1.2 to 2.5 m.")  # fmt: skip
+        yield note(
+            "place",
+            f"it stands {height:.2f} m above the floor: feet and limbs hide each other",
+            "Raise it to 1.2 to 2.5 m.",
+        )
     if camera.sees < SEES_NOTHING:
-        yield error("view", "it sees nobody in the volume from soles to head",
-                    f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up.")  # fmt: skip
+        yield error(
+            "view",
+            "it sees nobody in the volume from soles to head",
+            f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up.",
+        )
     elif camera.mm_per_px > COARSE_MM_PER_PX:
-        yield warning("view", f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m "
-                      "away", "Use a longer lens, more pixels, or move it nearer.")  # fmt: skip
+        yield warning(
+            "view",
+            f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m away",
+            "Use a longer lens, more pixels, or move it nearer.",
+        )
     else:
         yield ok(
             "view",

@@ -147,6 +147,11 @@ def _camera(camera: CameraModel, middle: Array, sees: float) -> CameraGeometry:
 
 def _border(camera: CameraModel) -> Array:
     along = np.linspace(0.0, 1.0, BORDER_POINTS)
-    ends = np.concatenate([np.stack(pair, axis=1) for side in (0.0, 1.0) for pair in
-                           ((along, np.full_like(along, side)), (np.full_like(along, side), along))])  # fmt: skip
+    ends = np.concatenate(
+        [
+            np.stack(pair, axis=1)
+            for side in (0.0, 1.0)
+            for pair in ((along, np.full_like(along, side)), (np.full_like(along, side), along))
+        ]
+    )
     return ends * [camera.width - 1, camera.height - 1]

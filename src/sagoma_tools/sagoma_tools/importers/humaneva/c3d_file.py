@@ -32,9 +32,10 @@ class Mocap:
             if label in self.column:
                 return self.points_mm[:, self.column[label]]
         raise InputError(
-            f"has no point labelled {' or '.join(labels)}", where=str(self.path),
+            f"has no point labelled {' or '.join(labels)}",
+            where=str(self.path),
             remedy="Take the .c3d of the original release: it holds the markers and the body model's points.",
-        )  # fmt: skip
+        )
 
 
 def read_c3d(path: Path) -> Mocap:
@@ -52,10 +53,14 @@ def read_c3d(path: Path) -> Mocap:
         remedy = "That of trial 2 is withheld by the owners: import its footage alone with --no-truth."
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except Exception as error:  # the library asserts and indexes its way through damaged files
-        raise InputError(f"is not a readable .c3d file ({type(error).__name__}: {error})", where=str(path),
-                         remedy="Copy it again from the data set.") from None  # fmt: skip
+        raise InputError(
+            f"is not a readable .c3d file ({type(error).__name__}: {error})",
+            where=str(path),
+            remedy="Copy it again from the data set.",
+        ) from None
     if not frames or len(frames) < expected:
-        raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path),
-                         remedy="Copy it again from the data set.")  # fmt: skip
+        raise InputError(
+            f"ends after {len(frames)} of {expected} frames", where=str(path), remedy="Copy it again from the data set."
+        )
     column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts
     return Mocap(path, column, scale * np.stack(frames).astype(float), rate_hz)

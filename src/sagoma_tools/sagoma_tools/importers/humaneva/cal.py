@@ -29,8 +29,9 @@ def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
     if (focal <= 0).any() or skew != 0:
         raise InputError(
             f"focal lengths {focal.tolist()} and skew {skew:g} are not those of a camera with square axes",
-            where=str(path), remedy="Focal lengths must be positive pixels and the skew 0.",
-        )  # fmt: skip
+            where=str(path),
+            remedy="Focal lengths must be positive pixels and the skew 0.",
+        )
     T_camera_world = np.eye(4)
     T_camera_world[:3, :3] = _rotation(numbers[10:19].reshape(3, 3), path)
     T_camera_world[:3, 3] = numbers[19:22] / 1000.0
@@ -42,7 +43,10 @@ def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
     """The rotation nearest to R: the file's digits are rounded."""
     error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
     if error > ROTATION_TOLERANCE:
-        raise InputError(f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}",
-                         where=str(path), remedy=f"It reads {MEANING}: copy it again from the data set.")  # fmt: skip
+        raise InputError(
+            f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}",
+            where=str(path),
+            remedy=f"It reads {MEANING}: copy it again from the data set.",
+        )
     U, _, Vt = np.linalg.svd(R)
     return U @ Vt

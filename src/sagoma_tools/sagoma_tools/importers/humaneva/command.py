@@ -23,8 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--action", required=True, help="Walking, Jog, ThrowCatch, Gestures, Box or Combo")
     parser.add_argument("--trial", type=int, default=1, help="1 has footage and motion capture (default)")
     parser.add_argument("--cameras", nargs="+", default=list(CAMERAS), metavar="CAMERA", help=", ".join(CAMERAS))
-    parser.add_argument("--frames", nargs=2, type=int, metavar=("FIRST", "LAST"),
-                        help="the data set's own frame numbers, from 6 on (default: all)")  # fmt: skip
+    parser.add_argument(
+        "--frames",
+        nargs=2,
+        type=int,
+        metavar=("FIRST", "LAST"),
+        help="the data set's own frame numbers, from 6 on (default: all)",
+    )
     parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
     parser.add_argument("output", type=Path, nargs="?", help="the session folder to write")
 

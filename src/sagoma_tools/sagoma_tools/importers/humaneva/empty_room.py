@@ -33,8 +33,11 @@ class EmptyRoom:
         """Take an image of the trial into account. Raises InputError when it has another size than the movies."""
         for path, mean in zip(self._movies, self._means, strict=True):
             if mean.shape != image.shape:
-                raise InputError(f"its images have shape {mean.shape}, those of the trial {image.shape}",
-                                 where=str(path), remedy="Copy it again from the data set.")  # fmt: skip
+                raise InputError(
+                    f"its images have shape {mean.shape}, those of the trial {image.shape}",
+                    where=str(path),
+                    remedy="Copy it again from the data set.",
+                )
         self._differences.append([float(np.median(np.abs(image - mean))) for mean in self._means])
 
     @property
@@ -56,8 +59,11 @@ class EmptyRoom:
         with self._open(path) as movie:
             images = list(islice(movie.images(), MEAN_IMAGES))
         if not images:
-            raise InputError(f"has fewer than {FIRST_USABLE_FRAME} images", where=str(path),
-                             remedy="Copy it again from the data set.")  # fmt: skip
+            raise InputError(
+                f"has fewer than {FIRST_USABLE_FRAME} images",
+                where=str(path),
+                remedy="Copy it again from the data set.",
+            )
         return np.asarray(np.mean(images, axis=0, dtype=np.float32))
 
     def _open(self, path: Path) -> Movie:

@@ -41,8 +41,9 @@ def copy_footage(
     frames = 0
     with ExitStack() as stack:
         files: dict[str, FootageFile] = {}
-        for images in together({c: s.movie for c, s in sources.items()},
-                               {c: s.first_image for c, s in sources.items()}, count):  # fmt: skip
+        for images in together(
+            {c: s.movie for c, s in sources.items()}, {c: s.first_image for c, s in sources.items()}, count
+        ):
             for camera, image in images.items():
                 if camera not in files:
                     files[camera] = stack.enter_context(FootageFile(folder / sources[camera].name, fps, image))

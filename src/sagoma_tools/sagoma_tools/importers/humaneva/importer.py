@@ -41,8 +41,11 @@ class Request:
     def __post_init__(self) -> None:
         first, last = self.frames or (FIRST_USABLE_FRAME, FIRST_USABLE_FRAME)
         if first < FIRST_USABLE_FRAME or last < first:
-            raise InputError(f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on", where="--frames",
-                             remedy="The first five frames of a movie all show the same image.")  # fmt: skip
+            raise InputError(
+                f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on",
+                where="--frames",
+                remedy="The first five frames of a movie all show the same image.",
+            )
 
     @property
     def first_frame(self) -> int:
@@ -87,8 +90,11 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
 def _source(request: Request, time: CommonTime, camera: str, number: int) -> Source:
     trial = request.trial
     if camera not in time.first_image:
-        raise InputError(f"has no .ofs file of camera {camera} for {trial}", where=str(trial.folder / "Sync_Data"),
-                         remedy=f"It has those of {', '.join(time.first_image)}.")  # fmt: skip
+        raise InputError(
+            f"has no .ofs file of camera {camera} for {trial}",
+            where=str(trial.folder / "Sync_Data"),
+            remedy=f"It has those of {', '.join(time.first_image)}.",
+        )
     first_image = time.image(camera, request.first_frame)
     return Source(trial.video(camera), first_image, trial.backgrounds(camera), f"cam{number:02d}")
 
@@ -110,8 +116,11 @@ def _frame_rate(sources: Mapping[str, Source], time: CommonTime, mocap: Mocap | 
 def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
     """Rows from the first known frame on, so that a track can start at the first row; unknown cells stay empty."""
     if not found.valid.any():
-        raise InputError(f"no imported frame of {trial} has complete motion capture", where=str(trial.mocap()),
-                         remedy="Import other frames, or footage alone with --no-truth.")  # fmt: skip
+        raise InputError(
+            f"no imported frame of {trial} has complete motion capture",
+            where=str(trial.mocap()),
+            remedy="Import other frames, or footage alone with --no-truth.",
+        )
     start = int(found.valid.argmax())
     points = {n: np.where(found.valid[:, None], p, np.nan)[start:] / 1000.0 for n, p in found.points_mm.items()}
     write_truth_file(path, np.arange(start, len(found.valid)), points)
@@ -133,9 +142,14 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
 
 
 def _describe(
-    path: Path, trial: Trial, sources: Mapping[str, Source], footage: Footage, time: CommonTime, frames: np.ndarray,
+    path: Path,
+    trial: Trial,
+    sources: Mapping[str, Source],
+    footage: Footage,
+    time: CommonTime,
+    frames: np.ndarray,
     fps: float,
-) -> None:  # fmt: skip
+) -> None:
     cameras = {
         source.name: {"name": camera, "first_image": source.first_image, "background": footage.empty_rooms[camera]}
         for camera, source in sources.items()

@@ -18,10 +18,46 @@ from .mp import read_mp
 from .virtual_points import Instants, Segment, between, mean_distance_mm, present, segment
 
 MARKERS = (
-    "RASI", "LASI", "RPSI", "LPSI", "C7", "T10", "RBAK", "STRN", "CLAV", "LSHO", "RSHO", "LUPA", "RUPA", "LELB", "RELB",
-    "LFRM LFRA", "RFRM RFRA", "LWRA", "RWRA", "LWRB", "RWRB", "LFIN", "RFIN", "LTHI", "RTHI", "LKNE", "RKNE",
-    "LTIB", "RTIB", "LANK", "RANK", "LHEE", "RHEE", "LTOE", "RTOE", "LFHD", "RFHD", "LBHD", "RBHD",
-)  # fmt: skip
+    "RASI",
+    "LASI",
+    "RPSI",
+    "LPSI",
+    "C7",
+    "T10",
+    "RBAK",
+    "STRN",
+    "CLAV",
+    "LSHO",
+    "RSHO",
+    "LUPA",
+    "RUPA",
+    "LELB",
+    "RELB",
+    "LFRM LFRA",
+    "RFRM RFRA",
+    "LWRA",
+    "RWRA",
+    "LWRB",
+    "RWRB",
+    "LFIN",
+    "RFIN",
+    "LTHI",
+    "RTHI",
+    "LKNE",
+    "RKNE",
+    "LTIB",
+    "RTIB",
+    "LANK",
+    "RANK",
+    "LHEE",
+    "RHEE",
+    "LTOE",
+    "RTOE",
+    "LFHD",
+    "RFHD",
+    "LBHD",
+    "RBHD",
+)
 """The 39 markers on the body, two of them with two names; a frame that lacks any of them is not used."""
 PELVIS_SHIFT_MM = -50.0
 HEAD_MM = 316.103
@@ -56,8 +92,11 @@ def measures(static: Mocap, mp: Path) -> Measures:
     left, right = static.track_mm("LSHO"), static.track_mm("RSHO")
     seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
     if not seen.any():
-        raise InputError("both shoulder markers (LSHO, RSHO) are never seen together", where=str(static.path),
-                         remedy="Copy it again from the data set.")  # fmt: skip
+        raise InputError(
+            "both shoulder markers (LSHO, RSHO) are never seen together",
+            where=str(static.path),
+            remedy="Copy it again from the data set.",
+        )
     width_mm = np.linalg.norm(left - right, axis=1)[seen].mean()
     offset = read_mp(mp, MEASURES)
     return Measures(width_mm / 2 - MARKER_RADIUS_MM, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})

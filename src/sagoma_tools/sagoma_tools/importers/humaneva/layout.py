@@ -58,8 +58,11 @@ class Trial:
         folder = self.root / "Background"
         found = sorted(folder.glob(f"Background_*_({camera}).avi"))
         if not found:
-            raise InputError(f"has no Background_*_({camera}).avi", where=str(folder),
-                             remedy="Unpack the data set's background movies there.")  # fmt: skip
+            raise InputError(
+                f"has no Background_*_({camera}).avi",
+                where=str(folder),
+                remedy="Unpack the data set's background movies there.",
+            )
         return found
 
     @property

@@ -22,8 +22,11 @@ class Movie:
         self._capture = cv2.VideoCapture(str(path))
         self.read_count = 0
         if not self._capture.isOpened():
-            raise InputError("cannot be opened as a video", where=str(path),
-                             remedy="Copy it again from the data set; it is a .avi with codec XVID.")  # fmt: skip
+            raise InputError(
+                "cannot be opened as a video",
+                where=str(path),
+                remedy="Copy it again from the data set; it is a .avi with codec XVID.",
+            )
 
     @property
     def fps(self) -> float:
@@ -38,8 +41,11 @@ class Movie:
         """Make the 1-based image ``number`` the next one; InputError when the movie is shorter."""
         while self.read_count < number - 1:
             if not self._capture.grab():
-                raise InputError(f"ends after {self.read_count} images, before image {number}", where=str(self.path),
-                                 remedy="Import other frames, or copy it again from the data set.")  # fmt: skip
+                raise InputError(
+                    f"ends after {self.read_count} images, before image {number}",
+                    where=str(self.path),
+                    remedy="Import other frames, or copy it again from the data set.",
+                )
             self.read_count += 1
 
     def read(self) -> Image | None:
@@ -84,7 +90,10 @@ def together(videos: Mapping[str, Path], first: Mapping[str, int], count: int | 
                 return
             if ended:
                 movie = movies[ended[0]]
-                raise InputError(f"ends after {movie.read_count} images, {(count or 1) - done} too early",
-                                 where=str(movie.path), remedy="Import fewer frames.")  # fmt: skip
+                raise InputError(
+                    f"ends after {movie.read_count} images, {(count or 1) - done} too early",
+                    where=str(movie.path),
+                    remedy="Import fewer frames.",
+                )
             yield {camera: image for camera, image in images.items() if image is not None}
             done += 1

@@ -15,11 +15,13 @@ def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
     try:
         text = path.read_text(encoding="latin-1")
     except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path),
-                         remedy="It lies in Mocap_Data beside the .c3d files.") from None  # fmt: skip
+        raise InputError(
+            f"cannot be read ({error.strerror})", where=str(path), remedy="It lies in Mocap_Data beside the .c3d files."
+        ) from None
     measures = {name: float(value) for name, value in LINE.findall(text)}
     missing = [name for name in names if name not in measures]
     if missing:
-        raise InputError(f"has no line '${missing[0]} = number'", where=str(path),
-                         remedy="Copy it again from the data set.")  # fmt: skip
+        raise InputError(
+            f"has no line '${missing[0]} = number'", where=str(path), remedy="Copy it again from the data set."
+        )
     return {name: measures[name] for name in names}

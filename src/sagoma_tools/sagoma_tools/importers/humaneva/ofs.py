@@ -28,6 +28,9 @@ def read_ofs(path: Path) -> Offset:
     """The offset of one camera; InputError naming the file."""
     offset = Offset(*read_numbers(path, 3, MEANING).tolist())
     if offset.mocap_per_image <= 0:
-        raise InputError(f"{offset.mocap_per_image:g} mocap frames per image frame", where=str(path),
-                         remedy="It must be positive, near 2: copy the file again from the data set.")  # fmt: skip
+        raise InputError(
+            f"{offset.mocap_per_image:g} mocap frames per image frame",
+            where=str(path),
+            remedy="It must be positive, near 2: copy the file again from the data set.",
+        )
     return offset
