@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+package_name = "mocap_packets"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    description="What travels between the stages of the pipeline: one frozen type each, with its array layout.",
+    license="Apache-2.0",
+    maintainer="sagoma maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-689beada.example",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+)
