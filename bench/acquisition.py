@@ -22,22 +22,27 @@ import numpy as np
 
 from capture_rig import FrameSet
 from capture_rig.session import Session, footage_stamp_ns, load_session
-from hull_server.pipeline import HullPipeline
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.body_estimate import BodyEstimate, estimate_body
-from icp_tracker.acquisition.proportions import MEAN_OVER_STATURE, SIZES, body_of_sizes, sizes_of_body
-from icp_tracker.acquisition.refusal import Refusal
-from icp_tracker.acquisition.t_pose import TPoseSource
-from icp_tracker.acquisition.t_pose_shape import TPoseSettings, measure_t_pose
-from icp_tracker.hull_clouds import HullClouds
-from icp_tracker.voxel_cloud import VoxelCloud
+from icp_tracker.acquisition.body_sizes import (
+    MEAN_OVER_STATURE,
+    SIZES,
+    BodyEstimate,
+    body_of_sizes,
+    estimate_body,
+    sizes_of_body,
+)
+from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
+from icp_tracker.acquisition.t_pose_source import TPoseSource
+from icp_tracker.acquisition.upright import PoseRejected
+from mocap_packets.hull_products import HullProducts, VoxelCloud
 from sagoma_tools.evaluation.in_process import EPOCH_NS, Configuration, exact_silhouettes, silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
-from virtual_studio.body import VolumetricBody
-from virtual_studio.render import VirtualCamera
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 LONGEST = 60  # sets of a session that are looked at
@@ -55,7 +60,7 @@ def of_session(session: Session, exact: bool) -> dict[str, object]:
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
         hull = pipeline.run(FrameSet(stamp_ns, frame_masks, dict.fromkeys(frame_masks, stamp_ns), ()))
         voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        answer = source.look(HullClouds(stamp_ns, hull.centerline.points_world, voxels=voxels))
+        answer = source.find_pose(HullProducts(stamp_ns, hull.centerline.points_world, voxels=voxels))
         if answer.pose is not None:
             truth = points[frame]
             left = truth[3] - truth[4]
@@ -83,7 +88,7 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
     for body, pose, voxels, volume in people(cameras, ceiling, number, rng):
         try:
             measured = measure_t_pose(voxels, TPoseSettings(), volume)
-        except Refusal as refusal:
+        except PoseRejected as refusal:
             refused.append(refusal.reason)
             continue
         if measured.facing < TPoseSettings().sureness:
@@ -115,7 +120,7 @@ def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -
         pose = t_pose(body, rng)
         parts = VolumetricBody(body).place(pose)
         parts.radii[:] *= rng.uniform(0.85, 1.25)
-        masks = {name: view.undistort_mask(eye.see(parts, None)[1]) for name, eye, view in eyes}
+        masks = {name: view.undistort_mask(eye.render(parts, None)[1]) for name, eye, view in eyes}
         stamp_ns = (k + 1) * 1_000_000_000
         hull = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ()))
         yield body, pose, hull.voxels.points_world, rig.volume

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "src/rig_calibration/test"))
 
 from board_renders import camera, looking_at_board, render, true_corners
 
-from rig_calibration.boards.detection import find_board
+from rig_calibration.boards.detector import find_board
 from rig_calibration.boards.specification import read_board
 
 LENS = camera(D=(-0.2, 0.08, 0.001, -0.001, 0.0))
@@ -32,8 +32,8 @@ def accuracy(blurs: tuple[float, ...]) -> list[dict]:
         for blur in blurs:
             T = looking_at_board(board, 0.6, tilt, 7, 3)
             image, truth = render(LENS, board, T, blur=blur, noise=2.5, oversample=10), true_corners(LENS, board, T)
-            sighting = find_board(image, board, thorough=True)
-            ours = sighting.pixels - truth[sighting.ids] if sighting else np.full((1, 2), np.nan)
+            detection = find_board(image, board, thorough=True)
+            ours = detection.pixels - truth[detection.ids] if detection else np.full((1, 2), np.nan)
             bias = float(np.abs(ours.mean(0)).max())
             rows.append(
                 {
@@ -41,7 +41,7 @@ def accuracy(blurs: tuple[float, ...]) -> list[dict]:
                     "blur_px": blur,
                     "rms_px": _rms(ours),
                     "bias_px": bias,
-                    "sigma_px": sighting.sigma_px if sighting else np.nan,
+                    "sigma_px": detection.sigma_px if detection else np.nan,
                     **_opencv(image, truth),
                 }
             )
@@ -73,9 +73,9 @@ def grazing(angles: tuple[int, ...], widths: tuple[int, ...]) -> list[dict]:
             for k, (turn, roll) in enumerate(zip(TURNS_DEG, ROLLS_DEG, strict=True)):
                 T = looking_at_board(board, 600 * 0.1 / width, tilt, roll, turn)
                 image = render(LENS, board, T, blur=(0.5, 0.8)[k % 2], noise=2.5, seed=k, oversample=8)
-                if (sighting := find_board(image, board, thorough=True)) is not None:
+                if (detection := find_board(image, board, thorough=True)) is not None:
                     found += 1
-                    errors.append(_rms(sighting.pixels - true_corners(LENS, board, T)[sighting.ids]))
+                    errors.append(_rms(detection.pixels - true_corners(LENS, board, T)[detection.ids]))
             size = f"{width} x {width * np.cos(np.deg2rad(tilt)):.1f}"
             rows.append(
                 {"tilt_deg": tilt, "field_px": size, "found": found, "rms_px": max(errors, default=float("nan"))}

@@ -24,7 +24,7 @@ import calibration_intrinsics as intrinsics
 from rich.console import Console
 
 from capture_rig.errors import InputError
-from sagoma_tools.calibration.intrinsics_results import print_results
+from sagoma_tools.calibration.intrinsics import print_results
 
 WIDTH = 160
 NOISES_PX = (0.1, 0.2, 0.3)

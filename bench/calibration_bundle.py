@@ -23,17 +23,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "rig_calibration" / "test"))  # the rigs of the tests
 
-from bundle_studio import T_WORLD_FLOOR, TARGETS, carried, carried_and_floor, errors, ring, sightings_of, truth
+from bundle_studio import T_WORLD_FLOOR, TARGETS, carried, carried_and_floor, detections_of, errors, ring, truth
 
 from capture_rig.camera import CameraModel
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.bundle.solve import solve_rig
 
 CAMERAS = ring(4)
 LENS_SD = np.array([1.0, 1.0, 1.5, 1.5, 0.002, 0.004, 2e-4, 2e-4, 0.0])
 LENSES = {"intrinsics_covariance": dict.fromkeys(CAMERAS, LENS_SD)}
-MOMENTS, DELAY_S, SPEED_M_S = 60, 0.005, 0.5
+FRAMES, DELAY_S, SPEED_M_S = 60, 0.005, 0.5
 
 
 def with_wrong_lenses(rng: np.random.Generator) -> dict[str, CameraModel]:
@@ -46,29 +45,29 @@ def with_wrong_lenses(rng: np.random.Generator) -> dict[str, CameraModel]:
     return found
 
 
-def delayed(rng: np.random.Generator) -> list[Sighting]:
+def delayed(rng: np.random.Generator) -> list[TargetDetection]:
     """A board carried in changing directions; cameras expose up to DELAY_S apart."""
-    poses = carried(rng, MOMENTS)
-    ways = {moment: rng.normal(size=3) for moment in poses}
-    found = sightings_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
+    poses = carried(rng, FRAMES)
+    ways = {frame_index: rng.normal(size=3) for frame_index in poses}
+    found = detections_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
     for delay, (name, camera) in zip((0.0, 1.0, 0.3, 0.6), CAMERAS.items(), strict=True):
-        moved = {moment: T.copy() for moment, T in poses.items()}
-        for moment, T in moved.items():
-            T[:3, 3] += ways[moment] / np.linalg.norm(ways[moment]) * SPEED_M_S * DELAY_S * delay
-        found += sightings_of({name: camera}, moved, "moving", rng)
+        moved = {frame_index: T.copy() for frame_index, T in poses.items()}
+        for frame_index, T in moved.items():
+            T[:3, 3] += ways[frame_index] / np.linalg.norm(ways[frame_index]) * SPEED_M_S * DELAY_S * delay
+        found += detections_of({name: camera}, moved, "moving", rng)
     return found
 
 
 def accuracy(
-    runs: int, see: Callable[[np.random.Generator], list[Sighting]], options: Mapping[str, object] | None = None
+    runs: int, see: Callable[[np.random.Generator], list[TargetDetection]], options: Mapping[str, object] | None = None
 ) -> dict[str, float]:
     """Errors of all cameras of many rigs, relative to the floor board; with ``options``, of wrong lenses."""
     found, normalised = [], []
     for run in range(runs):
         rng = np.random.default_rng(run)
-        sightings = see(rng)
+        detections = see(rng)
         cameras = CAMERAS if options is None else with_wrong_lenses(rng)
-        solution = solve_rig(cameras, sightings, TARGETS, reference="floor", **(options or {}))  # type: ignore[arg-type]
+        solution = solve_rig(cameras, detections, TARGETS, reference="floor", **(options or {}))  # type: ignore[arg-type]
         for name, error in errors(solution, truth(CAMERAS)).items():
             found.append(error)
             normalised.append(error / np.sqrt(np.diag(solution.covariance[name])))
@@ -82,13 +81,13 @@ def accuracy(
     }
 
 
-def seconds(cameras: int, moments: int) -> tuple[int, float]:
+def seconds(cameras: int, frames: int) -> tuple[int, float]:
     """Corners of a 9 x 6 board and the processor time of the whole solution."""
     rng, rig, board = np.random.default_rng(0), ring(cameras), Checkerboard(9, 6, (0.06, 0.06)).corners_board
-    sightings = sightings_of(rig, carried(rng, moments), "moving", rng, points=board)
+    detections = detections_of(rig, carried(rng, frames), "moving", rng, points=board)
     start = time.process_time()
-    solve_rig(rig, sightings, {"moving": board})
-    return sum(map(len, sightings)), time.process_time() - start
+    solve_rig(rig, detections, {"moving": board})
+    return sum(map(len, detections)), time.process_time() - start
 
 
 def main() -> None:
@@ -97,8 +96,8 @@ def main() -> None:
     quick = parser.parse_args().quick
     runs = 6 if quick else 40
 
-    def plain(rng: np.random.Generator) -> list[Sighting]:
-        return carried_and_floor(CAMERAS, rng, MOMENTS)
+    def plain(rng: np.random.Generator) -> list[TargetDetection]:
+        return carried_and_floor(CAMERAS, rng, FRAMES)
 
     cases = {
         "noise of 0.2 px": accuracy(runs, plain),
@@ -106,7 +105,7 @@ def main() -> None:
         "uncertain lenses": accuracy(runs, plain, LENSES),
         "uncertain lenses, refined": accuracy(runs, plain, {**LENSES, "refine_intrinsics": True}),
     }
-    print(f"4 cameras of 640 x 480, {MOMENTS} moments of a carried board, one floor board (the gauge); {runs} rigs")
+    print(f"4 cameras of 640 x 480, {FRAMES} moments of a carried board, one floor board (the gauge); {runs} rigs")
     keys = list(cases["noise of 0.2 px"])
     print(f"{'':30s}" + "".join(f"{key:>20s}" for key in keys))
     for name, figures in cases.items():

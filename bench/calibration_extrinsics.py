@@ -30,17 +30,16 @@ from rich.table import Table
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, load_rig
-from rig_calibration.boards.board import Board, Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
 from rig_calibration.bundle.rigid import inverse
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
-from rig_calibration.extrinsics.still_board import average_still_board
+from rig_calibration.extrinsics.floor import average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 from virtual_studio.rig import ring
 
 NOISE_PX = 0.2
 FLOOR_BOARD, CARRIED_BOARD = Checkerboard(7, 4, (0.12, 0.12)), Checkerboard(9, 6, (0.08, 0.08))
-FLOOR_FRAMES, MOMENTS, QUICK_MOMENTS = 15, 150, 60
+FLOOR_FRAMES, FRAMES, QUICK_MOMENTS = 15, 150, 60
 MARGIN_PX = 3.0
 REAL_RIG = ROOT.parent / "shared" / "data" / "real_4cam" / "rig.yaml"
 
@@ -69,12 +68,12 @@ def synthetic_rows(quick: bool) -> Iterator[ExtrinsicRow]:
     if REAL_RIG.is_file():
         rigs["real, 4 portrait cameras"] = load_rig(REAL_RIG)
     for seed, (name, rig) in enumerate(rigs.items()):
-        floor, carried = floor_sightings(rig, seed), carried_sightings(rig, QUICK_MOMENTS if quick else MOMENTS, seed)
+        floor, carried = floor_detections(rig, seed), carried_detections(rig, QUICK_MOMENTS if quick else FRAMES, seed)
         cameras = {camera.name: camera for camera in rig.cameras}
         targets = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
         both = calibrate_rig(cameras, floor + carried, targets)
         yield row(name, "floor, carried", rig, both, floor_of(rig), NOISE_PX)
-        seen = {sighting.camera: cameras[sighting.camera] for sighting in floor}
+        seen = {detection.camera: cameras[detection.camera] for detection in floor}
         yield row(
             name, "floor alone", rig, calibrate_rig(seen, floor, {FLOOR: targets[FLOOR]}), floor_of(rig), NOISE_PX
         )
@@ -82,11 +81,10 @@ def synthetic_rows(quick: bool) -> Iterator[ExtrinsicRow]:
 
 def rendered_row() -> ExtrinsicRow:
     """Filmed boards, true lenses."""
+    from sagoma_tools.calibration.extrinsics import calibrate_extrinsics
+    from sagoma_tools.calibration.rig_detections import FootageSources
     from sagoma_tools.calibration.rig_request import RigRequest
-    from sagoma_tools.calibration.rig_run import calibrate_extrinsics
-    from sagoma_tools.calibration.rig_sources import FootageSources
-    from virtual_studio.calibration.footage import FootagePlan, write_calibration_footage
-    from virtual_studio.calibration.truth_files import read_truth_floor
+    from virtual_studio.recording.footage import FootagePlan, read_truth_floor, write_calibration_footage
 
     rig, quiet = ring(4, True), Console(file=open(os.devnull, "w"))  # noqa: SIM115
     with tempfile.TemporaryDirectory() as folder:
@@ -126,37 +124,42 @@ def floor_of(rig: Rig) -> np.ndarray:
     return T
 
 
-def floor_sightings(rig: Rig, seed: int) -> list[Sighting]:
+def floor_detections(rig: Rig, seed: int) -> list[TargetDetection]:
     """What each camera that sees the floor board whole sees of it, averaged over some frames."""
     rng = np.random.default_rng([seed, 1])
     T_world_board = floor_of(rig) @ _centred(FLOOR_BOARD)
     found = []
     for camera in rig.cameras:
         frames = [project(camera, FLOOR_BOARD, T_world_board, FLOOR, m, rng) for m in range(FLOOR_FRAMES)]
-        seen = [sighting for sighting in frames if sighting is not None]
+        seen = [detection for detection in frames if detection is not None]
         if seen:
-            found.append(average_still_board(seen, FLOOR_BOARD, target=FLOOR).sighting)
+            found.append(average_still_board(seen, FLOOR_BOARD, target=FLOOR).detection)
     return found
 
 
-def carried_sightings(rig: Rig, moments: int, seed: int) -> list[Sighting]:
+def carried_detections(rig: Rig, frames: int, seed: int) -> list[TargetDetection]:
     """What the cameras see of a board that a person carries: mostly upright, leaning, 0.5 to 1.8 m high."""
     rng = np.random.default_rng([seed, 2])
     found = []
-    for moment in range(moments):
+    for frame_index in range(frames):
         upright = cv2.Rodrigues(np.array([np.pi / 2, 0.0, 0.0]))[0]
         facing = cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(0, 2 * np.pi)]))[0]
         T = np.eye(4)
         T[:3, :3] = cv2.Rodrigues(rng.normal(0.0, 0.5, 3))[0] @ facing @ upright
         T[:3, 3] = [*rng.uniform(-1.0, 1.0, 2), rng.uniform(0.5, 1.8)]
         T_world_board = floor_of(rig) @ T @ _centred(CARRIED_BOARD)
-        found += [project(camera, CARRIED_BOARD, T_world_board, MOVING, moment, rng) for camera in rig.cameras]
-    return [sighting for sighting in found if sighting is not None]
+        found += [project(camera, CARRIED_BOARD, T_world_board, MOVING, frame_index, rng) for camera in rig.cameras]
+    return [detection for detection in found if detection is not None]
 
 
 def project(
-    camera: CameraModel, board: Board, T_world_board: np.ndarray, target: str, moment: int, rng: np.random.Generator
-) -> Sighting | None:
+    camera: CameraModel,
+    board: Board,
+    T_world_board: np.ndarray,
+    target: str,
+    frame_index: int,
+    rng: np.random.Generator,
+) -> TargetDetection | None:
     """The corners with noise; None unless the camera sees the print's front and all of it."""
     points = board.corners_board @ T_world_board[:3, :3].T + T_world_board[:3, 3]
     pixels = camera.project(points)
@@ -166,7 +169,7 @@ def project(
         return None
     pixels = pixels + NOISE_PX * rng.standard_normal(pixels.shape)
     ids, size = np.arange(len(points)), (camera.width, camera.height)
-    return Sighting(camera.name, moment, ids, pixels, size, target, NOISE_PX)
+    return TargetDetection(camera.name, frame_index, ids, pixels, size, target, NOISE_PX)
 
 
 def print_rows(console: Console, rows: list[ExtrinsicRow]) -> None:

@@ -16,14 +16,13 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.boards.specification import read_board
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics
 from sagoma_tools.calibration.footage import open_footage_of_cameras
-from sagoma_tools.calibration.intrinsics_footage import watch_footage
-from virtual_studio.calibration.footage import INTRINSICS, FootagePlan, write_calibration_footage
+from sagoma_tools.calibration.intrinsics import watch_footage
+from virtual_studio.recording.footage import INTRINSICS, FootagePlan, write_calibration_footage
 from virtual_studio.rig import ring
 
 BOARD = Checkerboard(9, 6, (0.04, 0.04))
@@ -56,9 +55,9 @@ def corner_rows(noises_px: tuple[float, ...], repetitions: int) -> Iterator[Row]
     for lens, camera in enumerate(ring(4).cameras):
         for noise_px in noises_px:
             for seed in range(repetitions):
-                sightings = waved(camera, BOARD, VIEWS, noise_px, 100 * lens + seed)
+                detections = waved(camera, BOARD, VIEWS, noise_px, 100 * lens + seed)
                 begun = time.perf_counter()
-                result = calibrate_intrinsics(sightings, BOARD, name=camera.name)
+                result = calibrate_intrinsics(detections, BOARD, name=camera.name)
                 yield row_of("corners", camera, noise_px, result, time.perf_counter() - begun)
 
 
@@ -85,7 +84,7 @@ def photograph_results(sources: list[str], board: str) -> dict[str, Intrinsics]:
     return results
 
 
-def waved(camera: CameraModel, board: Checkerboard, count: int, noise_px: float, seed: int) -> list[Sighting]:
+def waved(camera: CameraModel, board: Checkerboard, count: int, noise_px: float, seed: int) -> list[TargetDetection]:
     """A board all over the image, near and far, tilted to all sides: its exact corners and white noise."""
     rng = np.random.default_rng(seed)
     eye = replace(camera, T_camera_world=np.eye(4))
@@ -103,7 +102,7 @@ def waved(camera: CameraModel, board: Checkerboard, count: int, noise_px: float,
             continue
         seen = pixels + rng.normal(0, noise_px, pixels.shape)
         views.append(
-            Sighting(camera.name, len(views), np.arange(len(corners)), seen, tuple(size.tolist()), "", noise_px)
+            TargetDetection(camera.name, len(views), np.arange(len(corners)), seen, tuple(size.tolist()), "", noise_px)
         )
     return views
 

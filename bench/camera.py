@@ -44,16 +44,15 @@ from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from sagoma_bringup.graph import ALL_CAMERAS, build_graph, select
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
-from sagoma_tools.backgrounds import learn_backgrounds
-from sagoma_tools.bags import header_stamp_ns
-from sagoma_tools.ros_link import RosLink
-from sagoma_tools.stages import free_first_address
-from sagoma_tools.studio_process import StudioProcess
-from sagoma_tools.supervisor import Supervisor
-from sagoma_tools.topics import camera_topics
+from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
+from sagoma_tools.graph.background_training import learn_backgrounds
+from sagoma_tools.graph.ros_link import RosLink
+from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.graph.topics import camera_topics
+from sagoma_tools.recording.reader import header_stamp_ns
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 PLAY_S, PLAY_FPS = 4.0, 60.0
 SETTLE_S = 3.0  # from the play's beginning until counting begins
@@ -150,7 +149,7 @@ def _count(studio: StudioProcess, supervisor: Supervisor, ear: Ear, fps: float, 
     published: list[float] = []
     while time.monotonic() < began_s + seconds:
         still.wait(1.0)
-        reports = [supervisor.board.report(name) for name in names]
+        reports = [supervisor.diagnostics.report(name) for name in names]
         published += [float(r.values["latency_p50_ms"]) for r in reports if r and "latency_p50_ms" in r.values]
     ages, after, cpu_after = ear.ages_ms(), _totals(supervisor, names), _cpu(supervisor, studio)
     took_s = time.monotonic() - began_s
@@ -181,7 +180,7 @@ def _totals(supervisor: Supervisor, names: list[str]) -> Mapping[str, int]:
     """The clients' counters, added up. Raises InputError where one has not reported."""
     totals = dict.fromkeys(COUNTED, 0)
     for name in names:
-        report = supervisor.board.report(name)
+        report = supervisor.diagnostics.report(name)
         if report is None:
             raise InputError("has not reported", where=name, remedy="Look into its log.")
         for key in COUNTED:

@@ -33,10 +33,9 @@ import numpy as np
 from centerline_scenes import LIMBS, SHARED, Frame, Scenes, built_in, rendered
 from scipy.spatial import cKDTree
 
-from hull_server.bricks import BrickVolume
+from hull_server.grid import BrickVolume
 from hull_server.settings import BlobSettings
-from hull_server.slicing.centerline import Centerline, find_centerline
-from hull_server.slicing.slicer import BlobTable, slice_blobs
+from hull_server.slicing.skeletonisation import BlobTable, Centerline, find_centerline, slice_blobs
 
 OUTLIER_M, COVERED_M = 0.060, 0.050
 

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig import FrameSet, Rig
 from capture_rig.session import load_session
-from hull_server.bricks import BrickVolume
-from hull_server.pipeline import HullPipeline
+from hull_server.grid import BrickVolume
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from sagoma_tools.evaluation.in_process import Configuration, exact_silhouettes, silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES, mirror_angles
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import tour
-from virtual_studio.render import VirtualCamera
+from virtual_studio.motions.catalogue import tour
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -170,7 +170,7 @@ def built_in(cameras: int, voxel_m: float, number: int) -> Scenes:
     for kind, chosen in poses(number).items():
         for pose in chosen:
             parts = VolumetricBody(BODY).place(pose)
-            masks = {name: view.undistort_mask(eye.see(parts, None)[1]) for name, (eye, view) in eyes.items()}
+            masks = {name: view.undistort_mask(eye.render(parts, None)[1]) for name, (eye, view) in eyes.items()}
             at = dict(zip(POINT_NAMES, forward(BODY, pose), strict=True))
             for side, feet in (("left", slice(-4, -2)), ("right", slice(-2, None))):
                 at |= {f"{side}_heel": parts.starts[feet].mean(axis=0), f"{side}_toe": parts.ends[feet].mean(axis=0)}

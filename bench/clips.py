@@ -13,16 +13,16 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import footage_stamp_ns, load_session
-from icp_tracker.hull_clouds import HullClouds
+from mocap_packets.hull_products import HullProducts
 from sagoma_tools.evaluation.chain import Chain, Configuration, Masks
 from sagoma_tools.evaluation.in_process import EPOCH_NS, exact_silhouettes, silhouettes
-from sagoma_tools.live_run import start_settings
+from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import MOTIONS
+from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
-from virtual_studio.silhouettes import ExactSilhouettes
 
 STUDIO_FPS, STATURE_M = 60.0, 1.75
 
@@ -59,7 +59,7 @@ class Clip:
         """A fresh hull, tracker and filter for this clip."""
         return Chain(self.rig, Configuration.of({"hull_server.backend": "cpu", **self.start, **settings}))
 
-    def carved(self, settings: dict[str, Any]) -> list[HullClouds]:
+    def carved(self, settings: dict[str, Any]) -> list[HullProducts]:
         """The hull of every frame, undisturbed."""
         chain = self.chain(settings)
         return [chain.carve(self.stamp_ns(frame), self.masks(frame)) for frame in range(len(self))]
@@ -71,7 +71,7 @@ def studio_clip(motion: str, seconds: float, cameras: int = 6, body: Body | None
     person, eyes = VolumetricBody(body, build), ExactSilhouettes(rig)
     poses = MOTIONS[motion](body, seconds, STUDIO_FPS, build).poses
     truth = np.array([forward(body, pose) for pose in poses])
-    packed = [_packed(eyes.see(person.place(pose))) for pose in poses]
+    packed = [_packed(eyes.render(person.place(pose))) for pose in poses]
     return Clip(f"{motion}_{cameras}", rig, STUDIO_FPS, truth, {}, packed)
 
 

@@ -2,7 +2,7 @@
 
     python bench/doubt.py --quick      # about a minute: a few frames of each session
     python bench/doubt.py
-    python bench/doubt.py --picture docs/images/doubt.jpg [--session FOLDER]
+    python bench/doubt.py --picture docs/images/shadow_resolution.jpg [--session FOLDER]
 
 Sessions: the built-in studio, and the rendered ones of ../shared/data/sessions where they are. Each row segments the
 same footage and carves at 20 mm; hulls are compared with the hull of the exact silhouettes, voxel by voxel, and again
@@ -34,21 +34,21 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import cv2
 import numpy as np
 
-from camera_client.background_files import read_background
-from camera_client.footage_reader import open_footage
+from camera_client.background.model import read_background
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
-from camera_client.silhouette import SilhouettePipeline
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.sources.footage_reader import open_footage
 from capture_rig import Rig
 from capture_rig.session import Session, load_session
-from hull_server.carving.backends import make_backend
-from hull_server.consensus.doubt import DoubtResolver, person
+from hull_server.carve_backends import make_backend
 from hull_server.grid import VoxelGrid
-from hull_server.settings import DoubtSettings
+from hull_server.settings import ShadowSettings
+from hull_server.shadows import ShadowResolver, binary_mask
 from hull_server.views import RigViews, min_seeing
 from sagoma_ros.mask_png import encode
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 VOXEL_M, FEET_M = 0.02, 0.25
@@ -72,7 +72,7 @@ class Scorer:
     def __init__(self, rig: Rig) -> None:
         self.views, self.grid = RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, VOXEL_M)
         self.seeing = min_seeing(len(rig.names))
-        self.resolver = DoubtResolver(self.views, rig.volume, DoubtSettings())
+        self.resolver = ShadowResolver(self.views, rig.volume, ShadowSettings())
         self._backend = make_backend("cpu", self.views, self.grid).backend
         self._feet = int(np.ceil((FEET_M - self.grid.origin[2]) / VOXEL_M - 0.5))
         self.seconds: dict[str, list[float]] = {"carve": [], "resolve": []}
@@ -96,9 +96,9 @@ class Scorer:
 
     def rows(self) -> dict[str, Callable[[Frame], Masks]]:
         return {
-            BEFORE: lambda f: {n: person(m) for n, m in f.untrimmed.items()},
+            BEFORE: lambda f: {n: binary_mask(m) for n, m in f.untrimmed.items()},
             "candidates person": lambda f: {n: np.where(m > 0, np.uint8(255), m) for n, m in f.untrimmed.items()},
-            "outline trimmed": lambda f: {n: person(m) for n, m in f.levels.items()},
+            "outline trimmed": lambda f: {n: binary_mask(m) for n, m in f.levels.items()},
             DEFAULT: lambda f: self.resolve(f.levels),
             "exact shadows": lambda f: (
                 {

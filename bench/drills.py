@@ -10,8 +10,8 @@ import numpy as np
 from clips import Clip
 
 from ekf_tracker.state import Tracking
-from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.tracker import TRACKING
+from mocap_packets.hull_products import HullProducts
 from sagoma_tools.evaluation.chain import Chain, ChainStep
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
@@ -68,7 +68,7 @@ class Outcome:
 
 
 def play(
-    clip: Clip, clouds: list[HullClouds], settings: dict[str, Any], drill: Drill | None = None, begin: int = 0
+    clip: Clip, clouds: list[HullProducts], settings: dict[str, Any], drill: Drill | None = None, begin: int = 0
 ) -> Outcome:
     """Track the clip, whose undisturbed hulls are `clouds`, from its start to its end, disturbed from `begin` on."""
     chain, state, before = clip.chain(settings), None, None
@@ -87,7 +87,7 @@ def play(
     return Outcome(points, np.linalg.norm(points - clip.truth, axis=2), sure)
 
 
-def _undisturbed(chain: Chain, clip: Clip, clouds: list[HullClouds], frame: int, carve: bool) -> ChainStep:
+def _undisturbed(chain: Chain, clip: Clip, clouds: list[HullProducts], frame: int, carve: bool) -> ChainStep:
     if carve:
         return chain.step(clip.stamp_ns(frame), clip.masks(frame))
     return chain.tracking.step(clouds[frame])

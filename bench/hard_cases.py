@@ -28,15 +28,15 @@ from clips import Clip, session_clip, studio_clip
 from drills import Outcome, good_spells, play
 
 from capture_rig.errors import InputError
-from sagoma_tools.commands.common import parse_settings
+from sagoma_tools.arguments import parse_settings
+from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.pictures import montage, overlay
-from sagoma_tools.evaluation.silhouettes import distort_mask
 from stick_figure.body import Body
 from stick_figure.skeleton import POINT_NAMES
-from virtual_studio.motion import HARD_CASES
+from virtual_studio.motions.catalogue import HARD_CASES
 from virtual_studio.people import person_of
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 PICTURES = Path("output/hard_cases")
 FAR_M = 0.200
@@ -85,7 +85,7 @@ def filmed_clip(case: str, cameras: int, body: Body, build: float) -> Clip:
     """The case as footage, segmented by the camera client."""
     with tempfile.TemporaryDirectory() as folder:
         session = write_session(
-            Path(folder) / case, ring(cameras - 1), body, case, seconds=HARD_CASES[case].once_s, build=build
+            Path(folder) / case, ring(cameras - 1), body, case, seconds=HARD_CASES[case].duration_s, build=build
         )
         return session_clip(session, exact=False)
 
@@ -120,7 +120,7 @@ def run(case: str, cameras: int, arguments: argparse.Namespace, settings: dict[s
     if arguments.video:
         clip = filmed_clip(case, cameras, body, arguments.build)
     else:
-        clip = studio_clip(case, HARD_CASES[case].once_s, cameras, body, arguments.build)
+        clip = studio_clip(case, HARD_CASES[case].duration_s, cameras, body, arguments.build)
     outcome = play(clip, clip.carved(settings), settings)
     figures, worst = judged(clip, outcome)
     if figures.over_200mm > 0.0:

@@ -4,7 +4,7 @@
 
 One row a point, one column a session. Honest is 85 to 99 %. The last two columns pool the sessions: the share, and the
 additional standard deviation (mm, each direction, in quadrature) with which 95 % of the pooled errors would be inside;
-a negative one is what could be taken away. They are what `ekf_tracker`'s parameters filter.lasting_errors.* want to be
+a negative one is what could be taken away. They are what `ekf_tracker`'s parameters filter.measurement_bias.* want to be
 changed by. The last line is JSON: {session: {point: share}}.
 """
 
@@ -24,7 +24,7 @@ from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from sagoma_tools.evaluation.chain import Configuration
 from sagoma_tools.evaluation.in_process import track_session
-from sagoma_tools.live_run import start_settings
+from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.skeleton import POINT_NAMES
 
 CHI2_95_3DOF = 7.814727903251179

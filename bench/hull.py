@@ -43,12 +43,11 @@ from hull_rivals import RIVALS, PlainNumpy
 from hull_scene import VOLUME, Masks, scene
 
 from capture_rig import FrameSet, InputError
-from hull_server.carving.backends import CarveBackend, make_backend
+from hull_server.carve_backends import CarveBackend, make_backend
 from hull_server.grid import VoxelGrid
-from hull_server.pipeline import HullPipeline
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import BlobSettings, HullSettings
-from hull_server.slicing.centerline import find_centerline
-from hull_server.slicing.slicer import slice_blobs
+from hull_server.slicing.skeletonisation import find_centerline, slice_blobs
 from hull_server.views import RigViews, min_seeing
 
 MEMORY_OPTION = "--memory-of-one-process"

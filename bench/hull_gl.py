@@ -25,9 +25,9 @@ import numpy as np
 from hull_scene import VOLUME, Masks, scene
 
 from hull_server.grid import VoxelGrid
-from hull_server.opengl.carve_gl import GlCarver
-from hull_server.opengl.gl_objects import GL
-from hull_server.slicing.slicer import slice_blobs
+from hull_server.opengl.gl_buffers import GL
+from hull_server.opengl.gl_carver import GlCarver
+from hull_server.slicing.skeletonisation import slice_blobs
 from hull_server.views import RigViews, min_seeing
 
 

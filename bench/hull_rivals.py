@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from hull_server.grid import VoxelGrid
-from hull_server.opengl.sweep_gl import SweepCarver
+from hull_server.thesis_plane_sweep import PlaneSweepCarver
 from hull_server.views import RigViews, min_seeing
 
 Masks = dict[str, np.ndarray]
@@ -105,7 +105,7 @@ class ThesisSweep:
     """The thesis's whole method (3.1.3, 3.2): a textured quad a slice, read back, its components found; three axes."""
 
     def __init__(self, views: RigViews, grid: VoxelGrid) -> None:
-        self._sweep = SweepCarver(views, grid)
+        self._sweep = PlaneSweepCarver(views, grid)
         self.device = self._sweep.device
 
     def __call__(self, masks: Masks) -> int:

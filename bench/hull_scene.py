@@ -8,9 +8,9 @@ import numpy as np
 
 from capture_rig import Rig, Volume
 from stick_figure.body import Body
-from virtual_studio.body import Capsules, VolumetricBody
-from virtual_studio.motion import tour
-from virtual_studio.render import VirtualCamera
+from virtual_studio.motions.catalogue import tour
+from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 VOLUME = Volume(np.array([-1.25, -1.25, 0.0]), np.array([1.25, 1.25, 2.2]))
@@ -33,7 +33,7 @@ def scene(cameras: int, poses: int, bodies: int = 1) -> tuple[Rig, list[Masks]]:
     frames = []
     for index in np.linspace(0, len(motion.poses) - 1, poses).astype(int):
         capsules = _side_by_side(VolumetricBody(body).place(motion.poses[index]), bodies)
-        seen = {name: eye.see(capsules, None)[1] for name, eye in eyes.items()}
+        seen = {name: eye.render(capsules, None)[1] for name, eye in eyes.items()}
         frames.append({c.name: c.undistorted_view().undistort_mask(seen[c.name]) for c in rig.cameras})
     return rig, frames
 

@@ -31,10 +31,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from lying_clips import FPS, Clip, Lie, Mask, clips, lies
 
-from hull_server.carving.backends import CarveBackend, make_backend
-from hull_server.consensus.dissent import DissentWatch
+from hull_server.carve_backends import CarveBackend, make_backend
+from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.grid import VoxelGrid
-from hull_server.settings import DissentSettings
+from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews, min_seeing
 
 HONEST, LYING, AFTER = 60, 240, 180  # frame sets
@@ -81,7 +81,7 @@ class Drill:
 
 
 def drill(
-    clip: Clip, watch: DissentWatch, carver: CarveBackend, liar: str, lie: Lie, rng: np.random.Generator
+    clip: Clip, watch: CameraFaultDetector, carver: CarveBackend, liar: str, lie: Lie, rng: np.random.Generator
 ) -> Drill:
     """Truth, lie, truth."""
     result, start = Drill(), START + 17 * clip.rig.names.index(liar)  # another moment, and phase, for every camera
@@ -89,7 +89,7 @@ def drill(
     for frame in range(HONEST + LYING + AFTER):
         since = frame - HONEST
         masks = Masks(clip, start + frame, liar if 0 <= since < LYING else "", falsified)
-        verdict = watch.judge(masks, round(frame / FPS * 1e9))
+        verdict = watch.update(masks, round(frame / FPS * 1e9))
         result.wrong |= {name for name in verdict.left_out + verdict.suspects if name != liar}
         if since >= 0 and result.named is None and liar in verdict.left_out + verdict.suspects:
             result.named = since
@@ -115,15 +115,15 @@ def _compare(carver: CarveBackend, honest: Masks, lying: Masks, left_out: tuple[
     result.extra += np.count_nonzero(mended & ~truth) * litres / 3
 
 
-def honest(clip: Clip, watch: DissentWatch) -> tuple[int, list[float], list[float]]:
+def honest(clip: Clip, watch: CameraFaultDetector) -> tuple[int, list[float], list[float]]:
     """The clip as it is: frame sets with anybody named, and milliseconds of those heard and of all."""
     alarms, heard_ms, all_ms = 0, [], []
     for frame in range(len(clip.packed)):
         masks = dict(Masks(clip, frame))
         begin = time.thread_time()
-        verdict = watch.judge(masks, round(frame / FPS * 1e9))
+        verdict = watch.update(masks, round(frame / FPS * 1e9))
         all_ms.append((time.thread_time() - begin) * 1e3)
-        heard_ms += [all_ms[-1]] if verdict.judged else []
+        heard_ms += [all_ms[-1]] if verdict.updated else []
         alarms += bool(verdict.left_out or verdict.suspects or verdict.warning)
     return alarms, heard_ms, all_ms
 
@@ -140,7 +140,7 @@ def play(clip: Clip, views: RigViews, carver: CarveBackend, quick: bool) -> dict
         for camera in clip.rig.names[:: 3 if quick else 1]:
             lie = lies(clip.rig.camera(camera).undistorted_view().camera.K)[kind]
             for _ in range(TURNS if kind.startswith("turned") else 1):
-                watch = DissentWatch(clip.rig, views, DissentSettings())
+                watch = CameraFaultDetector(clip.rig, views, CameraFaultSettings())
                 drills[kind].append(drill(clip, watch, carver, camera, lie, rng))
         print(f"{kind:18s} {row(drills[kind])}", flush=True)
     return drills
@@ -187,8 +187,10 @@ def main() -> None:
     for clip in clips(quick, options.only):
         views, cameras = RigViews.from_rig(clip.rig), len(clip.rig.names)
         carver = make_backend("cpu", views, VoxelGrid.covering(clip.rig.volume, VOXEL_M)).backend
-        honest(Clip(clip.name, clip.rig, clip.packed[:30]), DissentWatch(clip.rig, views, DissentSettings()))  # compile
-        false, heard, spent = honest(clip, DissentWatch(clip.rig, views, DissentSettings()))
+        honest(
+            Clip(clip.name, clip.rig, clip.packed[:30]), CameraFaultDetector(clip.rig, views, CameraFaultSettings())
+        )  # compile
+        false, heard, spent = honest(clip, CameraFaultDetector(clip.rig, views, CameraFaultSettings()))
         print(
             f"\n{clip.name}: {len(spent)} honest frame sets of {cameras} cameras, {false} false alarms; "
             f"{np.median(heard):.2f} ms a hearing, {np.mean(spent):.2f} ms a frame set"

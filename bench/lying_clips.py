@@ -15,9 +15,9 @@ from capture_rig import Rig
 from capture_rig.session import load_session
 from sagoma_tools.evaluation.in_process import exact_silhouettes, silhouettes
 from stick_figure.body import Body
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import walk
-from virtual_studio.render import VirtualCamera
+from virtual_studio.motions.catalogue import walk
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 FPS = 60.0
@@ -71,7 +71,7 @@ def _studio(rig: Rig, seconds: float) -> Iterator[dict[str, Mask]]:
     body = Body.from_stature(STATURE_M)
     for pose in walk(body, seconds, FPS).poses:
         capsules = VolumetricBody(body).place(pose)
-        yield {name: view.undistort_mask(eye.see(capsules, None)[1]) for name, (eye, view) in eyes.items()}
+        yield {name: view.undistort_mask(eye.render(capsules, None)[1]) for name, (eye, view) in eyes.items()}
 
 
 def lies(K: np.ndarray) -> dict[str, Lie]:

@@ -29,8 +29,8 @@ import numpy as np
 from clips import Clip, session_clip, studio_clip
 from drills import DRILLS, Outcome, is_good, play
 
-from sagoma_tools.commands.common import parse_settings
-from virtual_studio.motion import HARD_CASES
+from sagoma_tools.arguments import parse_settings
+from virtual_studio.motions.catalogue import HARD_CASES
 
 MOTION_S = 6.0
 MOTION_DRILLS = {"arm against the chest 2 s": "arm_on_chest", "left and came back": "leave_and_return"}
@@ -56,7 +56,7 @@ def drilled(clip: Clip, settings: dict[str, Any]) -> Table:
 
 def moved(name: str, settings: dict[str, Any]) -> Figures:
     """The figures of a motion that is a drill in itself."""
-    clip = studio_clip(MOTION_DRILLS[name], HARD_CASES[MOTION_DRILLS[name]].once_s)
+    clip = studio_clip(MOTION_DRILLS[name], HARD_CASES[MOTION_DRILLS[name]].duration_s)
     outcome = play(clip, clip.carved(settings), settings)
     disturbed = np.flatnonzero(hidden(name, clip))
     return figures_of(outcome, int(disturbed[0]), int(disturbed[-1]) + 1, clip.fps)

@@ -3,7 +3,7 @@ is, and what they cost.
 
     python bench/rims.py --quick       # about a minute: a few frames of each session
     python bench/rims.py
-    python bench/rims.py --picture docs/images/rims.jpg --session FOLDER [--frame N]
+    python bench/rims.py --picture docs/images/contour_rays.jpg --session FOLDER [--frame N]
 
 Rendered sessions (../shared/data/sessions): footage segmented as the camera client does, doubt resolved by all cameras,
 carved at 20 mm. Each ray is projected back into its camera and compared with the exact silhouette there.
@@ -30,13 +30,12 @@ import numpy as np
 from doubt import SHARED, VOXEL_M, Frame, Masks, frames
 
 from capture_rig.session import Session, load_session
-from hull_server.carving.backends import make_backend
-from hull_server.consensus.doubt import DoubtResolver
+from hull_server.carve_backends import make_backend
+from hull_server.contour_rays.contour_tracer import ContourRays, ContourTracer
 from hull_server.grid import VoxelGrid
-from hull_server.rims.rim_table import RimTable
-from hull_server.rims.rim_tracer import RimTracer
-from hull_server.settings import DoubtSettings, RimSettings
-from hull_server.slicing.slicer import slice_hull
+from hull_server.settings import ContourSettings, ShadowSettings
+from hull_server.shadows import ShadowResolver
+from hull_server.slicing.skeletonisation import slice_hull
 from hull_server.views import RigViews, min_seeing
 
 FAR_PX, SURE_PX = 3.0, 0.52  # a ray of a larger sigma has doubtful pixels around it
@@ -51,12 +50,12 @@ class Tracer:
         rig = session.rig
         self.views, self.grid = RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, VOXEL_M)
         self.seeing = min_seeing(len(rig.names))
-        self._doubt = DoubtResolver(self.views, rig.volume, DoubtSettings())
+        self._doubt = ShadowResolver(self.views, rig.volume, ShadowSettings())
         self._backend = make_backend("cpu", self.views, self.grid).backend
-        self._rims = RimTracer(self.views, self.grid, RimSettings())
+        self._rims = ContourTracer(self.views, self.grid, ContourSettings())
         self.ms: dict[str, list[float]] = {"slice": [], "rims": []}
 
-    def trace(self, levels: Masks) -> RimTable:
+    def trace(self, levels: Masks) -> ContourRays:
         masks = self._doubt.resolve(levels, self.seeing).masks
         volume = self._backend.carve(masks, self.seeing)
         begin = time.thread_time()
@@ -67,7 +66,7 @@ class Tracer:
         self.ms["rims"].append((time.thread_time() - between) * 1e3)
         return rims
 
-    def pixels(self, rims: RimTable, along_normal_m: np.ndarray | float = 0.0) -> np.ndarray:
+    def pixels(self, rims: ContourRays, along_normal_m: np.ndarray | float = 0.0) -> np.ndarray:
         """(n, 2) where the rays are in their cameras' canvases, moved along their normals in the world."""
         P, points_world = (
             self.views.P[rims.camera],
@@ -76,7 +75,7 @@ class Tracer:
         u, v, depth = (np.einsum("nij,nj->ni", P[:, :, :3], points_world) + P[:, :, 3]).T
         return np.stack([u, v], axis=1) / depth[:, None]
 
-    def sigma_px(self, rims: RimTable) -> np.ndarray:
+    def sigma_px(self, rims: ContourRays) -> np.ndarray:
         """(n,) the rays' sigma in pixels."""
         return np.linalg.norm(self.pixels(rims, rims.sigma) - self.pixels(rims), axis=1)
 

@@ -25,15 +25,13 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
-from capture_rig.session import Session, load_session
-from capture_rig.truth import Truth, load_truth
+from capture_rig.session import Session, Truth, load_session, load_truth
 from sagoma_tools.cli import main as sagoma
 from sagoma_tools.evaluation.chain import Configuration
 from sagoma_tools.evaluation.in_process import track_session
 from sagoma_tools.evaluation.scores import Scores, score
-from virtual_studio.calibration.command import main as film
-from virtual_studio.calibration.scoring import CameraErrors, camera_errors
-from virtual_studio.calibration.truth_files import TRUTH_RIG_FILE, read_truth_floor
+from virtual_studio.recording.footage import TRUTH_RIG_FILE, CameraErrors, camera_errors, read_truth_floor
+from virtual_studio.recording.setup_command import main as film
 
 LENSES, RIG_FILE, TRUTH_FILE = "lenses", "rig.yaml", "truth.csv"
 SETTINGS = {"hull_server.backend": "cpu"}

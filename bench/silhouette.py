@@ -38,21 +38,19 @@ import cv2
 import numpy as np
 from scipy.stats import norm
 
-from camera_client.background_files import read_background
-from camera_client.background_model import BackgroundModel, Provenance
-from camera_client.components import keep_person, majority
-from camera_client.footage_reader import open_footage
-from camera_client.frame_checks import FrameChecks
-from camera_client.preview import outline
+from camera_client.background.model import BackgroundModel, Provenance, read_background
 from camera_client.settings import BackgroundSettings, LightDriftSettings, SilhouetteSettings
-from camera_client.silhouette import SilhouettePipeline
+from camera_client.silhouettes.masks import keep_person, majority
+from camera_client.silhouettes.pipeline import SilhouettePipeline, outline
+from camera_client.sources.footage_reader import open_footage
+from camera_client.sources.frame_checks import FrameChecks
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.session import Session, load_session
 from sagoma_ros.images import silhouette_message
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 TRAINING_FRAMES = 90

@@ -29,8 +29,8 @@ from sticks.timing import times_ms
 from sticks.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, track
 
 from capture_rig.errors import InputError
-from virtual_studio.motion import MOTIONS
-from virtual_studio.motion_files.to_stick_figure import ReadingOptions
+from virtual_studio.motion_files.recorded import ReadingOptions
+from virtual_studio.motions.catalogue import MOTIONS
 
 SETTLED = 10
 """Frames at the start of a clip that do not count: the first pose is the true one."""

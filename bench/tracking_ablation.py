@@ -20,16 +20,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
-from sagoma_tools.evaluation.ablation import OURS, SOLVE, ablation_rows
 from sagoma_tools.evaluation.chain import Configuration
-from sagoma_tools.evaluation.in_process import track_variants
+from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows, track_variants
+from sagoma_tools.evaluation.live_run import start_settings
 from sagoma_tools.evaluation.scores import Scores, score
-from sagoma_tools.live_run import start_settings
 
 CHANGES: dict[str, dict[str, object]] = {
-    "ours without sticks inside the hull": {SOLVE + "volume.inside_worth": 0.0},
-    "ours without the hull's surface": {SOLVE + "volume.worth": 0.0},
-    "ours without rims": {SOLVE + "rim.worth": 0.0},
+    "ours without sticks inside the hull": {SOLVE + "volume.inside_weight": 0.0},
+    "ours without the hull's surface": {SOLVE + "volume.weight": 0.0},
+    "ours without rims": {SOLVE + "contour.weight": 0.0},
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
     "ours without refined sizes": {"icp_tracker.refinement.keyframes": 0},
     "ours, loose prior": {
@@ -38,7 +37,7 @@ CHANGES: dict[str, dict[str, object]] = {
         SOLVE + "prior.ball_sd": 0.7,
         SOLVE + "prior.hinge_sd": 0.7,
     },
-    "ours, arms may cross the torso": {SOLVE + "volume.clearance_worth": 0.0},
+    "ours, arms may cross the torso": {SOLVE + "volume.clearance_weight": 0.0},
     "ours, identity model": {"ekf_tracker.motion_model": "identity"},
 }
 KEYS = ("mean_mm", "over_200mm", "inside_95")

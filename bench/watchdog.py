@@ -46,13 +46,13 @@ from watchdog_scenes import (
     stamp_ns,
 )
 
-from camera_client.background_files import read_background
-from camera_client.camera_moved import CameraMovedWatch, State
+from camera_client.background.model import read_background
+from camera_client.movement.detector import CameraMovedDetector, MovementState
 from camera_client.settings import BackgroundSettings
 from capture_rig import Rig
-from hull_server.consensus.calibration_watch import CalibrationWatch
-from hull_server.consensus.dissent import DissentWatch
-from hull_server.settings import DissentSettings
+from hull_server.consistency.camera_fault_detector import CameraFaultDetector
+from hull_server.consistency.extrinsic_monitor import ExtrinsicMonitor
+from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews
 
 BUMPED_AT = 10  # frames that are looked at: a second
@@ -103,7 +103,9 @@ class Film:
 def film(studio: Studio) -> Film:
     """All cameras, honest; how often a camera client cries wolf, and what its watch costs a frame."""
     chains = {camera.name: studio.chain(camera) for camera in studio.rig.cameras}
-    watches = {camera.name: CameraMovedWatch(camera, chains[camera.name].background) for camera in studio.rig.cameras}
+    watches = {
+        camera.name: CameraMovedDetector(camera, chains[camera.name].background) for camera in studio.rig.cameras
+    }
     pictures: list[dict[str, Mask]] = []
     ours: list[Masks] = []
     exact: list[Masks] = []
@@ -115,7 +117,10 @@ def film(studio: Studio) -> Film:
         for name, (picture, _) in shot.items():
             watches[name].look(picture, stamp_ns(frame))
         spent_s += time.thread_time() - begin
-        alarms += sum(s.movement is not None and s.movement.state in (State.MOVED, State.LOST) for s in seen.values())
+        alarms += sum(
+            s.movement is not None and s.movement.state in (MovementState.MOVED, MovementState.LOST)
+            for s in seen.values()
+        )
         pictures.append({name: picture for name, (picture, _) in shot.items()})
         ours.append({name: s.silhouette.mask for name, s in seen.items() if s.silhouette is not None})
         exact.append({c.name: c.undistorted_view().undistort_mask(shot[c.name][1]) for c in studio.rig.cameras})
@@ -127,8 +132,8 @@ def drill(studio: Studio, honest: Film, camera: str, bump: Bump, sign: float) ->
     """One camera films honestly for a second, and then from where the bump has put it."""
     result, model, views = Drill(), studio.rig.camera(camera), RigViews.from_rig(studio.rig)
     chain, moved, view = studio.chain(model), bump.moved(model, sign), model.undistorted_view()
-    by_exact, by_ours = CalibrationWatch(studio.rig, views), CalibrationWatch(studio.rig, views)
-    dissent = DissentWatch(studio.rig, views, DissentSettings())
+    by_exact, by_ours = ExtrinsicMonitor(studio.rig, views), ExtrinsicMonitor(studio.rig, views)
+    dissent = CameraFaultDetector(studio.rig, views, CameraFaultSettings())
     for frame in range(len(studio.capsules)):
         since = frame - BUMPED_AT
         picture, mask = honest.pictures[frame][camera], honest.exact[frame][camera]
@@ -137,18 +142,18 @@ def drill(studio: Studio, honest: Film, camera: str, bump: Bump, sign: float) ->
             mask = view.undistort_mask(raw)
         seen = seen_by(chain, picture, frame)
         assert seen.movement is not None and seen.silhouette is not None
-        if seen.movement.state in (State.MOVED, State.LOST):
+        if seen.movement.state in (MovementState.MOVED, MovementState.LOST):
             result.note("picture", since, camera, [camera])
         masks = honest.ours[frame] | {camera: seen.silhouette.mask}
-        verdict = dissent.judge(masks, stamp_ns(frame))
+        verdict = dissent.update(masks, stamp_ns(frame))
         result.note("left out", since, camera, verdict.left_out + verdict.suspects)
-        result.note("flooded", since, camera, by_ours.look(masks, stamp_ns(frame)).suspects)
+        result.note("flooded", since, camera, by_ours.update(masks, stamp_ns(frame)).suspects)
         exact = honest.exact[frame] | {camera: mask}
-        result.note("silhouettes", since, camera, by_exact.look(exact, stamp_ns(frame)).suspects)
+        result.note("silhouettes", since, camera, by_exact.update(exact, stamp_ns(frame)).suspects)
     chain.use_learned_background(studio.empty(moved))
     for frame in range(len(studio.capsules) - 2 * BUMPED_AT, len(studio.capsules)):
         seen = seen_by(chain, studio.film(moved, frame)[0], frame + len(studio.capsules))
-    result.kept = seen.movement is not None and seen.movement.state is State.MOVED
+    result.kept = seen.movement is not None and seen.movement.state is MovementState.MOVED
     return result
 
 
@@ -183,13 +188,13 @@ def play_clip(clip: Clip) -> dict[str, list[Drill]]:
             continue
         runs = []
         for number, camera in enumerate(clip.rig.names):
-            run, watch = Drill(), CalibrationWatch(clip.rig, views)
+            run, watch = Drill(), ExtrinsicMonitor(clip.rig, views)
             K = clip.rig.camera(camera).undistorted_view().camera.K
             H = bump.homography(K, 1.0 if number % 2 else -1.0)
             for look in range(0, CLIP_LOOKS, 2):
                 masks = clip.masks(look)
                 masks[camera] = _warped(masks[camera], H)
-                run.note("silhouettes", look, camera, watch.look(masks, stamp_ns(look)).suspects)
+                run.note("silhouettes", look, camera, watch.update(masks, stamp_ns(look)).suspects)
             runs.append(run)
         drills[bump.name] = runs
         wrong = sum(bool(run.wrong) for run in runs)
@@ -232,10 +237,10 @@ def honest_sets(honest: Honest, name: str, rig: Rig, frames: list[Masks], quick:
 
 
 def _alarms(rig: Rig, views: RigViews, frames: list[Masks]) -> tuple[int, int, float]:
-    watch, alarms, spent_s = CalibrationWatch(rig, views), 0, 0.0
+    watch, alarms, spent_s = ExtrinsicMonitor(rig, views), 0, 0.0
     for look, masks in enumerate(frames):
         begin = time.thread_time()
-        alarms += bool(watch.look(masks, stamp_ns(2 * look)).suspects)
+        alarms += bool(watch.update(masks, stamp_ns(2 * look)).suspects)
         spent_s += time.thread_time() - begin
     return alarms, len(frames), 1e3 * spent_s / len(frames) / (2 * EVERY)
 
@@ -246,16 +251,16 @@ def honest_pictures(honest: Honest, only: str) -> None:
         found = 0
         for camera, path in session.videos.items():
             capture, frame = cv2.VideoCapture(str(path)), 0
-            watch: CameraMovedWatch | None = None
+            watch: CameraMovedDetector | None = None
             while (image := capture.read()[1]) is not None:
                 if watch is None:
                     grey = bool((image[..., 0] == image[..., 1]).all())
                     shape = image.shape[:2] if grey else image.shape
                     background = read_background(session.backgrounds[camera], shape, BackgroundSettings())
-                    watch = CameraMovedWatch(session.rig.camera(camera), background)
+                    watch = CameraMovedDetector(session.rig.camera(camera), background)
                 picture = np.ascontiguousarray(image[..., 0]) if grey else image
                 movement = watch.look(picture, round(frame / session.fps * 1e9))
-                found += movement.state in (State.MOVED, State.LOST)
+                found += movement.state in (MovementState.MOVED, MovementState.LOST)
                 frame += 1
             honest.pictures += frame
         print(f"{name}: {found} false alarms of the camera clients", flush=True)

@@ -11,20 +11,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from camera_client.background_model import BackgroundLearner, BackgroundModel
-from camera_client.camera_chain import CameraChain, Seen
+from camera_client.background.model import BackgroundLearner, BackgroundModel
+from camera_client.camera_chain import CameraChain, FrameResult
 from camera_client.frame_source import Frame
 from camera_client.settings import CameraClientSettings
 from capture_rig import CameraModel, Rig
 from capture_rig.session import Session, load_session
 from sagoma_tools.evaluation.in_process import exact_silhouettes, silhouettes
 from stick_figure.body import Body
-from virtual_studio.body import Capsules, VolumetricBody
-from virtual_studio.motion import walk
-from virtual_studio.render import VirtualCamera
+from virtual_studio.motions.catalogue import walk
+from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.rendering.camera import Sensor, VirtualCamera
+from virtual_studio.rendering.capsules import floor_shadow
 from virtual_studio.rig import ring
-from virtual_studio.sensor import Sensor
-from virtual_studio.shadow import floor_shadow
 
 SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 SESSIONS = ("sessions/walk_ring5top", "sessions/charleston_ring5top", "sessions/zombie_he3", "real_4cam")
@@ -82,7 +81,7 @@ class Studio:
 
     def film(self, camera: CameraModel, frame: int) -> tuple[Mask, Mask]:
         """Picture and exact silhouette (H, W) uint8 of a camera that stands where ``camera`` says."""
-        light, mask = _eye(camera).see(self.capsules[frame], self.shadows[frame])
+        light, mask = _eye(camera).render(self.capsules[frame], self.shadows[frame])
         return self.sensor.expose(light, self._number(camera), frame), mask
 
     def empty(self, camera: CameraModel) -> BackgroundModel:
@@ -117,7 +116,7 @@ def stamp_ns(frame: int) -> int:
     return round(frame * EVERY / FPS * 1e9) + 1
 
 
-def seen_by(chain: CameraChain, picture: Mask, frame: int) -> Seen:
+def seen_by(chain: CameraChain, picture: Mask, frame: int) -> FrameResult:
     """What the chain makes of a picture."""
     return chain.run(Frame(picture, stamp_ns(frame), frame, "the studio's"))
 

@@ -19,9 +19,9 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, Volume, save_rig
+from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
-from sagoma_ros.stamps import to_ns
-from sagoma_tools.ros_link import RosLink
+from sagoma_tools.graph.ros_link import RosLink
 from virtual_studio.gige import CameraSettings, SimulatedCamera, free_addresses
 
 WIDTH, HEIGHT, FPS = 320, 240, 30.0

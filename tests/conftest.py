@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from camera_client.assembly import load_camera
+from camera_client.configuration import load_camera
 from camera_client.settings import CameraClientSettings
 from capture_rig.settings import build_settings, leaves
 from sagoma_bringup.graph import camera_from_file, rig_cameras

@@ -16,12 +16,12 @@ sys.path.insert(0, str(Path(__file__).parent))  # camera_pc: what the drills sha
 
 from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, Ear, end, save_rig_of
 
-from camera_client.aravis_source import AravisSource, import_aravis
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
+from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE
-from sagoma_tools.lifecycle_client import LifecycleClient, State, Transition
+from sagoma_tools.graph.lifecycle_client import LifecycleClient, State, Transition
 from virtual_studio.gige import free_addresses
 
 HULL = "/hull_server"

@@ -8,15 +8,14 @@ from pathlib import Path
 import pytest
 
 from sagoma_bringup.graph import build_graph
-from sagoma_tools.bags import bag_digest, first_difference, read_messages
-from sagoma_tools.demo import judged
-from sagoma_tools.graph_recorder import GraphRecorder
-from sagoma_tools.live_run import LiveRun, run_live, start_settings
-from sagoma_tools.lockstep import replay_through_graph
-from sagoma_tools.playing import frame_count
-from sagoma_tools.stages import FootageStage
-from sagoma_tools.supervisor import Supervisor
-from sagoma_tools.topics import PREDICTION_TOPIC
+from sagoma_tools.evaluation.live_inputs import FootageInput
+from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live, start_settings
+from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.graph.topics import PREDICTION_TOPIC
+from sagoma_tools.recording.lockstep import replay_through_graph
+from sagoma_tools.recording.reader import bag_digest, first_difference, read_messages
+from sagoma_tools.recording.recorder import GraphRecorder
+from sagoma_tools.recording.session_clock import frame_count
 
 T_POSE = {"icp_tracker.initial_pose.source": "t_pose"}
 FRAME_SET_TOPIC = "/hull/frame_set"
@@ -25,7 +24,7 @@ FRAME_SET_TOPIC = "/hull/frame_set"
 @pytest.fixture(scope="module")
 def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
     """One live run, played as fast as the graph keeps up, so that a slow machine drops nothing."""
-    return run_live(FootageStage(built_in_session), tmp_path_factory.mktemp("live"))
+    return run_live(FootageInput(built_in_session), tmp_path_factory.mktemp("live"))
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +45,7 @@ def test_every_frame_set_is_answered_and_none_is_mixed(live):
 
 
 def test_the_tracked_body_follows_the_truth(live):
-    scores = judged(live).scores
+    scores = evaluate_run(live).scores
     assert scores.tracked > 0.8 * scores.frames
     assert scores.mean_mm < 40.0
 
@@ -74,7 +73,7 @@ def test_a_lockstep_replay_repeats_the_live_run_where_nothing_was_dropped(live, 
 def test_the_graph_goes_on_when_a_camera_process_is_killed(built_in_session, tmp_path):
     graph = build_graph(session=built_in_session, rate=0.0, settings=T_POSE)
     died = threading.Event()
-    with Supervisor(graph, tmp_path / "logs", on_death=lambda spec, log: died.set()) as supervisor:
+    with Supervisor(graph, tmp_path / "logs", on_exit=lambda spec, log: died.set()) as supervisor:
         supervisor.configure()
         with GraphRecorder(graph, tmp_path / "bag") as recorder:
             supervisor.activate()

@@ -4,18 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from sagoma_tools.bags import bag_digest, first_difference
-from sagoma_tools.demo import judged
-from sagoma_tools.live_run import LiveRun, run_live, start_settings
-from sagoma_tools.lockstep import replay_through_graph
-from sagoma_tools.stages import FootageStage
+from sagoma_tools.evaluation.live_inputs import FootageInput
+from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live, start_settings
+from sagoma_tools.recording.lockstep import replay_through_graph
+from sagoma_tools.recording.reader import bag_digest, first_difference
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def live(shared_data, tmp_path_factory) -> LiveRun:
-    return run_live(FootageStage(shared_data("real_4cam")), tmp_path_factory.mktemp("real"))
+    return run_live(FootageInput(shared_data("real_4cam")), tmp_path_factory.mktemp("real"))
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,7 @@ def test_all_hundred_frame_sets_of_the_real_footage_are_answered_and_none_is_mix
 
 
 def test_every_frame_of_the_real_reference_is_tracked(live):
-    scores = judged(live).scores
+    scores = evaluate_run(live).scores
     assert scores.tracked == scores.frames == 50
     assert scores.mean_mm < 80.0
 

@@ -20,7 +20,7 @@ from drills import (
 
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.motion import walk
+from virtual_studio.motions.catalogue import walk
 
 BODY = Body.from_stature(1.75)
 POSE = walk(BODY, 3.0, 10).poses[-1]

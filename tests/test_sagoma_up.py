@@ -9,10 +9,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from sagoma_tools.bags import bag_topics, read_messages
-from sagoma_tools.replayer import Answers
-from sagoma_tools.ros_link import RosLink
-from sagoma_tools.topics import PREDICTION_TOPIC, camera_topics
+from sagoma_tools.graph.ros_link import RosLink
+from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
+from sagoma_tools.recording.reader import bag_topics, read_messages
+from sagoma_tools.recording.replayer import Answers
 
 PATIENCE_S = 120.0
 

@@ -13,17 +13,14 @@ import pytest
 from capture_rig.rig import load_rig
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.cli import main as sagoma
+from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
 from sagoma_tools.evaluation.track import POINTS_TOPIC, track_from_bag
-from sagoma_tools.graph_recorder import GraphRecorder
-from sagoma_tools.stages import free_first_address
-from sagoma_tools.studio_process import StudioProcess
-from sagoma_tools.supervisor import Supervisor
+from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.recording.recorder import GraphRecorder
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.calibration.footage import FootagePlan, write_calibration_footage
-from virtual_studio.calibration.scoring import camera_errors
-from virtual_studio.calibration.truth_files import read_truth_floor
-from virtual_studio.motion import MOTIONS
+from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.recording.footage import FootagePlan, camera_errors, read_truth_floor, write_calibration_footage
 from virtual_studio.rig import ring
 
 CAMERAS = ("cam01", "cam02", "cam03")

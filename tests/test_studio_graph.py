@@ -5,13 +5,11 @@ from pathlib import Path
 import pytest
 
 from capture_rig.errors import InputError
-from sagoma_tools.bags import read_messages
-from sagoma_tools.demo import judged
-from sagoma_tools.live_run import LiveRun, run_live
-from sagoma_tools.playing import play_of_bag
-from sagoma_tools.stages import StudioStage
-from sagoma_tools.studio_process import StudioProcess
-from sagoma_tools.topics import PREDICTION_TOPIC
+from sagoma_tools.evaluation.live_inputs import StudioInput, StudioProcess
+from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live
+from sagoma_tools.graph.topics import PREDICTION_TOPIC
+from sagoma_tools.recording.reader import read_messages
+from sagoma_tools.recording.session_clock import clock_of_bag
 
 CAMERA_FPS = 10.0
 PATIENT = {"hull_server.deadline_s": 2.0}  # a machine that runs all tests may be slow; cameras do send every frame
@@ -20,7 +18,7 @@ PATIENT = {"hull_server.deadline_s": 2.0}  # a machine that runs all tests may b
 @pytest.fixture(scope="module")
 def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
     folder = tmp_path_factory.mktemp("studio_graph")
-    return run_live(StudioStage(built_in_session, folder / "studio", CAMERA_FPS), folder, settings=PATIENT)
+    return run_live(StudioInput(built_in_session, folder / "studio", CAMERA_FPS), folder, settings=PATIENT)
 
 
 def test_backgrounds_are_learned_from_the_empty_room_by_every_client(live):
@@ -38,19 +36,19 @@ def test_frames_of_every_camera_are_accounted_for(live):
 
 def test_cameras_that_run_free_expose_in_step(live):
     assert live.spread_ms < 0.5e3 / CAMERA_FPS
-    assert live.sets >= 0.9 * live.play.frames / live.session.fps * CAMERA_FPS
+    assert live.sets >= 0.9 * live.clock.frames / live.session.fps * CAMERA_FPS
 
 
 def test_the_body_seen_by_simulated_cameras_follows_the_truth(live):
-    scores = judged(live).scores
+    scores = evaluate_run(live).scores
     assert len(live.track.frames) >= 10
     assert scores.mean_mm < 100.0
 
 
 def test_the_bag_knows_when_the_session_was_played(live):
-    assert play_of_bag(live.bag, live.session) == live.play
+    assert clock_of_bag(live.bag, live.session) == live.clock
     stamps = [message.stamp_ns for message in read_messages(live.bag, PREDICTION_TOPIC.__eq__)]
-    assert any(stamp in live.play for stamp in stamps) and min(stamps) < live.play.epoch_ns
+    assert any(stamp in live.clock for stamp in stamps) and min(stamps) < live.clock.epoch_ns
 
 
 def test_studio_that_cannot_start_says_why(tmp_path):

@@ -19,8 +19,8 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
 from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix
-from virtual_studio.motion import MOTIONS, T_POSE_S
-from virtual_studio.motion_files.to_stick_figure import ReadingOptions, read_stick_motion
+from virtual_studio.motion_files.recorded import ReadingOptions, read_stick_motion
+from virtual_studio.motions.catalogue import MOTIONS, T_POSE_S
 
 FPS = 40.0
 POINTS = 300

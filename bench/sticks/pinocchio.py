@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from icp_tracker.foot_points import foot_points
 from stick_figure.body import Body
+from stick_figure.least_squares.point_factor import foot_points
 from stick_figure.pose import Pose
 from stick_figure.skeleton import BALL_ANGLES, HINGE_ANGLES, PARENT
 

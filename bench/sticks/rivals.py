@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from icp_tracker.articulated_solver import ArticulatedSettings, PriorSettings, fit_articulated
-from icp_tracker.foot_points import foot_points
+from icp_tracker.articulated_fit import ArticulatedSettings, PriorSettings, fit_articulated
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse, sticks
+from stick_figure.least_squares.point_factor import foot_points
 from stick_figure.pose import Pose
 
 from .clips import Clip

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from icp_tracker.voxel_cloud import VoxelCloud
-from virtual_studio.body import Capsules, VolumetricBody
+from mocap_packets.hull_products import VoxelCloud
+from virtual_studio.people import Capsules, VolumetricBody
 
 from .clips import Clip, clouds
 from .trackers import chain, track

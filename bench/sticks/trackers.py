@@ -11,10 +11,9 @@ from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.state import EkfState
 from icp_tracker.acquisition.initial_pose import KnownPose
-from icp_tracker.hierarchical_icp import HierarchicalSettings
-from icp_tracker.hull_clouds import HullClouds
+from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from icp_tracker.voxel_cloud import NO_VOXELS, VoxelCloud
+from mocap_packets.hull_products import NO_VOXELS, HullProducts, VoxelCloud
 from stick_figure.pose import Pose
 
 from .clips import FPS, Clip
@@ -94,13 +93,13 @@ def track(
     for frame, (cloud, true) in enumerate(zip(points, clip.points_world, strict=True)):
         stamp_ns, samples = round(frame * NS / FPS), voxels[frame] if voxels else NO_VOXELS
         began = time.thread_time()
-        fit = icp.step(HullClouds(stamp_ns, cloud, sigma_m, samples), feedback if method.feedback else None)
+        fit = icp.step(HullProducts(stamp_ns, cloud, sigma_m, samples), feedback if method.feedback else None)
         fitted = time.thread_time()
         state = ekf.step(stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
         times.append((1e3 * (fitted - began), 1e3 * (time.thread_time() - fitted)))
         if not isinstance(state, EkfState):
             raise RuntimeError(f"{clip.name}, frame {frame}: the filter has no state: {state.reason}")
-        feedback = Feedback(stamp_ns, state.pose, state.drift)
+        feedback = Feedback(stamp_ns, state.pose, state.predicted_velocity)
         error = state.points_world - true
         errors.append((np.linalg.norm(fit.reference_points_world - true, axis=1), np.linalg.norm(error, axis=1)))
         inside.append(np.einsum("pi,pij,pj->p", error, np.linalg.inv(state.point_covariance), error) < INSIDE_95)

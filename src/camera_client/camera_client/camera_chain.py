@@ -8,20 +8,18 @@ from pathlib import Path
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 
-from .background_files import read_background
-from .background_model import BackgroundModel, load_background
-from .background_watch import BackgroundWatch
-from .camera_moved import CameraMovedWatch, Movement
-from .camera_moved_history import succeed, turn_when_learned
-from .footage_reader import open_footage
-from .frame_checks import PICTURELESS, FrameChecks
+from .background.model import BackgroundModel, load_background, read_background
+from .background.watch import BackgroundWatch
 from .frame_source import Frame
+from .movement.detector import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
 from .settings import CameraClientSettings
-from .silhouette import Silhouette, SilhouettePipeline
+from .silhouettes.pipeline import Silhouette, SilhouettePipeline
+from .sources.footage_reader import open_footage
+from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class FrameResult:
     """What one frame gave: ``flags`` of the frame itself (see frame_checks.REMEDIES); no silhouette without background.
 
     ``canvas`` is the undistorted camera that the silhouette's mask belongs to, None of a camera whose lens is unknown:
@@ -37,7 +35,7 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tools:
+class _Stages:
     """Everything that is replaced as one, between two frames."""
 
     camera: CameraModel | None
@@ -45,7 +43,7 @@ class _Tools:
     pipeline: SilhouettePipeline | None = None
     background: BackgroundModel | None = None
     watch: BackgroundWatch | None = None
-    moved: CameraMovedWatch | None = None
+    moved: CameraMovedDetector | None = None
 
 
 class CameraChain:
@@ -61,42 +59,42 @@ class CameraChain:
         """``camera``: None while its lens is unknown. ``placed``: its pose is known; without, nobody knows where the
         floor is, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
         self._settings, self._volume, self._placed = settings, volume, placed
-        self._tools = _Tools(camera, FrameChecks(settings.frame_checks))
+        self._stages = _Stages(camera, FrameChecks(settings.frame_checks))
 
     @property
     def camera(self) -> CameraModel | None:
         """The calibrated camera in use; None while its lens is unknown."""
-        return self._tools.camera
+        return self._stages.camera
 
     @property
     def background(self) -> BackgroundModel | None:
         """The background in use."""
-        return self._tools.background
+        return self._stages.background
 
     @property
     def pipeline(self) -> SilhouettePipeline | None:
         """The pipeline in use; None without a background or without a calibrated lens."""
-        return self._tools.pipeline
+        return self._stages.pipeline
 
     @property
     def watch(self) -> BackgroundWatch | None:
         """Follows whether the background in use still fits; None without one."""
-        return self._tools.watch
+        return self._stages.watch
 
     def use_background(self, model: BackgroundModel | None) -> None:
         """From the next frame on. Raises InputError when it does not fit the camera's image size."""
-        self._tools = self._made(self.camera, model)
+        self._stages = self._made(self.camera, model)
 
     def use_learned_background(self, model: BackgroundModel) -> BackgroundModel:
         """A background that was learned just now, from the next frame on; returns it as it should be saved: with what
         the one before tells of how far the camera was moved. Raises InputError as :meth:`use_background` does."""
-        related = model if self.camera is None else succeed(model, self.background, self.camera)
+        related = model if self.camera is None else carry_turn_over(model, self.background, self.camera)
         self.use_background(related)
         return related
 
     def use_camera(self, camera: CameraModel) -> None:
         """Another calibration of the same camera, from the next frame on."""
-        self._tools = self._made(camera, self.background)
+        self._stages = self._made(camera, self.background)
 
     def use_shape(self, shape: tuple[int, ...]) -> bool:
         """Images will have this shape: take the background that the settings name, unless one of it is in use.
@@ -128,9 +126,9 @@ class CameraChain:
         elif path:
             open_footage(path).close()
 
-    def run(self, frame: Frame) -> Seen:
+    def run(self, frame: Frame) -> FrameResult:
         """Raises InputError for a frame of another size or type."""
-        tools = self._tools
+        tools = self._stages
         canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
         silhouette, gain = None, 1.0
         if tools.pipeline is not None:
@@ -139,19 +137,19 @@ class CameraChain:
         if tools.watch is not None and not flags:
             tools.watch.look(frame.image, frame.stamp_ns, gain)
         moved = tools.moved
-        if moved is not None and not {*flags} & PICTURELESS:
+        if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
             moved.look(frame.image, frame.stamp_ns)
-        return Seen(canvas, flags, silhouette, gain, None if moved is None else moved.movement)
+        return FrameResult(canvas, flags, silhouette, gain, None if moved is None else moved.movement)
 
-    def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Tools:
+    def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:
         s = self._settings
         if model is None:
-            return _Tools(camera, FrameChecks(s.frame_checks))
+            return _Stages(camera, FrameChecks(s.frame_checks))
         checks, pipeline, limits, moved = FrameChecks(s.frame_checks, model.mean), None, None, None
         if camera is not None:
             silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
             pipeline = SilhouettePipeline(camera, model, silhouette, s.background_model, self._volume)
             limits = pipeline.limits
-            moved = CameraMovedWatch(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
+            moved = CameraMovedDetector(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
         watch = BackgroundWatch(model, limits or model.limits(s.background_model), s.background_watch)
-        return _Tools(camera, checks, pipeline, model, watch, moved)
+        return _Stages(camera, checks, pipeline, model, watch, moved)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 import time
 from collections.abc import Callable
@@ -19,26 +20,58 @@ from std_srvs.srv import Trigger
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
-from sagoma_ros.main import run_node
-from sagoma_ros.node import SagomaNode
+from sagoma_ros.messages import to_ns
+from sagoma_ros.node import SagomaNode, run_node
 from sagoma_ros.qos import RESULT
-from sagoma_ros.stamps import to_ns
 
-from .assembly import check_size, connect_source, load_calibration
-from .background_model import BackgroundModel
-from .background_report import background_concerns, background_misfit, background_values
-from .calibration import unplaced_camera
-from .camera_chain import CameraChain, Seen
-from .camera_info import camera_from_message
-from .camera_topics import CameraTopics
+from .background.model import BackgroundModel
+from .background.training import BackgroundTrainingService, describe
+from .camera_chain import CameraChain, FrameResult
+from .camera_topics_ros import CameraTopics, camera_from_message
+from .configuration import check_size, connect_source, load_calibration, unplaced_camera
+from .diagnostics import (
+    CameraState,
+    Level,
+    RecentStatistics,
+    background_concerns,
+    background_mismatch,
+    background_values,
+    frame_values,
+    judge,
+    source_values,
+)
 from .frame_source import Frame, FrameSource
-from .grab_loop import GrabLoop, GrabState
-from .learning_service import LearningService
-from .live_learning import describe
-from .memory import release_free_memory, return_large_blocks
-from .reports import CameraState, Level, RecentAccount, judge, seen_values, source_values
 from .settings import CameraClientSettings
-from .silhouette import Silhouette
+from .silhouettes.pipeline import Silhouette
+from .sources.grab_loop import GrabLoop, GrabState
+
+# --- Keep the process small: memory that is free inside it goes back to the system (glibc; elsewhere nothing happens).
+
+_M_MMAP_THRESHOLD = -3  # of malloc.h
+_LARGE_BYTES = 1 << 20
+
+
+def return_large_blocks() -> None:
+    """Let blocks of a megabyte and more, such as images, go back to the system as soon as they are freed.
+
+    Otherwise glibc learns to keep them: images decoded on one thread and freed on another pile up in its heaps.
+    """
+    _call("mallopt", _M_MMAP_THRESHOLD, _LARGE_BYTES)
+
+
+def release_free_memory() -> None:
+    """Ask the C library for what freed arrays left in its heap.
+
+    Building maps and models takes tens of megabytes for a moment, and glibc keeps them as its own otherwise.
+    """
+    _call("malloc_trim", 0)
+
+
+def _call(name: str, *arguments: int) -> None:
+    function = getattr(ctypes.CDLL(None), name, None)
+    if function is not None:
+        function(*arguments)
+
 
 T = TypeVar("T")
 
@@ -58,9 +91,9 @@ class CameraNode(SagomaNode):
         self._source: FrameSource | None = None
         self._loop: GrabLoop | None = None
         self._chain: CameraChain | None = None
-        self._learning = LearningService(self.health, self._use_background)
+        self._learning = BackgroundTrainingService(self.health, self._use_background)
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
-        self._last: tuple[Frame, Seen] | None = None
+        self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
         self._said = ""
         # they live as long as the node, so that no answer is due to a service that is gone; learning in a group of its
@@ -95,7 +128,7 @@ class CameraNode(SagomaNode):
     def activate(self) -> None:
         assert self._source is not None
         live = self.settings.source != "footage"
-        self._matched_s, self._said, self._recent = None, "", RecentAccount()
+        self._matched_s, self._said, self._recent = None, "", RecentStatistics()
         self._loop = GrabLoop(
             self._source,
             self._on_frame,
@@ -178,7 +211,7 @@ class CameraNode(SagomaNode):
         self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
         self.health.set("processing_ms", 1e3 * (time.perf_counter() - began))
 
-    def _publish(self, frame: Frame, seen: Seen, silhouette: Silhouette) -> None:
+    def _publish(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
         self._topics.publish_silhouette(frame, seen, silhouette)
         for flag in silhouette.flags:
             self.health.count(f"{flag}_masks")
@@ -209,7 +242,7 @@ class CameraNode(SagomaNode):
             reason = source.link.reason if source.link is not None else ""
             response.message = f"no frames are coming: {reason or 'the camera is away'}"
             return response
-        await self._learning.teach(
+        await self._learning.train(
             response, source, settings.background_frames, chain.background, settings.background_file
         )
         self.get_logger().info(response.message)
@@ -261,7 +294,7 @@ class CameraNode(SagomaNode):
             return
         link, last = source.link, self._last
         self._learning.report()
-        values = source_values(source) | (seen_values(*last) if last else {}) | background_values(chain, time.time())
+        values = source_values(source) | (frame_values(*last) if last else {}) | background_values(chain, time.time())
         for key, value in values.items():
             self.health.set(key, value)
         recent = self._recent.look(time.monotonic(), source.account)
@@ -274,10 +307,10 @@ class CameraNode(SagomaNode):
             calibrated=chain.camera is not None,
             placed=self._calibration.placed,
             has_background=chain.background is not None,
-            misfit=background_misfit(chain, source),
+            mismatch=background_mismatch(chain, source),
             concerns=background_concerns(chain, source, self.settings, time.time()),
         )
-        self._say(*judge(state.with_seen(last[1]) if last else state))
+        self._say(*judge(state.with_result(last[1]) if last else state))
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
             self._learning.cancel(f"{loop.state.value} {loop.reason}".strip())
         elif link is not None and link.state.away and link.down_s > LEARNING_PATIENCE_S:

@@ -2,16 +2,193 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 from types import TracebackType
 
 import numpy as np
 
 from capture_rig.errors import InputError
 
-from .account import FrameAccount
-from .link import Link
+# --- How many frames a source should have delivered, and what became of each of them.
+
+WRAP_16_BIT = 65535  # GVSP block ids of 16 bits run 1 ... 65535 and start again at 1
+
+
+@dataclass
+class FrameStatistics:
+    """Counts frames by their ids; the rule expected = delivered + incomplete + lost always holds.
+
+    ``expected`` follows from the ids alone (the last one minus the first one of each run), the three parts from what
+    happened to each frame. A run begins at :meth:`restart`. Frames lost after the last one that arrived are not known
+    yet, and are counted when the next one comes. ``repeated`` ids (a device that answers twice, or whose ids go back)
+    belong to none of them.
+
+    One thread adds; :meth:`snapshot` may be taken on another, and the rule holds in it too.
+    """
+
+    expected: int = 0
+    delivered: int = 0
+    incomplete: int = 0
+    lost: int = 0
+    repeated: int = 0
+    _last: int | None = field(default=None, repr=False, compare=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
+
+    def restart(self, first_id: int | None = None) -> None:
+        """A new run of ids begins: at ``first_id`` where the device says so (GVSP: 1), else wherever it begins."""
+        self._last = None if first_id is None else first_id - 1
+
+    def add(self, frame_id: int, complete: bool = True) -> int:
+        """Take note of a frame that arrived, whole or not; returns how many ids were skipped just before it."""
+        step = self._step_to(frame_id)
+        with self._lock:
+            if step <= 0:
+                self.repeated += 1
+                return 0
+            self._last = frame_id
+            self.expected += step
+            self.lost += step - 1
+            self.delivered += complete
+            self.incomplete += not complete
+        return step - 1
+
+    @property
+    def arrived(self) -> int:
+        """Frames of which anything came at all: what shows that the device is alive."""
+        return self.delivered + self.incomplete + self.repeated
+
+    def snapshot(self) -> FrameStatistics:
+        """The counts of this instant, which nobody changes any more."""
+        with self._lock:
+            return FrameStatistics(self.expected, self.delivered, self.incomplete, self.lost, self.repeated)
+
+    def __add__(self, other: FrameStatistics) -> FrameStatistics:
+        """The counts of both runs together."""
+        a, b = self.snapshot(), other.snapshot()
+        return FrameStatistics(
+            a.expected + b.expected,
+            a.delivered + b.delivered,
+            a.incomplete + b.incomplete,
+            a.lost + b.lost,
+            a.repeated + b.repeated,
+        )
+
+    def _step_to(self, frame_id: int) -> int:
+        if self._last is None:
+            return 1
+        step = frame_id - self._last
+        if max(frame_id, self._last) > WRAP_16_BIT:  # ids of 64 bits, which never wrap
+            return step
+        if step < -WRAP_16_BIT // 2:
+            return step + WRAP_16_BIT
+        return step - WRAP_16_BIT if step > WRAP_16_BIT // 2 else step  # a repetition from before the wrap
+
+
+# --- Where the connection to a camera stands, how long it was away, and how long to wait before the next attempt.
+
+
+class ConnectionState(Enum):
+    """Where the connection to the device stands."""
+
+    CLOSED = "closed"
+    CONNECTED = "connected"
+    STREAMING = "streaming"
+    CONNECTING = "connecting"
+    WAITING = "waiting"
+    STALLED = "stalled"
+    CONTROL_LOST = "control lost"
+
+    @property
+    def away(self) -> bool:
+        """Nothing comes, and it should."""
+        return self not in (ConnectionState.CLOSED, ConnectionState.CONNECTED, ConnectionState.STREAMING)
+
+
+@dataclass(frozen=True)
+class Outage:
+    """One outage that is over: seconds from its last frame to the alarm, and to the first frame after it.
+
+    ``restart_s`` runs from the start of the attempt that succeeded to that frame.
+    """
+
+    noticed_s: float
+    length_s: float
+    restart_s: float
+
+
+@dataclass(frozen=True)
+class Connection:
+    """The connection at one instant, for a report.
+
+    ``reason`` says why nothing comes; ``refused`` that waiting will not help (the settings do not fit the device);
+    ``next_try_s`` until the next attempt. ``down_s`` is how long nothing has come by now, ``downtime_s`` the sum since
+    the source was made.
+    """
+
+    state: ConnectionState
+    reason: str = ""
+    refused: bool = False
+    next_try_s: float = 0.0
+    down_s: float = 0.0
+    downtime_s: float = 0.0
+    last_outage: Outage | None = None
+
+
+class Downtime:
+    """Adds up the time in which frames should have come and did not. All times in seconds of one monotonic clock."""
+
+    def __init__(self) -> None:
+        self._sum_s = 0.0
+        self._since_s: float | None = None
+        self._noticed_s = 0.0
+        self.last: Outage | None = None
+
+    def begin(self, since_s: float, now_s: float) -> None:
+        """Nothing has come since ``since_s``, as is noticed now. An outage that goes on stays one."""
+        if self._since_s is None:
+            self._since_s, self._noticed_s = since_s, now_s
+
+    def end(self, now_s: float, attempted_s: float | None = None) -> None:
+        """A frame came, on a connection that was attempted at ``attempted_s``; None: nobody waits for one any more."""
+        if self._since_s is None:
+            return
+        if attempted_s is not None:
+            self.last = Outage(self._noticed_s - self._since_s, now_s - self._since_s, now_s - attempted_s)
+        self._sum_s, self._since_s = self.sum_s(now_s), None
+
+    def present_s(self, now_s: float) -> float:
+        """How long the present outage has lasted; 0 when there is none."""
+        return 0.0 if self._since_s is None else now_s - self._since_s
+
+    def sum_s(self, now_s: float) -> float:
+        """All of it, the present outage included."""
+        return self._sum_s + self.present_s(now_s)
+
+
+class Backoff:
+    """Pauses between attempts: ``first_s``, then twice the last one, up to ``longest_s``."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_s, self._longest_s = first_s, longest_s
+        self._last_s = 0.0
+
+    def next_s(self) -> float:
+        """The pause before the next attempt."""
+        self._last_s = min(2 * self._last_s or self._first_s, self._longest_s)
+        return self._last_s
+
+    def slowest_s(self) -> float:
+        """The longest pause, and all that follow stay as long."""
+        self._last_s = self._longest_s
+        return self._last_s
+
+    def reset(self) -> None:
+        """The device is well: begin with the shortest pause next time."""
+        self._last_s = 0.0
+
 
 Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
@@ -54,7 +231,7 @@ class FrameSource(ABC):
 
     def __init__(self) -> None:
         self._counters: dict[str, int] = {}
-        self._account = FrameAccount()
+        self._account = FrameStatistics()
         self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
 
     @property
@@ -63,7 +240,7 @@ class FrameSource(ABC):
         return self._counters
 
     @property
-    def account(self) -> FrameAccount:
+    def account(self) -> FrameStatistics:
         """What became of every frame."""
         return self._account
 
@@ -114,7 +291,7 @@ class FrameSource(ABC):
         return False
 
     @property
-    def link(self) -> Link | None:
+    def link(self) -> Connection | None:
         """The connection to the device where it is watched, else None."""
         return None
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rclpy
 
-from camera_client.aravis_source import import_aravis
+from camera_client.sources.aravis_source import import_aravis
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, save_rig

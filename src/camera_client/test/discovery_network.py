@@ -9,10 +9,9 @@ import socket
 import subprocess
 import threading
 
-from camera_client.gige.discovery import Wanted, find_camera
+from camera_client.gige.discovery import CameraSelector, find_camera
 from capture_rig.errors import InputError
-from gige_vision.discovery import DeviceRecord
-from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket, DeviceRecord
 
 ETH_P_IP = 0x0800
 CAMERAS = [
@@ -60,7 +59,7 @@ def serve_cameras():
 
 def outcome(interface="here", **wanted):
     try:
-        found = find_camera(Wanted(**wanted, interface=interface))
+        found = find_camera(CameraSelector(**wanted, interface=interface))
     except InputError as error:
         return f"{type(error).__name__}: {error}"
     return f"{found.device.address} from {found.host}"

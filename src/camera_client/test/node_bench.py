@@ -13,8 +13,8 @@ from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
 from camera_client.camera_node import CameraNode
+from sagoma_ros.messages import to_ns, to_stamp
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
-from sagoma_ros.stamps import to_ns, to_stamp
 
 DEADLINE_S = 20.0  # only ever reached by a failing test
 EPOCH_NS = 1_000_000_000_000_000_000

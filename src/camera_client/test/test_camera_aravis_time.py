@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from camera_client.aravis_features import AravisFeatures
-from camera_client.aravis_source import AravisSource
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
+from camera_client.sources.aravis_device import AravisFeatures
+from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
 from virtual_studio.gige import EventLoop, PatternScene, TriggerWire
 

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from camera_client.background_files import read_background
-from camera_client.background_model import (
+from camera_client.background.model import (
     BackgroundLearner,
     BackgroundModel,
     Provenance,
     background_from_still,
     check_shape,
     load_background,
+    read_background,
 )
 from camera_client.settings import BackgroundSettings
 from capture_rig.errors import InputError

@@ -5,13 +5,11 @@ import datetime
 import numpy as np
 import pytest
 
-from camera_client.background_age import age_h, concerns
-from camera_client.background_files import read_background
-from camera_client.background_model import BackgroundLearner, Provenance
-from camera_client.background_watch import BackgroundWatch, Watched
-from camera_client.footage_reader import open_footage
+from camera_client.background.model import BackgroundLearner, Provenance, read_background
+from camera_client.background.watch import BackgroundFit, BackgroundWatch, age_h, concerns
 from camera_client.settings import BackgroundSettings, BackgroundWatchSettings, LightDriftSettings
-from camera_client.silhouette import SilhouettePipeline
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.sources.footage_reader import open_footage
 
 SETTINGS = BackgroundWatchSettings()
 NOISE = 1.5  # grey levels, of the scene's images
@@ -156,15 +154,17 @@ def test_person_near_the_camera_does_not_pass_for_a_change_of_light(scene):
 )
 def test_camera_or_setting_that_it_was_not_learned_with_is_named(now, text):
     provenance = Provenance("camera", 100, 1.5, camera_serial="S1", exposure_us="5000", gain="0")
-    said = concerns(provenance, now, Watched(), SETTINGS, (120, 160))
+    said = concerns(provenance, now, BackgroundFit(), SETTINGS, (120, 160))
     assert len(said) == 1 and text in said[0] and "sagoma background" in said[0]
 
 
 @pytest.mark.parametrize("now", [{}, {"exposure_us": "5000.02"}, {"gain": "0.005"}, {"camera_serial": "S1"}])
 def test_settings_that_are_the_same_or_unknown_are_no_concern(now):
     provenance = Provenance("camera", 100, 1.5, camera_serial="S1", exposure_us="5000", gain="0")
-    assert concerns(provenance, now, Watched(), SETTINGS, (120, 160)) == ()
-    assert concerns(Provenance("video", 100, 1.5), {"gain": "6", "exposure_us": "9"}, Watched(), SETTINGS, ()) == ()
+    assert concerns(provenance, now, BackgroundFit(), SETTINGS, (120, 160)) == ()
+    assert (
+        concerns(Provenance("video", 100, 1.5), {"gain": "6", "exposure_us": "9"}, BackgroundFit(), SETTINGS, ()) == ()
+    )
 
 
 def test_old_background_of_a_live_camera_is_told_in_hours_and_footage_is_never_old():
@@ -172,10 +172,10 @@ def test_old_background_of_a_live_camera_is_told_in_hours_and_footage_is_never_o
     provenance = Provenance("camera", 100, 1.5, created=created.isoformat())
     now_s = created.timestamp() + 13 * 3600
     assert age_h(provenance, now_s) == pytest.approx(13.0)
-    assert "13 h old" in concerns(provenance, {}, Watched(), SETTINGS, (), now_s)[0]
-    assert concerns(provenance, {}, Watched(), SETTINGS, (), now_s - 2 * 3600) == ()
-    assert concerns(provenance, {}, Watched(), BackgroundWatchSettings(age_h=0.0), (), now_s) == ()
-    assert concerns(provenance, {}, Watched(), SETTINGS, (), None) == ()
+    assert "13 h old" in concerns(provenance, {}, BackgroundFit(), SETTINGS, (), now_s)[0]
+    assert concerns(provenance, {}, BackgroundFit(), SETTINGS, (), now_s - 2 * 3600) == ()
+    assert concerns(provenance, {}, BackgroundFit(), BackgroundWatchSettings(age_h=0.0), (), now_s) == ()
+    assert concerns(provenance, {}, BackgroundFit(), SETTINGS, (), None) == ()
     assert age_h(Provenance("video", 100, 1.5), now_s) is None
 
 

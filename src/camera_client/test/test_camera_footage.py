@@ -7,11 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.footage_reader import open_footage
-from camera_client.footage_source import READ_AHEAD, FootageSource
 from camera_client.frame_source import EndOfFootage
-from camera_client.pace import Pace
 from camera_client.settings import FootageSettings
+from camera_client.sources.footage_reader import open_footage
+from camera_client.sources.footage_source import READ_AHEAD, FootageSource, Pace
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 

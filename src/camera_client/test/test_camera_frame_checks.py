@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from camera_client.frame_checks import DARK, FROZEN, LIGHTS, REMEDIES, SATURATED, FrameChecks, grid_sample
 from camera_client.settings import FrameCheckSettings
+from camera_client.sources.frame_checks import DARK, FROZEN, LIGHTS, REMEDIES, SATURATED, FrameChecks, grid_sample
 
 PERIOD_NS = 20_000_000
 

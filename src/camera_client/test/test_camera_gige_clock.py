@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from camera_client.gige.camera_clock import CameraClock
+from camera_client.gige.camera_clock import CameraClock, ClockReading, read_clock
 from camera_client.gige.capture_time import CameraTime, FrameTimes, PtpTime, choose_time_source
-from camera_client.gige.clock_reading import ClockReading, read_clock
-from camera_client.gige.errors import DeviceRefusal
+from camera_client.gige.features import DeviceRefusal
 from capture_rig.errors import InputError
 
 US, MS, SECOND = 1_000, 1_000_000, 1_000_000_000

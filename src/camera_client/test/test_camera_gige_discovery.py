@@ -12,11 +12,16 @@ import pytest
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.gige import discovery
-from camera_client.gige.discovery import Wanted, at_address, chosen_interfaces, find_camera
-from camera_client.gige.network import enlarge_receive_buffer, interfaces
+from camera_client.gige.discovery import (
+    CameraSelector,
+    discover_at,
+    enlarge_receive_buffer,
+    find_camera,
+    interfaces,
+    select_interfaces,
+)
 from capture_rig.errors import InputError
-from gige_vision.discovery import DeviceRecord
-from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket
+from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket, DeviceRecord
 from virtual_studio.gige import free_addresses
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
@@ -53,7 +58,7 @@ def listener():
 def test_camera_that_answers_is_found_and_our_own_address_with_it(listener):
     address = listener.getsockname()[0]
     thread, heard = answering(listener, acknowledge(address=address, serial="S7", user_id="left"))
-    found = at_address(address)
+    found = discover_at(address)
     thread.join(PATIENCE_S)
     assert (found.device.serial, found.device.user_id) == ("S7", "left")
     assert found.host.startswith("127.")
@@ -64,12 +69,12 @@ def test_camera_that_answers_is_found_and_our_own_address_with_it(listener):
 def test_mute_and_absent_cameras_are_unavailable_and_nobody_else_is_asked(listener):
     address = listener.getsockname()[0]
     with pytest.raises(SourceUnavailable, match=rf"no GigE Vision camera answers at {address} \(nothing answered\)"):
-        at_address(address)
+        discover_at(address)
     listener.setblocking(False)
     assert [listener.recv(2048) for _ in range(discovery.ATTEMPTS)] == [discovery.DISCOVERY.encode()] * 3
     [absent] = free_addresses(1)
     with pytest.raises(SourceUnavailable, match=rf"{absent} \(Connection refused\).*ping"):
-        at_address(absent)
+        discover_at(absent)
 
 
 def test_answer_that_is_no_discovery_record_is_no_camera(listener):
@@ -78,33 +83,33 @@ def test_answer_that_is_no_discovery_record_is_no_camera(listener):
     other = AcknowledgePacket(0x0081, bytes(0xF8), 1).encode()
     thread, _ = answering(listener, b"x", short, other)
     with pytest.raises(SourceUnavailable, match="nothing answered"):
-        at_address(address)
+        discover_at(address)
     thread.join(PATIENCE_S)
 
 
 @pytest.mark.parametrize("address", ["cam01", "300.1.1.1", "224.0.0.1", "0.0.0.0", "192.168.1.255"])
 def test_address_that_is_not_one_device_is_refused(address):
     with pytest.raises(InputError, match=r"aravis\.address") as raised:
-        find_camera(Wanted(address=address))
+        find_camera(CameraSelector(address=address))
     assert not isinstance(raised.value, SourceUnavailable)
 
 
 def test_camera_must_be_chosen():
     with pytest.raises(InputError, match=r"aravis\.address, aravis\.serial or aravis\.user_id"):
-        find_camera(Wanted())
+        find_camera(CameraSelector())
 
 
 def test_search_without_an_interface_is_refused_with_those_there_are():
     with pytest.raises(InputError, match=r"needs an interface.*lo \(127\.0\.0\.1/8\)"):
-        find_camera(Wanted(serial="S7"))
+        find_camera(CameraSelector(serial="S7"))
     with pytest.raises(InputError, match=r"no interface 'eth77'.*lo \(127\.0\.0\.1/8\)"):
-        find_camera(Wanted(serial="S7", interface="eth77"))
+        find_camera(CameraSelector(serial="S7", interface="eth77"))
 
 
 def test_interfaces_are_chosen_by_name_or_own_address():
     loopback = next(link for link in interfaces() if link.name == "lo")
     for names in ("lo", "127.0.0.1", " lo, 127.0.0.1"):
-        assert chosen_interfaces(names) == (loopback,)
+        assert select_interfaces(names) == (loopback,)
 
 
 # --- searching, in a network namespace ---------------------------------------------------------------------------

@@ -4,10 +4,8 @@ import math
 
 import pytest
 
-from camera_client.gige.errors import DeviceRefusal
-from camera_client.gige.feature_names import ALIASES, spellings
-from camera_client.gige.features import Features, Kind
-from camera_client.gige.synchronisation import enable_ptp, ptp_status
+from camera_client.gige.features import ALIASES, DeviceRefusal, Features, Kind, spellings
+from camera_client.gige.triggers import enable_ptp, ptp_status
 from capture_rig.errors import InputError
 
 

@@ -5,9 +5,9 @@ import threading
 import numpy as np
 import pytest
 
+from camera_client.background.training import TrainingRun
 from camera_client.frame_source import EndOfFootage, Frame, FrameSource
-from camera_client.grab_loop import GrabLoop, GrabState
-from camera_client.live_learning import LiveLearning
+from camera_client.sources.grab_loop import GrabLoop, GrabState
 from capture_rig.errors import InputError
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
@@ -121,7 +121,7 @@ def images(count, moving=False):
 
 
 def test_learning_takes_the_wanted_frames_and_no_more():
-    learning = LiveLearning(10, "camera x", camera_serial="S1")
+    learning = TrainingRun(10, "camera x", camera_serial="S1")
     for k, image in enumerate(images(12)):
         assert learning.done == (k >= 10)
         learning.add(image)
@@ -132,7 +132,7 @@ def test_learning_takes_the_wanted_frames_and_no_more():
 
 
 def test_learning_while_something_moves_is_refused_with_the_share():
-    learning = LiveLearning(10, "camera x")
+    learning = TrainingRun(10, "camera x")
     for image in images(10, moving=True):
         learning.add(image)
     assert learning.model is None
@@ -140,7 +140,7 @@ def test_learning_while_something_moves_is_refused_with_the_share():
 
 
 def test_cancelled_learning_says_how_far_it_came():
-    learning = LiveLearning(10, "camera x")
+    learning = TrainingRun(10, "camera x")
     for image in images(4):
         learning.add(image)
     learning.cancel("the camera was suspended")
@@ -148,7 +148,7 @@ def test_cancelled_learning_says_how_far_it_came():
 
 
 def test_learning_from_changing_sizes_is_refused():
-    learning = LiveLearning(10, "camera x")
+    learning = TrainingRun(10, "camera x")
     learning.add(np.zeros((4, 5), np.uint8))
     learning.add(np.zeros((5, 5), np.uint8))
     assert learning.done and "5 x 5 mono" in learning.refusal

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from camera_client.background_model import BackgroundLearner
-from camera_client.frame_checks import LIGHTS, FrameChecks
+from camera_client.background.model import BackgroundLearner
 from camera_client.settings import BackgroundSettings, LightDriftSettings
-from camera_client.silhouette import FULL, SilhouettePipeline
+from camera_client.silhouettes.pipeline import FULL, SilhouettePipeline
+from camera_client.sources.frame_checks import LIGHTS, FrameChecks
 
 SECOND_NS = 1_000_000_000
 SLOW = BackgroundSettings(drift=LightDriftSettings(mode="slow"))

@@ -11,18 +11,24 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background_model import BackgroundLearner, BackgroundModel, Provenance, load_background
-from camera_client.camera_chain import CameraChain, Seen
-from camera_client.camera_moved import CameraMovedWatch, Movement, State
-from camera_client.camera_moved_alignment import PictureAlignment
-from camera_client.camera_moved_history import succeed, tell_turn, turn_when_learned
+from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance, load_background
+from camera_client.camera_chain import CameraChain, FrameResult
+from camera_client.diagnostics import CameraState, Level, frame_values, judge
 from camera_client.frame_source import Frame
-from camera_client.grab_loop import GrabState
-from camera_client.reports import CameraState, Level, judge, seen_values
+from camera_client.movement.alignment import PictureAlignment
+from camera_client.movement.detector import (
+    CameraMovedDetector,
+    Movement,
+    MovementState,
+    carry_turn_over,
+    describe_turn,
+    turn_when_learned,
+)
 from camera_client.settings import CameraClientSettings, CameraMovedSettings
+from camera_client.sources.grab_loop import GrabState
+from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
-from virtual_studio.room import look
-from virtual_studio.sensor import Sensor
+from virtual_studio.scene.room import look
 
 REAL = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_4cam"
 NOISE, PERIOD_NS = 3.0, 500_000_000
@@ -88,11 +94,11 @@ def test_turn_of_the_camera_is_found_to_a_tenth_of_a_degree_with_somebody_in_the
 
 
 def test_camera_that_did_not_move_is_still_whatever_happens_before_it():
-    watch = CameraMovedWatch(studio_camera(), background())
+    watch = CameraMovedDetector(studio_camera(), background())
     for light, share in ((1.0, 0.0), (0.6, 0.3), (1.2, 0.5), (0.9, 0.1)):
         movement = watched(watch, [with_person(picture(frame=f, light=light), share, f) for f in range(4)])
-        watch = CameraMovedWatch(studio_camera(), background())
-        assert movement.state is State.STILL
+        watch = CameraMovedDetector(studio_camera(), background())
+        assert movement.state is MovementState.STILL
         assert np.degrees(np.linalg.norm(movement.turn_rad)) < 0.05
 
 
@@ -100,70 +106,70 @@ def test_chair_that_was_moved_is_no_movement_of_the_camera():
     chair = picture(frame=3)
     here, there = (slice(200, 400), slice(120, 240)), (slice(200, 400), slice(400, 520))
     chair[here], chair[there] = chair[there].copy(), chair[here].copy()
-    movement = watched(CameraMovedWatch(studio_camera(), background()), [chair] * 4)
-    assert movement.state is State.STILL and np.degrees(np.linalg.norm(movement.turn_rad)) < 0.02
+    movement = watched(CameraMovedDetector(studio_camera(), background()), [chair] * 4)
+    assert movement.state is MovementState.STILL and np.degrees(np.linalg.norm(movement.turn_rad)) < 0.02
 
 
 def test_bumped_camera_is_named_in_the_third_look_with_pixels_degrees_and_remedy():
-    watch, camera = CameraMovedWatch(studio_camera(), background()), studio_camera()
-    assert watched(watch, [picture(frame=f) for f in range(3)]).tell("cam03") == ""
+    watch, camera = CameraMovedDetector(studio_camera(), background()), studio_camera()
+    assert watched(watch, [picture(frame=f) for f in range(3)]).describe("cam03") == ""
     bumped = [picture(frame=f, turn_deg=(0, 1.0, 0.5)) for f in range(3)]
-    assert watched(watch, bumped[:1], 3).state is State.STILL  # one bad picture is no movement
+    assert watched(watch, bumped[:1], 3).state is MovementState.STILL  # one bad picture is no movement
     movement = watched(watch, bumped[1:], 4)
-    assert movement.state is State.MOVED and movement.grave
+    assert movement.state is MovementState.MOVED and movement.severe
     assert np.hypot(*movement.shift_px) == pytest.approx(camera.K[0, 0] * np.tan(np.radians(1.0)), rel=0.1)
     assert movement.turned_deg == pytest.approx(0.5, abs=0.05)
-    text = movement.tell("cam03")
+    text = movement.describe("cam03")
     assert text.startswith("cam03 was moved: its picture is shifted by ") and "(1.0 degrees), turned by 0.5" in text
     assert "put it back, or calibrate it" in text
 
 
 def test_camera_that_is_put_back_is_still_again():
-    watch = CameraMovedWatch(studio_camera(), background())
-    assert watched(watch, [picture(frame=f, turn_deg=(1.0, 0, 0)) for f in range(4)]).state is State.MOVED
-    assert watched(watch, [picture(frame=f) for f in range(4)], 4).state is State.STILL
+    watch = CameraMovedDetector(studio_camera(), background())
+    assert watched(watch, [picture(frame=f, turn_deg=(1.0, 0, 0)) for f in range(4)]).state is MovementState.MOVED
+    assert watched(watch, [picture(frame=f) for f in range(4)], 4).state is MovementState.STILL
 
 
 @pytest.mark.parametrize("push_m", [(0.05, 0, 0), (0, 0.05, 0)])
 def test_camera_that_was_pushed_by_five_centimetres_is_named(push_m):
-    watch = CameraMovedWatch(studio_camera(), background())
+    watch = CameraMovedDetector(studio_camera(), background())
     movement = watched(watch, [with_person(picture(frame=f, push_m=push_m), 0.2, f) for f in range(4)])
-    assert movement.state is State.MOVED
+    assert movement.state is MovementState.MOVED
     assert 0.2 < np.degrees(np.linalg.norm(movement.turn_rad)) < 1.0  # 0.05 m at 3 m to 8 m
 
 
 def test_plain_walls_tell_nothing_and_nobody_is_named():
     camera, wall = studio_camera(), np.full((480, 640), 128, np.float32)
     model = BackgroundModel(wall, np.full_like(wall, 2.0), Provenance("a wall", 50, 2.0))
-    watch = CameraMovedWatch(camera, model)
+    watch = CameraMovedDetector(camera, model)
     rng = np.random.default_rng(0)
     movement = watched(watch, [np.clip(wall + rng.normal(0, 2, wall.shape), 0, 255).astype(np.uint8)] * 4)
-    assert movement.state is State.UNKNOWN and movement.values() == {"camera_moved": "cannot tell"}
-    assert movement.tell("cam01") == ""
+    assert movement.state is MovementState.UNKNOWN and movement.values() == {"camera_moved": "cannot tell"}
+    assert movement.describe("cam01") == ""
 
 
 def test_picture_of_another_place_is_told_after_three_seconds_and_not_as_a_turn():
-    watch = CameraMovedWatch(studio_camera(), background())
+    watch = CameraMovedDetector(studio_camera(), background())
     elsewhere = [picture(frame=f, turn_deg=(0, 60.0, 0)) for f in range(8)]
-    assert watched(watch, elsewhere[:3]).state is State.UNKNOWN
+    assert watched(watch, elsewhere[:3]).state is MovementState.UNKNOWN
     movement = watched(watch, elsewhere, 3)
-    assert movement.state is State.LOST and "shows something else" in movement.tell("cam01")
+    assert movement.state is MovementState.LOST and "shows something else" in movement.describe("cam01")
 
 
 def test_looks_are_half_a_second_apart_and_go_on_when_stamps_go_back():
-    watch, image = CameraMovedWatch(studio_camera(), background()), picture(frame=1)
+    watch, image = CameraMovedDetector(studio_camera(), background()), picture(frame=1)
     for stamp_ms in (0, 100, 400, 500, 900, 1000):
         movement = watch.look(image, stamp_ms * 1_000_000)
-    assert movement.state is State.STILL  # at 0, 500 and 1000 ms
+    assert movement.state is MovementState.STILL  # at 0, 500 and 1000 ms
     bumped = picture(frame=2, turn_deg=(0, 1.0, 0))
     for stamp_ms in (0, 500):
         movement = watch.look(bumped, stamp_ms * 1_000_000)
-    assert movement.state is State.MOVED
+    assert movement.state is MovementState.MOVED
 
 
 def test_same_pictures_give_the_same_figures_when_shown_again():
     def run():
-        watch = CameraMovedWatch(studio_camera(), background())
+        watch = CameraMovedDetector(studio_camera(), background())
         movement = watched(watch, [with_person(picture(frame=f, turn_deg=(0.5, 0, 0)), 0.3, f) for f in range(4)])
         return movement.turn_rad.tobytes(), movement.agreeing
 
@@ -171,23 +177,23 @@ def test_same_pictures_give_the_same_figures_when_shown_again():
 
 
 def test_limit_of_zero_switches_the_watch_off():
-    watch = CameraMovedWatch(studio_camera(), background(), CameraMovedSettings(limit_deg=0.0))
-    assert watched(watch, [picture(frame=f, turn_deg=(0, 2.0, 0)) for f in range(4)]).state is State.UNKNOWN
+    watch = CameraMovedDetector(studio_camera(), background(), CameraMovedSettings(limit_deg=0.0))
+    assert watched(watch, [picture(frame=f, turn_deg=(0, 2.0, 0)) for f in range(4)]).state is MovementState.UNKNOWN
 
 
 def test_background_learned_anew_after_a_bump_remembers_the_turn_until_the_camera_is_calibrated(tmp_path):
     camera, turn_deg = studio_camera(), (0.0, 1.0, 0.0)
-    first = succeed(background(), None, camera)
-    assert tell_turn(first.provenance) == ""
-    again = succeed(background(turn_deg=turn_deg), first, camera)
+    first = carry_turn_over(background(), None, camera)
+    assert describe_turn(first.provenance) == ""
+    again = carry_turn_over(background(turn_deg=turn_deg), first, camera)
     assert np.degrees(turn_when_learned(again.provenance, camera)) == pytest.approx(turn_deg, abs=0.05)
-    assert "turned by 1.0 degrees: calibrate it again" in tell_turn(again.provenance)
-    third = succeed(background(turn_deg=turn_deg), again, camera)  # and once more, without touching the camera
+    assert "turned by 1.0 degrees: calibrate it again" in describe_turn(again.provenance)
+    third = carry_turn_over(background(turn_deg=turn_deg), again, camera)  # and once more, without touching the camera
     third.save(tmp_path / "background.npz")
     about = load_background(tmp_path / "background.npz").provenance
     assert np.degrees(turn_when_learned(about, camera)) == pytest.approx(turn_deg, abs=0.05)
-    watch = CameraMovedWatch(camera, third, since_rad=turn_when_learned(about, camera))
-    assert watched(watch, [picture(frame=f, turn_deg=turn_deg) for f in range(4)]).state is State.MOVED
+    watch = CameraMovedDetector(camera, third, since_rad=turn_when_learned(about, camera))
+    assert watched(watch, [picture(frame=f, turn_deg=turn_deg) for f in range(4)]).state is MovementState.MOVED
     assert turn_when_learned(about, moved(camera, turn_deg)) == pytest.approx(np.zeros(3))  # calibrated where it stands
 
 
@@ -209,22 +215,22 @@ def test_chain_names_the_bumped_camera_while_its_silhouette_floods_and_after_it_
     for number in range(3, 6):
         result = seen(chain, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
     assert result.silhouette.foreground_fraction > honest + 0.02
-    assert result.movement.state is State.MOVED
+    assert result.movement.state is MovementState.MOVED
     chain.use_learned_background(background(turn_deg=(0, 2.0, 0)))
     for number in range(6, 10):
         result = seen(chain, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
     assert result.silhouette.foreground_fraction < 0.01
-    assert result.movement.state is State.MOVED and result.movement.swing_deg == pytest.approx(2.0, abs=0.05)
+    assert result.movement.state is MovementState.MOVED and result.movement.swing_deg == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("turn_rad", "grave", "level"), [(0.02, True, Level.ERROR), (0.005, False, Level.WARN)])
-def test_diagnostics_tell_of_the_movement_with_a_level_by_its_size(turn_rad, grave, level):
+@pytest.mark.parametrize(("turn_rad", "severe", "level"), [(0.02, True, Level.ERROR), (0.005, False, Level.WARN)])
+def test_diagnostics_tell_of_the_movement_with_a_level_by_its_size(turn_rad, severe, level):
     camera = studio_camera()
-    movement = Movement(State.MOVED, np.array([turn_rad, 0, 0]), np.array([0.0, -5.0]), 0.6, grave)
-    result = Seen(camera, (), movement=movement)
-    told, text = judge(CameraState(GrabState.RUNNING).with_seen(result))
-    assert told is level and text == movement.tell(camera.name)
-    values = seen_values(Frame(picture(), 1, 1, "a test"), result)
+    movement = Movement(MovementState.MOVED, np.array([turn_rad, 0, 0]), np.array([0.0, -5.0]), 0.6, severe)
+    result = FrameResult(camera, (), movement=movement)
+    told, text = judge(CameraState(GrabState.RUNNING).with_result(result))
+    assert told is level and text == movement.describe(camera.name)
+    values = frame_values(Frame(picture(), 1, 1, "a test"), result)
     assert values["camera_shift_px"] == 5.0 and values["camera_turn_deg"] == 0.0
     assert values["camera_moved"] == "was moved"
 
@@ -232,7 +238,7 @@ def test_diagnostics_tell_of_the_movement_with_a_level_by_its_size(turn_rad, gra
 @pytest.mark.skipif(not REAL.is_dir(), reason="the recorded footage is not here")
 @pytest.mark.parametrize("name", ["cam01", "cam03"])
 def test_real_footage_is_still_and_named_when_it_is_turned_by_a_degree(name):
-    from camera_client.background_files import read_background
+    from camera_client.background.model import read_background
     from camera_client.settings import BackgroundSettings
     from capture_rig.rig import load_rig
 
@@ -240,11 +246,11 @@ def test_real_footage_is_still_and_named_when_it_is_turned_by_a_degree(name):
     model = read_background(REAL / f"{name}_background.png", (camera.height, camera.width, 3), BackgroundSettings())
     capture = cv2.VideoCapture(str(REAL / f"{name}.mp4"))
     frames = [capture.read()[1] for _ in range(61)][::15]
-    movement = watched(CameraMovedWatch(camera, model), frames)
-    assert movement.state is State.STILL and np.degrees(np.linalg.norm(movement.turn_rad)) < 0.02
+    movement = watched(CameraMovedDetector(camera, model), frames)
+    assert movement.state is MovementState.STILL and np.degrees(np.linalg.norm(movement.turn_rad)) < 0.02
     R = cv2.Rodrigues(np.radians([0.6, 0.7, -0.4]))[0]
     H = camera.K @ R @ np.linalg.inv(camera.K)
     warped = [cv2.warpPerspective(f, H, f.shape[1::-1], borderMode=cv2.BORDER_REPLICATE) for f in frames]
-    movement = watched(CameraMovedWatch(camera, model), warped)
-    assert movement.state is State.MOVED
+    movement = watched(CameraMovedDetector(camera, model), warped)
+    assert movement.state is MovementState.MOVED
     assert np.degrees(movement.turn_rad) == pytest.approx([0.6, 0.7, -0.4], abs=0.1)

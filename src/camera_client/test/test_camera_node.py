@@ -9,7 +9,7 @@ from node_bench import EPOCH_NS, FAILURE, FRAMES, NAMESPACE, SUCCESS, set_camera
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
 
-from camera_client.background_model import load_background
+from camera_client.background.model import load_background
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
 from sagoma_ros.images import camera_info_message, decode_silhouette

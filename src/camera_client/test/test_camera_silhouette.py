@@ -6,13 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background_files import read_background
-from camera_client.background_model import BackgroundLearner
-from camera_client.colour_shadow import ColourShadow
-from camera_client.floor_shadow import FloorShadow, floor_pixels
-from camera_client.footage_reader import open_footage
+from camera_client.background.model import BackgroundLearner, read_background
 from camera_client.settings import BackgroundSettings, ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
-from camera_client.silhouette import EMPTY, FULL, SilhouettePipeline
+from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
+from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, floor_pixels
+from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
@@ -246,3 +244,24 @@ def distance_outside_mm(mask, camera, points_world):
     u, v = np.rint(camera.project(points_world)).astype(int).T
     depth_m = points_world @ camera.R_camera_world[2] + camera.t_camera_world[2]
     return distance_px[v, u] * depth_m / camera.K[0, 0] * 1e3
+
+
+# --- The outlined picture.
+
+
+@pytest.mark.parametrize("shape", [(120, 160), (120, 160, 3)])
+def test_person_and_shadow_candidates_are_outlined_in_two_colours(shape):
+    mask = np.zeros((120, 160), np.uint8)
+    mask[20:100, 60:100] = 255
+    mask[80:100, 100:140] = 127
+    shown = outline(np.full(shape, 128, np.uint8), mask)
+    assert shown.shape == (60, 80, 3) and shown.dtype == np.uint8
+    assert tuple(shown[25, 30]) == PERSON_BGR  # left side of the person
+    assert tuple(shown[45, 69]) == CANDIDATE_BGR  # right side of the shadow
+    assert (shown[30, 40] == 128).all() and (shown[45, 60] == 128).all() and (shown[5, 5] == 128).all()
+
+
+def test_image_given_is_not_drawn_into():
+    image, mask = np.full((40, 40, 3), 128, np.uint8), np.full((40, 40), 255, np.uint8)
+    outline(image, mask)
+    assert (image == 128).all()

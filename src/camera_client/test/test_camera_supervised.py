@@ -8,11 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camera_client.errand import Errand
-from camera_client.frame_source import Frame, FrameSource, SourceUnavailable
-from camera_client.link import LinkState
+from camera_client.frame_source import ConnectionState, Frame, FrameSource, SourceUnavailable
 from camera_client.settings import SupervisionSettings
-from camera_client.supervised_source import SupervisedSource
+from camera_client.sources.supervised_source import BackgroundCall, SupervisedSource
 from capture_rig.errors import InputError
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
@@ -112,10 +110,10 @@ def frames_of(source, wanted):
 
 def test_camera_that_is_there_streams_from_the_first_read(world):
     with world.supervised() as source:
-        assert source.link.state is LinkState.CONNECTED and source.shape == (2, 3)
+        assert source.link.state is ConnectionState.CONNECTED and source.shape == (2, 3)
         source.start()
         assert [frame.frame_id for frame in frames_of(source, 3)] == [1, 2, 3]
-        assert source.link.state is LinkState.STREAMING and not source.lost
+        assert source.link.state is ConnectionState.STREAMING and not source.lost
         assert source.link.downtime_s == 0.0 and source.counters == {"packets": 30}
         assert source.details == {"camera_serial": "F1"}
 
@@ -124,7 +122,7 @@ def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(w
     world.fault = OFF
     source = world.supervised()
     source.connect()
-    assert source.link.state is LinkState.WAITING and "does not answer" in source.link.reason
+    assert source.link.state is ConnectionState.WAITING and "does not answer" in source.link.reason
     assert source.shape == ()
     source.start()
     tries = []
@@ -138,7 +136,7 @@ def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(w
     assert pauses.max() == pytest.approx(2.0)
     world.fault = None
     frames_of(source, 1)
-    assert source.link.state is LinkState.STREAMING and source.shape == (2, 3)
+    assert source.link.state is ConnectionState.STREAMING and source.shape == (2, 3)
     assert source.link.downtime_s == pytest.approx(world.now_s, abs=1e-6)
 
 
@@ -148,7 +146,7 @@ def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world):
         frames_of(source, 50)
         last_s = world.now_s
         world.fault = OFF
-        until(source, lambda s, _: s.link.state is LinkState.WAITING)
+        until(source, lambda s, _: s.link.state is ConnectionState.WAITING)
         assert world.now_s - last_s == pytest.approx(0.5)
         assert source.counters["stalls"] == 1
         until(source, lambda s, _: world.now_s - last_s > 5.0)
@@ -168,7 +166,7 @@ def test_stalled_camera_that_still_answers_is_connected_anew_at_once(world):
         source.start()
         frames_of(source, 5)
         world.silent = True
-        until(source, lambda s, _: s.link.state is LinkState.STALLED)
+        until(source, lambda s, _: s.link.state is ConnectionState.STALLED)
         world.silent = False
         before_s = world.now_s
         frames_of(source, 1)
@@ -193,7 +191,7 @@ def test_control_loss_is_told_from_a_stall(world):
         source.start()
         frames_of(source, 1)
         world.silent = world.control_taken = True
-        until(source, lambda s, _: s.link.state is LinkState.CONTROL_LOST)
+        until(source, lambda s, _: s.link.state is ConnectionState.CONTROL_LOST)
         assert "control" in source.link.reason and source.counters == {"packets": 10, "control_losses": 1}
         world.silent = world.control_taken = False
         frames_of(source, 1)
@@ -206,7 +204,7 @@ def test_stall_limit_is_that_of_the_connected_source(world):
         world.silent = True
         for _ in range(1000):
             source.read(0.2)
-        assert source.link.state is LinkState.STREAMING and world.now_s > 199.0
+        assert source.link.state is ConnectionState.STREAMING and world.now_s > 199.0
 
 
 def test_incomplete_frames_are_a_sign_of_life(world):
@@ -217,7 +215,7 @@ def test_incomplete_frames_are_a_sign_of_life(world):
         for frame_id in range(2, 40):
             world.made[0].account.add(frame_id, complete=False)
             source.read(0.2)
-        assert source.link.state is LinkState.STREAMING
+        assert source.link.state is ConnectionState.STREAMING
         assert source.account.incomplete == 38
 
 
@@ -265,7 +263,7 @@ def test_camera_that_connects_but_does_not_start_is_tried_again(world):
         source.start()
         for _ in range(50):
             source.read(0.2)
-        assert source.link.state is LinkState.WAITING and "does not answer" in source.link.reason
+        assert source.link.state is ConnectionState.WAITING and "does not answer" in source.link.reason
         assert all("closed" in made.calls for made in world.made[:-1])
         world.start_fault = None
         frames_of(source, 1)
@@ -326,7 +324,7 @@ def test_camera_that_was_lost_while_suspended_is_connected_anew(world):
         source.start()
         frames_of(source, 1)
         source.stop()
-        assert source.link.state is LinkState.CONNECTED
+        assert source.link.state is ConnectionState.CONNECTED
         world.made[0].taken = True
         source.start()
         frames_of(source, 1)
@@ -374,7 +372,7 @@ def test_accounts_and_counters_add_up_over_reconnections(runs):
 
 def test_abandoned_errand_disposes_of_its_late_result():
     go, disposed = threading.Event(), []
-    errand = Errand(lambda: go.wait(PATIENCE_S) and "result", disposed.append)
+    errand = BackgroundCall(lambda: go.wait(PATIENCE_S) and "result", disposed.append)
     assert not errand.wait(0)
     errand.abandon()
     go.set()
@@ -383,7 +381,7 @@ def test_abandoned_errand_disposes_of_its_late_result():
 
 def test_errand_abandoned_after_its_end_disposes_of_the_result():
     disposed = []
-    errand = Errand(lambda: "result", disposed.append)
+    errand = BackgroundCall(lambda: "result", disposed.append)
     assert errand.result() == "result" and disposed == []
     errand.abandon()
     assert errand.wait(PATIENCE_S) and disposed == ["result"]
@@ -393,7 +391,7 @@ def test_errand_raises_what_its_call_raised_and_has_nothing_to_dispose_of():
     def fail():
         raise InputError("no")
 
-    errand = Errand(fail, dispose=lambda result: pytest.fail("there is no result"))
+    errand = BackgroundCall(fail, dispose=lambda result: pytest.fail("there is no result"))
     with pytest.raises(InputError, match="no"):
         errand.result()
     errand.abandon()

@@ -9,12 +9,12 @@ import pytest
 from node_bench import FAILURE, SUCCESS, set_camera_info
 from sensor_msgs.msg import CameraInfo, Image
 
-from camera_client.background_model import load_background
-from camera_client.calibration import unplaced_camera
-from camera_client.camera_topics import CameraTopics
+from camera_client.background.model import load_background
+from camera_client.background.training import KEY, TrainingReport
+from camera_client.camera_topics_ros import CameraTopics
+from camera_client.configuration import unplaced_camera
+from camera_client.diagnostics import UNCALIBRATED, UNPLACED
 from camera_client.frame_source import Frame
-from camera_client.lesson_report import KEY, LessonReport
-from camera_client.reports import UNCALIBRATED, UNPLACED
 from camera_client.settings import CameraClientSettings
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from sagoma_ros.images import camera_info_message, decode_silhouette
@@ -71,7 +71,7 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     assert answer.success and "20 frames" in answer.message
     assert camera.masks == []
     values = camera.values()
-    lesson = LessonReport.from_json(values[KEY])
+    lesson = TrainingReport.from_json(values[KEY])
     assert (lesson.number, lesson.frames, lesson.text, lesson.saved) == (1, 20, answer.message, "")
     assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "0")
     wanted = lens(scene)

@@ -4,9 +4,8 @@ from .camera import CameraModel, UndistortedView
 from .errors import InputError
 from .frame_set import FrameSet, FrameSetCollector
 from .rig import Rig, Volume, load_rig, save_rig
-from .session import Session, footage_stamp_ns, load_session
+from .session import Session, Truth, footage_stamp_ns, load_session, load_truth
 from .settings import as_dict, build_settings, setting
-from .truth import Truth, load_truth
 
 __all__ = [
     "CameraModel",

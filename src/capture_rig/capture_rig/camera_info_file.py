@@ -21,7 +21,7 @@ from .camera import CameraModel
 from .errors import InputError
 from .lens import Array
 from .rig import camera_from_mapping
-from .yaml_file import read_mapping
+from .settings import read_mapping
 
 MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 KEYS = ("image_width", "image_height", "camera_name", "distortion_model", "distortion_coefficients", *MATRICES)

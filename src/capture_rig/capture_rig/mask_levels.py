@@ -11,13 +11,13 @@ SHADOW_CANDIDATE = 127
 """Most likely only floor or wall in shadow, as its texture is still seen; the highest level of this kind."""
 FOREGROUND = 255
 
-DEGREES = (0.4, 0.44, 0.485, 0.535, 0.59, 0.65, 0.715, 0.785, 0.865, 0.97)
-"""Degree d of darkness: DEGREES[d] to DEGREES[d + 1] times as bright as the background; steps of a tenth."""
-DARK_LEVELS = tuple(range(135, 248, 14))
+ATTENUATION_EDGES = (0.4, 0.44, 0.485, 0.535, 0.59, 0.65, 0.715, 0.785, 0.865, 0.97)
+"""Degree d of darkness: ATTENUATION_EDGES[d] to ATTENUATION_EDGES[d + 1] times as bright as the background; steps of a tenth."""
+ATTENUATED_LEVELS = tuple(range(135, 248, 14))
 """Levels of the degrees 0 to 8: the person as far as one camera can tell, and perhaps the floor behind it in shadow."""
 CANDIDATE_LEVELS = tuple(range(47, 128, 20))
 """Levels of shadow candidates: of the degrees 0 and 1, of 2 and 3, ..., of 8."""
-LEVELS = (BACKGROUND, *CANDIDATE_LEVELS, *DARK_LEVELS, FOREGROUND)
+LEVELS = (BACKGROUND, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, FOREGROUND)
 """All sixteen, ascending."""
 
 
@@ -25,7 +25,7 @@ FLOOR_REACH_M = 0.5
 """Floor is doubted within the capture volume and so far around it."""
 
 
-def degree_of(ratio: float) -> int | None:
+def attenuation_step(ratio: float) -> int | None:
     """The degree of darkness of a pixel ``ratio`` times as bright as the background; None: not as a shadow would be."""
-    degree = sum(ratio >= edge for edge in DEGREES) - 1
-    return degree if 0 <= degree < len(DARK_LEVELS) else None
+    degree = sum(ratio >= edge for edge in ATTENUATION_EDGES) - 1
+    return degree if 0 <= degree < len(ATTENUATED_LEVELS) else None

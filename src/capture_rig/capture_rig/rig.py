@@ -13,7 +13,7 @@ import yaml
 from .camera import CameraModel
 from .errors import InputError
 from .lens import COEFFICIENTS, Array
-from .yaml_file import read_mapping
+from .settings import read_mapping
 
 UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
 CAMERA_KEYS = (

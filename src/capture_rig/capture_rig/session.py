@@ -6,15 +6,156 @@ silhouettes), ``truth.csv`` or ``reference*.csv``, ``session.yaml`` (``fps``, ``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import csv
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from .errors import InputError
+from .lens import Array
 from .rig import Rig, load_rig
-from .truth import Truth, load_truth
-from .yaml_file import read_mapping
+from .settings import read_mapping
+
+# --- Reference data of a session: where the 15 reference points really were.
+#
+# The 15 points are those of the thesis (5.1): torso centre, head tip, neck, shoulders, hips, elbows, knees, hand tips,
+# feet (ankles), left before right.
+
+ANGLE_COUNT = 18
+LEFT_HAND, RIGHT_HAND, LEFT_ELBOW, RIGHT_ELBOW = 11, 12, 7, 8
+
+# elbow to wrist over elbow to finger tip: forearm 0.146 and hand 0.108 of stature
+# (Drillis & Contini 1966, as tabulated by Winter, Biomechanics and Motor Control of Human Movement)
+WRIST_FRACTION = 0.146 / (0.146 + 0.108)
+
+# the columns that give each of the 15 points; two names stand for their midpoint
+RENDERED = (
+    ("neck", "l_hip", "r_hip"),
+    ("head_top",),
+    ("neck",),
+    ("l_shoulder",),
+    ("r_shoulder",),
+    ("l_hip",),
+    ("r_hip",),
+    ("l_elbow",),
+    ("r_elbow",),
+    ("l_knee",),
+    ("r_knee",),
+    ("l_hand_tip",),
+    ("r_hand_tip",),
+    ("l_ankle",),
+    ("r_ankle",),
+)
+POSE_NETWORK = (
+    ("Neck", "LHip", "RHip"),
+    ("Head",),
+    ("Neck",),
+    ("LShoulder",),
+    ("RShoulder",),
+    ("LHip",),
+    ("RHip",),
+    ("LElbow",),
+    ("RElbow",),
+    ("LKnee",),
+    ("RKnee",),
+    ("LWrist",),
+    ("RWrist",),
+    ("LAnkle",),
+    ("RAnkle",),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Reference points of a session.
+
+    frames : (F,) video frame of each row, 0-based.
+    points_world : (F, 15, 3) metres, map frame, NaN where unknown, as the reference defines them.
+    angles : (F, 18) radians in the stick figure's order, or None where the reference has none.
+    wrist_fraction : where on the stick elbow -> hand tip the reference's hand points lie; 1 is the tip itself.
+    """
+
+    frames: np.ndarray
+    points_world: Array
+    angles: Array | None
+    wrist_fraction: float
+    source: Path
+
+    def of_frames(self, frames: np.ndarray) -> Truth:
+        """The rows of these video frames alone."""
+        rows = np.isin(self.frames, frames)
+        angles = None if self.angles is None else self.angles[rows]
+        return replace(self, frames=self.frames[rows], points_world=self.points_world[rows], angles=angles)
+
+    def stick_figure_points(self) -> Array:
+        """(F, 15, 3) the reference with hand tips: wrists are extended along the forearm where it ends there."""
+        points = self.points_world.copy()
+        for hand, elbow in ((LEFT_HAND, LEFT_ELBOW), (RIGHT_HAND, RIGHT_ELBOW)):
+            forearm = points[:, hand] - points[:, elbow]
+            points[:, hand] = points[:, elbow] + forearm / self.wrist_fraction
+        return points
+
+    def comparable(self, points_world: Array) -> Array:
+        """The stick figure's points (..., 15, 3) as this reference defines them: hand tips moved to the wrists."""
+        points = np.array(points_world, float)
+        for hand, elbow in ((LEFT_HAND, LEFT_ELBOW), (RIGHT_HAND, RIGHT_ELBOW)):
+            forearm = points[..., hand, :] - points[..., elbow, :]
+            points[..., hand, :] = points[..., elbow, :] + self.wrist_fraction * forearm
+        return points
+
+
+def load_truth(path: str | Path) -> Truth:
+    """Read ``truth.csv`` (rendered sessions) or ``reference*.csv`` (points of a 2D pose network), in metres."""
+    path = Path(path)
+    header, rows = _read_csv(path)
+    table, wrist_fraction = (RENDERED, 1.0) if "head_top_x" in header else (POSE_NETWORK, WRIST_FRACTION)
+    column = {name: index for index, name in enumerate(header)}
+    points = np.stack([_point(rows, column, parts, path) for parts in table], axis=1)
+    angle_names = [name for name in header if name.endswith("_rad") and not name.startswith("torso_")]
+    angles = rows[:, [column[name] for name in angle_names]] if len(angle_names) == ANGLE_COUNT else None
+    return Truth(rows[:, 0].astype(int), points, angles, wrist_fraction, path)
+
+
+def _read_csv(path: Path) -> tuple[list[str], Array]:
+    try:
+        with path.open(newline="") as file:
+            header, *lines = [row for row in csv.reader(file) if row]
+        rows = np.array([[float(cell) if cell else np.nan for cell in line] for line in lines])
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read as a table of numbers ({error})",
+            where=str(path),
+            remedy="The first row names the columns, every other row holds numbers.",
+        ) from None
+    if header[0] != "frame" or rows.ndim != 2 or rows.shape[1] != len(header):
+        raise InputError(
+            "is not a table whose first column is 'frame'",
+            where=str(path),
+            remedy="Every row needs one number per column.",
+        )
+    if not np.array_equal(rows[:, 0], np.trunc(rows[:, 0])):
+        raise InputError(
+            "column 'frame' holds something else than whole numbers",
+            where=str(path),
+            remedy="Give the 0-based video frame of each row.",
+        )
+    return header, rows
+
+
+def _point(rows: Array, column: dict[str, int], parts: tuple[str, ...], path: Path) -> Array:
+    for name in (f"{part}_{axis}" for part in parts for axis in "xyz"):
+        if name not in column:
+            raise InputError(
+                f"column '{name}' is missing", where=str(path), remedy="Give x, y, z of every reference point."
+            )
+    xyz = {name: rows[:, [column[f"{name}_{axis}"] for axis in "xyz"]] for name in parts}
+    if len(parts) == 1:
+        return xyz[parts[0]]
+    neck, left_hip, right_hip = (xyz[name] for name in parts)  # the torso centre: half way from neck to mid-hips
+    return (neck + (left_hip + right_hip) / 2) / 2
+
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
 STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from capture_rig.errors import InputError
-from capture_rig.truth import ANGLE_COUNT, POSE_NETWORK, RENDERED, WRIST_FRACTION, Truth, load_truth
+from capture_rig.session import ANGLE_COUNT, POSE_NETWORK, RENDERED, WRIST_FRACTION, Truth, load_truth
 
 ANGLES = [f"angle{k}_rad" for k in range(ANGLE_COUNT)]
 

@@ -12,9 +12,8 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
-from .filter import ArticulatedEkf
-from .rehearsal import rehearse
-from .settings import EkfSettings, LastingErrorSettings
+from .filter import ArticulatedEkf, warm_up
+from .settings import EkfSettings, MeasurementBiasSettings
 from .state import EkfState
 
 FPS = 60.0
@@ -25,7 +24,7 @@ SETTLED = 60
 CHI2_95 = 7.815
 """95 % of a chi-square with 3 degrees of freedom."""
 STATURE_M = 1.75
-NOTHING_LASTS = LastingErrorSettings(0.0, *[0.0] * 9)
+NO_BIAS = MeasurementBiasSettings(0.0, *[0.0] * 9)
 """The simulated noise is new in every set."""
 
 
@@ -46,7 +45,7 @@ def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
 def measure(model: str) -> dict[str, float]:
     """Figures of one motion model; lengths in mm, cost in ms of wall time for one set."""
     body = Body.from_stature(STATURE_M)
-    ekf = ArticulatedEkf(body, EkfSettings(motion_model=model, lasting_errors=NOTHING_LASTS))
+    ekf = ArticulatedEkf(body, EkfSettings(motion_model=model, measurement_bias=NO_BIAS))
     rng, covariance = np.random.default_rng(1), np.tile(np.eye(3) * NOISE_M**2, (15, 1, 1))
     cost, raw, filtered, inside = [], [], [], []
     for k, true in enumerate(motion(body, FRAMES)):
@@ -70,7 +69,7 @@ def measure(model: str) -> dict[str, float]:
 
 def main() -> None:
     """Print a table of both motion models and, last, one line of JSON."""
-    rehearse()
+    warm_up()
     results = {model: measure(model) for model in ("constant_velocity", "identity")}
     print(f"{FRAMES} sets at {FPS:g} Hz, points with {1e3 * NOISE_M:g} mm of noise on each axis")
     print(f"{'model':20}{'ms a set':>10}{'measured mm':>14}{'filtered mm':>14}{'inside 95 %':>14}")

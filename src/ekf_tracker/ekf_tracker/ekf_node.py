@@ -20,22 +20,19 @@ from capture_rig.errors import InputError
 from capture_rig.settings import setting
 from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, split_reference_points
 from sagoma_ros.health import ERROR, OK, WARN
-from sagoma_ros.joints import covariance_message, joint_state_message, prediction_message
-from sagoma_ros.main import run_node
-from sagoma_ros.node import SagomaNode
+from sagoma_ros.messages import to_ns
+from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.packets import covariance_message, joint_state_message, prediction_message
 from sagoma_ros.qos import LATCHED, RESULT
-from sagoma_ros.stamps import to_ns
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
-from .filter import ArticulatedEkf
-from .humans import Humans, NoHumans, humans_of
-from .messages import reference_points_message, skeleton_markers, state_message, torso_message
-from .rehearsal import rehearse
+from .filter import ArticulatedEkf, warm_up
+from .humans_ros import Humans, NoHumans, make_humans
 from .settings import EkfSettings
-from .slots import POSE
-from .state import EkfState, NoState, Tracking
+from .state import POSE, EkfState, NoState, Tracking
+from .state_ros import reference_points_message, skeleton_markers, state_message, torso_message
 
 POINTS_TOPIC, BODY_TOPIC = "icp/reference_points", "icp/body"
 NS_PER_S = 1_000_000_000
@@ -81,8 +78,8 @@ class EkfNode(SagomaNode):
         self._backwards, self._next_skeleton_ns = 0, 0
         body = load_body(self.settings.body_file) if self.settings.body_file else None
         self._filter = ArticulatedEkf(body, self.settings.filter) if body else None
-        rehearse()
-        self._humans = humans_of(self, self.settings.publish_humans, self.settings.body_id, self.settings.frame_id)
+        warm_up()
+        self._humans = make_humans(self, self.settings.publish_humans, self.settings.body_id, self.settings.frame_id)
         self._open_publishers()
         if body is None:
             self._keep("subscription", self.create_subscription(String, BODY_TOPIC, self._on_body, LATCHED))
@@ -182,8 +179,10 @@ class EkfNode(SagomaNode):
         else:
             self._humans.absent(stamp_ns)
         self._state.publish(state_message(result, self.get_fully_qualified_name()))
-        pose, drift = (result.pose, result.drift) if isinstance(result, EkfState) else (None, np.zeros(24))
-        self._prediction.publish(prediction_message(pose, drift, stamp_ns, self.settings.frame_id))
+        pose, predicted_velocity = (
+            (result.pose, result.predicted_velocity) if isinstance(result, EkfState) else (None, np.zeros(24))
+        )
+        self._prediction.publish(prediction_message(pose, predicted_velocity, stamp_ns, self.settings.frame_id))
         self.health.status(HEALTH[result.tracking], f"{result.tracking}: {result.reason}")
         self.health.tick(stamp_ns)
 

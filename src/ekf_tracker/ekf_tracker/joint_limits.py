@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numba import njit
 
-from stick_figure.euler import wrap_into_range
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
+from stick_figure.rotations import wrap_into_range
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES
 
 FLATTEST = 0.2
@@ -36,8 +36,8 @@ def add_joint_limits(RJ, hinges, hinge_margin, weight, information, gradient):
             if excess != 0.0 and _row(ball, RJ[ball], values[0], k, row):
                 _add(SLOT_OF_JOINT_AXIS[ball], row, excess, weight, information, gradient)
                 found += 1
-        past = beyond_straight(ball - 1, hinges, hinge_margin)
-        if past > 0.0 and not turned_is_better(ball - 1, RJ, past):
+        past = hyperextension(ball - 1, hinges, hinge_margin)
+        if past > 0.0 and not flipped_limb_fits_better(ball - 1, RJ, past):
             slot = HINGE_SLOT[ball - 1]
             information[slot, slot] += weight
             gradient[slot] -= weight * (past if ball < 3 else -past)
@@ -46,13 +46,13 @@ def add_joint_limits(RJ, hinges, hinge_margin, weight, information, gradient):
 
 
 @njit(cache=True)
-def beyond_straight(hinge, hinges, margin):
+def hyperextension(hinge, hinges, margin):
     """How much further (rad) than the margin an elbow (hinge 0, 1) or knee (2, 3) is bent the wrong way."""
     return (hinges[hinge] if hinge < 2 else -hinges[hinge]) - margin
 
 
 @njit(cache=True)
-def turned_is_better(hinge, RJ, past):
+def flipped_limb_fits_better(hinge, RJ, past):
     """Whether a limb, ``past`` (rad) straight, is less beyond its ranges when it is described the other way round."""
     turned = RJ[1 + hinge].copy()
     other = 2 if hinge < 2 else 1  # Ry(pi) turns x and z of an arm, Rz(pi) x and y of a leg

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from capture_rig.errors import InputError
-from stick_figure.skeleton import POINT_NAMES
+from stick_figure import kernels
+from stick_figure.body import Body
+from stick_figure.pose import Pose
+from stick_figure.skeleton import POINT_NAMES, POINT_STICK
 
-from .algebra import positive3
+from .algebra import inverse3, positive3
 
 POINTS = len(POINT_NAMES)
 ASYMMETRY_M2 = 1e-9
@@ -90,3 +94,171 @@ def _complain(points_world: np.ndarray, covariance: np.ndarray) -> None:
 
 def _asymmetry(covariance: np.ndarray) -> np.ndarray:
     return np.abs(covariance - covariance.swapaxes(-1, -2)).max(axis=(-1, -2))
+
+
+# --- The measurement function of the filter, linearised: the 15 points and how each moves with the pose (compiled).
+#
+# The pose's state arrays (t0, R0, RJ, hinges) are those of `stick_figure.kernels`. A point hangs from at most eleven of
+# the 24 tangent slots, and only those columns of its Jacobian are kept.
+
+WIDTH = 11
+"""Columns that are kept of a point: at most ten are used, one spare as `kernels.point_jacobian` asks for."""
+
+
+class Linearised(NamedTuple):
+    """The points at a pose, and their derivatives.
+
+    h (15, 3) : the points, m, world (thesis Table 5.2)
+    J (15, 3, 11) : of point i the columns J[i, :, :columns[i]] of H, for the tangent slots slots[i, :columns[i]]
+        (thesis Table 5.8, p1's row corrected: p1 is the torso's position and nothing else)
+    """
+
+    h: np.ndarray
+    J: np.ndarray
+    slots: np.ndarray
+    columns: np.ndarray
+
+
+def linearised(body: Body, pose: Pose) -> Linearised:
+    """The measurement function and its Jacobian at a pose."""
+    at = empty_linearised()
+    linearise(pose.arrays, body.lengths, body.stick_origins_torso, at)
+    return at
+
+
+@njit(cache=True)
+def empty_linearised():
+    """Arrays to be filled."""
+    slots, columns = np.empty((15, WIDTH), np.int64), np.empty(15, np.int64)
+    return Linearised(np.empty((15, 3)), np.empty((15, 3, WIDTH)), slots, columns)
+
+
+@njit(cache=True)
+def linearise(pose, lengths, origins, at):
+    """at <- points and Jacobian at the pose (t0, R0, RJ, hinges) of a body."""
+    t0, R0, RJ, hinges = pose
+    G, axes = np.empty((10, 3, 3)), np.zeros((18, 3))
+    A, B = np.empty((10, 3)), np.empty((10, 3))
+    kernels.stick_frames(R0, RJ, hinges, G, axes)
+    kernels.stick_ends(G, t0, lengths, origins, A, B)
+    kernels.reference_points(A, B, t0, at.h)
+    for point in range(15):
+        at.columns[point] = kernels.point_jacobian(
+            POINT_STICK[point], at.h[point], t0, A, axes, at.J[point], at.slots[point]
+        )
+
+
+@njit(cache=True)
+def moved(at, point, step):
+    """The point (x, y, z) after a step (24,), to first order."""
+    x, y, z = at.h[point]
+    for a in range(at.columns[point]):
+        d = step[at.slots[point, a]]
+        x += at.J[point, 0, a] * d
+        y += at.J[point, 1, a] * d
+        z += at.J[point, 2, a] * d
+    return x, y, z
+
+
+@njit(cache=True)
+def point_covariance(at, point, P, C):
+    """C (3, 3) <- H P H' of one point, P (>= 24, >= 24) with the pose first."""
+    n = at.columns[point]
+    J, slots = at.J[point], at.slots[point]
+    HP = np.zeros((3, WIDTH))
+    for a in range(n):
+        row = P[slots[a]]
+        for b in range(n):
+            entry = row[slots[b]]
+            for i in range(3):
+                HP[i, b] += J[i, a] * entry
+    for i in range(3):
+        for j in range(i + 1):
+            total = 0.0
+            for b in range(n):
+                total += HP[i, b] * J[j, b]
+            C[i, j] = total
+            C[j, i] = total
+
+
+@njit(cache=True)
+def squared_distances(pose, lengths, origins, P, z, R, visible):
+    """(15,) squared Mahalanobis lengths of the innovations of the visible points; 0 for the others."""
+    distances, at = np.zeros(15), empty_linearised()
+    linearise(pose, lengths, origins, at)
+    S, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for point in range(15):
+        if not visible[point]:
+            continue
+        point_covariance(at, point, P, S)
+        for i in range(3):
+            y[i] = z[point, i] - at.h[point, i]
+            for j in range(3):
+                S[i, j] += R[point, i, j]
+        inverse3(S, inverse)
+        for i in range(3):
+            for j in range(3):
+                distances[point] += y[i] * inverse[i, j] * y[j]
+    return distances
+
+
+@njit(cache=True)
+def add_information(at, point, weight, y, information, gradient):
+    """information (24, 24) += J' W J and gradient (24,) += J' W y of one point with W = weight (3, 3), y (3,)."""
+    n = at.columns[point]
+    J, slots = at.J[point], at.slots[point]
+    WJ = np.empty((3, WIDTH))
+    for b in range(n):
+        for i in range(3):
+            WJ[i, b] = weight[i, 0] * J[0, b] + weight[i, 1] * J[1, b] + weight[i, 2] * J[2, b]
+    for a in range(n):
+        gradient[slots[a]] += WJ[0, a] * y[0] + WJ[1, a] * y[1] + WJ[2, a] * y[2]
+        row = information[slots[a]]
+        for b in range(n):
+            row[slots[b]] += J[0, a] * WJ[0, b] + J[1, a] * WJ[1, b] + J[2, a] * WJ[2, b]
+
+
+# --- Leaving out points that contradict the prediction, without ever shutting the truth out.
+
+
+class GateDecision(NamedTuple):
+    """accepted, rejected, readmitted (15,) bool, a readmitted point is one of the accepted; how many of each."""
+
+    accepted: np.ndarray
+    rejected: np.ndarray
+    readmitted: np.ndarray
+    used: int
+    left_out: int
+    returned: int
+
+
+class InnovationGate:
+    """Chi-square gate with a memory.
+
+    A point beyond the threshold is left out; one that has been left out for more than ``patience`` sets in a row is
+    readmitted: by then it is the prediction that is wrong. Sets in which the point is not visible do not count.
+    """
+
+    def __init__(self, threshold: float, patience: int) -> None:
+        self._threshold, self._patience = threshold, patience
+        self.rejected_in_a_row = np.zeros(POINTS, dtype=np.int64)
+
+    def decide(self, distances: np.ndarray, visible: np.ndarray) -> GateDecision:
+        """Squared Mahalanobis distances (15,) of the visible points (15,) against the threshold."""
+        return GateDecision(*_decide(distances, visible, self._threshold, self._patience, self.rejected_in_a_row))
+
+
+@njit(cache=True)
+def _decide(distances, visible, threshold, patience, rejected_in_a_row):
+    accepted, rejected, readmitted = np.zeros(15, np.bool_), np.zeros(15, np.bool_), np.zeros(15, np.bool_)
+    for point in range(15):
+        if not visible[point]:
+            continue
+        outlying = distances[point] > threshold
+        rejected_in_a_row[point] = rejected_in_a_row[point] + 1 if outlying else 0
+        if rejected_in_a_row[point] > patience:
+            readmitted[point] = True
+            rejected_in_a_row[point] = 0
+        rejected[point] = outlying and not readmitted[point]
+        accepted[point] = not rejected[point]
+    return accepted, rejected, readmitted, accepted.sum(), rejected.sum(), readmitted.sum()

@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from .slots import per_slot
+from .state import per_slot
 
 
 class Transition(NamedTuple):

@@ -36,7 +36,7 @@ class IdentitySettings:
 
 
 @dataclass(frozen=True)
-class LastingErrorSettings:
+class MeasurementBiasSettings:
     """What of the measured points' errors lasts for many sets; see `lasting_errors`.
 
     The standard deviations say how far, in each direction, a joint of the best figure lies from the body's.
@@ -70,7 +70,7 @@ class EkfSettings:
     )
     constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
     identity: IdentitySettings = field(default_factory=IdentitySettings)
-    lasting_errors: LastingErrorSettings = field(default_factory=LastingErrorSettings)
+    measurement_bias: MeasurementBiasSettings = field(default_factory=MeasurementBiasSettings)
     iterations: int = setting(2, "relinearisations of one update at most", low=1, high=20)
     gate_chi2: float = setting(
         30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from stick_figure.kernels import HINGE_SLOT
 from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_NAMES
 
@@ -29,7 +30,7 @@ class EkfState:
 
     pose : the pose, hinges bent the right way
     velocity : (24,) rates of the pose's tangent
-    drift : (24,) rate with which the motion model moves the pose until the next set, zero for the identity model
+    predicted_velocity : (24,) rate with which the motion model moves the pose until the next set, zero for the identity model
     covariance : (48, 48) of the errors of pose and velocity
     angles, rates : (18,) rad and rad/s in the order of `stick_figure.skeleton.ANGLE_NAMES`, continuous with the
         previous set's; the rates are damped near gimbal lock
@@ -42,7 +43,7 @@ class EkfState:
     stamp_ns: int
     pose: Pose
     velocity: np.ndarray
-    drift: np.ndarray
+    predicted_velocity: np.ndarray
     covariance: np.ndarray
     angles: np.ndarray
     rates: np.ndarray
@@ -71,16 +72,35 @@ class NoState:
     tracking: Tracking = Tracking.ACQUIRING
 
 
-def assess(accepted: np.ndarray, gated: np.ndarray, blind_s: float, lost_after_s: float) -> tuple[Tracking, str]:
+def assess(accepted: np.ndarray, gated: np.ndarray, unmeasured_s: float, lost_after_s: float) -> tuple[Tracking, str]:
     """Trust in the estimate, from the points used and left out (15,) and the seconds since any was used."""
     used, left_out = np.count_nonzero(accepted), np.count_nonzero(gated)
-    if blind_s > lost_after_s:
-        return Tracking.LOST, f"no usable point for {blind_s:.2f} s"
+    if unmeasured_s > lost_after_s:
+        return Tracking.LOST, f"no usable point for {unmeasured_s:.2f} s"
     if used == 0 and left_out == 0:
-        return Tracking.DOUBTFUL, f"no visible point for {blind_s:.2f} s"
+        return Tracking.DOUBTFUL, f"no visible point for {unmeasured_s:.2f} s"
     names = ", ".join(POINT_NAMES[i] for i in np.flatnonzero(gated)) if left_out else ""
     if left_out >= used:
         return Tracking.DOUBTFUL, f"{left_out} of {used + left_out} visible points contradict the prediction: {names}"
     if left_out:
         return Tracking.TRACKING, f"{used} points used, left out: {names}"
     return Tracking.TRACKING, f"{used} points used"
+
+
+# --- Named slices of the filter's 48 error-state slots: 24 of the pose's tangent, then the same 24 of its velocity.
+
+POSE = slice(0, 24)
+VELOCITY = slice(24, 48)
+DIMENSION = 48
+
+HINGES = HINGE_SLOT
+"""(4,) tangent slots of left and right elbow, left and right knee."""
+
+
+def per_slot(torso_position: float, torso_rotation: float, ball_joints: float, hinges: float) -> np.ndarray:
+    """(24,) one number for every tangent slot, by the kind of its joint."""
+    values = np.full(24, ball_joints)
+    values[0:3] = torso_position
+    values[3:6] = torso_rotation
+    values[HINGES] = hinges
+    return values

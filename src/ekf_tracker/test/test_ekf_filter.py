@@ -8,8 +8,8 @@ from ekf_person import (
     ALL,
     BENT_ANGLES,
     EPOCH_NS,
+    NO_BIAS,
     NONE,
-    NOTHING_LASTS,
     Person,
     dense_matrices,
     ellipsoid_distances,
@@ -21,12 +21,11 @@ from ekf_person import (
 from scipy.stats import chi2
 
 from capture_rig.errors import InputError
-from ekf_tracker.covariance import JOINT_SLOTS
 from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.kernels import JOINT_SLOTS
 from ekf_tracker.motion_model import DampedVelocity
 from ekf_tracker.settings import DampedVelocitySettings, EkfSettings
-from ekf_tracker.slots import POSE, VELOCITY
-from ekf_tracker.state import EkfState, NoState, Tracking
+from ekf_tracker.state import POSE, VELOCITY, EkfState, NoState, Tracking
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -57,7 +56,7 @@ def test_constant_velocity_beats_the_identity_model_on_smooth_motion(body, speed
 def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(body, model):
     inside = []
     for seed in range(3):
-        settings = EkfSettings(motion_model=model, lasting_errors=NOTHING_LASTS)
+        settings = EkfSettings(motion_model=model, measurement_bias=NO_BIAS)
         states, truth = run(ArticulatedEkf(body, settings), Person(body, seed), 300)
         covariances = np.array([s.point_covariance for s in states[SETTLED:]])
         errors = np.array([s.points_world for s in states[SETTLED:]]) - truth[SETTLED:]
@@ -68,7 +67,7 @@ def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(bo
 def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body):
     """NEES over all 48 slots and NIS of the points, on motion drawn from the motion model itself."""
     gentle = DampedVelocitySettings(torso_rad_s2=15.0, ball_joints_rad_s2=15.0, hinges_rad_s2=8.0)
-    settings = EkfSettings(constant_velocity=gentle, gate_chi2=1e6, lasting_errors=NOTHING_LASTS, limit_sd_rad=0.0)
+    settings = EkfSettings(constant_velocity=gentle, gate_chi2=1e6, measurement_bias=NO_BIAS, limit_sd_rad=0.0)
     F, Q = dense_matrices(DampedVelocity((8.0, 15.0, 15.0, 8.0)).transition(1 / 60))
     Q_half = np.linalg.cholesky(Q)
     nees, nis = [], []
@@ -104,7 +103,7 @@ def test_drift_leads_to_the_next_prediction(body, person):
     """What the consumer of a prediction computes equals what the filter will predict."""
     ekf = ArticulatedEkf(body)
     states, _ = run(ekf, person, 40)
-    expected = forward(body, states[-1].pose.retract(states[-1].drift / 60.0))
+    expected = forward(body, states[-1].pose.retract(states[-1].predicted_velocity / 60.0))
     blind = ekf.step(stamp(40), np.zeros((15, 3)), isotropic(0.02), NONE)
     assert np.linalg.norm(blind.points_world - expected, axis=1).max() < 1e-6
     assert np.linalg.norm(expected - states[-1].points_world, axis=1).max() > 1e-3
@@ -112,7 +111,7 @@ def test_drift_leads_to_the_next_prediction(body, person):
 
 def test_identity_model_does_not_drift_but_reports_how_fast_the_body_moved(body, person):
     states, truth = run(ArticulatedEkf(body, EkfSettings(motion_model="identity")), person, 120, noise=0.002)
-    np.testing.assert_array_equal(states[-1].drift, 0.0)
+    np.testing.assert_array_equal(states[-1].predicted_velocity, 0.0)
     measured = np.array([s.velocity[:3] for s in states[SETTLED:]])
     true = np.gradient(truth[:, 0], 1 / 60.0, axis=0)[SETTLED:]
     assert np.abs(measured - true).mean() < 0.15 * np.abs(true).max()
@@ -292,7 +291,7 @@ def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_roun
 def test_covariance_stays_positive_definite_over_2000_sets_with_twists_nobody_sees(body):
     """Random motion, arms and legs straight half of the time, points coming and going."""
     rng = np.random.default_rng(9)
-    ekf = ArticulatedEkf(body, EkfSettings(lasting_errors=NOTHING_LASTS))
+    ekf = ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS))
     person = Person(body, 4, speed=1.5)
     for k in range(2000):
         pose = person.pose(k / 60)

@@ -9,7 +9,7 @@ from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
 from ekf_tracker.motion_model import DampedVelocity, Identity
 from ekf_tracker.settings import EkfSettings, motion_model
-from ekf_tracker.slots import POSE, VELOCITY, per_slot
+from ekf_tracker.state import POSE, VELOCITY, per_slot
 
 
 def van_loan(damping, density, dt):

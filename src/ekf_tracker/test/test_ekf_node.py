@@ -21,9 +21,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ekf_tracker.ekf_node import EkfNode
 from ekf_tracker.filter import ArticulatedEkf
 from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, reference_points_array, split_reference_points, to_cloud
-from sagoma_ros.joints import read_prediction
+from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import read_prediction
 from sagoma_ros.qos import LATCHED, RESULT
-from sagoma_ros.stamps import to_ns
 from stick_figure.body import Body
 from stick_figure.body_file import format_body, save_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
@@ -152,7 +152,7 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     assert used.all()
     prediction = read_prediction(by_topic.ekf_prediction, "test")
     assert np.abs(prediction.pose.minus(expected.pose)).max() < 1e-9
-    np.testing.assert_array_equal(prediction.velocity, expected.drift)
+    np.testing.assert_array_equal(prediction.velocity, expected.predicted_velocity)
     assert by_topic.mocap_state.message == "tracking" and by_topic.mocap_state.level == DiagnosticStatus.OK
 
 

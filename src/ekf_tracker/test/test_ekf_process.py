@@ -10,19 +10,20 @@ RUN = """
 import hashlib
 import numpy as np
 from ekf_person import ALL, Person, isotropic, stamp
-from ekf_tracker import algebra, compiled, gate, joint_limits, lasting_errors, linearised, measurement, report
+from ekf_tracker import algebra, bias, joint_limits, measurement
+from ekf_tracker import kernels as ekf_kernels
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.rehearsal import rehearse
+from ekf_tracker.filter import warm_up
 from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, reference_points_array, split_reference_points, to_cloud
 from stick_figure import kernels
 from stick_figure.body import Body
 
 def compilations():
-    modules = (algebra, compiled, gate, joint_limits, lasting_errors, linearised, measurement, report, kernels)
+    modules = (algebra, bias, ekf_kernels, joint_limits, measurement, kernels)
     functions = [f for module in modules for f in vars(module).values() if hasattr(f, "signatures")]
     return sum(len(f.signatures) for f in functions)
 
-rehearse()
+warm_up()
 before = compilations()
 person, digest = Person(Body.from_stature(1.75)), hashlib.sha256()
 ekf, rng = ArticulatedEkf(person.body), np.random.default_rng(0)

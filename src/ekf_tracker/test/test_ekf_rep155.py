@@ -7,8 +7,7 @@ import pytest
 from ekf_person import Person
 from scipy.spatial.transform import Rotation
 
-from ekf_tracker.rep155 import HRI_JOINT_NAMES, body_frame, hri_angles
-from ekf_tracker.rep155_urdf import human_urdf
+from ekf_tracker.rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, human_urdf
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, POINT_NAMES

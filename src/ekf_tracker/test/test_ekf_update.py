@@ -7,13 +7,20 @@ from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
 from ekf_tracker.algebra import inverse_spd
-from ekf_tracker.compiled import cap_joints, correct, joseph
-from ekf_tracker.covariance import positive_definite
-from ekf_tracker.linearised import linearised, point_covariance
-from ekf_tracker.measurement import Measurement
+from ekf_tracker.kernels import (
+    Estimate,
+    UpdateOptions,
+    cap_joints,
+    correct_arrays,
+    correct_estimate,
+    innovation_distances,
+    joseph,
+    positive_definite,
+    predict_estimate,
+)
+from ekf_tracker.measurement import Measurement, linearised, point_covariance
 from ekf_tracker.motion_model import DampedVelocity, Identity
-from ekf_tracker.slots import POSE, VELOCITY
-from ekf_tracker.update import Estimate, Iteration, corrected, innovation_distances, predicted
+from ekf_tracker.state import POSE, VELOCITY
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
@@ -72,7 +79,7 @@ def test_one_iteration_equals_the_dense_textbook_update(body, problem, hidden):
     prior, z = problem
     visible = ALL.copy()
     visible[hidden] = False
-    posterior = corrected(body, prior, z, visible, Iteration(1))
+    posterior = correct_estimate(body, prior, z, visible, UpdateOptions(1))
     x, P = dense_ekf(body, prior, z, visible)
     np.testing.assert_allclose(posterior.pose.minus(prior.pose), x[POSE], atol=1e-7)
     np.testing.assert_allclose(posterior.velocity, prior.velocity + x[VELOCITY], atol=1e-7)
@@ -90,10 +97,10 @@ def test_iterations_end_at_the_most_probable_pose(body, problem):
         return np.concatenate([np.einsum("iab,ia->ib", R_half, y).ravel(), P_half.T @ d])
 
     best = least_squares(residuals, np.zeros(24), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
-    posterior = corrected(body, prior, z, ALL, Iteration(20))
+    posterior = correct_estimate(body, prior, z, ALL, UpdateOptions(20))
     found = forward(body, posterior.pose)
     assert np.linalg.norm(found - forward(body, prior.pose.retract(best)), axis=1).max() < 5e-4
-    once = forward(body, corrected(body, prior, z, ALL, Iteration(1)).pose)
+    once = forward(body, correct_estimate(body, prior, z, ALL, UpdateOptions(1)).pose)
     assert np.abs(found - once).max() > 1e-4  # there was something to iterate
 
 
@@ -101,7 +108,7 @@ def test_iterations_end_at_the_most_probable_pose(body, problem):
 def test_prediction_equals_dense_matrices_and_moves_the_pose_along_the_velocity(body, problem, model):
     prior, _ = problem
     F, Q = dense_matrices(model.transition(0.02))
-    ahead = predicted(prior, model.transition(0.02), joint_sd_cap_rad=100.0)
+    ahead = predict_estimate(prior, model.transition(0.02), joint_sd_cap_rad=100.0)
     np.testing.assert_allclose(ahead.covariance, F @ prior.covariance @ F.T + Q, atol=1e-12)
     np.testing.assert_array_equal(ahead.covariance, ahead.covariance.T)
     np.testing.assert_allclose(ahead.pose.minus(prior.pose), F[0, 24] * prior.velocity, atol=1e-9)
@@ -119,7 +126,9 @@ def test_point_follows_the_direction_in_which_it_was_measured_well(body, problem
     R[hand, 0, 0] = 0.002**2
     only_hand = np.arange(15) == hand
     z = Measurement.checked(points, R, only_hand, 1e-6)
-    moved = forward(body, corrected(body, prior, z, only_hand, Iteration(5)).pose)[hand] - points[hand] + 0.04
+    moved = (
+        forward(body, correct_estimate(body, prior, z, only_hand, UpdateOptions(5)).pose)[hand] - points[hand] + 0.04
+    )
     assert abs(moved[0] - 0.04) < 1e-3
     assert np.abs(moved[1:]).max() < 0.02
 
@@ -219,7 +228,9 @@ def test_turned_hinge_leaves_points_and_their_covariance_as_they_were(body, hing
     before = Pose(pose.position_world, pose.R_world_torso, pose.R_joints, past)
     nothing = (np.zeros((15, 3)), isotropic(1.0), NONE)  # an update without points: only the description changes
     sizes = (body.lengths, body.stick_origins_torso)
-    arrays, turned_velocity, turned = correct(before.arrays, before.arrays, velocity, P, *sizes, *nothing, 0.0, 1, 0.15)
+    arrays, turned_velocity, turned = correct_arrays(
+        before.arrays, before.arrays, velocity, P, *sizes, *nothing, 0.0, 1, 0.15
+    )
     assert arrays[3][hinge] == pytest.approx(-past[hinge])
 
     (h0, H0), (h1, H1) = ((at.h, dense(at)) for at in (linearised(body, before), linearised(body, Pose(*arrays))))

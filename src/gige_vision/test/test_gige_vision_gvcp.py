@@ -4,10 +4,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gige_vision import gvcp_payloads
-from gige_vision.discovery import DeviceRecord, encode_text
-from gige_vision.gvcp import AcknowledgePacket, Command, CommandPacket, MalformedPacket, Status, status_text
-from gige_vision.gvcp_payloads import Action, ResendRequest
+from gige_vision import gvcp as gvcp_payloads
+from gige_vision.gvcp import (
+    AcknowledgePacket,
+    Action,
+    Command,
+    CommandPacket,
+    DeviceRecord,
+    MalformedPacket,
+    ResendRequest,
+    Status,
+    encode_text,
+    status_text,
+)
 
 words = st.integers(0, 2**32 - 1)
 halves = st.integers(0, 2**16 - 1)

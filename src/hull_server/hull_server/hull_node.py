@@ -14,23 +14,22 @@ from capture_rig import CameraModel, FrameSet, FrameSetCollector, InputError, lo
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette
-from sagoma_ros.main import run_node
-from sagoma_ros.node import SagomaNode
+from sagoma_ros.messages import to_ns
+from sagoma_ros.node import SagomaNode, run_node
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
-from sagoma_ros.stamps import to_ns
 from sagoma_ros.worker import Worker
 
-from .hull_messages import (
+from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
+from .hull_ros import (
+    SaveMeshService,
     calibration_mismatch,
     calibration_values,
     centerline_cloud,
+    contour_ray_cloud,
     frame_set_message,
-    rim_cloud,
     summarise,
     voxel_cloud,
 )
-from .mesh_desk import MeshDesk
-from .pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .settings import NodeSettings
 
 POLL_PERIOD_S = (0.002, 0.05)  # shortest and longest; a fifth of the deadline between them
@@ -59,7 +58,7 @@ class CarvedSet:
 
 
 class HullNode(SagomaNode):
-    """Silhouettes of all cameras in; hull/rims, hull/centerline, hull/voxels, hull/frame_set out, one each per set."""
+    """Silhouettes of all cameras in; hull/contour_rays, hull/centerline, hull/voxels, hull/frame_set out, one each per set."""
 
     Settings = NodeSettings
 
@@ -69,7 +68,7 @@ class HullNode(SagomaNode):
         self._collector: FrameSetCollector[Mask] | None = None  # None unless active
         self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
         self._slicer: Worker[CarvedSet] | None = None  # ... while the other finishes and publishes this one
-        self._mesh: MeshDesk | None = None
+        self._mesh: SaveMeshService | None = None
         self._canvases: dict[str, CameraModel] = {}
         self._refused: dict[str, str] = {}  # camera: why
         self._heard_ns: dict[str, int] = {}
@@ -93,7 +92,7 @@ class HullNode(SagomaNode):
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
         self.health.set("backend", f"{self._pipeline.backend.name} ({self._pipeline.backend.device})")
         self._advertise()
-        self._mesh = MeshDesk(self, self.settings.mesh)
+        self._mesh = SaveMeshService(self, self.settings.mesh)
         self._subscribe()
 
     def activate(self) -> None:
@@ -132,11 +131,11 @@ class HullNode(SagomaNode):
         self._refused = {}
 
     def _advertise(self) -> None:
-        self._rims = self.create_publisher(PointCloud2, "hull/rims", RESULT)
+        self._contour_rays = self.create_publisher(PointCloud2, "hull/contour_rays", RESULT)
         self._centerline = self.create_publisher(PointCloud2, "hull/centerline", RESULT)
         self._voxels = self.create_publisher(PointCloud2, "hull/voxels", RESULT)
         self._frame_set = self.create_publisher(DiagnosticArray, "hull/frame_set", RESULT)
-        publishers = self._rims, self._centerline, self._voxels, self._frame_set
+        publishers = self._contour_rays, self._centerline, self._voxels, self._frame_set
         self._handles += [(self.destroy_publisher, publisher) for publisher in publishers]
 
     def _subscribe(self) -> None:
@@ -212,7 +211,7 @@ class HullNode(SagomaNode):
         """On the carver's thread: send one frame set on its way."""
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
-        self._slicer.put_when_there_is_room(CarvedSet(closed, begun_ns, self._pipeline.begin(closed.frame_set)))
+        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self._pipeline.begin(closed.frame_set)))
 
     def _finish(self, carved: CarvedSet) -> None:
         """On the slicer's thread: finish it, convert, publish."""
@@ -221,7 +220,7 @@ class HullNode(SagomaNode):
         result = self._pipeline.finish(carved.under_way)
         self._mesh.keep(result)
         # first of all: whoever fits starts when the centerline is there, and takes what else it has
-        self._rims.publish(rim_cloud(result, frame_id))
+        self._contour_rays.publish(contour_ray_cloud(result, frame_id))
         self._centerline.publish(centerline_cloud(result, frame_id))
         self._voxels.publish(voxel_cloud(result, frame_id))
         published_ns = self.get_clock().now().nanoseconds

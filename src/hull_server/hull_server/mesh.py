@@ -13,8 +13,7 @@ from skimage.measure import marching_cubes
 
 from capture_rig import InputError
 
-from .bricks import BrickVolume
-from .grid import BRICK_EDGE, Array
+from .grid import BRICK_EDGE, Array, BrickVolume
 
 SURFACE_LEVEL = 0.5  # of an occupancy between 0 and 1
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from capture_rig.mask_levels import FLOOR_REACH_M
 from capture_rig.settings import setting
 
-from .carving.backends import BACKENDS
+from .carve_backends import BACKENDS
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,16 @@ class MeshSettings:
 
 
 @dataclass(frozen=True)
-class DissentSettings:
+class CameraFaultSettings:
     """How a camera that lies is found, left out and taken back."""
 
     enabled: bool = setting(True, "leave out a camera that contradicts all others")
     voxel_size_m: float = setting(0.04, "voxels on which the cameras are compared", unit="m", low=0.02, high=0.2)
     period_s: float = setting(0.1, "how often the cameras are compared", unit="s", low=0.0, high=10.0)
-    allowance: float = setting(
+    veto_allowance: float = setting(
         0.025, "share of the body, as the others show it, that an honest camera may deny", low=0.0, high=1.0
     )
-    misfit_allowance: float = setting(
+    offset_allowance: float = setting(
         0.04, "share of an honest silhouette that may fit better elsewhere: calibrations err", low=0.0, high=1.0
     )
     ratio: float = setting(1.5, "a liar denies at least so many times as much as the next worst camera", low=1.0)
@@ -68,8 +68,10 @@ class DissentSettings:
         0.15, "share of its view that may be foreground of which the others know nothing", low=0.01, high=1.0
     )
     patience_s: float = setting(0.3, "a gross lie is believed after this time", unit="s", low=0.0)
-    release: float = setting(0.02, "share of the body that a camera may deny and still agree again", low=0.0, high=1.0)
-    recover_s: float = setting(2.0, "who has agreed for this long is taken back", unit="s", low=0.0)
+    reinstate_allowance: float = setting(
+        0.02, "share of the body that a camera may deny and still agree again", low=0.0, high=1.0
+    )
+    reinstate_s: float = setting(2.0, "who has agreed for this long is taken back", unit="s", low=0.0)
     memory_s: float = setting(2.0, "length of the running means that are published", unit="s", low=0.01)
     min_body_litres: float = setting(
         15.0, "a hull smaller than this is nobody, and nothing can be told by it", unit="litres", low=0.0
@@ -97,7 +99,7 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True)
-class DoubtSettings:
+class ShadowSettings:
     """How dark pixels that may be floor in shadow are judged by all cameras."""
 
     enabled: bool = setting(True, "judge dark pixels; else they are the person, as far as their camera knows")
@@ -117,7 +119,7 @@ class DoubtSettings:
 
 
 @dataclass(frozen=True)
-class RimSettings:
+class ContourSettings:
     """Which rays along the silhouettes' rims are published."""
 
     per_camera: int = setting(200, "most rays a camera; 0: no rims", low=0, high=100_000)
@@ -126,7 +128,7 @@ class RimSettings:
     sigma_px: float = setting(
         0.5, "standard deviation of a silhouette's rim across itself", unit="px", low=0.01, high=10.0
     )
-    doubt_px: float = setting(
+    shadow_sigma_px: float = setting(
         4.0,
         "and what is added to it, in squares, where all pixels around are doubtful; less where fewer are",
         unit="px",
@@ -149,10 +151,10 @@ class HullSettings:
     max_voxels: int = setting(3000, "size of the decimated voxel cloud", low=0, high=1_000_000)
     blob: BlobSettings = setting(BlobSettings, "blob filters")
     body: BodySettings = setting(BodySettings, "separate bodies")
-    rim: RimSettings = setting(RimSettings, "rays along the silhouettes' rims")
-    dissent: DissentSettings = setting(DissentSettings, "cameras that contradict the others")
+    contour: ContourSettings = setting(ContourSettings, "rays along the silhouettes' rims")
+    camera_fault: CameraFaultSettings = setting(CameraFaultSettings, "cameras that contradict the others")
     calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that stand badly")
-    doubt: DoubtSettings = setting(DoubtSettings, "dark pixels that may be floor in shadow")
+    shadow: ShadowSettings = setting(ShadowSettings, "dark pixels that may be floor in shadow")
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from capture_rig import InputError, Rig
+
+from .grid import BrickVolume
 
 Masks = Mapping[str, npt.NDArray[np.uint8]]
 
@@ -97,3 +100,44 @@ def min_seeing(cameras: int, requested: int = 0) -> int:
     """
     wanted = requested if requested > 0 else max(3, -(-3 * cameras // 5))
     return max(2, min(wanted, cameras))
+
+
+# --- What every carving backend offers.
+
+
+class CarveBackend(Protocol):
+    """Carves the silhouettes of one frame set after another; all backends obey the rule of hull_server.views.
+
+    name : gl, sweep or cpu. device : what it runs on, for people.
+    """
+
+    name: str
+    device: str
+
+    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
+        """The hull of one canvas mask a camera (nonzero = foreground); cameras that are absent have no say."""
+        ...
+
+    def submit(self, masks: Masks, min_seeing: int) -> Any:
+        """Begin to carve; the ticket is exchanged for the hull by :meth:`collect`, on any thread, in any order."""
+        ...
+
+    def collect(self, ticket: Any) -> BrickVolume:
+        """The hull that :meth:`submit` began; waits for it."""
+        ...
+
+    def close(self) -> None:
+        """Release what the backend holds; it cannot be used afterwards."""
+        ...
+
+
+class Immediate:
+    """For backends that carve on the caller's thread: the ticket is the hull itself."""
+
+    def submit(self: CarveBackend, masks: Masks, min_seeing: int) -> BrickVolume:
+        """Carve."""
+        return self.carve(masks, min_seeing)
+
+    def collect(self, ticket: BrickVolume) -> BrickVolume:
+        """The hull, which is there already."""
+        return ticket

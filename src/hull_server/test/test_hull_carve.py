@@ -12,11 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from capture_rig import InputError, Rig, Volume
-from hull_server.carving.backends import make_backend
-from hull_server.carving.carve_cpu import CpuCarver
+from hull_server.carve_backends import make_backend
+from hull_server.carving.cpu_carver import CpuCarver
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.egl import GlContext, NoGraphics
-from hull_server.slicing.slicer import slice_blobs
+from hull_server.slicing.skeletonisation import slice_blobs
 from hull_server.views import RigViews, min_seeing
 
 MAX_DISAGREEMENT = 1e-4  # of the occupied voxels, for backends in single precision
@@ -241,7 +241,7 @@ def test_auto_falls_back_to_the_cpu_when_pyopengl_finds_no_opengl_library(monkey
                 raise TypeError("'NoneType' object has no attribute 'glGetError'")
             raise AttributeError(name)
 
-    monkeypatch.setitem(sys.modules, "hull_server.opengl.carve_gl", WithoutLibrary())
+    monkeypatch.setitem(sys.modules, "hull_server.opengl.gl_carver", WithoutLibrary())
     rig = ring_rig(3, size=(32, 24), focal_px=25.0, distortion=False)
     choice = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
     assert choice.backend.name == "cpu"

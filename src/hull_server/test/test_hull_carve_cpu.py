@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from capture_rig import Rig, Volume
-from hull_server.carving.boxes import block_boxes, rows_within_reach, summed_area
-from hull_server.carving.carve_cpu import CpuCarver
-from hull_server.carving.carve_scene import BACKGROUND, BLIND, FOREGROUND, Tabulator
+from hull_server.carving.cpu_carver import CpuCarver
+from hull_server.carving.pixel_boxes import block_boxes, rows_within_reach, summed_area
+from hull_server.carving.silhouette_tables import BACKGROUND, BLIND, FOREGROUND, Tabulator
 from hull_server.grid import VoxelGrid
 from hull_server.views import RigViews
 

@@ -5,12 +5,10 @@ import pytest
 from hull_scenes import ring_rig, silhouettes
 
 from capture_rig import Volume
-from hull_server.bricks import BrickVolume
-from hull_server.carving.backends import make_backend
-from hull_server.grid import VoxelGrid
+from hull_server.carve_backends import make_backend
+from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.settings import BlobSettings
-from hull_server.slicing.centerline import find_centerline, point_sigma
-from hull_server.slicing.slicer import BlobTable, slice_blobs
+from hull_server.slicing.skeletonisation import BlobTable, find_centerline, point_sigma, slice_blobs
 from hull_server.views import RigViews
 
 EVERYTHING = BlobSettings(min_area_m2=0.0, max_elongation=1e9, min_fill=0.0, max_growth=0.0)

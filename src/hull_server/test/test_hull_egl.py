@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import hull_server.opengl.egl
-from hull_server.opengl.egl import GlContext
-from hull_server.opengl.egl_library import Display, Egl, NoGraphics
+from hull_server.opengl.egl import Display, Egl, GlContext, NoGraphics
 
 NVIDIA, LLVMPIPE = "NVIDIA GeForce RTX 4070/PCIe/SSE2", "llvmpipe (LLVM 15.0.6, 256 bits)"
 
@@ -88,7 +87,7 @@ def open_or_skip():
 
 def assert_draws(context):
     """A buffer can be written and read: the context is real."""
-    from hull_server.opengl.gl_objects import StorageBuffer
+    from hull_server.opengl.gl_buffers import StorageBuffer
 
     data = np.arange(100, dtype=np.uint32)
     with context.current():
@@ -224,7 +223,7 @@ def test_context_serves_threads_one_at_a_time():
 
 def test_storage_buffer_gives_back_what_was_written():
     context = open_or_skip()
-    from hull_server.opengl.gl_objects import StorageBuffer
+    from hull_server.opengl.gl_buffers import StorageBuffer
 
     data = np.arange(1000, dtype=np.uint32)
     with context.current():
@@ -239,7 +238,7 @@ def test_storage_buffer_gives_back_what_was_written():
 
 def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(monkeypatch):
     context = open_or_skip()
-    from hull_server.opengl.gl_objects import GL, StorageBuffer
+    from hull_server.opengl.gl_buffers import GL, StorageBuffer
 
     def out_of_memory(*args):
         raise GL.GLError(GL.GL_OUT_OF_MEMORY)
@@ -252,7 +251,7 @@ def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(monkeypatch):
 
 def test_shader_that_does_not_compile_is_an_error_with_the_drivers_words():
     context = open_or_skip()
-    from hull_server.opengl.gl_objects import make_program
+    from hull_server.opengl.gl_buffers import make_program
 
     with context.current(), pytest.raises(NoGraphics, match=r"(?s)the driver rejects a compute shader: .*nonsense"):
         make_program(compute="#version 430\nlayout(local_size_x = 1) in;\nvoid main() { nonsense(); }\n")

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from capture_rig import InputError, Rig, Volume
-from hull_server.carving.carve_cpu import CpuCarver
+from hull_server.carving.cpu_carver import CpuCarver
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.egl import GlContext, NoGraphics
 from hull_server.views import RigViews
@@ -28,10 +28,9 @@ NO_GL = why_no_gl()
 pytestmark = pytest.mark.skipif(bool(NO_GL), reason=f"no OpenGL here: {NO_GL}")
 if not NO_GL:
     from hull_server.opengl import gl_buffers
-    from hull_server.opengl.carve_gl import GlCarver
-    from hull_server.opengl.gl_precision import single_precision
-    from hull_server.opengl.gl_upload import FrameUpload
-    from hull_server.opengl.sweep_gl import SweepCarver
+    from hull_server.opengl.gl_buffers import FrameUpload
+    from hull_server.opengl.gl_carver import GlCarver, single_precision
+    from hull_server.thesis_plane_sweep import PlaneSweepCarver
 
 
 def same_bytes(one, other):
@@ -78,7 +77,7 @@ def test_gl_cpu_and_sweep_give_the_same_bytes_on_random_rigs_poses_noise_and_cut
         inside = look_at("inside", centre, np.array([0.1, -0.5, 0.8]), 120.0, (192, 150))
         rig = Rig((*rig.cameras, inside), volume)
     views, grid = RigViews.from_rig(rig), VoxelGrid.covering(volume, data.draw(st.sampled_from([0.036, 0.047])))
-    backends = [CpuCarver(views, grid), GlCarver(views, grid), SweepCarver(views, grid)]
+    backends = [CpuCarver(views, grid), GlCarver(views, grid), PlaneSweepCarver(views, grid)]
     for _ in range(3):
         masks = silhouettes(rig, capsule_person(*rng.uniform(-0.6, 0.6, 3)))
         noise = data.draw(st.sampled_from([0.0, 0.01, 0.3]))
@@ -164,7 +163,7 @@ def test_gl_fetches_all_bricks_when_there_are_more_than_expected(monkeypatch):
 
 
 def test_gl_works_through_lists_that_are_longer_than_one_row_of_work_groups(monkeypatch):
-    monkeypatch.setattr("hull_server.opengl.carve_gl.GROUPS_IN_ROW", 3)
+    monkeypatch.setattr("hull_server.opengl.gl_carver.GROUPS_IN_ROW", 3)
     rig, grid, frames = scene()
     carver = GlCarver(RigViews.from_rig(rig), grid)
     assert all(same_bytes(carver.carve(masks, 3), wanted) for masks, wanted in zip(frames, expected(), strict=True))
@@ -257,10 +256,10 @@ def test_rig_or_grid_beyond_the_shaders_limits_is_refused_with_the_remedy(monkey
     with pytest.raises(InputError, match=r"33 cameras are too many.*backend 'cpu'"):
         GlCarver(many, grid)
     fine = VoxelGrid(grid.origin, grid.voxel_size, (8 * 200, 8 * 200, 8 * 100))
-    monkeypatch.setattr("hull_server.opengl.carve_gl.GL.glGetIntegerv", lambda name: 1 << 27)
+    monkeypatch.setattr("hull_server.opengl.gl_carver.GL.glGetIntegerv", lambda name: 1 << 27)
     with pytest.raises(InputError, match=r"voxel_size_m: 1600 x 1600 x 800 voxels need .* larger voxels"):
         GlCarver(views, fine)
-    monkeypatch.setattr("hull_server.opengl.carve_gl.GL.glGetIntegerv", lambda name: 65536)
+    monkeypatch.setattr("hull_server.opengl.gl_carver.GL.glGetIntegerv", lambda name: 65536)
     with pytest.raises(InputError, match=r"silhouettes together need .* allows 65536.*backend 'cpu'"):
         GlCarver(views, VoxelGrid(grid.origin, grid.voxel_size, (16, 16, 16)))
 

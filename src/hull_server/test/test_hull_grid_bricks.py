@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capture_rig import InputError, Volume
-from hull_server.bricks import BrickVolume
-from hull_server.grid import VoxelGrid
+from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.views import RigViews, min_seeing
 
 

@@ -7,8 +7,7 @@ import pytest
 from plyfile import PlyData
 
 from capture_rig import InputError
-from hull_server.bricks import BrickVolume
-from hull_server.grid import VoxelGrid
+from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.mesh import surface_mesh, write_ply
 
 GRID = VoxelGrid(np.array([-0.5, 0.2, 0.1]), 0.02, (60, 50, 70))

@@ -20,12 +20,12 @@ from std_srvs.srv import Trigger
 from capture_rig import FrameSet, load_rig, save_rig
 from hull_server import hull_node
 from hull_server.hull_node import HullNode
-from hull_server.pipeline import HullPipeline
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from sagoma_ros.clouds import CENTERLINE, RIMS, VOXELS, from_cloud, xyz
+from sagoma_ros.clouds import CENTERLINE, CONTOUR_RAYS, VOXELS, from_cloud, xyz
 from sagoma_ros.images import camera_info_message, silhouette_message
+from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
-from sagoma_ros.stamps import to_ns
 
 PATIENCE_S = 20.0  # only ever reached by a failing test
 PERIOD_NS = 16_666_667
@@ -49,7 +49,7 @@ class Bench:
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.executor.add_node(self.peer)
-        topics = ("hull/rims", "hull/centerline", "hull/voxels", "hull/frame_set", "/diagnostics")
+        topics = ("hull/contour_rays", "hull/centerline", "hull/voxels", "hull/frame_set", "/diagnostics")
         self.heard = {topic: [] for topic in topics}
         kinds = (PointCloud2, PointCloud2, PointCloud2, DiagnosticArray, DiagnosticArray)
         for kind, (topic, messages) in zip(kinds, self.heard.items(), strict=True):
@@ -85,7 +85,7 @@ class Bench:
 
     def answers(self, count):
         """The values of hull/frame_set of the first ``count`` sets, once all four topics have told of them."""
-        topics = ("hull/rims", "hull/centerline", "hull/voxels", "hull/frame_set")
+        topics = ("hull/contour_rays", "hull/centerline", "hull/voxels", "hull/frame_set")
         self.until(lambda: all(len(self.heard[topic]) >= count for topic in topics))
         for topic in topics:
             assert len(self.heard[topic]) == count
@@ -182,20 +182,28 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     voxels = from_cloud(bench.heard["hull/voxels"][0], VOXELS, "test")
     np.testing.assert_allclose(xyz(voxels), expected.voxels.points_world, atol=1e-6)
     np.testing.assert_array_equal(voxels["surface"] > 0.5, expected.voxels.surface)
-    rims = from_cloud(bench.heard["hull/rims"][0], RIMS, "test")
-    assert bench.heard["hull/rims"][0].header == cloud.header and len(rims) > 100
-    np.testing.assert_allclose(xyz(rims), expected.rims.point_world, atol=1e-6)
-    for name, column in (("d", expected.rims.direction), ("n", expected.rims.normal)):
+    rims = from_cloud(bench.heard["hull/contour_rays"][0], CONTOUR_RAYS, "test")
+    assert bench.heard["hull/contour_rays"][0].header == cloud.header and len(rims) > 100
+    np.testing.assert_allclose(xyz(rims), expected.contour_rays.point_world, atol=1e-6)
+    for name, column in (("d", expected.contour_rays.direction), ("n", expected.contour_rays.normal)):
         np.testing.assert_allclose(np.stack([rims[name + axis] for axis in "xyz"], axis=1), column, atol=1e-7)
-    np.testing.assert_allclose(rims["half"], expected.rims.half_length, rtol=1e-6)
-    np.testing.assert_allclose(rims["sigma"], expected.rims.sigma, rtol=1e-6)
-    np.testing.assert_array_equal(rims["camera"], expected.rims.camera)
-    assert set(rims["body"]) == {0.0} and int(values["rims"]) == len(rims)
+    np.testing.assert_allclose(rims["half"], expected.contour_rays.half_length, rtol=1e-6)
+    np.testing.assert_allclose(rims["sigma"], expected.contour_rays.sigma, rtol=1e-6)
+    np.testing.assert_array_equal(rims["camera"], expected.contour_rays.camera)
+    assert set(rims["body"]) == {0.0} and int(values["contour_rays"]) == len(rims)
     assert to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(0)
     assert values["cameras"] == "cam01,cam02,cam03,cam04" and values["missing"] == values["blank"] == ""
     assert float(values["spread_ms"]) == pytest.approx(0.9) and values["backend"] == "cpu"
     assert int(values["voxels"]) == expected.volume.count and 40 < float(values["litres"]) < 200
-    assert {"carve_ms", "slice_ms", "filter_ms", "sample_ms", "rims_ms", "hull_ms", "queued_ms"} <= values.keys()
+    assert {
+        "carve_ms",
+        "slice_ms",
+        "filter_ms",
+        "sample_ms",
+        "contour_rays_ms",
+        "hull_ms",
+        "queued_ms",
+    } <= values.keys()
 
 
 def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
@@ -205,7 +213,9 @@ def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
         bench = make_bench().start(rig)
         bench.send(masks, 0)
         bench.answers(1)
-        sent.append([bytes(bench.heard[topic][0].data) for topic in ("hull/rims", "hull/centerline", "hull/voxels")])
+        sent.append(
+            [bytes(bench.heard[topic][0].data) for topic in ("hull/contour_rays", "hull/centerline", "hull/voxels")]
+        )
         bench.close()
         bench.close = lambda: None
     assert sent[0] == sent[1]
@@ -320,7 +330,7 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     (values,) = bench.answers(1)
     assert values["blank"] == "cam01,cam02,cam03,cam04" and values["voxels"] == values["points"] == "0"
     assert bench.heard["hull/centerline"][0].width == bench.heard["hull/voxels"][0].width == 0
-    assert bench.heard["hull/rims"][0].width == 0
+    assert bench.heard["hull/contour_rays"][0].width == 0
     assert "the hull is empty" in bench.heard["hull/frame_set"][0].status[0].message
     bench.diagnostics_with(sets_empty="1")
 
@@ -330,7 +340,7 @@ def test_node_publishes_the_rims_before_the_centerline_of_the_same_set(make_benc
     _, rig, masks = scene
     bench = make_bench().start(rig)
     order = []
-    for name in ("rims", "centerline", "voxels"):
+    for name in ("contour_rays", "centerline", "voxels"):
         publisher = getattr(bench.node, f"_{name}")
         setattr(
             bench.node,
@@ -342,7 +352,7 @@ def test_node_publishes_the_rims_before_the_centerline_of_the_same_set(make_benc
     for k in range(3):
         bench.send(masks, k)
     bench.answers(3)
-    assert order == ["rims", "centerline", "voxels"] * 3
+    assert order == ["contour_rays", "centerline", "voxels"] * 3
 
 
 @pytest.mark.parametrize(("stage", "answered"), [("begin", [0, 5]), ("finish", [0, 1, 2, 5])])
@@ -385,7 +395,11 @@ def test_node_counts_people_and_says_whose_each_point_is(make_bench, scene):
         number: [float(v) for v in place.split(",")]
         for number, place in zip(values["bodies_numbers"].split(","), values["bodies_at"].split("; "), strict=True)
     }
-    for topic, layout in (("hull/rims", RIMS), ("hull/centerline", CENTERLINE), ("hull/voxels", VOXELS)):
+    for topic, layout in (
+        ("hull/contour_rays", CONTOUR_RAYS),
+        ("hull/centerline", CENTERLINE),
+        ("hull/voxels", VOXELS),
+    ):
         cloud = from_cloud(bench.heard[topic][0], layout, "test")
         for number, (x, y, _) in centres.items():
             mine = xyz(cloud[cloud["body"] == float(number)])
@@ -400,9 +414,9 @@ def test_node_leaves_out_a_covered_camera_by_name_and_takes_it_back(make_bench, 
     save_rig(rig, rig_file)
     masks = silhouettes(rig, capsule_person(0.3))
     covered = masks | {"cam04": np.zeros_like(masks["cam04"])}
-    bench = make_bench(rig_file=str(rig_file), **{"dissent.recover_s": 0.5, "dissent.period_s": 0.05}).start(
-        load_rig(rig_file)
-    )
+    bench = make_bench(
+        rig_file=str(rig_file), **{"camera_fault.reinstate_s": 0.5, "camera_fault.period_s": 0.05}
+    ).start(load_rig(rig_file))
     shown = []
 
     def send_until(wanted, masks_of_camera):

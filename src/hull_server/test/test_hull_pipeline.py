@@ -6,7 +6,7 @@ from hull_scenes import capsule_person, ring_rig, silhouettes
 
 from capture_rig import FrameSet, InputError
 from capture_rig.settings import build_settings
-from hull_server.pipeline import HullPipeline
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings, NodeSettings
 
 CPU = HullSettings(backend="cpu")
@@ -42,7 +42,16 @@ def test_pipeline_finds_the_hull_and_the_centerline_of_a_person(scene):
     assert len(result.voxels) == 3000
     assert result.cameras == rig.names and result.missing == () and result.blank == () and not result.empty
     assert result.min_seeing == 3 and result.backend == "cpu" and result.stamp_ns == 1_000_000_000
-    assert list(result.stage_ms) == ["judge", "resolve", "carve", "collect", "slice", "filter", "sample", "rims"]
+    assert list(result.stage_ms) == [
+        "consistency",
+        "shadows",
+        "carve",
+        "collect",
+        "slice",
+        "filter",
+        "sample",
+        "contour_rays",
+    ]
 
 
 def test_pipeline_contains_the_body_even_where_views_are_cut(scene):
@@ -94,7 +103,7 @@ def test_pipeline_gives_the_same_bytes_twice(scene):
         (first.centerline.points_world, second.centerline.points_world),
         (first.centerline.sigma, second.centerline.sigma),
         (first.voxels.points_world, second.voxels.points_world),
-        (first.rims.table, second.rims.table),
+        (first.contour_rays.table, second.contour_rays.table),
     ):
         assert a.tobytes() == b.tobytes()
 

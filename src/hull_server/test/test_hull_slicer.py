@@ -7,11 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from hull_server.bricks import BrickVolume
-from hull_server.grid import VoxelGrid
-from hull_server.slicing.bits import lowest_bit, popcount, select_bit, transpose8
-from hull_server.slicing.slicer import BlobTable, slice_blobs, slice_hull
-from hull_server.slicing.voxels import sample_voxels
+from hull_server.grid import BrickVolume, VoxelGrid
+from hull_server.slicing.skeletonisation import BlobTable, slice_blobs, slice_hull
+from hull_server.slicing.voxel_runs import lowest_bit, popcount, select_bit, transpose8
+from hull_server.slicing.voxel_samples import sample_voxels
 
 
 def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:

@@ -1,4 +1,4 @@
-"""The node: hull/centerline, hull/voxels and hull/rims in; icp/reference_points and icp/fit out, one for every set."""
+"""The node: hull/centerline, hull/voxels and hull/contour_rays in; icp/reference_points and icp/fit out, one for every set."""
 
 from __future__ import annotations
 
@@ -15,36 +15,32 @@ from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
+from mocap_packets.contour_rays import NO_CONTOUR_RAYS, ContourRays
+from mocap_packets.hull_products import NO_VOXELS, BodyNumbers, HullProducts, VoxelCloud
 from sagoma_ros.clouds import (
     CENTERLINE,
+    CONTOUR_RAYS,
     REFERENCE_POINTS,
-    RIMS,
     VOXELS,
     from_cloud,
+    only_finite,
     reference_points_array,
     to_cloud,
     xyz,
 )
 from sagoma_ros.health import OK, WARN
-from sagoma_ros.joints import read_prediction
-from sagoma_ros.main import run_node
-from sagoma_ros.node import SagomaNode
+from sagoma_ros.messages import to_ns, to_stamp
+from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.packets import read_prediction
 from sagoma_ros.qos import LATCHED, RESULT
-from sagoma_ros.stamps import to_ns, to_stamp
-from sagoma_ros.worker import Worker
+from sagoma_ros.worker import Mailbox, Worker
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
-from .acquisition.body_desk import BodyDesk, BodyDeskSettings, SavedBody
 from .acquisition.pose_source import InitialPoseSettings, make_pose_source
-from .filter_feedback import FilterFeedback
-from .finite_rows import only_finite
-from .hull_clouds import BodyNumbers, HullClouds
-from .mailbox import Mailbox
-from .recovery.evidence import PART_NAMES
-from .rim_rays import NO_RIMS, RimRays
+from .icp_ros import FilterFeedback, SaveBodyService, SaveBodySettings, SavedBody
+from .monitor.evidence import PART_NAMES
 from .tracker import ACQUIRING, TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
-from .voxel_cloud import NO_VOXELS, VoxelCloud
 
 CLOUDS_KEPT = 8
 
@@ -55,7 +51,7 @@ class IcpNodeSettings(TrackerSettings):
 
     body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
     initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
-    bodies: BodyDeskSettings = setting(BodyDeskSettings, "where bodies are saved")
+    bodies: SaveBodySettings = setting(SaveBodySettings, "where bodies are saved")
     prediction_wait_s: float = setting(
         0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
     )
@@ -92,13 +88,13 @@ class IcpNode(SagomaNode):
         self._body_publisher = self.create_publisher(String, "icp/body", LATCHED)
         self._publishers_held = [self._points_publisher, self._fit_publisher, self._body_publisher]
         self._reset_service = self.create_service(Trigger, "~/reset", self._on_reset)
-        self._desk = BodyDesk(self, settings.bodies)
+        self._save_body = SaveBodyService(self, settings.bodies)
 
     def activate(self) -> None:
         settings: IcpNodeSettings = self.settings
         self._feedback = FilterFeedback(settings.prediction_wait_s)
         self._voxels: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
-        self._rims: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
+        self._contour_rays: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
         self._last_stamp_ns = -1
         self._worker = Worker(
             "icp",
@@ -110,7 +106,7 @@ class IcpNode(SagomaNode):
         self._subscriptions_held = [
             self.create_subscription(PointCloud2, "hull/centerline", self._on_centerline, RESULT),
             self.create_subscription(PointCloud2, "hull/voxels", self._on_voxels, RESULT),
-            self.create_subscription(PointCloud2, "hull/rims", self._on_rims, RESULT),
+            self.create_subscription(PointCloud2, "hull/contour_rays", self._on_contour_rays, RESULT),
             self.create_subscription(JointState, "ekf/prediction", self._on_prediction, RESULT),
         ]
 
@@ -121,7 +117,7 @@ class IcpNode(SagomaNode):
         if self._worker is not None:
             self._feedback.mailbox.close()
             self._voxels.close()
-            self._rims.close()
+            self._contour_rays.close()
             self._worker.close()
             self._worker = None
 
@@ -130,7 +126,7 @@ class IcpNode(SagomaNode):
             self.destroy_publisher(publisher)
         if self._publishers_held:
             self.destroy_service(self._reset_service)
-            self._desk.close()
+            self._save_body.close()
         self._publishers_held = []
         self._published_body = None
         self._tracker = None
@@ -145,9 +141,9 @@ class IcpNode(SagomaNode):
         if self._tracker is not None and self._tracker.needs_voxels:
             self._voxels.put(to_ns(message.header.stamp), message)
 
-    def _on_rims(self, message: PointCloud2) -> None:
-        if self._tracker is not None and self._tracker.needs_rims:
-            self._rims.put(to_ns(message.header.stamp), message)
+    def _on_contour_rays(self, message: PointCloud2) -> None:
+        if self._tracker is not None and self._tracker.needs_contour_rays:
+            self._contour_rays.put(to_ns(message.header.stamp), message)
 
     def _on_prediction(self, message: JointState) -> None:
         try:
@@ -175,7 +171,7 @@ class IcpNode(SagomaNode):
         voxels, voxels_body = self._voxels_of(stamp_ns)
         numbers = BodyNumbers(line["body"], voxels_body)
         sigma_m = line["sigma"].astype(np.float64)
-        seen = HullClouds(stamp_ns, xyz(line), sigma_m, voxels, numbers, self._rims_of(stamp_ns))
+        seen = HullProducts(stamp_ns, xyz(line), sigma_m, voxels, numbers, self._contour_rays_of(stamp_ns))
         prediction = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:
@@ -200,15 +196,15 @@ class IcpNode(SagomaNode):
         table = self._table(message, VOXELS, "voxels")
         return VoxelCloud.checked(xyz(table), table["surface"] > 0.5), table["body"]
 
-    def _rims_of(self, stamp_ns: int) -> RimRays:
+    def _contour_rays_of(self, stamp_ns: int) -> ContourRays:
         """The set's rims, if they are wanted and there."""
-        if self._tracker is None or not self._tracker.needs_rims:
-            return NO_RIMS
-        message = self._rims.take(stamp_ns)
+        if self._tracker is None or not self._tracker.needs_contour_rays:
+            return NO_CONTOUR_RAYS
+        message = self._contour_rays.take(stamp_ns)
         if message is None:
-            self.health.count("sets_without_rims")
-            return NO_RIMS
-        return RimRays.of(self._table(message, RIMS, "rims"))
+            self.health.count("sets_without_contour_rays")
+            return NO_CONTOUR_RAYS
+        return ContourRays.of(self._table(message, CONTOUR_RAYS, "rims"))
 
     def _table(self, message: PointCloud2, layout: np.dtype, name: str) -> np.ndarray:
         """A cloud's rows of finite numbers; none when the cloud is damaged: the set still gets its answer, so that
@@ -230,7 +226,7 @@ class IcpNode(SagomaNode):
             self._published_body = body
             refined = self._tracker.refined_body if self._tracker is not None else None
             known = refined is not None and refined.keyframes > 0  # else thickness is but the average's
-            self._desk.keep(SavedBody(stamp_ns, body, refined.thickness if refined and known else None))
+            self._save_body.keep(SavedBody(stamp_ns, body, refined.girths if refined and known else None))
 
     def _publish(self, result: IcpResult, frame_id: str) -> None:
         self._fit_publisher.publish(fit_message(result, self.settings.method))
@@ -275,8 +271,8 @@ def fit_message(result: IcpResult, method: str) -> DiagnosticArray:
         quality = result.quality
         values |= {"explained": f"{quality.explained:.3f}", "recovered": result.recovered}
         values |= dict(zip(PART_NAMES, quality.parts, strict=True))
-        if quality.rival_lead is not None:
-            values["rival_lead"] = f"{quality.rival_lead:.1f}"
+        if quality.hypothesis_margin is not None:
+            values["hypothesis_margin"] = f"{quality.hypothesis_margin:.1f}"
     trusted = result.fit is not None and result.state == TRACKING
     status = DiagnosticStatus(
         level=DiagnosticStatus.OK if trusted else DiagnosticStatus.WARN,

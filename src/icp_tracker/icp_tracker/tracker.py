@@ -8,24 +8,19 @@ from typing import Protocol
 import numpy as np
 
 from capture_rig.settings import setting
+from mocap_packets.contour_rays import NO_CONTOUR_RAYS, ContourRays
+from mocap_packets.hull_products import NO_VOXELS, HullProducts, VoxelCloud
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
+from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
-from .articulated_solver import ArticulatedSettings, assess, make_data, minimise
-from .fit_result import FitResult, unknown_covariance
-from .gauss_newton import Data
-from .hierarchical_icp import HierarchicalSettings, fit_hierarchical
-from .hull_clouds import HullClouds
-from .recovery.doubts import with_doubts
-from .recovery.quality import GOOD, LOST, UNKNOWN, TrackQuality
-from .recovery.settings import RecoverySettings
-from .recovery.watch import Watch
-from .refinement.body_refiner import BodyRefiner, RefinedBody, rehearse
-from .refinement.settings import RefinementSettings
-from .rim_rays import NO_RIMS, RimRays
-from .voxel_cloud import NO_VOXELS, VoxelCloud
+from .articulated_fit import ArticulatedSettings, FitResult, assess, make_data, minimise, unknown_covariance
+from .monitor.track_monitor import RecoverySettings, TrackMonitor
+from .monitor.track_quality import GOOD, LOST, UNKNOWN, TrackQuality, widened_covariance
+from .refinement.body_refiner import BodyRefiner, RefinedBody, RefinementSettings, warm_up_refiner
+from .thesis.hierarchical_icp import HierarchicalSettings, fit_hierarchical
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
@@ -104,7 +99,7 @@ class IcpTracker:
         self._body: Body | None = None
         self._pose: Pose | None = None
         self._refiner: BodyRefiner | None = None
-        self._watch = Watch(self._settings.recovery)
+        self._monitor = TrackMonitor(self._settings.recovery)
         self._own_sets = 0  # fits that still start from the own pose, because the filter has to follow first
 
     @property
@@ -123,24 +118,24 @@ class IcpTracker:
         if self._pose is None and self._source.needs_voxels:
             return True
         volume = self._settings.articulated.volume
-        return self._settings.method == "articulated" and max(volume.worth, volume.inside_worth) > 0.0
+        return self._settings.method == "articulated" and max(volume.weight, volume.inside_weight) > 0.0
 
     @property
-    def needs_rims(self) -> bool:
+    def needs_contour_rays(self) -> bool:
         """Whether the next step looks at the silhouettes' rims."""
-        return self._settings.method == "articulated" and self._settings.articulated.rim.worth > 0.0
+        return self._settings.method == "articulated" and self._settings.articulated.contour.weight > 0.0
 
     def reset(self) -> None:
         """Forget the pose and look for a first one again."""
         self._body = self._pose = self._refiner = None
-        self._watch.reset()
+        self._monitor.reset()
         self._own_sets = 0
 
-    def step(self, seen: HullClouds, prediction: Predicted | None = None) -> IcpResult:
+    def step(self, seen: HullProducts, prediction: Predicted | None = None) -> IcpResult:
         """Fit what one frame set shows. Of several people one is followed."""
         seen, dropped = seen.finite()
         if self._pose is None or self._body is None:
-            found = self._source.look(seen)
+            found = self._source.find_pose(seen)
             if found.pose is not None and found.body is not None:
                 seen = seen.of_body_at(forward(found.body, found.pose))
             return self._acquire(found, seen, dropped)
@@ -152,15 +147,15 @@ class IcpTracker:
             return _unseen(seen.stamp_ns, LOST, started_from, reason, dropped, start, forward(self._body, start))
         data = self._data(seen)
         fit = self._fit(self._body, start, data, self._settings)
-        return self._watched(seen.stamp_ns, started_from, dropped, fit, data)
+        return self._monitored(seen.stamp_ns, started_from, dropped, fit, data)
 
-    def _too_few(self, seen: HullClouds) -> str:
+    def _too_few(self, seen: HullProducts) -> str:
         return f"{len(seen.points_world)} centerline points, {self._settings.min_points} needed"
 
-    def _watched(self, stamp_ns: int, started_from: str, dropped: int, fit: FitResult, data: Data) -> IcpResult:
+    def _monitored(self, stamp_ns: int, started_from: str, dropped: int, fit: FitResult, data: Data) -> IcpResult:
         """What comes of a fit once it is judged: itself, a better one, or that the body is lost."""
         assert self._body is not None
-        found = self._watch.examine(self._body, fit.pose, data, self._settings.articulated)
+        found = self._monitor.examine(self._body, fit.pose, data, self._settings.articulated)
         if found.better is not None:
             fit = assess(self._body, found.better, data, fit.iterations, fit.converged, self._settings.articulated)
             self._own_sets = FOLLOW_SETS
@@ -170,15 +165,15 @@ class IcpTracker:
         if found.quality.state == LOST:
             self._own_sets = FOLLOW_SETS
             fit = replace(fit, visible=np.zeros(15, dtype=bool))
-        rival = None if found.rival is None else forward(self._body, found.rival)
-        covariance = with_doubts(fit.covariance, found.quality, fit.reference_points_world, rival)
+        hypothesis = None if found.hypothesis is None else forward(self._body, found.hypothesis)
+        covariance = widened_covariance(fit.covariance, found.quality, fit.reference_points_world, hypothesis)
         seen = _seen(stamp_ns, started_from, dropped, replace(fit, covariance=covariance))
         state = TRACKING if found.quality.state == GOOD else found.quality.state
         return replace(seen, state=state, reason=found.quality.reason, quality=found.quality, recovered=found.change)
 
     def _refined(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
         """The fit, done again with a better known body when there is one."""
-        body = None if self._refiner is None else self._refiner.step(stamp_ns, fit.pose, data.rims)
+        body = None if self._refiner is None else self._refiner.step(stamp_ns, fit.pose, data.contour_rays)
         if body is None:
             return fit
         self._body = body
@@ -187,11 +182,11 @@ class IcpTracker:
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """What refines the body that was found: nothing where its sizes are given and not measured."""
         settings = self._settings
-        if found.estimate is None or settings.refinement.keyframes == 0 or not self.needs_rims:
+        if found.estimate is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
             return None
         return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
 
-    def _acquire(self, found: InitialPose, seen: HullClouds, dropped: int) -> IcpResult:
+    def _acquire(self, found: InitialPose, seen: HullProducts, dropped: int) -> IcpResult:
         reason = found.reason
         if found.pose is not None and found.body is not None:
             if len(seen.points_world) >= self._settings.min_points:
@@ -225,11 +220,11 @@ class IcpTracker:
                 return own, FROM_OWN
         return predicted, str(prediction.stamp_ns)
 
-    def _data(self, seen: HullClouds) -> Data:
+    def _data(self, seen: HullProducts) -> Data:
         """What the fit looks at."""
         all_joints = self._settings.method == "articulated"
-        voxels, rims = (seen.voxels, seen.rims) if all_joints else (NO_VOXELS, NO_RIMS)
-        return make_data(seen.points_world, np.asarray(seen.sigma_m), voxels, self._settings.articulated, rims)
+        voxels, contour_rays = (seen.voxels, seen.contour_rays) if all_joints else (NO_VOXELS, NO_CONTOUR_RAYS)
+        return make_data(seen.points_world, np.asarray(seen.sigma_m), voxels, self._settings.articulated, contour_rays)
 
     @staticmethod
     def _fit(body: Body, start: Pose, data: Data, settings: TrackerSettings) -> FitResult:
@@ -248,11 +243,11 @@ def warm_up(settings: TrackerSettings) -> None:
     points = forward(body, pose)
     voxels = VoxelCloud.checked(points, np.ones(len(points)))
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
-    rims = RimRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), np.zeros(15))
+    contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), np.zeros(15))
     for k in range(3):  # acquisition, a fit, and a look for another pose
-        tracker.step(HullClouds(k, points, 0.01, voxels, rims=rims))
+        tracker.step(HullProducts(k, points, 0.01, voxels, contour_rays=contour_rays))
     if settings.refinement.keyframes > 0:
-        rehearse(settings.refinement, settings.articulated.prior)
+        warm_up_refiner(settings.refinement, settings.articulated.prior)
 
 
 def _seen(stamp_ns: int, started_from: str, dropped: int, fit: FitResult) -> IcpResult:

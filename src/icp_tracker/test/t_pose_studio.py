@@ -9,15 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig import FrameSet
-from hull_server.pipeline import HullPipeline
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.hull_clouds import BodyNumbers, HullClouds
-from icp_tracker.voxel_cloud import VoxelCloud
+from mocap_packets.hull_products import BodyNumbers, HullProducts, VoxelCloud
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, mirror_angles
-from virtual_studio.body import Capsules, VolumetricBody
-from virtual_studio.render import VirtualCamera
+from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 DOWN = -np.pi / 2  # of an arm's elevation
@@ -73,17 +72,17 @@ class Studio:
         self._pipeline = HullPipeline(self.rig, HullSettings(backend="cpu"))
         self._stamp_ns = 0
 
-    def see(self, *people, apart_ns=1_000_000_000):
+    def render(self, *people, apart_ns=1_000_000_000):
         """The sighting of people (Capsules), ``apart_ns`` after the last one."""
         self._stamp_ns += apart_ns
         masks = {}
         for name, eye, view in self._eyes:
-            seen = [eye.see(parts, None)[1] for parts in people]
+            seen = [eye.render(parts, None)[1] for parts in people]
             masks[name] = view.undistort_mask(np.maximum.reduce(seen))
         hull = self._pipeline.run(FrameSet(self._stamp_ns, masks, dict.fromkeys(masks, self._stamp_ns), ()))
         numbers = BodyNumbers(*(hull.bodies.number_of_part[part] for part in (hull.centerline.part, hull.voxels.part)))
         voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        return HullClouds(self._stamp_ns, hull.centerline.points_world, 0.0, voxels, numbers)
+        return HullProducts(self._stamp_ns, hull.centerline.points_world, 0.0, voxels, numbers)
 
 
 @lru_cache

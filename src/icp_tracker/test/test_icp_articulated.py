@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from icp_tracker.articulated_solver import ArticulatedSettings, PriorSettings, fit_articulated
-from icp_tracker.figure_arrays import Figure, State
-from icp_tracker.foot_points import foot_points
-from icp_tracker.normal_equations import add_point_residuals, mirror_upper
-from icp_tracker.small_algebra import inverse_positive, solve_positive
-from icp_tracker.soft_constraints import add_joint_limits, add_neck_rest
+from icp_tracker.articulated_fit import ArticulatedSettings, PriorSettings, fit_articulated
 from stick_figure import kernels
+from stick_figure.joint_limits import add_joint_limits, add_neck_rest
 from stick_figure.kinematics import forward, sticks
+from stick_figure.least_squares.algebra import inverse_positive, solve_positive
+from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.point_factor import add_point_residuals, foot_points, mirror_upper
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, HEAD
 

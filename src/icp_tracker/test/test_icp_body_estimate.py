@@ -4,21 +4,28 @@ import numpy as np
 import pytest
 from t_pose_studio import both_sides, person, standing, studio
 
-from icp_tracker.acquisition.body_estimate import estimate_body, prior_sizes
-from icp_tracker.acquisition.flesh_sizes import FleshSizes, measure_flesh
-from icp_tracker.acquisition.proportions import MEAN_OVER_STATURE, SIZES, body_of_sizes, sizes_of_body
-from icp_tracker.acquisition.t_pose_shape import measure_t_pose
-from icp_tracker.flesh import TORSO_CAPSULES, Flesh
+from icp_tracker.acquisition.body_sizes import (
+    MEAN_OVER_STATURE,
+    SIZES,
+    LimbGirths,
+    body_of_sizes,
+    estimate_body,
+    measure_girths,
+    prior_sizes,
+    sizes_of_body,
+)
+from icp_tracker.acquisition.t_pose_measures import measure_t_pose
 from stick_figure.body import Body
 from stick_figure.body_file import format_body, parse_thickness
-from virtual_studio.body import VolumetricBody
+from stick_figure.body_surface import TORSO_CAPSULES, BodySurface
+from virtual_studio.people import VolumetricBody
 
 SIX, THREE = (5, True), (3, False)
 
 
 def measured(rig, body, build=1.0, heading=0.4, **angles):
     parts = person(body, standing(body, both_sides(hip_x=0.1, **angles), heading), build)
-    return measure_t_pose(studio(*rig).see(parts).voxels.points_world)
+    return measure_t_pose(studio(*rig).render(parts).voxels.points_world)
 
 
 def test_sizes_and_body_are_each_others_reverse():
@@ -68,7 +75,7 @@ def test_claimed_uncertainty_shrinks_where_the_hull_speaks_and_not_where_it_is_s
 @pytest.mark.parametrize("rig", [SIX, THREE])
 def test_heavier_people_are_measured_thicker(rig):
     body = body_of_sizes(MEAN_OVER_STATURE * 1.75)
-    slim, heavy = (measure_flesh([measured(rig, body, build)], body) for build in (0.9, 1.3))
+    slim, heavy = (measure_girths([measured(rig, body, build)], body) for build in (0.9, 1.3))
     for name in ("upper_arm", "forearm", "thigh", "calf"):
         assert getattr(heavy, name) / getattr(slim, name) == pytest.approx(1.3 / 0.9, rel=0.2), name
     assert heavy.trunk > 1.1 * slim.trunk
@@ -76,13 +83,13 @@ def test_heavier_people_are_measured_thicker(rig):
 
 def test_thickness_nobody_has_is_not_believed():
     body = body_of_sizes(MEAN_OVER_STATURE * 1.75)
-    sizes = measure_flesh([measured(SIX, body, 2.0)], body)
+    sizes = measure_girths([measured(SIX, body, 2.0)], body)
     assert "thigh" not in sizes.measured and sizes.thigh == 1.0
 
 
 def test_thickness_widens_the_limbs_it_names_and_no_other():
     body = Body.from_stature(1.75)
-    plain, thick = Flesh.of(body), FleshSizes(thigh=1.2, trunk=1.1).on(Flesh.of(body))
+    plain, thick = BodySurface.of(body), LimbGirths(thigh=1.2, trunk=1.1).on(BodySurface.of(body))
     ratio = thick.radii / plain.radii
     expected = np.where(np.isin(plain.stick, [4, 5]), 1.2, np.where(plain.stick == 0, 1.1, 1.0))
     assert np.allclose(ratio, expected[:, None])
@@ -91,6 +98,6 @@ def test_thickness_widens_the_limbs_it_names_and_no_other():
 
 
 def test_thickness_survives_the_body_file():
-    sizes = FleshSizes.of({"thigh": 1.15, "calf": 0.9})
+    sizes = LimbGirths.of({"thigh": 1.15, "calf": 0.9})
     text = format_body(Body.from_stature(1.7), thickness=sizes.by_name())
-    assert FleshSizes.of(parse_thickness(text, "body.yaml")) == sizes
+    assert LimbGirths.of(parse_thickness(text, "body.yaml")) == sizes

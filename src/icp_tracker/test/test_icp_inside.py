@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 
 from icp_tracker.acquisition.initial_pose import KnownPose
-from icp_tracker.articulated_solver import (
+from icp_tracker.articulated_fit import (
     ArticulatedSettings,
     VolumeSettings,
+    discount_loose_hull,
     fit_articulated,
     make_data,
     make_weights,
-    with_trust_in_hull,
 )
-from icp_tracker.figure_arrays import Figure, State
-from icp_tracker.hull_clouds import HullClouds
-from icp_tracker.inside_term import SAMPLES, add_inside_residuals
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from icp_tracker.voxel_cloud import VoxelCloud
+from mocap_packets.hull_products import HullProducts, VoxelCloud
 from stick_figure import kernels
 from stick_figure.kinematics import forward, sticks
+from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.surface_factor import SAMPLES, add_inside_residuals
 
 STEP = 1e-6
 SLACK, WIDE = 0.04, 1e6
@@ -112,8 +111,8 @@ def test_hull_rescues_an_arm_that_the_centerline_does_not_show(body, synthetic):
         fit = fit_articulated(body, start, points, 0.0, hull, settings)
         return np.linalg.norm(fit.reference_points_world - forward(body, truth), axis=1)[LEFT_HAND]
 
-    assert hand_error(VolumeSettings(worth=0.0, inside_worth=0.0, clearance_worth=0.0)) > 0.15
-    assert hand_error(VolumeSettings(worth=0.0, clearance_worth=0.0)) < 0.10
+    assert hand_error(VolumeSettings(weight=0.0, inside_weight=0.0, clearance_weight=0.0)) > 0.15
+    assert hand_error(VolumeSettings(weight=0.0, clearance_weight=0.0)) < 0.10
     assert hand_error(VolumeSettings()) < 0.05
 
 
@@ -126,7 +125,7 @@ def test_fat_hull_is_trusted_less_than_a_tight_one(body, synthetic):
     def trust(hull):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
         weights = make_weights(data, settings)
-        return with_trust_in_hull(weights, body, truth, data, settings).voxel / weights.voxel
+        return discount_loose_hull(weights, body, truth, data, settings).voxel / weights.voxel
 
     assert trust(tight) > 0.8
     assert trust(fat) < 0.5 * trust(tight)
@@ -147,8 +146,8 @@ def test_first_pose_shows_all_points(body, synthetic):
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(8), 300, 0.01)
     points = points[points[:, 1] < 0.25]
     tracker = IcpTracker(KnownPose(truth, body), TrackerSettings())
-    assert tracker.step(HullClouds(1, points)).visible.all()
-    assert not tracker.step(HullClouds(2, points)).visible.all()
+    assert tracker.step(HullProducts(1, points)).visible.all()
+    assert not tracker.step(HullProducts(2, points)).visible.all()
 
 
 def test_same_hull_gives_the_same_bytes(body, synthetic, away):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, person, standing, studio, with_angles
 
-from icp_tracker.acquisition.flesh_sizes import FleshSizes
+from icp_tracker.acquisition.body_sizes import LimbGirths
 from icp_tracker.acquisition.initial_pose import KnownPose
-from icp_tracker.acquisition.known_body import SETS, KnownBodySource
+from icp_tracker.acquisition.known_body_source import SETS, KnownBodySource
 from icp_tracker.acquisition.pose_source import InitialPoseSettings, make_pose_source
-from icp_tracker.acquisition.t_pose import TPoseSource
-from icp_tracker.acquisition.t_pose_shape import TPoseSettings
+from icp_tracker.acquisition.t_pose_measures import TPoseSettings
+from icp_tracker.acquisition.t_pose_source import TPoseSource
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 from stick_figure.kinematics import forward
@@ -22,7 +22,7 @@ def start(rig, body, *people, known=BODY):
     """The answer to the same people in as many sets as a start needs."""
     room = studio(*rig)
     source = KnownBodySource(TPoseSettings(), known, room.rig.volume)
-    return [source.look(room.see(*people, apart_ns=SET_NS)) for _ in range(SETS)]
+    return [source.find_pose(room.render(*people, apart_ns=SET_NS)) for _ in range(SETS)]
 
 
 @pytest.mark.parametrize(("rig", "limit_mm"), [(SIX, 25), (THREE, 60)])
@@ -88,7 +88,7 @@ def test_body_file_chooses_the_start_that_needs_no_t_pose(tmp_path):
     assert isinstance(make_pose_source(InitialPoseSettings()), TPoseSource)
     room = studio(*SIX)
     people = person(BODY, standing(BODY, both_sides(shoulder_x=-0.5), 0.8))
-    found = [source.look(room.see(people, apart_ns=SET_NS)) for _ in range(SETS)][-1]
-    assert found.flesh == FleshSizes(thigh=1.2, measured=("thigh",))
+    found = [source.find_pose(room.render(people, apart_ns=SET_NS)) for _ in range(SETS)][-1]
+    assert found.girths == LimbGirths(thigh=1.2, measured=("thigh",))
     assert np.allclose(found.body.lengths, BODY.lengths)
     assert not KnownPose(found.pose, found.body).needs_voxels and source.needs_voxels

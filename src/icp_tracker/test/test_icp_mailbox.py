@@ -2,8 +2,8 @@
 
 import threading
 
-from icp_tracker.filter_feedback import FilterFeedback
-from icp_tracker.mailbox import Mailbox
+from icp_tracker.icp_ros import FilterFeedback
+from sagoma_ros.worker import Mailbox
 
 NEVER_S = 3600.0
 

@@ -15,13 +15,13 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
-from icp_tracker.hull_clouds import HullClouds
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker
+from mocap_packets.hull_products import HullProducts
 from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, split_reference_points, to_cloud
-from sagoma_ros.joints import prediction_message
+from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import prediction_message
 from sagoma_ros.qos import RESULT
-from sagoma_ros.stamps import to_ns
 from stick_figure.kinematics import forward
 
 NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hear each other
@@ -55,7 +55,7 @@ class Bench:
 
     def __init__(self, context, **parameters):
         # neither voxels nor rims, but where a test is about them
-        points_alone = {"articulated.volume.worth": 0.0, "articulated.rim.worth": 0.0}
+        points_alone = {"articulated.volume.weight": 0.0, "articulated.contour.weight": 0.0}
         overrides = [Parameter(key, value=value) for key, value in {**points_alone, **parameters}.items()]
         self.node = IcpNode(context=context, namespace=NAMESPACE, parameter_overrides=overrides)
         self.peer = rclpy.create_node("peer", context=context, namespace=NAMESPACE)
@@ -334,6 +334,6 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
         answer = node.answer(message)
         table = from_cloud(message, CENTERLINE, "test")
         points = np.stack([table[name] for name in "xyz"], axis=1).astype(float)
-        expected = tracker.step(HullClouds(stamp(k), points, table["sigma"].astype(float)))
+        expected = tracker.step(HullProducts(stamp(k), points, table["sigma"].astype(float)))
         assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
         assert fit_message(expected, "articulated") == node.fits[-1]

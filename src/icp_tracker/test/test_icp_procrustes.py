@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from icp_tracker.procrustes import (
+from icp_tracker.thesis.procrustes import (
     rotation_from_moment,
     swing_rotation,
     weighted_extended_procrustes,

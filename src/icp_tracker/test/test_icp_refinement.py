@@ -4,27 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import refinement_rims as made
+import refinement_rays as made
 
-from icp_tracker.acquisition.body_estimate import BodyEstimate, prior_sizes
+from icp_tracker.acquisition.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, BodyEstimate, prior_sizes
 from icp_tracker.acquisition.initial_pose import InitialPose
-from icp_tracker.acquisition.proportions import FOREARM, SIZES, THIGH, UPPER_ARM
-from icp_tracker.articulated_solver import PriorSettings
-from icp_tracker.figure_arrays import State
-from icp_tracker.flesh import Flesh
-from icp_tracker.hull_clouds import HullClouds
-from icp_tracker.recovery.settings import RecoverySettings
-from icp_tracker.refinement.body_refiner import BodyRefiner
-from icp_tracker.refinement.rim_system import rim_system
-from icp_tracker.refinement.settings import RefinementSettings
-from icp_tracker.refinement.shape import SIZE, THICKNESS, ShapeModel, ShapePrior, body_of, thickness_of
+from icp_tracker.articulated_fit import PriorSettings
+from icp_tracker.monitor.track_monitor import RecoverySettings
+from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
+from icp_tracker.refinement.shape import SIZE, THICKNESS, ShapeModel, ShapePrior, body_of, girths_of, rim_system
 from icp_tracker.tracker import IcpTracker, TrackerSettings
+from mocap_packets.hull_products import HullProducts
+from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
+from stick_figure.least_squares.placed_figure import State
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 H = 1.75
 SEEN = slice(0, len(SIZES) - 1)  # all but the ankles' height, which no ray of a foot fixed to the calf can tell
-EXACT = RefinementSettings(keyframes=12, independent_rays=400.0, flesh_sd_m=0.005, turn=0.05, least_change_m=0.002)
+EXACT = RefinementSettings(keyframes=12, independent_rays=400.0, surface_sd_m=0.005, turn=0.05, least_change_m=0.002)
 
 
 def wrong_start(rng):
@@ -37,12 +34,12 @@ def wrong_start(rng):
 
 def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=16):
     refiner, body = BodyRefiner(estimate, settings, PriorSettings()), body_of(truth)
-    flesh, given, stamp = thickness_of(truth).on(Flesh.of(body)), [], 0
+    flesh, given, stamp = girths_of(truth).on(BodySurface.of(body)), [], 0
     sets = [(pose, made.tangent_rays(body, flesh, pose, rng, each, sd_m)) for pose in poses]
     for _ in range(rounds):
-        for pose, rims in sets:
+        for pose, contour_rays in sets:
             stamp += 50_000_000
-            given.append(refiner.step(stamp, pose, rims))
+            given.append(refiner.step(stamp, pose, contour_rays))
     return refiner, given
 
 
@@ -58,9 +55,9 @@ def test_sizes_converge_to_the_body_that_made_the_rims_when_all_joints_bend():
     assert before.mean() > 0.008
     assert after.mean() < 0.003
     assert after.max() < 0.008
-    thickness = refiner.refined.thickness.by_name()
-    for name, value in zip(thickness, truth[THICKNESS], strict=True):
-        assert thickness[name] == pytest.approx(value, abs=0.04)
+    girths = refiner.refined.girths.by_name()
+    for name, value in zip(girths, truth[THICKNESS], strict=True):
+        assert girths[name] == pytest.approx(value, abs=0.04)
 
 
 def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it():
@@ -83,7 +80,7 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
 
 @pytest.mark.slow
 def test_covariance_is_honest_over_bodies_drawn_from_the_prior():
-    settings = RefinementSettings(keyframes=6, turn=0.05, flesh_sd_m=0.006, independent_rays=100.0, explained=0.5)
+    settings = RefinementSettings(keyframes=6, turn=0.05, surface_sd_m=0.006, independent_rays=100.0, explained=0.5)
     nees = []
     for seed in range(8):
         rng = np.random.default_rng(100 + seed)
@@ -112,14 +109,14 @@ def test_pose_whose_arm_the_flesh_does_not_explain_has_no_say():
     estimate = prior_sizes(H)
     truth = ShapePrior.of(estimate, 0.12).mean
     body, pose = body_of(truth), made.moving_pose(rng)
-    rims = made.tangent_rays(body, thickness_of(truth).on(Flesh.of(body)), pose, rng)
+    contour_rays = made.tangent_rays(body, girths_of(truth).on(BodySurface.of(body)), pose, rng)
     angles = pose.angles()
     angles[3] += 1.5  # the left arm is fitted elsewhere
     refiner = BodyRefiner(estimate, RefinementSettings(), PriorSettings())
-    refiner.step(1, Pose.from_angles(pose.position_world, pose.R_world_torso, angles), rims)
+    refiner.step(1, Pose.from_angles(pose.position_world, pose.R_world_torso, angles), contour_rays)
     assert refiner.refined.keyframes == 0
     np.testing.assert_allclose(refiner.refined.estimate.sizes, estimate.sizes, atol=1e-12)
-    refiner.step(2, pose, rims)
+    refiner.step(2, pose, contour_rays)
     assert refiner.refined.keyframes == 1
 
 
@@ -156,17 +153,17 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
     rng = np.random.default_rng(10)
     estimate, truth = wrong_start(rng)
     body, pose = body_of(truth), made.moving_pose(rng)
-    rims = made.tangent_rays(body, thickness_of(truth).on(Flesh.of(body)), pose, rng, each=6)
+    contour_rays = made.tangent_rays(body, girths_of(truth).on(BodySurface.of(body)), pose, rng, each=6)
     values = ShapePrior.of(estimate, 0.12).mean
     model, n = ShapeModel(values), 24 + len(values)
     H_, g = np.empty((n, n)), np.empty(n)
     wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
-    rim_system(rims, *State.of(pose), *model.at(values), model.derivatives, wide, H_, g)
+    rim_system(contour_rays, *State.of(pose), *model.at(values), model.derivatives, wide, H_, g)
 
-    place = matched(rims, *capsules_at(values, pose))
+    place = matched(contour_rays, *capsules_at(values, pose))
 
     def cost(step):
-        return sum_of_squares(rims, place, *capsules_at(values + step[24:], pose.retract(step[:24])))
+        return sum_of_squares(contour_rays, place, *capsules_at(values + step[24:], pose.retract(step[:24])))
 
     for k in range(n):
         step = np.zeros(n)
@@ -177,15 +174,20 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
 
 def capsules_at(values, pose):
     body = body_of(values)
-    flesh = thickness_of(values).on(Flesh.of(body))
+    flesh = girths_of(values).on(BodySurface.of(body))
     return *made.capsules_world(body, flesh, pose), flesh.radii
 
 
-def matched(rims, P, Q, radii):
+def matched(contour_rays, P, Q, radii):
     """The capsule that is off least from each ray, and where along its axis."""
     found = []
     for o, d, n, t, half in zip(
-        rims.points.T, rims.directions.T, rims.normals.T, rims.tangents.T, rims.half_lengths, strict=True
+        contour_rays.points.T,
+        contour_rays.directions.T,
+        contour_rays.normals.T,
+        contour_rays.tangents.T,
+        contour_rays.half_lengths,
+        strict=True,
     ):
         flat, off = np.array([n, t]), []
         for k in range(len(P)):
@@ -198,13 +200,13 @@ def matched(rims, P, Q, radii):
     return found
 
 
-def sum_of_squares(rims, place, P, Q, radii):
+def sum_of_squares(contour_rays, place, P, Q, radii):
     """Information times squared distance across, each ray against its place on a capsule."""
     total = 0.0
     for i, (k, u) in enumerate(place):
         c = P[k] + u * (Q[k] - P[k])
-        across = rims.normals[:, i] @ (rims.points[:, i] - c) - radii[k] @ [1 - u, u]
-        total += rims.information[i] * across**2
+        across = contour_rays.normals[:, i] @ (contour_rays.points[:, i] - c) - radii[k] @ [1 - u, u]
+        total += contour_rays.information[i] * across**2
     return total
 
 
@@ -213,7 +215,7 @@ def test_refinement_starts_from_the_sizes_that_a_t_pose_measured():
     refined = BodyRefiner(estimate, RefinementSettings(), PriorSettings()).refined
     np.testing.assert_allclose(refined.estimate.sizes, estimate.sizes, rtol=1e-12)
     np.testing.assert_allclose(refined.estimate.covariance, estimate.covariance, rtol=1e-6, atol=1e-12)
-    assert refined.thickness.trunk == 1.0
+    assert refined.girths.trunk == 1.0
 
 
 class FixedSource:
@@ -224,7 +226,7 @@ class FixedSource:
     def __init__(self, found):
         self._found = found
 
-    def look(self, seen):
+    def find_pose(self, seen):
         return self._found
 
 
@@ -233,14 +235,14 @@ def test_tracker_takes_over_better_sizes_of_a_measured_body_and_none_of_a_given_
     rng = np.random.default_rng(12)
     estimate, truth = wrong_start(rng)
     body, first = body_of(truth), made.moving_pose(rng)
-    flesh = thickness_of(truth).on(Flesh.of(body))
+    flesh = girths_of(truth).on(BodySurface.of(body))
     source = FixedSource(InitialPose(first, estimate.body, "", estimate if was_measured else None))
     refinement = replace(EXACT, pause_s=0.1, explained=0.5)
     tracker = IcpTracker(source, TrackerSettings(refinement=refinement, recovery=RecoverySettings(search=False)))
     for k in range(40 if was_measured else 12):
         pose = first.retract(np.r_[np.zeros(6), np.full(18, 0.03 * abs(k % 20 - 10))])
         rays = made.rays_on(body, flesh, pose, rng, each=8)
-        tracker.step(HullClouds(k * 16_666_667, forward(body, pose), 0.02, rims=rays))
+        tracker.step(HullProducts(k * 16_666_667, forward(body, pose), 0.02, contour_rays=rays))
     error = np.abs(tracker.body.lengths - body.lengths).mean()
     start = np.abs(estimate.body.lengths - body.lengths).mean()
     if was_measured:

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from capture_rig import FrameSet, load_session
-from hull_server.pipeline import HullPipeline
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.t_pose import TPoseSource
-from icp_tracker.acquisition.t_pose_shape import TPoseSettings
-from icp_tracker.hull_clouds import HullClouds
+from icp_tracker.acquisition.t_pose_measures import TPoseSettings
+from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.tracker import IcpTracker
-from icp_tracker.voxel_cloud import VoxelCloud
+from mocap_packets.hull_products import HullProducts, VoxelCloud
 
 SESSIONS = Path(__file__).resolve().parents[4] / "shared" / "data" / "sessions"
 HELD_SETS = 6  # of the T-pose with which every session begins
@@ -49,4 +48,4 @@ def hulls(session, count):
             masks[name] = session.rig.camera(name).undistorted_view().undistort_mask(exact)
         hull = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ()))
         voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        yield HullClouds(stamp_ns, hull.centerline.points_world, hull.centerline.sigma, voxels)
+        yield HullProducts(stamp_ns, hull.centerline.points_world, hull.centerline.sigma, voxels)

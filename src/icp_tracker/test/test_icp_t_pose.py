@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, box, person, standing, studio, with_angles
 
-from icp_tracker.acquisition.refusal import Refusal
-from icp_tracker.acquisition.t_pose import TPoseSource, find_t_pose, pose_of
-from icp_tracker.acquisition.t_pose_shape import TPoseSettings, measure_t_pose
-from icp_tracker.hull_clouds import HullClouds
-from icp_tracker.voxel_cloud import VoxelCloud
+from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
+from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose, pose_of
+from icp_tracker.acquisition.upright import PoseRejected
+from mocap_packets.hull_products import HullProducts, VoxelCloud
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 
@@ -23,9 +22,9 @@ def degrees_between(first, second):
     return np.degrees(np.arccos(np.clip(first @ second, -1, 1)))
 
 
-def look(rig, *people):
+def find_pose(rig, *people):
     room = studio(*rig)
-    return find_t_pose(room.see(*people), TPoseSettings(), room.rig.volume)
+    return find_t_pose(room.render(*people), TPoseSettings(), room.rig.volume)
 
 
 # --- found -----------------------------------------------------------------------------------------------------------
@@ -44,7 +43,7 @@ def test_t_pose_of_anybody_anywhere_is_found_and_never_taken_back_to_front(rig):
             knee=0.05,
         )
         pose = standing(body, angles, rng.uniform(-np.pi, np.pi), rng.uniform(-0.2, 0.2, 2))
-        measured, reason = look(rig, person(body, pose, rng.uniform(0.85, 1.25)))
+        measured, reason = find_pose(rig, person(body, pose, rng.uniform(0.85, 1.25)))
         assert measured is not None, reason
         assert degrees_between(measured.body.forward_world, pose.R_world_torso[:2, 0]) < 12
         found = pose_of([measured], body)
@@ -56,19 +55,19 @@ def test_t_pose_of_anybody_anywhere_is_found_and_never_taken_back_to_front(rig):
 def test_stature_is_measured_to_two_voxels():
     for stature in (1.45, 1.7, 1.95):
         body = Body.from_stature(stature)
-        measured, _ = look(SIX, person(body, standing(body, LEVEL, 0.5)))
+        measured, _ = find_pose(SIX, person(body, standing(body, LEVEL, 0.5)))
         assert measured.stature == pytest.approx(stature, abs=0.04)
 
 
 def test_floor_shadow_on_one_side_makes_the_heading_unsure_rather_than_wrong():
     rng, found = np.random.default_rng(0), 0
     for heading in np.arange(-3.0, 3.0, 1.0):
-        seen = studio(*SIX).see(person(BODY, standing(BODY, LEVEL, heading)))
+        seen = studio(*SIX).render(person(BODY, standing(BODY, LEVEL, heading)))
         slab = rng.uniform([-0.6, -0.4, 0.0], [0.0, 0.2, 0.08], (300, 3))
         slab[:, 2] = 0.02 * np.round(slab[:, 2] / 0.02)
         voxels = np.concatenate([seen.voxels.points_world, slab])
         cloud = VoxelCloud(voxels, np.ones(len(voxels), bool))
-        answer = TPoseSource(TPoseSettings(hold_sets=1)).look(HullClouds(0, np.empty((0, 3)), voxels=cloud))
+        answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(HullProducts(0, np.empty((0, 3)), voxels=cloud))
         if answer.pose is None:
             assert "front and back look alike" in answer.reason
         else:
@@ -79,8 +78,8 @@ def test_floor_shadow_on_one_side_makes_the_heading_unsure_rather_than_wrong():
 
 
 def test_lowered_arms_are_found_where_they_are_asked_for_and_refused_elsewhere():
-    lowered = studio(*SIX).see(person(BODY, standing(BODY, both_sides(shoulder_x=-np.pi / 4), 2.0)))
-    level = studio(*SIX).see(person(BODY, standing(BODY, LEVEL, 2.0)))
+    lowered = studio(*SIX).render(person(BODY, standing(BODY, both_sides(shoulder_x=-np.pi / 4), 2.0)))
+    level = studio(*SIX).render(person(BODY, standing(BODY, LEVEL, 2.0)))
     asked = TPoseSettings(arms="lowered")
     found, _ = find_t_pose(lowered, asked)
     assert degrees_between(found.body.forward_world, np.array([np.cos(2.0), np.sin(2.0)])) < 5
@@ -110,33 +109,33 @@ REFUSED = {
 def test_other_pose_is_refused_with_its_own_reason(rig, name):
     angles, reason = REFUSED[name]
     for heading in (0.3, 2.0):
-        measured, said = look(rig, person(BODY, standing(BODY, angles, heading)))
+        measured, said = find_pose(rig, person(BODY, standing(BODY, angles, heading)))
         assert measured is None and reason in said
 
 
 @pytest.mark.parametrize("angles", [both_sides(elbow=-1.2), both_sides(elbow=-1.2, shoulder_y=np.pi / 2)])
 def test_bent_elbows_are_refused(angles):
-    measured, reason = look(SIX, person(BODY, standing(BODY, angles, 0.3)))
+    measured, reason = find_pose(SIX, person(BODY, standing(BODY, angles, 0.3)))
     assert measured is None and "arm" in reason
 
 
 def test_bending_forward_is_refused():
     pose = standing(BODY, both_sides(hip_y=-0.7), 0.3, lean=0.7)
-    assert "not upright: the head is 0.4" in look(SIX, person(BODY, pose))[1]
+    assert "not upright: the head is 0.4" in find_pose(SIX, person(BODY, pose))[1]
 
 
 @pytest.mark.parametrize("size", [((-0.3, -0.4, 0.0), (0.3, 0.4, 1.4)), ((-0.2, -0.8, 0.0), (0.2, 0.8, 1.5))])
 def test_cart_is_refused(size):
-    assert "no single head" in look(SIX, box(*size))[1]
+    assert "no single head" in find_pose(SIX, box(*size))[1]
 
 
 def test_who_reaches_out_of_the_volume_is_refused_by_its_wall():
     parts = person(BODY, standing(BODY, LEVEL, 0.0, (0.0, 0.6)))
-    assert look(SIX, parts)[1] == "partly outside the volume, which ends at y = 1.40 m"
+    assert find_pose(SIX, parts)[1] == "partly outside the volume, which ends at y = 1.40 m"
 
 
 def test_nobody_and_scraps_are_refused():
-    whole = studio(*SIX).see(person(BODY, standing(BODY, LEVEL))).voxels.points_world
+    whole = studio(*SIX).render(person(BODY, standing(BODY, LEVEL))).voxels.points_world
     for voxels, reason in (
         (None, "no hull"),
         (whole[:0], "no hull"),
@@ -144,7 +143,7 @@ def test_nobody_and_scraps_are_refused():
         (0.5 * whole, "too small: 0.8"),
         (2.0 * whole, "too large: 3."),
     ):
-        with pytest.raises(Refusal, match=reason):
+        with pytest.raises(PoseRejected, match=reason):
             measure_t_pose(voxels)
 
 
@@ -154,19 +153,19 @@ def test_nobody_and_scraps_are_refused():
 def test_body_in_the_t_pose_is_found_among_others_whatever_its_number():
     for place in (0.55, -0.55):
         pose = standing(BODY, LEVEL, 0.0, (place, 0.0))
-        measured, reason = look(SIX, person(BODY, pose), person(BODY, standing(BODY, HANGING, 1.0, (-place, 0.0))))
+        measured, reason = find_pose(SIX, person(BODY, pose), person(BODY, standing(BODY, HANGING, 1.0, (-place, 0.0))))
         assert measured is not None, reason
         assert np.linalg.norm(measured.body.centre_world - [place, 0.0]) < 0.05
 
 
 def test_two_bodies_in_a_t_pose_are_refused():
     people = [person(BODY, standing(BODY, LEVEL, 0.2, (x, 0.0))) for x in (0.6, -0.6)]
-    assert "2 bodies in a T-pose" in look(SIX, *people)[1]
+    assert "2 bodies in a T-pose" in find_pose(SIX, *people)[1]
 
 
 def test_of_several_bodies_each_gets_its_reason():
     people = [person(BODY, standing(BODY, HANGING, 0.2, (x, 0.0))) for x in (0.6, -0.6)]
-    reasons = look(SIX, *people)[1].split("; ")
+    reasons = find_pose(SIX, *people)[1].split("; ")
     assert len(reasons) == 2
     assert all(re.fullmatch(r"body \d: arms not stretched sideways", reason) for reason in reasons)
 
@@ -176,7 +175,7 @@ def test_people_who_touch_are_refused(rig):
     behind = person(BODY, standing(BODY, LEVEL)), person(BODY, standing(BODY, HANGING, 0.0, (-0.24, 0.0)))
     beside = [person(BODY, standing(BODY, HANGING, 0.0, (0.0, y))) for y in (0.22, -0.22)]
     for people in (behind, beside):
-        assert "more than one body" in look(rig, *people)[1]
+        assert "more than one body" in find_pose(rig, *people)[1]
 
 
 # --- held ------------------------------------------------------------------------------------------------------------
@@ -184,19 +183,19 @@ def test_people_who_touch_are_refused(rig):
 
 def moved(seen, stamp_ns, shift):
     voxels = VoxelCloud(seen.voxels.points_world + shift, seen.voxels.surface)
-    return HullClouds(stamp_ns, seen.points_world + shift, voxels=voxels)
+    return HullProducts(stamp_ns, seen.points_world + shift, voxels=voxels)
 
 
 @pytest.fixture(scope="module")
 def t_pose():
-    return studio(*SIX).see(person(BODY, standing(BODY, LEVEL, 0.7)))
+    return studio(*SIX).render(person(BODY, standing(BODY, LEVEL, 0.7)))
 
 
 def test_t_pose_must_be_held(t_pose):
     source = TPoseSource(TPoseSettings(hold_sets=3))
-    nobody = HullClouds(0, np.empty((0, 3)))
+    nobody = HullProducts(0, np.empty((0, 3)))
     sets = [moved(t_pose, k * SET_NS, 0.0) if seen else nobody for k, seen in enumerate([1, 1, 0, 1, 1, 1])]
-    answers = [source.look(seen) for seen in sets]
+    answers = [source.find_pose(seen) for seen in sets]
     assert [answer.reason for answer in answers] == [
         "T-pose seen, hold it (1 of 3)",
         "T-pose seen, hold it (2 of 3)",
@@ -206,13 +205,13 @@ def test_t_pose_must_be_held(t_pose):
         "",
     ]
     assert answers[-1].pose is not None and answers[-1].estimate is not None
-    assert set(answers[-1].flesh.measured) >= {"upper_arm", "thigh", "calf", "trunk"}
+    assert set(answers[-1].girths.measured) >= {"upper_arm", "thigh", "calf", "trunk"}
 
 
 def test_walking_with_arms_stretched_out_is_refused_until_it_ends(t_pose):
     source = TPoseSource(TPoseSettings())
     at = [np.array([0.8 * min(k, 11) / 60, 0.0, 0.0]) for k in range(20)]  # 0.8 m/s, and stops
-    answers = [source.look(moved(t_pose, k * SET_NS, shift)) for k, shift in enumerate(at)]
+    answers = [source.find_pose(moved(t_pose, k * SET_NS, shift)) for k, shift in enumerate(at)]
     assert all(answer.pose is None for answer in answers[:12])
     assert answers[11].reason == "stand still: moving at 0.8 m/s"
     found = next(answer for answer in answers if answer.pose is not None)
@@ -222,12 +221,12 @@ def test_walking_with_arms_stretched_out_is_refused_until_it_ends(t_pose):
 
 def test_somebody_else_starts_holding_anew(t_pose):
     source = TPoseSource(TPoseSettings(hold_sets=2))
-    assert source.look(moved(t_pose, 0, 0.0)).pose is None
-    assert "1 of 2" in source.look(moved(t_pose, SET_NS, np.array([0.5, 0.0, 0.0]))).reason
+    assert source.find_pose(moved(t_pose, 0, 0.0)).pose is None
+    assert "1 of 2" in source.find_pose(moved(t_pose, SET_NS, np.array([0.5, 0.0, 0.0]))).reason
 
 
 def test_person_without_feet_cannot_tell_front_from_back(t_pose):
     voxels = t_pose.voxels.points_world[t_pose.voxels.points_world[:, 2] > 0.12]
     cloud = VoxelCloud(voxels, np.ones(len(voxels), bool))
-    answer = TPoseSource(TPoseSettings(hold_sets=1)).look(HullClouds(0, np.empty((0, 3)), voxels=cloud))
+    answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(HullProducts(0, np.empty((0, 3)), voxels=cloud))
     assert answer.pose is None and "front and back look alike" in answer.reason

@@ -3,15 +3,20 @@
 import numpy as np
 import pytest
 
-from icp_tracker.articulated_solver import ArticulatedSettings, VolumeSettings, fit_articulated
-from icp_tracker.figure_arrays import Figure, State
-from icp_tracker.flesh import TORSO_CAPSULES, Flesh, nearest_flesh, place_flesh
-from icp_tracker.foot_points import columns
-from icp_tracker.inside_term import add_inside_residuals
-from icp_tracker.volume_term import CLEARANCE_M, add_arm_clearance, add_voxel_residuals, torso_distance
-from icp_tracker.voxel_cloud import VoxelCloud
+from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, fit_articulated
+from mocap_packets.hull_products import VoxelCloud
 from stick_figure import kernels
+from stick_figure.body_surface import TORSO_CAPSULES, BodySurface, nearest_capsule, place_capsules
 from stick_figure.kinematics import forward, sticks
+from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.point_factor import columns
+from stick_figure.least_squares.surface_factor import (
+    CLEARANCE_M,
+    add_arm_clearance,
+    add_inside_residuals,
+    add_voxel_residuals,
+    torso_distance,
+)
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
@@ -23,12 +28,12 @@ VERY_WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
 
 def placed(body, pose):
     """World ends P, Q of the flesh's capsules, and what the kernels need beside them."""
-    state, figure, flesh = State.of(pose), Figure.of(body), Flesh.of(body)
+    state, figure, flesh = State.of(pose), Figure.of(body), BodySurface.of(body)
     G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
     kernels.stick_frames(state.R0, state.RJ, state.hinges, G, axes)
     kernels.stick_ends(G, state.t0, *figure, A, B)
     P, Q = np.empty((len(flesh.stick), 3)), np.empty((len(flesh.stick), 3))
-    place_flesh(flesh, G, A, P, Q)
+    place_capsules(flesh, G, A, P, Q)
     return flesh, P, Q, state.t0, A, B, axes
 
 
@@ -83,7 +88,7 @@ def test_nearest_flesh_is_the_least_signed_distance(body, synthetic):
     flesh, P, Q, *_ = placed(body, synthetic.smooth_motion(5, seed=1)[4])
     points = np.random.default_rng(2).uniform(P.min(0) - 0.3, P.max(0) + 0.3, (300, 3))
     capsule, along, distance = np.zeros(300, int), np.zeros(300), np.empty(300)
-    nearest_flesh(*columns(points), P, Q, flesh.radii, capsule, along, distance)
+    nearest_capsule(*columns(points), P, Q, flesh.radii, capsule, along, distance)
     expected = signed_distances(points, P, Q, flesh.radii)
     assert np.abs(distance - expected.min(1)).max() < 1e-12
     assert np.array_equal(capsule, expected.argmin(1))
@@ -123,14 +128,14 @@ def test_hessian_of_voxels_is_the_sum_of_finite_difference_derivatives(body, syn
 
 def even_radii(body):
     """Radii without taper: a taper tilts the surface against the axis, which the solver's normal leaves out."""
-    return np.repeat(Flesh.of(body).radii.mean(1, keepdims=True), 2, axis=1)
+    return np.repeat(BodySurface.of(body).radii.mean(1, keepdims=True), 2, axis=1)
 
 
 def voxel_equations(body, pose, voxels):
     flesh, P, Q, t0, A, _, axes = placed(body, pose)
     flesh = flesh._replace(radii=even_radii(body))
     match = (np.zeros(len(voxels), int), np.zeros(len(voxels)), np.empty(len(voxels)))
-    nearest_flesh(*columns(voxels), P, Q, flesh.radii, *match)
+    nearest_capsule(*columns(voxels), P, Q, flesh.radii, *match)
     H, g = np.zeros((24, 24)), np.zeros(24)
     add_voxel_residuals(voxels, flesh, P, Q, match, 1.0, VERY_WIDE_M, t0, A, axes, H, g)
     assert not np.tril(H, -1).any()
@@ -185,7 +190,7 @@ def test_hull_shows_the_heading_that_the_centerline_cannot(body, synthetic):
         across = forward(body, fit.pose)[5] - forward(body, fit.pose)[6]
         return abs(np.arctan2(-across[0], across[1]))
 
-    blind = ArticulatedSettings(max_iterations=20, volume=VolumeSettings(worth=0.0, inside_worth=0.0))
+    blind = ArticulatedSettings(max_iterations=20, volume=VolumeSettings(weight=0.0, inside_weight=0.0))
     assert heading_error(blind) > 0.2
     assert heading_error(ArticulatedSettings(max_iterations=20)) < 0.07
 

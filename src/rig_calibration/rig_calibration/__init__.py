@@ -1,1 +1,1 @@
-"""Calibration of a capture rig: boards and their sightings, intrinsics, extrinsics, verdicts with remedies."""
+"""Calibration of a capture rig: boards and their detections, intrinsics, extrinsics, verdicts with remedies."""

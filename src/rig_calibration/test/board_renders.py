@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
-from rig_calibration.boards.board import CharucoBoard
+from rig_calibration.boards.board import CharucoBoard, opencv_board
 from rig_calibration.boards.drawing import outer_fields
-from rig_calibration.boards.opencv_charuco import opencv_board
 
 TEXELS = 140  # a side of a field of a ChArUco board
 GREY_BLACK, GREY_WHITE, GREY_ROOM = 30.0, 210.0, 120.0

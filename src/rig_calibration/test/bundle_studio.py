@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.bundle.solution import RigSolution
 
 BOARD = Checkerboard(6, 5, (0.08, 0.08))
@@ -45,10 +44,10 @@ def rotation(vector: Iterable[float]) -> np.ndarray:
     return cv2.Rodrigues(np.asarray(list(vector), float))[0]
 
 
-def carried(rng: np.random.Generator, moments: int) -> dict[int, np.ndarray]:
+def carried(rng: np.random.Generator, frames: int) -> dict[int, np.ndarray]:
     """T_world_target (4, 4) of a board held up, by moment."""
     poses = {}
-    for moment in range(moments):
+    for frame_index in range(frames):
         azimuth = rng.uniform(0, 2 * np.pi)
         normal = np.array([np.cos(azimuth), np.sin(azimuth), rng.uniform(0, 1.2)])
         normal /= np.linalg.norm(normal)
@@ -57,7 +56,7 @@ def carried(rng: np.random.Generator, moments: int) -> dict[int, np.ndarray]:
         T = np.eye(4)
         T[:3, :3] = np.column_stack([x, np.cross(normal, x), normal]) @ rotation([0, 0, 0.3 * rng.normal()])
         T[:3, 3] = rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(0.4, 1.7)
-        poses[moment] = T
+        poses[frame_index] = T
     return poses
 
 
@@ -69,7 +68,7 @@ def project(camera: CameraModel, T_world_target: np.ndarray, points: np.ndarray)
     return np.where(x[:, 2:] > 0.1, pixels.reshape(-1, 2), np.nan)
 
 
-def sightings_of(
+def detections_of(
     cameras: Mapping[str, CameraModel],
     poses: Mapping[int, np.ndarray],
     target: str,
@@ -77,28 +76,30 @@ def sightings_of(
     noise_px: float = 0.2,
     max_tilt_deg: float = 70.0,
     points: np.ndarray | None = None,
-) -> list[Sighting]:
+) -> list[TargetDetection]:
     """What cameras see of a board of TARGETS (or of ``points``), complete and not too slanting."""
     points = TARGETS[target] if points is None else points
     found = []
-    for moment, T in poses.items():
+    for frame_index, T in poses.items():
         for name, camera in cameras.items():
             ray = camera.centre_world - T[:3, :3] @ points.mean(0) - T[:3, 3]
             slant = ray @ T[:3, 2] / np.linalg.norm(ray)
             pixels = project(camera, T, points)
             if slant > np.cos(np.radians(max_tilt_deg)) and np.all((pixels > 2) & (pixels < np.array(SIZE) - 3)):
                 noisy = pixels + noise_px * rng.normal(size=pixels.shape)
-                found.append(Sighting(name, moment, np.arange(len(points)), noisy, SIZE, target, max(noise_px, 0.01)))
+                found.append(
+                    TargetDetection(name, frame_index, np.arange(len(points)), noisy, SIZE, target, max(noise_px, 0.01))
+                )
     return found
 
 
 def carried_and_floor(
-    cameras: Mapping[str, CameraModel], rng: np.random.Generator, moments: int = 20, noise_px: float = 0.2
-) -> list[Sighting]:
+    cameras: Mapping[str, CameraModel], rng: np.random.Generator, frames: int = 20, noise_px: float = 0.2
+) -> list[TargetDetection]:
     """A board carried through the room, and one on the floor that all cameras see."""
     return [
-        *sightings_of(cameras, carried(rng, moments), "moving", rng, noise_px),
-        *sightings_of(cameras, {0: T_WORLD_FLOOR}, "floor", rng, noise_px, max_tilt_deg=85),
+        *detections_of(cameras, carried(rng, frames), "moving", rng, noise_px),
+        *detections_of(cameras, {0: T_WORLD_FLOOR}, "floor", rng, noise_px, max_tilt_deg=85),
     ]
 
 

@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
-from rig_calibration.boards.board import Board, Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
 
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 CARRIED_BOARD = Checkerboard(9, 6, (0.08, 0.08))
@@ -61,8 +60,13 @@ def carried_poses(count: int, seed: int = 3) -> list[np.ndarray]:
 
 
 def see(
-    camera: CameraModel, board: Board, T_world_board: np.ndarray, target: str, moment: int, noise_px: float = NOISE_PX
-) -> Sighting | None:
+    camera: CameraModel,
+    board: Board,
+    T_world_board: np.ndarray,
+    target: str,
+    frame_index: int,
+    noise_px: float = NOISE_PX,
+) -> TargetDetection | None:
     """What the camera sees of the board; None where its back or a part beyond the image is seen."""
     T = camera.T_camera_world @ T_world_board
     points = board.corners_board
@@ -71,17 +75,17 @@ def see(
     pixels = cv2.projectPoints(points, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera.K, camera.D)[0].reshape(-1, 2)
     if (pixels < 3).any() or (pixels > np.array(SIZE) - 4).any():
         return None
-    seed = [moment, sum(camera.name.encode()), sum(target.encode())]
+    seed = [frame_index, sum(camera.name.encode()), sum(target.encode())]
     pixels = pixels + noise_px * np.random.default_rng(seed).standard_normal(pixels.shape)
-    return Sighting(camera.name, moment, np.arange(len(points)), pixels, SIZE, target, noise_px)
+    return TargetDetection(camera.name, frame_index, np.arange(len(points)), pixels, SIZE, target, noise_px)
 
 
 def see_all(
     cameras: dict[str, CameraModel], board: Board, poses: list[np.ndarray], target: str, noise_px: float = NOISE_PX
-) -> list[Sighting]:
+) -> list[TargetDetection]:
     """What all cameras see of a board at successive moments."""
     seen = [see(c, board, T, target, m, noise_px) for m, T in enumerate(poses) for c in cameras.values()]
-    return [sighting for sighting in seen if sighting is not None]
+    return [detection for detection in seen if detection is not None]
 
 
 def pose_errors(found: CameraModel, truth: CameraModel) -> tuple[float, float]:

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
-from rig_calibration.boards.board import Board, Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
 
 BOARD = Checkerboard(9, 6, (0.025, 0.025))
 FACING = np.diag([1.0, -1.0, -1.0])
@@ -39,7 +38,7 @@ def shown(
     sizes: tuple[float, float] = (0.35, 0.7),
     bow_m: float = 0.0,
     partial: bool = False,
-) -> list[Sighting]:
+) -> list[TargetDetection]:
     """``count`` views: places all over the image (``reach`` of it), tilts up to ``tilt_deg``, the board's diagonal
     ``sizes`` of the image's width; ``bow_m``: its middle stands out along its rows; ``partial``: it may leave the
     image."""
@@ -64,9 +63,11 @@ def shown(
             continue
         ids = np.flatnonzero(inside)
         seen = pixels[inside] + rng.normal(0, noise_px, (len(ids), 2)) if noise_px else pixels[inside]
-        views.append(Sighting(camera.name, len(views), ids, seen, (camera.width, camera.height), "", noise_px or 0.1))
+        views.append(
+            TargetDetection(camera.name, len(views), ids, seen, (camera.width, camera.height), "", noise_px or 0.1)
+        )
     return views
 
 
-def with_pixels(sighting: Sighting, pixels: np.ndarray) -> Sighting:
-    return replace(sighting, pixels=pixels)
+def with_pixels(detection: TargetDetection, pixels: np.ndarray) -> TargetDetection:
+    return replace(detection, pixels=pixels)

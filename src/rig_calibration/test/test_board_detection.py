@@ -3,9 +3,8 @@ import numpy as np
 import pytest
 from board_renders import camera, looking_at_board, render, true_corners
 
-from rig_calibration.boards.detection import find_board
-from rig_calibration.boards.diagnosis import diagnose_board
-from rig_calibration.boards.sharpness import blur_px
+from rig_calibration.boards.detector import diagnose_board, find_board
+from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.boards.specification import read_board
 
 BOARD = read_board("checkerboard 9x6 25mm")
@@ -16,23 +15,23 @@ LENS = camera(D=(-0.2, 0.08, 0.001, -0.001, 0.0))
 def seen(
     board, distance=0.6, tilt=20, eye=LENS, *, thorough=False, roll=5, turn=0, offset=(0.0, 0.0), oversample=4, **optics
 ):
-    """The sighting and its errors (n, 2) in px against the projection of the board's corners."""
+    """The detection and its errors (n, 2) in px against the projection of the board's corners."""
     T = looking_at_board(board, distance, tilt, roll, turn, offset)
     image = render(eye, board, T, oversample=oversample, **optics)
-    sighting = find_board(image, board, thorough=thorough)
-    errors = None if sighting is None else sighting.pixels - true_corners(eye, board, T)[sighting.ids]
-    return image, sighting, errors
+    detection = find_board(image, board, thorough=thorough)
+    errors = None if detection is None else detection.pixels - true_corners(eye, board, T)[detection.ids]
+    return image, detection, errors
 
 
 @pytest.mark.parametrize("tilt", [0, 40, 65])
 @pytest.mark.parametrize("blur", [0.5, 1.0])
 def test_corners_are_exact_to_hundredths_of_a_pixel_and_sigma_says_so(tilt, blur):
-    _, sighting, errors = seen(BOARD, tilt=tilt, blur=blur, noise=2.5, oversample=10)
+    _, detection, errors = seen(BOARD, tilt=tilt, blur=blur, noise=2.5, oversample=10)
     rms = np.sqrt(np.mean(errors**2))
-    assert len(sighting) == 54
+    assert len(detection) == 54
     assert rms < 0.03
     assert np.all(np.abs(errors.mean(axis=0)) < 0.01)
-    assert 0.4 * rms < sighting.sigma_px < 3 * rms
+    assert 0.4 * rms < detection.sigma_px < 3 * rms
 
 
 def test_sigma_grows_with_the_noise():
@@ -42,16 +41,16 @@ def test_sigma_grows_with_the_noise():
 
 @pytest.mark.parametrize("turn", [0, 90, 180, 270])
 def test_ids_follow_the_board_s_colours_whichever_way_round_it_is_seen(turn):
-    _, sighting, errors = seen(BOARD, turn=turn, tilt=25)
-    assert len(sighting) == 54 and np.abs(errors).max() < 0.2
+    _, detection, errors = seen(BOARD, turn=turn, tilt=25)
+    assert len(detection) == 54 and np.abs(errors).max() < 0.2
 
 
 @pytest.mark.parametrize("turn", [0, 180])
 def test_rows_run_to_the_right_where_the_half_turn_is_not_visible(turn):
     board = read_board("checkerboard 7x5 30mm")
-    _, sighting, _ = seen(board, turn=turn)
+    _, detection, _ = seen(board, turn=turn)
     assert not board.half_turn_is_visible
-    first, end_of_row = sighting.pixels[0], sighting.pixels[6]
+    first, end_of_row = detection.pixels[0], detection.pixels[6]
     assert end_of_row[0] - first[0] > 50
 
 
@@ -67,28 +66,28 @@ def test_columns_and_rows_given_the_other_way_round_are_the_same_board_turned():
 
 def test_fields_that_are_no_squares_keep_their_orientation():
     board = read_board("checkerboard 4x3 60x40mm")
-    _, sighting, errors = seen(board, turn=90, distance=0.7)
-    assert len(sighting) == 12 and np.abs(errors).max() < 0.2
+    _, detection, errors = seen(board, turn=90, distance=0.7)
+    assert len(detection) == 12 and np.abs(errors).max() < 0.2
 
 
 @pytest.mark.parametrize(("tilt", "width_px"), [(70, 8), (75, 12), (80, 24)])
 def test_board_on_the_floor_is_found_at_a_grazing_angle_when_looked_for_thoroughly(tilt, width_px):
     board = read_board("checkerboard 6x5 100mm")
-    _, sighting, errors = seen(board, 600 * 0.1 / width_px, tilt, thorough=True, roll=3, turn=15, noise=2.0)
-    assert len(sighting) >= 0.9 * 30
+    _, detection, errors = seen(board, 600 * 0.1 / width_px, tilt, thorough=True, roll=3, turn=15, noise=2.0)
+    assert len(detection) >= 0.9 * 30
     assert np.sqrt(np.mean(errors**2)) < 0.15
 
 
 def test_part_of_a_charuco_board_is_enough():
-    _, sighting, errors = seen(CHARUCO, distance=0.35, tilt=15, offset=(0.15, 0.03))
-    assert 8 <= len(sighting) < 35
+    _, detection, errors = seen(CHARUCO, distance=0.35, tilt=15, offset=(0.15, 0.03))
+    assert 8 <= len(detection) < 35
     assert np.sqrt(np.mean(errors**2)) < 0.05
 
 
 def test_charuco_whose_markers_cannot_be_read_is_found_by_its_fields():
     board = read_board("charuco 8x7 30mm 22mm DICT_5X5_100")
-    _, sighting, errors = seen(board, distance=1.5, tilt=30, blur=1.2)
-    assert not board.columns % 2 and board.rows % 2 and len(sighting) >= 35
+    _, detection, errors = seen(board, distance=1.5, tilt=30, blur=1.2)
+    assert not board.columns % 2 and board.rows % 2 and len(detection) >= 35
     assert np.abs(errors).max() < 0.5
 
 
@@ -97,19 +96,19 @@ def test_hand_over_some_corners_leaves_the_others():
     image, truth = render(LENS, BOARD, T, oversample=4), true_corners(LENS, BOARD, T)
     middle = truth[3 * 9 + 4]
     cv2.ellipse(image, tuple(int(v) for v in middle), (30, 22), 20, 0, 360, 160, -1)
-    sighting = find_board(image, BOARD)
-    assert 40 <= len(sighting) < 54
-    assert np.abs(sighting.pixels - truth[sighting.ids]).max() < 0.5
-    assert 3 * 9 + 4 not in sighting.ids
+    detection = find_board(image, BOARD)
+    assert 40 <= len(detection) < 54
+    assert np.abs(detection.pixels - truth[detection.ids]).max() < 0.5
+    assert 3 * 9 + 4 not in detection.ids
 
 
 def test_jpeg_colour_and_uneven_light_do_no_harm():
     T = looking_at_board(BOARD, 0.7, 30, roll_deg=20)
     grey = render(LENS, BOARD, T, oversample=4, shade=0.8, noise=3.0)
     code = cv2.imencode(".jpg", cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), [cv2.IMWRITE_JPEG_QUALITY, 40])[1]
-    sighting = find_board(cv2.imdecode(code, cv2.IMREAD_COLOR), BOARD)
-    errors = sighting.pixels - true_corners(LENS, BOARD, T)[sighting.ids]
-    assert len(sighting) == 54 and np.sqrt(np.mean(errors**2)) < 0.1
+    detection = find_board(cv2.imdecode(code, cv2.IMREAD_COLOR), BOARD)
+    errors = detection.pixels - true_corners(LENS, BOARD, T)[detection.ids]
+    assert len(detection) == 54 and np.sqrt(np.mean(errors**2)) < 0.1
 
 
 def test_same_image_gives_the_same_bytes():
@@ -126,19 +125,19 @@ def test_image_without_a_board_gives_nothing():
 
 @pytest.mark.parametrize("blur", [0.5, 1.0, 2.0])
 def test_blur_of_the_optics_is_measured(blur):
-    image, sighting, _ = seen(BOARD, blur=blur)
-    assert blur_px(image, sighting) == pytest.approx(blur, abs=0.15)
+    image, detection, _ = seen(BOARD, blur=blur)
+    assert blur_px(image, detection) == pytest.approx(blur, abs=0.15)
 
 
 def test_motion_counts_in_the_direction_of_the_worse_blur():
     length = 6.0
-    image, sighting, _ = seen(BOARD, roll=0, tilt=0, blur=0.6, shutter_px=(length, 0.0))
-    assert blur_px(image, sighting) == pytest.approx(np.hypot(0.6, length / np.sqrt(12)), rel=0.25)
+    image, detection, _ = seen(BOARD, roll=0, tilt=0, blur=0.6, shutter_px=(length, 0.0))
+    assert blur_px(image, detection) == pytest.approx(np.hypot(0.6, length / np.sqrt(12)), rel=0.25)
 
 
 def test_markers_do_not_spoil_the_measure_of_blur():
-    image, sighting, _ = seen(CHARUCO, distance=0.45, blur=1.0)
-    assert blur_px(image, sighting) == pytest.approx(1.0, abs=0.25)
+    image, detection, _ = seen(CHARUCO, distance=0.45, blur=1.0)
+    assert blur_px(image, detection) == pytest.approx(1.0, abs=0.25)
 
 
 @pytest.mark.parametrize(

@@ -21,16 +21,16 @@ def scene(distance, tilt, board=BOARD, turn=10, blur=0.6):
 def test_roughly_given_corners_lead_to_all_exact_ones(model, distance, tilt, error_px):
     image, truth = scene(distance, tilt)
     rough = truth[OUTER] + np.random.default_rng(1).uniform(-error_px, error_px, (4, 2))
-    sighting = find_from_outer_corners(image, BOARD, rough, model=model, camera="cam", moment=3)
-    assert (sighting.camera, sighting.moment) == ("cam", 3)
-    assert len(sighting) >= 27
-    assert np.sqrt(np.mean((sighting.pixels - truth[sighting.ids]) ** 2)) < 0.15
+    detection = find_from_outer_corners(image, BOARD, rough, model=model, camera="cam", frame_index=3)
+    assert (detection.camera, detection.frame_index) == ("cam", 3)
+    assert len(detection) >= 27
+    assert np.sqrt(np.mean((detection.pixels - truth[detection.ids]) ** 2)) < 0.15
 
 
 def test_colours_decide_which_corner_is_first_when_the_board_is_given_from_its_other_end():
     image, truth = scene(1.5, 30)
-    sighting = find_from_outer_corners(image, BOARD, truth[[29, 24, 0, 5]])
-    assert np.abs(sighting.pixels - truth[sighting.ids]).max() < 0.3
+    detection = find_from_outer_corners(image, BOARD, truth[[29, 24, 0, 5]])
+    assert np.abs(detection.pixels - truth[detection.ids]).max() < 0.3
 
 
 def test_order_given_counts_where_colours_do_not_tell():

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from bundle_studio import rotation
 
+from rig_calibration.bundle.adjustment import FreeUnknowns, normal_equations, step
 from rig_calibration.bundle.lens_derivatives import COEFFICIENTS
-from rig_calibration.bundle.normal_equations import Free, normal_equations, step
-from rig_calibration.bundle.observations import Layout, Observations, State
 from rig_calibration.bundle.projection import linearise, residuals_px
+from rig_calibration.bundle.state import Layout, Observations, State
 
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
 
 
 def state_and_observations(rng: np.random.Generator) -> tuple[State, Observations]:
-    """Two cameras, three poses of two targets, four sightings."""
+    """Two cameras, three poses of two targets, four detections."""
     lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(COEFFICIENTS - 1)]])
     state = State(
         rotation([0.1, -0.2, 0.05])[None] @ np.stack([np.eye(3), rotation([0, 0.3, 0])]),
@@ -86,7 +86,7 @@ def test_derivatives_match_central_differences():
 def test_step_equals_that_of_the_full_normal_equations(damping: float):
     state, seen = state_and_observations(np.random.default_rng(2))
     layout = Layout(2, 2)
-    free = Free(np.ones(layout.size, bool), np.array([True, True, False]))
+    free = FreeUnknowns(np.ones(layout.size, bool), np.array([True, True, False]))
     free.shared[:6], free.shared[-2] = False, False
     linear = linearise(state, seen)
     J = np.zeros((4, 14, layout.size + 18))

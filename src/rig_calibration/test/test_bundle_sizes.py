@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_studio import T_WORLD_FLOOR, TARGETS, carried_and_floor, errors, ring, sightings_of, truth, worst
+from bundle_studio import T_WORLD_FLOOR, TARGETS, carried_and_floor, detections_of, errors, ring, truth, worst
 
 from rig_calibration.boards.board import Checkerboard
-from rig_calibration.bundle.scales import comparable_targets
 from rig_calibration.bundle.solve import solve_rig
+from rig_calibration.bundle.view_graph import comparable_targets
 
 CAMERAS = ring(4)
 
@@ -24,9 +24,9 @@ def test_sizes_that_agree_are_reported_as_one_within_their_error():
 
 @pytest.mark.parametrize("factor", [1.05, 1.25])
 def test_wrong_square_size_of_the_floor_board_is_measured(factor: float):
-    sightings = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    detections = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
     given = {**TARGETS, "floor": TARGETS["floor"] * factor}
-    solution = solve_rig(CAMERAS, sightings, given, reference="floor")
+    solution = solve_rig(CAMERAS, detections, given, reference="floor")
     ratio, sd = solution.scale_of["floor"]
     assert ratio * factor == pytest.approx(1.0, abs=3 * sd * factor)
     assert solution.left_out == ()
@@ -34,8 +34,8 @@ def test_wrong_square_size_of_the_floor_board_is_measured(factor: float):
 
 
 def test_target_seen_only_where_no_other_links_the_cameras_is_not_compared():
-    sightings = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
-    apart = [s for s in sightings if s.target == "floor" or s.camera in ("cam01", "cam02")]
+    detections = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    apart = [s for s in detections if s.target == "floor" or s.camera in ("cam01", "cam02")]
     assert comparable_targets(apart, ["floor", "moving"], "moving").tolist() == [True, False]
     apart = [s for s in apart if s.target == "moving" or s.camera in ("cam03", "cam04", "cam02")]
     assert not comparable_targets(apart, ["floor", "moving"], "moving").any()
@@ -43,12 +43,12 @@ def test_target_seen_only_where_no_other_links_the_cameras_is_not_compared():
 
 def test_hidden_half_turns_are_settled_by_what_cameras_agree_on():
     rng = np.random.default_rng(3)
-    sightings = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
-    upset = [s.target == "moving" and rng.random() < 0.5 for s in sightings]
-    mixed = [replace(s, ids=s.ids[::-1].copy()) if u else s for s, u in zip(sightings, upset, strict=True)]
-    expected = solve_rig(CAMERAS, sightings, TARGETS, reference="floor")
-    found = solve_rig(CAMERAS, mixed, TARGETS, reference="floor", turnable={"moving": 2})
-    assert found.turned and found.undecided == () and found.left_out == ()
+    detections = carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    upset = [s.target == "moving" and rng.random() < 0.5 for s in detections]
+    mixed = [replace(s, ids=s.ids[::-1].copy()) if u else s for s, u in zip(detections, upset, strict=True)]
+    expected = solve_rig(CAMERAS, detections, TARGETS, reference="floor")
+    found = solve_rig(CAMERAS, mixed, TARGETS, reference="floor", symmetry_orders={"moving": 2})
+    assert found.renumbered and found.undecided == () and found.left_out == ()
     for name in CAMERAS:
         np.testing.assert_allclose(found.T_camera_reference[name], expected.T_camera_reference[name], atol=1e-7)
 
@@ -59,17 +59,17 @@ def test_quarter_turns_of_a_square_board_are_settled():
 
     from rig_calibration.bundle.target_shape import target_shape
 
-    turns = target_shape("", board.corners_board, 4).turns
+    symmetries = target_shape("", board.corners_board, 4).symmetries
     rng = np.random.default_rng(2)
-    sightings = sightings_of(CAMERAS, carried(rng, 30), "moving", rng, points=board.corners_board)
-    mixed = [replace(s, ids=turns[rng.integers(4)].permutation[s.ids]) for s in sightings]
-    found = solve_rig(CAMERAS, mixed, {"moving": board.corners_board}, reference="cam01", turnable={"moving": 4})
+    detections = detections_of(CAMERAS, carried(rng, 30), "moving", rng, points=board.corners_board)
+    mixed = [replace(s, ids=symmetries[rng.integers(4)].permutation[s.ids]) for s in detections]
+    found = solve_rig(CAMERAS, mixed, {"moving": board.corners_board}, reference="cam01", symmetry_orders={"moving": 4})
     assert worst(errors(found, truth(CAMERAS, "cam01")))[0] < 10
 
 
 def test_half_turn_that_a_single_floor_board_cannot_tell_is_said_to_be_undecided():
-    floor = sightings_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    floor = detections_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
     told = solve_rig(CAMERAS, floor, {"floor": TARGETS["floor"]}, reference="floor")
-    hidden = solve_rig(CAMERAS, floor, {"floor": TARGETS["floor"]}, reference="floor", turnable={"floor": 2})
+    hidden = solve_rig(CAMERAS, floor, {"floor": TARGETS["floor"]}, reference="floor", symmetry_orders={"floor": 2})
     assert told.undecided == () and hidden.undecided == tuple(CAMERAS)
     assert worst(errors(hidden, truth(CAMERAS)))[0] < 20  # the numbering is left as it came

@@ -15,16 +15,16 @@ from bundle_studio import (
     camera_at,
     carried,
     carried_and_floor,
+    detections_of,
     errors,
     ring,
-    sightings_of,
     truth,
     worst,
 )
 from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import TargetDetection
 from rig_calibration.bundle.solve import RigSolution, solve_rig
 
 
@@ -37,8 +37,8 @@ def noisy() -> RigSolution:
 
 def test_exact_corners_give_the_exact_rig():
     cameras = ring(3)
-    sightings = carried_and_floor(cameras, np.random.default_rng(0), 8, noise_px=0.0)
-    solution = solve_rig(cameras, sightings, TARGETS, reference="floor")
+    detections = carried_and_floor(cameras, np.random.default_rng(0), 8, noise_px=0.0)
+    solution = solve_rig(cameras, detections, TARGETS, reference="floor")
     centre_mm, rotation_deg = worst(errors(solution, truth(cameras)))
     assert centre_mm < 1e-3 and rotation_deg < 1e-4
     assert solution.left_out == () and solution.rms_all_px < 1e-4
@@ -53,15 +53,15 @@ def test_figures_tell_the_noise_that_was_injected(noisy: RigSolution):
     assert noisy.noise == pytest.approx(1.0, abs=0.08)
     assert noisy.rms_all_px == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
     assert all(rms == pytest.approx(0.2 * np.sqrt(2), rel=0.15) for rms in noisy.rms_px.values())
-    assert noisy.inflation < 1.5 and noisy.displacement_m == 0.0
+    assert noisy.inflation < 1.5 and noisy.sync_error_m == 0.0
 
 
 def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
     poses = carried(np.random.default_rng(1), 100)
     np.testing.assert_allclose(noisy.T_reference_target["floor", 0], np.eye(4), atol=1e-12)
     errors_m = [
-        np.linalg.norm((T_WORLD_FLOOR @ T)[:3, 3] - poses[moment][:3, 3])
-        for (target, moment), T in noisy.T_reference_target.items()
+        np.linalg.norm((T_WORLD_FLOOR @ T)[:3, 3] - poses[frame_index][:3, 3])
+        for (target, frame_index), T in noisy.T_reference_target.items()
         if target == "moving"
     ]
     assert len(errors_m) > 60 and np.median(errors_m) < 0.005
@@ -69,8 +69,8 @@ def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
 
 def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
     cameras = ring(4)
-    sightings = carried_and_floor(cameras, np.random.default_rng(1), 100)
-    other = solve_rig(cameras, sightings, TARGETS, reference="cam02")
+    detections = carried_and_floor(cameras, np.random.default_rng(1), 100)
+    other = solve_rig(cameras, detections, TARGETS, reference="cam02")
     np.testing.assert_allclose(other.T_camera_reference["cam02"], np.eye(4), atol=1e-12)
     assert not other.covariance["cam02"].any() and other.covariance["cam01"].any()
     for name in cameras:
@@ -82,10 +82,10 @@ def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
 
 def test_same_bytes_in_whatever_order_the_input_comes():
     cameras = ring(3)
-    sightings = carried_and_floor(cameras, np.random.default_rng(2), 10)
+    detections = carried_and_floor(cameras, np.random.default_rng(2), 10)
     covariance = {name: np.array([1, 1, 1, 1, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3]) for name in cameras}
-    first = solve_rig(cameras, sightings, TARGETS, intrinsics_covariance=covariance)
-    shuffled = [sightings[i] for i in np.random.default_rng(0).permutation(len(sightings))]
+    first = solve_rig(cameras, detections, TARGETS, intrinsics_covariance=covariance)
+    shuffled = [detections[i] for i in np.random.default_rng(0).permutation(len(detections))]
     upset = [replace(s, ids=s.ids[::-1].copy(), pixels=s.pixels[::-1].copy()) for s in shuffled]
     second = solve_rig(
         dict(reversed(cameras.items())),
@@ -101,17 +101,18 @@ def test_same_bytes_in_whatever_order_the_input_comes():
 def test_two_cameras_agree_with_stereo_calibration_of_opencv():
     cameras = {"cam01": camera_at("cam01", (2.5, -0.4, 1.4)), "cam02": camera_at("cam02", (2.5, 0.4, 1.4))}
     rng = np.random.default_rng(3)
-    sightings = sightings_of(cameras, carried(rng, 40), "moving", rng)
-    moments = sorted(
-        {s.moment for s in sightings if s.camera == "cam01"} & {s.moment for s in sightings if s.camera == "cam02"}
+    detections = detections_of(cameras, carried(rng, 40), "moving", rng)
+    frames = sorted(
+        {s.frame_index for s in detections if s.camera == "cam01"}
+        & {s.frame_index for s in detections if s.camera == "cam02"}
     )
-    pixels = {(s.camera, s.moment): s.pixels.astype(np.float32) for s in sightings}
+    pixels = {(s.camera, s.frame_index): s.pixels.astype(np.float32) for s in detections}
     board = BOARD.corners_board.astype(np.float32)
     a, b = cameras.values()
     result = cv2.stereoCalibrate(
-        [board] * len(moments),
-        [pixels["cam01", m] for m in moments],
-        [pixels["cam02", m] for m in moments],
+        [board] * len(frames),
+        [pixels["cam01", m] for m in frames],
+        [pixels["cam02", m] for m in frames],
         a.K.copy(),
         a.D.copy(),
         b.K.copy(),
@@ -120,9 +121,9 @@ def test_two_cameras_agree_with_stereo_calibration_of_opencv():
         flags=cv2.CALIB_FIX_INTRINSIC,
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12),
     )
-    both = [s for s in sightings if s.moment in moments]
+    both = [s for s in detections if s.frame_index in frames]
     T = solve_rig(cameras, both, {"moving": BOARD.corners_board}, reference="cam01").T_camera_reference["cam02"]
-    assert len(moments) > 8
+    assert len(frames) > 8
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(T[:3, :3] @ result[5].T)[0])) < 0.01
     np.testing.assert_allclose(T[:3, 3], result[6].ravel(), atol=5e-4)
 
@@ -130,16 +131,16 @@ def test_two_cameras_agree_with_stereo_calibration_of_opencv():
 def test_minimum_is_that_of_scipy_least_squares():
     cameras = ring(3)
     rng = np.random.default_rng(5)
-    sightings = [s for s in carried_and_floor(cameras, rng, 6) if s.target == "floor" or s.moment < 6]
-    solution = solve_rig(cameras, sightings, TARGETS, reference="floor")
+    detections = [s for s in carried_and_floor(cameras, rng, 6) if s.target == "floor" or s.frame_index < 6]
+    solution = solve_rig(cameras, detections, TARGETS, reference="floor")
     names, keys = sorted(cameras), sorted(key for key in solution.T_reference_target if key != ("floor", 0))
 
     def residuals(x: np.ndarray) -> np.ndarray:
         camera, target = dict(zip(names, x[: 6 * len(names)].reshape(-1, 6), strict=True)), {}
         target = dict(zip(keys, x[6 * len(names) :].reshape(-1, 6), strict=True))
         rows = []
-        for s in sightings:
-            pose = target.get((s.target, s.moment), np.zeros(6))
+        for s in detections:
+            pose = target.get((s.target, s.frame_index), np.zeros(6))
             points = TARGETS[s.target][s.ids] @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
             w, model = camera[s.camera], cameras[s.camera]
             pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), w[:3], w[3:], model.K, model.D)
@@ -153,7 +154,7 @@ def test_minimum_is_that_of_scipy_least_squares():
         [vector(solution.T_camera_reference[n]) for n in names] + [vector(solution.T_reference_target[k]) for k in keys]
     )
     found = least_squares(residuals, x + 1e-3, loss="linear", x_scale="jac")
-    assert len(solution.sightings) == len(sightings)
+    assert len(solution.detections) == len(detections)
     assert 2 * found.cost == pytest.approx(float(np.sum(residuals(x) ** 2)), rel=1e-3)
     for row, name in enumerate(names):
         w = found.x[6 * row : 6 * row + 6]
@@ -163,31 +164,31 @@ def test_minimum_is_that_of_scipy_least_squares():
 
 def test_rig_is_found_when_each_pair_shares_views_but_nobody_sees_all():
     cameras = ring(6)
-    sightings = sightings_of(cameras, carried(np.random.default_rng(6), 60), "moving", np.random.default_rng(0))
-    solution = solve_rig(cameras, sightings, {"moving": BOARD.corners_board}, reference="cam01")
+    detections = detections_of(cameras, carried(np.random.default_rng(6), 60), "moving", np.random.default_rng(0))
+    solution = solve_rig(cameras, detections, {"moving": BOARD.corners_board}, reference="cam01")
     centre_mm, rotation_deg = worst(errors(solution, truth(cameras, "cam01")))
     assert centre_mm < 15 and rotation_deg < 0.2
 
 
-def sighting(**changed: object) -> Sighting:
-    return replace(Sighting("cam01", 0, np.arange(30), np.ones((30, 2)), SIZE, "moving"), **changed)  # type: ignore
+def detection(**changed: object) -> TargetDetection:
+    return replace(TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), SIZE, "moving"), **changed)  # type: ignore
 
 
 @pytest.mark.parametrize(
-    ("sightings", "said"),
+    ("detections", "said"),
     [
-        ([sighting(camera="cam09")], "no intrinsics of camera 'cam09'"),
-        ([sighting(target="other")], "target 'other' is not known"),
-        ([sighting(image_size=(1920, 1080))], "1920 x 1080 pixels, the camera's intrinsics are for 640 x 480"),
-        ([sighting(ids=np.arange(30) + 5)], "corner 34, the target has 30"),
-        ([sighting(ids=np.zeros(30, int))], "not numbered one by one"),
-        ([sighting(), sighting()], "two sightings by camera 'cam01' at moment 0"),
-        ([sighting()], "cam02, cam03: no picture"),
+        ([detection(camera="cam09")], "no intrinsics of camera 'cam09'"),
+        ([detection(target="other")], "target 'other' is not known"),
+        ([detection(image_size=(1920, 1080))], "1920 x 1080 pixels, the camera's intrinsics are for 640 x 480"),
+        ([detection(ids=np.arange(30) + 5)], "corner 34, the target has 30"),
+        ([detection(ids=np.zeros(30, int))], "not numbered one by one"),
+        ([detection(), detection()], "two detections by camera 'cam01' at moment 0"),
+        ([detection()], "cam02, cam03: no picture"),
     ],
 )
-def test_sightings_that_do_not_fit_are_named(sightings: list[Sighting], said: str):
+def test_detections_that_do_not_fit_are_named(detections: list[TargetDetection], said: str):
     with pytest.raises(InputError, match=said):
-        solve_rig(ring(3), sightings, TARGETS)
+        solve_rig(ring(3), detections, TARGETS)
 
 
 @pytest.mark.parametrize(("reference", "said"), [("moving", r"seen at \d+ moments"), ("ceiling", "neither a camera")])

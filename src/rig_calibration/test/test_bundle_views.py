@@ -6,29 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, project, ring, rotation, sightings_of
+from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, detections_of, project, ring, rotation
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import CharucoBoard, Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import CharucoBoard, Checkerboard, TargetDetection
+from rig_calibration.bundle.detection_poses import detection_poses
 from rig_calibration.bundle.relative_poses import relative_pose
 from rig_calibration.bundle.rigid import inverse, transform
-from rig_calibration.bundle.sighting_poses import sighting_poses
-from rig_calibration.bundle.target_shape import target_shape, turns_of
-from rig_calibration.bundle.view_graph import common_moments, groups_of, require_connected
+from rig_calibration.bundle.target_shape import symmetry_order_of, target_shape
+from rig_calibration.bundle.view_graph import common_frames, groups_of, require_connected
 
 
-def seen_once(T_world_target: np.ndarray, points: np.ndarray, ids: np.ndarray | None = None) -> Sighting:
+def seen_once(T_world_target: np.ndarray, points: np.ndarray, ids: np.ndarray | None = None) -> TargetDetection:
     ids = np.arange(len(points)) if ids is None else ids
     pixels = project(camera_at("cam01", (3, 0, 2)), T_world_target, points[ids])
-    return Sighting("cam01", 0, ids, pixels, SIZE)
+    return TargetDetection("cam01", 0, ids, pixels, SIZE)
 
 
 def test_first_pose_is_the_true_one_when_corners_are_exact():
     camera = camera_at("cam01", (3, 0, 2))
     for T in carried(np.random.default_rng(0), 10).values():
         shape = target_shape("", BOARD.corners_board)
-        poses = sighting_poses(seen_once(T, BOARD.corners_board), camera, shape)
+        poses = detection_poses(seen_once(T, BOARD.corners_board), camera, shape)
         assert poses is not None
         expected = camera.T_camera_world @ T @ transform(np.eye(3), shape.centroid)
         np.testing.assert_allclose(transform(poses.R[0], poses.t[0]), expected, atol=1e-5)
@@ -39,10 +38,10 @@ def test_both_mirror_poses_are_kept_when_the_board_is_small_and_far():
     T = np.eye(4)
     T[:3, :3] = rotation([0, np.radians(60), 0])
     points = BOARD.corners_board / 2
-    sighting = Sighting("cam01", 0, np.arange(30), project(camera, T, points), SIZE)
-    noisy = replace(sighting, pixels=sighting.pixels + 0.3 * np.random.default_rng(0).normal(size=(30, 2)))
-    poses = sighting_poses(noisy, camera, target_shape("", points))
-    near = sighting_poses(
+    detection = TargetDetection("cam01", 0, np.arange(30), project(camera, T, points), SIZE)
+    noisy = replace(detection, pixels=detection.pixels + 0.3 * np.random.default_rng(0).normal(size=(30, 2)))
+    poses = detection_poses(noisy, camera, target_shape("", points))
+    near = detection_poses(
         seen_once(T @ transform(np.eye(3), np.array([1.0, 0, 1])), BOARD.corners_board),
         camera_at("cam01", (3, 0, 2)),
         target_shape("", BOARD.corners_board),
@@ -54,33 +53,33 @@ def test_both_mirror_poses_are_kept_when_the_board_is_small_and_far():
 
 @pytest.mark.parametrize("ids", [[0, 1, 2], [0, 1, 2, 3, 4, 5]])
 def test_no_pose_from_three_corners_or_a_row_of_them(ids: list[int]):
-    sighting = seen_once(carried(np.random.default_rng(1), 1)[0], BOARD.corners_board, np.array(ids))
-    assert sighting_poses(sighting, camera_at("cam01", (3, 0, 2)), target_shape("", BOARD.corners_board)) is None
+    detection = seen_once(carried(np.random.default_rng(1), 1)[0], BOARD.corners_board, np.array(ids))
+    assert detection_poses(detection, camera_at("cam01", (3, 0, 2)), target_shape("", BOARD.corners_board)) is None
 
 
 def test_pose_of_a_target_that_is_not_flat():
     points = np.random.default_rng(0).uniform(-0.3, 0.3, size=(12, 3))
     T = transform(rotation([0.3, 0.5, -0.2]), np.array([0.1, 0.2, 1.0]))
     camera = camera_at("cam01", (3, 0, 2))
-    poses = sighting_poses(seen_once(T, points), camera, target_shape("", points))
+    poses = detection_poses(seen_once(T, points), camera, target_shape("", points))
     assert poses is not None
     expected = camera.T_camera_world @ T @ transform(np.eye(3), points.mean(0))
     np.testing.assert_allclose(transform(poses.R[0], poses.t[0]), expected, atol=1e-5)
 
 
 def test_turns_follow_colours_and_markers():
-    assert turns_of(Checkerboard(9, 6, (0.03, 0.03))) == 1
-    assert turns_of(Checkerboard(8, 6, (0.03, 0.03))) == 2
-    assert turns_of(Checkerboard(6, 6, (0.03, 0.03))) == 4
-    assert turns_of(Checkerboard(6, 6, (0.03, 0.02))) == 2
-    assert turns_of(Checkerboard(7, 7, (0.03, 0.03))) == 2  # a quarter turn swaps black and white
-    assert turns_of(CharucoBoard(8, 8, 0.03, 0.02, "DICT_5X5_100")) == 1
+    assert symmetry_order_of(Checkerboard(9, 6, (0.03, 0.03))) == 1
+    assert symmetry_order_of(Checkerboard(8, 6, (0.03, 0.03))) == 2
+    assert symmetry_order_of(Checkerboard(6, 6, (0.03, 0.03))) == 4
+    assert symmetry_order_of(Checkerboard(6, 6, (0.03, 0.02))) == 2
+    assert symmetry_order_of(Checkerboard(7, 7, (0.03, 0.03))) == 2  # a quarter turn swaps black and white
+    assert symmetry_order_of(CharucoBoard(8, 8, 0.03, 0.02, "DICT_5X5_100")) == 1
 
 
 def test_turned_points_lie_on_the_points_of_the_permutation():
-    for turn in target_shape("", Checkerboard(6, 6, (0.1, 0.1)).corners_board, 4).turns:
+    for symmetry in target_shape("", Checkerboard(6, 6, (0.1, 0.1)).corners_board, 4).symmetries:
         shape = target_shape("", Checkerboard(6, 6, (0.1, 0.1)).corners_board)
-        np.testing.assert_allclose(shape.points @ turn.R.T, shape.points[turn.permutation], atol=1e-12)
+        np.testing.assert_allclose(shape.points @ symmetry.R.T, shape.points[symmetry.permutation], atol=1e-12)
     with pytest.raises(InputError, match="does not look alike"):
         target_shape("charuco", Checkerboard(6, 5, (0.1, 0.1)).corners_board, 4)
 
@@ -93,9 +92,9 @@ def test_relative_pose_survives_ambiguous_and_turned_views():
     common = []
     for T in carried(rng, 40).values():
         pixels = [project(camera, T, points) + 0.3 * rng.normal(size=(16, 2)) for camera in cameras.values()]
-        ids = [np.arange(16), shape.turns[rng.integers(4)].permutation]
+        ids = [np.arange(16), shape.symmetries[rng.integers(4)].permutation]
         poses = [
-            sighting_poses(Sighting("", 0, i, p, SIZE), camera, shape)
+            detection_poses(TargetDetection("", 0, i, p, SIZE), camera, shape)
             for i, p, camera in zip(ids, pixels, cameras.values(), strict=True)
         ]
         if poses[0] is not None and poses[1] is not None:
@@ -108,17 +107,17 @@ def test_relative_pose_survives_ambiguous_and_turned_views():
 
 def test_groups_and_common_moments_are_counted():
     cameras = ring(4)
-    found = sightings_of(cameras, carried(np.random.default_rng(2), 30), "moving", np.random.default_rng(0))
-    counted = common_moments(found)
-    moments = {name: {s.moment for s in found if s.camera == name} for name in cameras}
-    assert counted["cam01", "cam02"] == len(moments["cam01"] & moments["cam02"]) > 0
+    found = detections_of(cameras, carried(np.random.default_rng(2), 30), "moving", np.random.default_rng(0))
+    counted = common_frames(found)
+    frames = {name: {s.frame_index for s in found if s.camera == name} for name in cameras}
+    assert counted["cam01", "cam02"] == len(frames["cam01"] & frames["cam02"]) > 0
     assert groups_of(cameras, found) == [tuple(sorted(cameras))]
 
 
 def test_cameras_without_common_view_are_named_by_group():
     shown = [
-        Sighting(camera, moment, np.arange(30), np.zeros((30, 2)), SIZE)
-        for camera, moment in (("cam01", 0), ("cam02", 0), ("cam03", 1), ("cam04", 1))
+        TargetDetection(camera, frame_index, np.arange(30), np.zeros((30, 2)), SIZE)
+        for camera, frame_index in (("cam01", 0), ("cam02", 0), ("cam03", 1), ("cam04", 1))
     ]
     with pytest.raises(InputError, match=r"cam01, cam02 \| cam03, cam04.*Show the board where cameras of both groups"):
         require_connected(["cam04", "cam03", "cam02", "cam01"], shown)

@@ -5,25 +5,24 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from bundle_studio import SIZE, T_WORLD_FLOOR, TARGETS, camera_at, errors, project, ring, rotation, sightings_of, truth
+from bundle_studio import SIZE, T_WORLD_FLOOR, TARGETS, camera_at, detections_of, errors, project, ring, rotation, truth
 from bundle_studio import worst as worst_of
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import TargetDetection
+from rig_calibration.boards.wand import WAND, find_blobs, find_wand, wand_points, wand_symmetry_order
 from rig_calibration.bundle.solve import solve_rig
-from rig_calibration.bundle.wand import WAND, find_wand, wand_points, wand_turns
-from rig_calibration.bundle.wand_blobs import find_blobs
 
 UNEVEN, EVEN, TWO = (0.0, 0.25, 0.4), (0.0, 0.2, 0.4), (0.0, 0.4)
 CAMERA = camera_at("cam01", (3, 0, 1.5))
 
 
-def waved(rng: np.random.Generator, moments: int) -> dict[int, np.ndarray]:
+def waved(rng: np.random.Generator, frames: int) -> dict[int, np.ndarray]:
     poses = {}
-    for moment in range(moments):
+    for frame_index in range(frames):
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = rotation(2 * rng.normal(size=3)), rng.uniform([-1, -1, 0.3], [1, 1, 1.9])
-        poses[moment] = T
+        poses[frame_index] = T
     return poses
 
 
@@ -37,16 +36,16 @@ def picture(pixels: np.ndarray, rng: np.random.Generator, radius_px: float = 3.0
     return np.clip(image + 2 * rng.normal(size=image.shape), 0, 255).astype(np.uint8)
 
 
-def wand_sightings(marks: tuple[float, ...], moments: int, seed: int) -> list[Sighting]:
+def wand_detections(marks: tuple[float, ...], frames: int, seed: int) -> list[TargetDetection]:
     """Markers with 0.1 px of noise; of a wand that looks the same from both ends, numbered at random."""
     rng, found = np.random.default_rng(seed), []
-    for moment, T in waved(rng, moments).items():
+    for frame_index, T in waved(rng, frames).items():
         for name, camera in ring(4).items():
             pixels = project(camera, T, wand_points(marks))
             if np.all((pixels > 2) & (pixels < np.array(SIZE) - 3)):
-                ids = np.arange(len(marks))[:: rng.choice([1, -1]) if wand_turns(marks) == 2 else 1].copy()
+                ids = np.arange(len(marks))[:: rng.choice([1, -1]) if wand_symmetry_order(marks) == 2 else 1].copy()
                 noisy = pixels + 0.1 * rng.normal(size=pixels.shape)
-                found.append(Sighting(name, moment, ids, noisy, SIZE, WAND, 0.1))
+                found.append(TargetDetection(name, frame_index, ids, noisy, SIZE, WAND, 0.1))
     return found
 
 
@@ -91,10 +90,10 @@ def test_uneven_wand_is_numbered_right_among_stray_lights():
         if not np.all((pixels > 10) & (pixels < np.array(SIZE) - 10)) or length < 40:
             continue
         strays = rng.uniform([10, 10], np.array(SIZE) - 10, size=(2, 2))
-        sighting = find_wand(picture(np.concatenate([pixels, strays]), rng), UNEVEN, CAMERA, moment=3)
-        if sighting is not None:
+        detection = find_wand(picture(np.concatenate([pixels, strays]), rng), UNEVEN, CAMERA, frame_index=3)
+        if detection is not None:
             found += 1
-            right += int(np.abs(sighting.pixels - pixels).max() < 1.0)
+            right += int(np.abs(detection.pixels - pixels).max() < 1.0)
     assert found >= 15 and right == found
 
 
@@ -110,10 +109,10 @@ def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
     cameras = ring(4)
     solution = solve_rig(
         cameras,
-        wand_sightings(marks, 30, seed=1),
+        wand_detections(marks, 30, seed=1),
         {WAND: wand_points(marks)},
         reference="cam01",
-        turnable={WAND: wand_turns(marks)},
+        symmetry_orders={WAND: wand_symmetry_order(marks)},
     )
     found = errors(solution, truth(cameras, "cam01"))
     centre_mm, rotation_deg = worst_of(found)
@@ -124,13 +123,13 @@ def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
 
 def test_wand_and_floor_board_together_give_the_world():
     cameras = ring(4)
-    floor = sightings_of(cameras, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    floor = detections_of(cameras, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
     solution = solve_rig(
         cameras,
-        wand_sightings(TWO, 40, seed=2) + floor,
+        wand_detections(TWO, 40, seed=2) + floor,
         {WAND: wand_points(TWO), "floor": TARGETS["floor"]},
         reference="floor",
-        turnable={WAND: 2},
+        symmetry_orders={WAND: 2},
     )
     centre_mm, rotation_deg = worst_of(errors(solution, truth(cameras)))
     assert centre_mm < 7 and rotation_deg < 0.12
@@ -139,10 +138,10 @@ def test_wand_and_floor_board_together_give_the_world():
 
 
 def test_same_bytes_from_the_same_wand_in_another_order():
-    cameras, sightings = ring(3), [s for s in wand_sightings(TWO, 14, seed=3) if s.camera != "cam04"]
+    cameras, detections = ring(3), [s for s in wand_detections(TWO, 14, seed=3) if s.camera != "cam04"]
     first, second = (
-        solve_rig(cameras, order, {WAND: wand_points(TWO)}, turnable={WAND: 2})
-        for order in (sightings, sightings[::-1])
+        solve_rig(cameras, order, {WAND: wand_points(TWO)}, symmetry_orders={WAND: 2})
+        for order in (detections, detections[::-1])
     )
     for name in cameras:
         assert first.T_camera_reference[name].tobytes() == second.T_camera_reference[name].tobytes()
@@ -150,7 +149,7 @@ def test_same_bytes_from_the_same_wand_in_another_order():
 
 def test_too_few_views_of_a_wand_are_an_error_that_names_the_cameras():
     with pytest.raises(InputError, match=r"too few common views of the wand"):
-        solve_rig(ring(4), wand_sightings(UNEVEN, 3, seed=1), {WAND: wand_points(UNEVEN)})
+        solve_rig(ring(4), wand_detections(UNEVEN, 3, seed=1), {WAND: wand_points(UNEVEN)})
 
 
 @pytest.mark.parametrize(
@@ -159,4 +158,4 @@ def test_too_few_views_of_a_wand_are_an_error_that_names_the_cameras():
 )
 def test_impossible_wands_are_refused(marks: tuple[float, ...], said: str):
     with pytest.raises(InputError, match=said):
-        wand_turns(marks)
+        wand_symmetry_order(marks)

@@ -8,10 +8,8 @@ import pytest
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.sighting import Sighting
-from rig_calibration.extrinsics.floor import see_floor
-from rig_calibration.extrinsics.still_board import average_still_board
+from rig_calibration.boards.board import Checkerboard, TargetDetection
+from rig_calibration.extrinsics.floor import average_still_board, floor_view
 
 BOARD = Checkerboard(9, 6, (0.1, 0.1))
 MIDDLE_BOARD = np.array([0.4, -0.25, 0.0])
@@ -38,20 +36,20 @@ def at_angle(angle_deg: float, distance_m: float = 3.0) -> CameraModel:
 
 
 def seen(
-    camera: CameraModel, seed: int, noise_px: float = NOISE_PX, board: Checkerboard = BOARD, moment: int = 0
-) -> Sighting:
+    camera: CameraModel, seed: int, noise_px: float = NOISE_PX, board: Checkerboard = BOARD, frame_index: int = 0
+) -> TargetDetection:
     """What the camera sees of the board, projected by OpenCV."""
     corners = board.corners_board
     R, t = camera.R_camera_world, camera.t_camera_world
     pixels = cv2.projectPoints(corners, cv2.Rodrigues(R)[0], t, camera.K, camera.D)[0].reshape(-1, 2)
     pixels = pixels + noise_px * np.random.default_rng(seed).standard_normal(pixels.shape)
-    return Sighting(camera.name, moment, np.arange(len(corners)), pixels, (640, 480), sigma_px=noise_px)
+    return TargetDetection(camera.name, frame_index, np.arange(len(corners)), pixels, (640, 480), sigma_px=noise_px)
 
 
 @pytest.mark.parametrize("angle_deg", [10.0, 45.0, 70.0, 80.0])
 def test_camera_is_placed_within_its_own_uncertainty_at_any_angle(angle_deg: float) -> None:
     camera = at_angle(angle_deg)
-    views = [see_floor(seen(camera, seed), BOARD.corners_board, camera) for seed in range(30)]
+    views = [floor_view(seen(camera, seed), BOARD.corners_board, camera) for seed in range(30)]
     errors = np.array([np.linalg.norm(view.centre_board - camera.centre_world) for view in views])
     sd = views[0].sd_centre_m
     assert errors.max() < 5 * sd, "the worst of 30 in three dimensions"
@@ -63,7 +61,7 @@ def test_camera_is_placed_within_its_own_uncertainty_at_any_angle(angle_deg: flo
 def test_second_solution_is_kept_when_the_board_is_small_and_far() -> None:
     small = Checkerboard(4, 3, (0.05, 0.05))
     camera = looking_at_board(np.array([0.0, -2.0, 5.0]))
-    view = see_floor(seen(camera, 1, board=small), small.corners_board, camera)
+    view = floor_view(seen(camera, 1, board=small), small.corners_board, camera)
     assert view.other is not None
     normals = view.T_camera_board[:3, 2], view.other[:3, 2]
     assert np.rad2deg(np.arccos(normals[0] @ normals[1])) > 5.0
@@ -71,47 +69,49 @@ def test_second_solution_is_kept_when_the_board_is_small_and_far() -> None:
 
 def test_second_solution_is_ruled_out_when_the_board_is_large() -> None:
     camera = at_angle(60.0)
-    assert see_floor(seen(camera, 1), BOARD.corners_board, camera).other is None
+    assert floor_view(seen(camera, 1), BOARD.corners_board, camera).other is None
 
 
 def test_board_in_a_mirror_is_refused_with_a_remedy() -> None:
     camera = at_angle(40.0)
-    sighting = seen(camera, 2)
-    mirrored = Sighting("cam01", 0, sighting.ids.reshape(6, 9)[:, ::-1].ravel(), sighting.pixels, (640, 480))
+    detection = seen(camera, 2)
+    mirrored = TargetDetection("cam01", 0, detection.ids.reshape(6, 9)[:, ::-1].ravel(), detection.pixels, (640, 480))
     with pytest.raises(InputError, match=r"cam01: .*mirror.*print upwards"):
-        see_floor(mirrored, BOARD.corners_board, camera)
+        floor_view(mirrored, BOARD.corners_board, camera)
 
 
 def test_three_corners_are_refused() -> None:
     camera = at_angle(40.0)
-    sighting = seen(camera, 2)
-    three = Sighting("cam01", 0, sighting.ids[:3], sighting.pixels[:3], (640, 480))
+    detection = seen(camera, 2)
+    three = TargetDetection("cam01", 0, detection.ids[:3], detection.pixels[:3], (640, 480))
     with pytest.raises(InputError, match="only 3 corners"):
-        see_floor(three, BOARD.corners_board, camera)
+        floor_view(three, BOARD.corners_board, camera)
 
 
 def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_frames_out() -> None:
     camera, moved = at_angle(50.0), at_angle(55.0)
     truth = seen(camera, 0, noise_px=0.0).pixels
-    frames = [seen(camera, seed, moment=seed) for seed in range(12)]
+    frames = [seen(camera, seed, frame_index=seed) for seed in range(12)]
     hand = frames[4].pixels.copy()
     hand[7] += [9.0, -4.0]  # one corner on a finger
-    frames[4] = Sighting("cam01", 4, frames[4].ids, hand, (640, 480), sigma_px=NOISE_PX)
-    frames[6] = Sighting("cam01", 6, frames[6].ids[9:], frames[6].pixels[9:], (640, 480), sigma_px=NOISE_PX)  # an arm
-    frames += [seen(moved, seed, moment=seed) for seed in (12, 13)]
+    frames[4] = TargetDetection("cam01", 4, frames[4].ids, hand, (640, 480), sigma_px=NOISE_PX)
+    frames[6] = TargetDetection(
+        "cam01", 6, frames[6].ids[9:], frames[6].pixels[9:], (640, 480), sigma_px=NOISE_PX
+    )  # an arm
+    frames += [seen(moved, seed, frame_index=seed) for seed in (12, 13)]
     still = average_still_board(frames[::-1], BOARD, target="floor")
-    errors = still.sighting.pixels - truth
-    assert still.frames == tuple(range(12)) and still.strays == (12, 13)
+    errors = still.detection.pixels - truth
+    assert still.frames == tuple(range(12)) and still.moved_frames == (12, 13)
     assert np.sqrt((errors**2).mean()) < 1.2 * NOISE_PX / np.sqrt(12)
     assert np.abs(errors[7]).max() < 4 * NOISE_PX / np.sqrt(11)
-    assert still.sighting.target == "floor" and NOISE_PX / np.sqrt(12) < still.sighting.sigma_px < NOISE_PX / 2
+    assert still.detection.target == "floor" and NOISE_PX / np.sqrt(12) < still.detection.sigma_px < NOISE_PX / 2
 
 
 def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one_order() -> None:
     board = Checkerboard(8, 6, (0.1, 0.1))
     camera = at_angle(50.0)
-    frames = [seen(camera, seed, board=board, moment=seed) for seed in range(4)]
-    frames[2] = Sighting("cam01", 2, frames[2].ids[::-1].copy(), frames[2].pixels, (640, 480))
+    frames = [seen(camera, seed, board=board, frame_index=seed) for seed in range(4)]
+    frames[2] = TargetDetection("cam01", 2, frames[2].ids[::-1].copy(), frames[2].pixels, (640, 480))
     still = average_still_board(frames, board, target="floor")
     assert len(still.frames) == 4
-    assert np.abs(still.sighting.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * NOISE_PX / 2
+    assert np.abs(still.detection.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * NOISE_PX / 2

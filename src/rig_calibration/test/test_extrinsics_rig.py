@@ -1,4 +1,4 @@
-"""From sightings to the rig: places against those the corners were projected from, and every verdict's cause."""
+"""From detections to the rig: places against those the corners were projected from, and every verdict's cause."""
 
 from __future__ import annotations
 
@@ -23,12 +23,11 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import save_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
-from rig_calibration.extrinsics.from_motion import moments_on_floor
-from rig_calibration.extrinsics.still_board import average_still_board
-from rig_calibration.extrinsics.tape import TapeMeasure
+from rig_calibration.extrinsics.carried_board import frames_on_floor
+from rig_calibration.extrinsics.floor import average_still_board
+from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import WorldChoice
 
 TARGETS = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
@@ -36,17 +35,17 @@ FLOOR_ONLY = {FLOOR: TARGETS[FLOOR]}
 FRAMES = 15
 
 
-def floor_sightings(cameras: dict[str, CameraModel], board: Checkerboard = FLOOR_BOARD) -> list[Sighting]:
+def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = FLOOR_BOARD) -> list[TargetDetection]:
     """Fifteen frames of the board on the floor, averaged."""
     seen = see_all(cameras, board, [on_floor(board)] * FRAMES, FLOOR)
     return [
-        average_still_board([s for s in seen if s.camera == name], board, target=FLOOR).sighting
+        average_still_board([s for s in seen if s.camera == name], board, target=FLOOR).detection
         for name in cameras
         if any(s.camera == name for s in seen)
     ]
 
 
-def carried_sightings(cameras: dict[str, CameraModel], count: int = 60) -> list[Sighting]:
+def carried_detections(cameras: dict[str, CameraModel], count: int = 60) -> list[TargetDetection]:
     return see_all(cameras, CARRIED_BOARD, carried_poses(count), MOVING)
 
 
@@ -61,7 +60,7 @@ def room() -> dict[str, CameraModel]:
 
 @pytest.fixture(scope="module")
 def whole(room: dict[str, CameraModel]) -> RigCalibration:
-    return calibrate_rig(room, floor_sightings(room) + carried_sightings(room), TARGETS)
+    return calibrate_rig(room, floor_detections(room) + carried_detections(room), TARGETS)
 
 
 def test_cameras_are_placed_within_5_mm_and_a_tenth_of_a_degree(
@@ -91,35 +90,35 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
     assert sum(whole.figures.gaps_deg.values()) == pytest.approx(360.0)
 
 
-def test_same_sightings_in_any_order_give_the_same_bytes(tmp_path, room: dict[str, CameraModel]) -> None:
-    sightings = floor_sightings(room) + carried_sightings(room, 20)
-    for name, seen, cameras in (("a", sightings, room), ("b", sightings[::-1], dict(reversed(room.items())))):
+def test_same_detections_in_any_order_give_the_same_bytes(tmp_path, room: dict[str, CameraModel]) -> None:
+    detections = floor_detections(room) + carried_detections(room, 20)
+    for name, seen, cameras in (("a", detections, room), ("b", detections[::-1], dict(reversed(room.items())))):
         save_rig(calibrate_rig(cameras, seen, TARGETS).placed.rig, tmp_path / f"{name}.yaml")
     assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
 
 
 def test_floor_board_alone_places_all_cameras_within_their_uncertainty(room: dict[str, CameraModel]) -> None:
-    calibrated = calibrate_rig(room, floor_sightings(room), FLOOR_ONLY)
+    calibrated = calibrate_rig(room, floor_detections(room), FLOOR_ONLY)
     for camera in calibrated.placed.rig.cameras:
         place_mm, _ = pose_errors(camera, room[camera.name])
         assert place_mm < 3 * np.sqrt(3) * calibrated.figures.camera(camera.name).sd_centre_mm < 60.0
 
 
 def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(room: dict[str, CameraModel]) -> None:
-    without = [sighting for sighting in floor_sightings(room) if sighting.camera != "cam02"]
-    calibrated = calibrate_rig(room, without + carried_sightings(room), TARGETS)
+    without = [detection for detection in floor_detections(room) if detection.camera != "cam02"]
+    calibrated = calibrate_rig(room, without + carried_detections(room), TARGETS)
     assert pose_errors(calibrated.placed.rig.camera("cam02"), room["cam02"])[0] < 8.0
     assert calibrated.figures.camera("cam02").floor_angle_deg is None
 
 
 def test_camera_that_sees_nothing_at_all_is_named(room: dict[str, CameraModel]) -> None:
-    without = [sighting for sighting in floor_sightings(room) if sighting.camera != "cam02"]
+    without = [detection for detection in floor_detections(room) if detection.camera != "cam02"]
     with pytest.raises(InputError, match="cam02"):
         calibrate_rig(room, without, FLOOR_ONLY)
 
 
 def test_groups_of_cameras_that_share_no_view_are_named(room: dict[str, CameraModel]) -> None:
-    apart = [s for s in carried_sightings(room) if (s.camera in ("cam01", "cam02")) == (s.moment % 2 == 0)]
+    apart = [s for s in carried_detections(room) if (s.camera in ("cam01", "cam02")) == (s.frame_index % 2 == 0)]
     with pytest.raises(InputError, match=r"cam01, cam02 \| cam03, cam04"):
         calibrate_rig(room, apart, {MOVING: TARGETS[MOVING]})
 
@@ -127,7 +126,7 @@ def test_groups_of_cameras_that_share_no_view_are_named(room: dict[str, CameraMo
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
     wrong = Checkerboard(7, 4, (0.126, 0.126))  # stated 5 % too large
     targets = {FLOOR: FloorTarget.of_board(wrong, WorldChoice()), MOVING: TARGETS[MOVING]}
-    calibrated = calibrate_rig(room, floor_sightings(room) + carried_sightings(room), targets)
+    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets)
     ratio, sd = calibrated.evidence.scales[FLOOR]
     assert ratio == pytest.approx(1 / 1.05, abs=4 * sd) and sd < 0.005
     assert calibrated.verdict.grade == REDO
@@ -140,7 +139,7 @@ def test_tape_tells_that_all_sizes_are_wrong(room: dict[str, CameraModel]) -> No
     targets = {FLOOR: FloorTarget.of_board(floor, WorldChoice()), MOVING: Target.of(carried)}
     apart = float(np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world))
     tape = [TapeMeasure("cam01", "cam03", apart), TapeMeasure("cam02", None, float(room["cam02"].centre_world[2]))]
-    calibrated = calibrate_rig(room, floor_sightings(room) + carried_sightings(room), targets, tape=tape)
+    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets, tape=tape)
     assert [check.ratio for check in calibrated.evidence.tape] == pytest.approx([1.04, 1.04], abs=0.004)
     assert calibrated.verdict.grade == REDO and "0.96" in findings(calibrated)
 
@@ -148,7 +147,7 @@ def test_tape_tells_that_all_sizes_are_wrong(room: dict[str, CameraModel]) -> No
 def test_tape_that_agrees_says_nothing(room: dict[str, CameraModel]) -> None:
     apart = float(np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world))
     tape = [TapeMeasure("cam01", "cam03", apart + 0.01)]
-    calibrated = calibrate_rig(room, floor_sightings(room) + carried_sightings(room, 30), TARGETS, tape=tape)
+    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room, 30), TARGETS, tape=tape)
     assert calibrated.verdict.grade == GOOD, findings(calibrated)
 
 
@@ -156,25 +155,25 @@ def test_symmetric_floor_board_alone_is_refused_for_several_cameras(room: dict[s
     even = Checkerboard(8, 4, (0.12, 0.12))
     targets = {FLOOR: FloorTarget.of_board(even, WorldChoice())}
     with pytest.raises(InputError, match=r"stand on the other side.*--moving"):
-        calibrate_rig(room, floor_sightings(room, even), targets)
+        calibrate_rig(room, floor_detections(room, even), targets)
 
 
 def test_carried_board_tells_which_way_round_a_symmetric_floor_board_lies(room: dict[str, CameraModel]) -> None:
     even = Checkerboard(8, 4, (0.12, 0.12))
-    seen = floor_sightings(room, even)
+    seen = floor_detections(room, even)
     seen[1] = replace(seen[1], ids=(len(even.corners_board) - 1 - seen[1].ids)[::-1], pixels=seen[1].pixels[::-1])
     targets = {FLOOR: FloorTarget.of_board(even, WorldChoice()), MOVING: TARGETS[MOVING]}
-    calibrated = calibrate_rig(room, seen + carried_sightings(room), targets)
+    calibrated = calibrate_rig(room, seen + carried_detections(room), targets)
     turned = {name: pose_errors(calibrated.placed.rig.camera(name), room[name])[0] for name in room}
     assert max(turned.values()) < 8.0, turned
 
 
 def test_floor_view_that_contradicts_the_rest_is_named_redo(room: dict[str, CameraModel]) -> None:
     """The board was turned by a quarter before cam03 took its picture."""
-    seen = [sighting for sighting in floor_sightings(room) if sighting.camera != "cam03"]
+    seen = [detection for detection in floor_detections(room) if detection.camera != "cam03"]
     moved = see(room["cam03"], FLOOR_BOARD, on_floor(FLOOR_BOARD, 0.1, 0.2, 0.7), FLOOR, 0)
     assert moved is not None
-    calibrated = calibrate_rig(room, [*seen, moved, *carried_sightings(room)], TARGETS)
+    calibrated = calibrate_rig(room, [*seen, moved, *carried_detections(room)], TARGETS)
     assert pose_errors(calibrated.placed.rig.camera("cam03"), room["cam03"])[0] < 8.0, "by the carried board"
     assert calibrated.verdict.grade == REDO
     assert "cam03 sees the floor board otherwise than the rest" in findings(calibrated)
@@ -183,7 +182,7 @@ def test_floor_view_that_contradicts_the_rest_is_named_redo(room: dict[str, Came
 def test_grazing_view_of_the_floor_board_is_named_with_its_angle() -> None:
     cameras = circle(3)
     cameras["cam04"] = camera_at("cam04", np.array([-2.0, 1.0, 0.45]), np.array([0.0, 0.0, 0.4]))
-    calibrated = calibrate_rig(cameras, floor_sightings(cameras), FLOOR_ONLY)
+    calibrated = calibrate_rig(cameras, floor_detections(cameras), FLOOR_ONLY)
     assert "cam04 sees the board at 79 degrees from its normal -> Raise the camera" in findings(calibrated)
 
 
@@ -192,7 +191,7 @@ def test_cameras_that_look_at_each_other_are_named() -> None:
     opposite = -cameras["cam01"].centre_world * [1, 1, -1]
     cameras["cam04"] = camera_at("cam04", opposite, np.array([0.0, 0.0, opposite[2]]))
     cameras["cam01"] = camera_at("cam01", cameras["cam01"].centre_world, np.array([0.0, 0.0, opposite[2]]))
-    calibrated = calibrate_rig(cameras, floor_sightings(cameras) + carried_sightings(cameras), TARGETS)
+    calibrated = calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), TARGETS)
     facing = calibrated.figures.facing_deg["cam01", "cam04"]
     assert facing > 165.0
     assert ("cam01 and cam04 look at each other" in findings(calibrated)) == (facing > 170.0)
@@ -201,12 +200,12 @@ def test_cameras_that_look_at_each_other_are_named() -> None:
 def test_carried_board_laid_down_at_the_end_gives_the_floor(room: dict[str, CameraModel]) -> None:
     poses = [*carried_poses(50), *[on_floor(CARRIED_BOARD, 0.2, 0.1)] * 5]
     moving = see_all(room, CARRIED_BOARD, poses, MOVING)
-    lying = moments_on_floor(room, moving, CARRIED_BOARD, "lowest")
-    assert lying == moments_on_floor(room, moving, CARRIED_BOARD, "last") == tuple(range(50, 55))
+    lying = frames_on_floor(room, moving, CARRIED_BOARD, "lowest")
+    assert lying == frames_on_floor(room, moving, CARRIED_BOARD, "last") == tuple(range(50, 55))
 
 
 def test_without_a_floor_distances_are_right_and_the_verdict_says_what_is_missing(room: dict[str, CameraModel]) -> None:
-    calibrated = calibrate_rig(room, carried_sightings(room), {MOVING: TARGETS[MOVING]})
+    calibrated = calibrate_rig(room, carried_detections(room), {MOVING: TARGETS[MOVING]})
     one, other = (calibrated.placed.rig.camera(name).centre_world for name in ("cam01", "cam03"))
     truth = np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world)
     assert np.linalg.norm(one - other) == pytest.approx(truth, abs=0.005)
@@ -214,9 +213,9 @@ def test_without_a_floor_distances_are_right_and_the_verdict_says_what_is_missin
 
 
 def test_floor_that_was_guessed_from_a_single_frame_is_said_to_be_a_guess(room: dict[str, CameraModel]) -> None:
-    sightings = floor_sightings(room) + carried_sightings(room, 30)
-    resting = calibrate_rig(room, sightings, TARGETS, floor_guess=(30, 31, 32, 33))
-    guessed = calibrate_rig(room, sightings, TARGETS, floor_guess=(12,))
+    detections = floor_detections(room) + carried_detections(room, 30)
+    resting = calibrate_rig(room, detections, TARGETS, floor_guess=(30, 31, 32, 33))
+    guessed = calibrate_rig(room, detections, TARGETS, floor_guess=(12,))
     assert resting.verdict.grade == GOOD and guessed.verdict.grade == USABLE
     assert "taken from frame 12" in findings(guessed) and "--floor-at" in findings(guessed)
 

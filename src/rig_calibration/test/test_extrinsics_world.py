@@ -9,10 +9,14 @@ from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, camera_at, carried_poses
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from rig_calibration.extrinsics.lying import find_lying, resting_around
-from rig_calibration.extrinsics.moments import choose_moments
-from rig_calibration.extrinsics.volume import common_volume
-from rig_calibration.extrinsics.world import WorldChoice, board_in_world, world_from_floor, world_of_level_camera
+from rig_calibration.extrinsics.carried_board import choose_frames, find_resting_frames, resting_around
+from rig_calibration.extrinsics.world import (
+    WorldChoice,
+    board_in_world,
+    common_volume,
+    world_from_floor,
+    world_of_level_camera,
+)
 
 
 def test_world_origin_is_the_boards_middle_below_its_thickness() -> None:
@@ -85,38 +89,41 @@ def test_common_volume_says_when_nobody_can_stand_in_it() -> None:
 def test_carried_board_is_found_lying_at_the_place_where_nothing_was_below_it() -> None:
     poses = dict(enumerate(carried_poses(60)))
     lying = on_floor(CARRIED_BOARD, 0.3, -0.2, 0.5)
-    poses |= {moment: lying for moment in range(60, 66)}
+    poses |= {frame_index: lying for frame_index in range(60, 66)}
     poses[70] = on_floor(CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a moment
     centres = [camera.centre_world for camera in circle(4).values()]
-    assert find_lying(poses, CARRIED_BOARD.corners_board, centres) == tuple(range(60, 66))
+    assert find_resting_frames(poses, CARRIED_BOARD.corners_board, centres) == tuple(range(60, 66))
 
 
 def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> None:
     poses = dict(enumerate(carried_poses(60)))
     centres = [camera.centre_world for camera in circle(4).values()]
     with pytest.raises(InputError, match="--floor-at"):
-        find_lying(poses, CARRIED_BOARD.corners_board, centres)
+        find_resting_frames(poses, CARRIED_BOARD.corners_board, centres)
 
 
 def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
     lying = on_floor(CARRIED_BOARD)
     poses = [*carried_poses(4), lying, lying, lying, *carried_poses(3, seed=5)]
-    sightings = see_all(circle(4), CARRIED_BOARD, poses, "moving", noise_px=0.1)
-    assert resting_around(sightings, 5) == (4, 5, 6)
+    detections = see_all(circle(4), CARRIED_BOARD, poses, "moving", noise_px=0.1)
+    assert resting_around(detections, 5) == (4, 5, 6)
     with pytest.raises(InputError, match="no camera shows the board in frame 77"):
-        resting_around(sightings, 77)
+        resting_around(detections, 77)
 
 
 def test_chosen_moments_are_shared_spread_and_independent_of_order() -> None:
     cameras = circle(4)
-    sightings = see_all(cameras, CARRIED_BOARD, carried_poses(200), "moving")
-    chosen = choose_moments(sightings, most=30)
-    assert chosen == choose_moments(sightings[::-1], most=30) and len(chosen) == 30
-    seen_by = {m: {s.camera for s in sightings if s.moment == m} for m in chosen}
+    detections = see_all(cameras, CARRIED_BOARD, carried_poses(200), "moving")
+    chosen = choose_frames(detections, most=30)
+    assert chosen == choose_frames(detections[::-1], most=30) and len(chosen) == 30
+    seen_by = {m: {s.camera for s in detections if s.frame_index == m} for m in chosen}
     assert min(map(len, seen_by.values())) >= 2
     pairs = {(a, b) for names in seen_by.values() for a in names for b in names if a < b}
     available = {
-        (a.camera, b.camera) for a in sightings for b in sightings if a.moment == b.moment and a.camera < b.camera
+        (a.camera, b.camera)
+        for a in detections
+        for b in detections
+        if a.frame_index == b.frame_index and a.camera < b.camera
     }
     assert pairs == available, "every pair of cameras that shares a view shares a chosen one"
 
@@ -125,5 +132,5 @@ def test_moments_of_a_board_at_rest_are_preferred_to_those_of_one_that_is_swung(
     cameras = circle(3)
     slow = [on_floor(CARRIED_BOARD, 0.0, 0.002 * step) for step in range(20)]
     fast = [on_floor(CARRIED_BOARD, 0.0, 0.5 - 0.05 * step) for step in range(20)]
-    chosen = choose_moments(see_all(cameras, CARRIED_BOARD, slow + fast, "moving"), most=10)
-    assert sum(moment < 20 for moment in chosen) >= 7
+    chosen = choose_frames(see_all(cameras, CARRIED_BOARD, slow + fast, "moving"), most=10)
+    assert sum(frame_index < 20 for frame_index in chosen) >= 7

@@ -11,8 +11,8 @@ from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 RATIONAL = (0.3, -0.05, 3e-4, -2e-4, 0.01, 0.5, 0.02, 0.01)
 
 
-def found(sightings, board=BOARD, model="plumb_bob"):
-    return calibrate_intrinsics(sightings, board, name="cam01", model=model)
+def found(detections, board=BOARD, model="plumb_bob"):
+    return calibrate_intrinsics(detections, board, name="cam01", model=model)
 
 
 def errors_in_sds(result, camera):
@@ -53,10 +53,10 @@ def test_corners_without_noise_give_the_lens_back(camera):
 
 def test_values_and_deviations_agree_with_opencv_where_its_assumptions_hold():
     camera = lens()
-    sightings = shown(camera, 25, 0.2, seed=3)
-    ours = found(sightings)
-    points = [BOARD.corners_board.astype(np.float32)] * len(sightings)
-    pixels = [sighting.pixels.astype(np.float32) for sighting in sightings]
+    detections = shown(camera, 25, 0.2, seed=3)
+    ours = found(detections)
+    points = [BOARD.corners_board.astype(np.float32)] * len(detections)
+    pixels = [detection.pixels.astype(np.float32) for detection in detections]
     rms, K, D, _, _, sd, _, _ = cv2.calibrateCameraExtended(points, pixels, (640, 480), None, None)
     theirs = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(D)[:5]])
     difference = (np.array(list(ours.values.values())) - theirs) / np.ravel(sd)[:9]
@@ -72,11 +72,11 @@ def test_errors_lie_where_the_standard_deviations_say(kind):
     """25 calibrations each; correlated: all corners of a view err together, as in a view that is blurred by motion."""
     camera, off = lens(), []
     for seed in range(25):
-        sightings = shown(camera, 20, 0.2, seed=100 + seed)
+        detections = shown(camera, 20, 0.2, seed=100 + seed)
         if kind == "correlated":
             rng = np.random.default_rng(seed)
-            sightings = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 1.5, (2, 2))) for s in sightings]
-        result = found(sightings)
+            detections = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 1.5, (2, 2))) for s in detections]
+        result = found(detections)
         assert kind == "white" or result.jackknife > 1.15
         off.append(errors_in_sds(result, camera))
     spread = np.sqrt(np.mean(np.square(off), axis=0))
@@ -101,8 +101,8 @@ def _bend(pixels):
 
 def test_bent_board_is_measured_and_does_not_spoil_the_lens():
     camera = lens()
-    sightings = shown(camera, 30, 0.1, seed=6, bow_m=0.002)
-    result = found(sightings)
+    detections = shown(camera, 30, 0.1, seed=6, bow_m=0.002)
+    result = found(detections)
     assert result.bow_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.bow_m[1]) < 2e-4
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
     assert any("bent along its rows" in finding.what for finding in result.verdict.findings)
@@ -110,9 +110,9 @@ def test_bent_board_is_measured_and_does_not_spoil_the_lens():
 
 def test_partial_views_of_a_charuco_board_serve():
     board, camera = CharucoBoard(11, 8, 0.03, 0.022, "DICT_5X5_100"), lens()
-    sightings = shown(camera, 30, 0.2, seed=7, board=board, sizes=(0.6, 1.1), partial=True)
-    assert min(map(len, sightings)) < 60
-    result = found(sightings, board)
+    detections = shown(camera, 30, 0.2, seed=7, board=board, sizes=(0.6, 1.1), partial=True)
+    assert min(map(len, detections)) < 60
+    result = found(detections, board)
     assert np.abs(errors_in_sds(result, camera)).max() < 3.0
     assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.002)
 
@@ -122,12 +122,12 @@ def test_poses_of_the_board_are_those_it_was_shown_at():
     result = found(shown(camera, 12, 0.0, seed=8))
     for view in result.views:
         points = BOARD.corners_board @ view.T_camera_board[:3, :3].T + view.T_camera_board[:3, 3]
-        assert camera.project(points) == pytest.approx(view.sighting.pixels, abs=0.05)
+        assert camera.project(points) == pytest.approx(view.detection.pixels, abs=0.05)
 
 
-def test_same_sightings_in_any_order_give_the_same_bytes():
-    sightings = shown(lens(), 12, 0.2, seed=9)
-    one, other = found(sightings), found(sightings[::-1])
+def test_same_detections_in_any_order_give_the_same_bytes():
+    detections = shown(lens(), 12, 0.2, seed=9)
+    one, other = found(detections), found(detections[::-1])
     assert one.camera.K.tobytes() == other.camera.K.tobytes()
     assert one.camera.D.tobytes() == other.camera.D.tobytes()
     assert one.covariance.tobytes() == other.covariance.tobytes()

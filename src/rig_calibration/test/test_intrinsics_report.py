@@ -7,14 +7,14 @@ from intrinsics_views import BOARD, lens, shown, with_pixels
 
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.picture import draw
-from rig_calibration.intrinsics.report import report_of
+from rig_calibration.intrinsics.result import report_of
 
 
 @pytest.fixture(scope="module")
 def result():
-    sightings = shown(lens(), 15, 0.2, seed=1)
-    sightings[4] = with_pixels(sightings[4], sightings[4].pixels + np.random.default_rng(0).normal(0, 9, (54, 2)))
-    return calibrate_intrinsics(sightings, BOARD, name="cam01")
+    detections = shown(lens(), 15, 0.2, seed=1)
+    detections[4] = with_pixels(detections[4], detections[4].pixels + np.random.default_rng(0).normal(0, 9, (54, 2)))
+    return calibrate_intrinsics(detections, BOARD, name="cam01")
 
 
 def test_report_reads_back_with_values_deviations_and_what_was_left_out(result):

@@ -11,8 +11,8 @@ from rig_calibration.boards.board import Checkerboard
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 
 
-def found(sightings, board=BOARD):
-    return calibrate_intrinsics(sightings, board, name="cam01")
+def found(detections, board=BOARD):
+    return calibrate_intrinsics(detections, board, name="cam01")
 
 
 def assert_lens(result, camera):
@@ -22,34 +22,34 @@ def assert_lens(result, camera):
 
 def test_view_with_shifted_corners_is_left_out_and_named():
     camera = lens()
-    sightings = shown(camera, 20, 0.2, seed=1)
-    moved = sightings[7].pixels.copy()
+    detections = shown(camera, 20, 0.2, seed=1)
+    moved = detections[7].pixels.copy()
     moved[:27] += [6.0, -4.0]  # half of the board, as if it had moved while the rows were read
-    sightings[7] = with_pixels(sightings[7], moved)
-    result = found(sightings)
-    assert [entry.sighting.moment for entry in result.left_out if entry.whole] == [7]
+    detections[7] = with_pixels(detections[7], moved)
+    result = found(detections)
+    assert [entry.detection.frame_index for entry in result.left_out if entry.whole] == [7]
     assert "where the other views' lens puts them" in result.left_out[0].reason
     assert_lens(result, camera)
 
 
 def test_single_wrong_corners_are_left_out_and_the_view_stays():
     camera = lens()
-    sightings = shown(camera, 20, 0.2, seed=2)
-    pixels = sightings[3].pixels.copy()
+    detections = shown(camera, 20, 0.2, seed=2)
+    pixels = detections[3].pixels.copy()
     pixels[[10, 40]] += 8.0
-    sightings[3] = with_pixels(sightings[3], pixels)
-    result = found(sightings)
-    assert [(entry.sighting.moment, entry.corners) for entry in result.left_out] == [(3, (10, 40))]
+    detections[3] = with_pixels(detections[3], pixels)
+    result = found(detections)
+    assert [(entry.detection.frame_index, entry.corners) for entry in result.left_out] == [(3, (10, 40))]
     assert len(result.views) == 20 and len(result.views[3].ids) == 52
     assert_lens(result, camera)
 
 
 def test_board_upside_down_in_some_views_does_no_harm():
     camera = lens()
-    sightings = shown(camera, 20, 0.2, seed=3)
+    detections = shown(camera, 20, 0.2, seed=3)
     for i in (2, 5, 11):  # corners named as if the board had been turned by half a turn
-        sightings[i] = replace(sightings[i], ids=sightings[i].ids[::-1].copy())
-    result = found(sightings)
+        detections[i] = replace(detections[i], ids=detections[i].ids[::-1].copy())
+    result = found(detections)
     assert not result.left_out and result.verdict.grade != "redo"
     assert_lens(result, camera)
 
@@ -57,18 +57,18 @@ def test_board_upside_down_in_some_views_does_no_harm():
 def test_few_views_of_another_board_are_left_out():
     camera = lens()
     other = shown(camera, 4, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.030)))
-    sightings = shown(camera, 16, 0.2, seed=6) + [replace(s, moment=16 + s.moment) for s in other]
-    result = found(sightings)
-    assert {entry.sighting.moment for entry in result.left_out if entry.whole} == {16, 17, 18, 19}
+    detections = shown(camera, 16, 0.2, seed=6) + [replace(s, frame_index=16 + s.frame_index) for s in other]
+    result = found(detections)
+    assert {entry.detection.frame_index for entry in result.left_out if entry.whole} == {16, 17, 18, 19}
     assert_lens(result, camera)
 
 
 def test_boards_mixed_half_and_half_are_no_calibration():
     camera = lens()
     other = shown(camera, 8, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.032)))
-    sightings = shown(camera, 8, 0.2, seed=6) + [replace(s, moment=8 + s.moment) for s in other]
+    detections = shown(camera, 8, 0.2, seed=6) + [replace(s, frame_index=8 + s.frame_index) for s in other]
     try:
-        verdict = found(sightings).verdict
+        verdict = found(detections).verdict
     except InputError as refused:
         assert "contradict each other" in str(refused)
     else:
@@ -76,17 +76,17 @@ def test_boards_mixed_half_and_half_are_no_calibration():
 
 
 def test_images_of_several_sizes_are_refused():
-    sightings = shown(lens(), 8, 0.2, seed=7)
-    sightings[5] = replace(sightings[5], image_size=(1280, 960))
+    detections = shown(lens(), 8, 0.2, seed=7)
+    detections[5] = replace(detections[5], image_size=(1280, 960))
     with pytest.raises(InputError, match=r"cam01: the images have several sizes: 640 x 480 .* 1280 x 960 .*moment 5"):
-        found(sightings)
+        found(detections)
 
 
 def test_views_of_several_cameras_are_refused():
-    sightings = shown(lens(), 8, 0.2, seed=7)
-    sightings[5] = replace(sightings[5], camera="cam02")
+    detections = shown(lens(), 8, 0.2, seed=7)
+    detections[5] = replace(detections[5], camera="cam02")
     with pytest.raises(InputError, match="several cameras: cam01, cam02"):
-        found(sightings)
+        found(detections)
 
 
 @pytest.mark.parametrize("count", [0, 2])
@@ -101,8 +101,8 @@ def test_corners_that_the_board_does_not_have_are_refused():
 
 
 def test_views_that_show_one_row_only_are_left_out():
-    sightings = shown(lens(), 12, 0.2, seed=10)
-    sightings[4] = replace(sightings[4], ids=np.arange(9), pixels=sightings[4].pixels[:9])
-    sightings[6] = replace(sightings[6], ids=np.arange(5), pixels=sightings[6].pixels[:5])
-    reasons = {entry.sighting.moment: entry.reason for entry in found(sightings).left_out}
+    detections = shown(lens(), 12, 0.2, seed=10)
+    detections[4] = replace(detections[4], ids=np.arange(9), pixels=detections[4].pixels[:9])
+    detections[6] = replace(detections[6], ids=np.arange(5), pixels=detections[6].pixels[:5])
+    reasons = {entry.detection.frame_index: entry.reason for entry in found(detections).left_out}
     assert reasons == {4: "shows corners on one line only", 6: "shows 5 corners only"}

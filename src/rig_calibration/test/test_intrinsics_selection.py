@@ -8,19 +8,19 @@ import pytest
 from intrinsics_views import BOARD, lens, shown
 
 from capture_rig.errors import InputError
+from rig_calibration.boards.image_quality import motion_px
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.coverage import coverage_of
-from rig_calibration.intrinsics.motion import motion_px
 from rig_calibration.intrinsics.parameters import LensModel
-from rig_calibration.intrinsics.pose import board_pose, look_of
-from rig_calibration.intrinsics.selection import Targets, ViewCollector, most_telling
+from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector, d_optimal_views
+from rig_calibration.intrinsics.start import board_pose, placement_of
 from rig_calibration.intrinsics.views import view_of
 
 
-def jittered(sighting, moment, seed=0):
+def jittered(detection, frame_index, seed=0):
     """The same view a moment later."""
-    shake = np.random.default_rng(seed).normal(0, 0.2, sighting.pixels.shape)
-    return replace(sighting, pixels=sighting.pixels + shake, moment=moment)
+    shake = np.random.default_rng(seed).normal(0, 0.2, detection.pixels.shape)
+    return replace(detection, pixels=detection.pixels + shake, frame_index=frame_index)
 
 
 def test_views_alike_are_taken_once():
@@ -37,7 +37,7 @@ def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
     collector = ViewCollector(BOARD)
     collector.offer(view, blur_px=1.5, motion_px=2.0)
     assert collector.offer(jittered(view, 1), blur_px=0.5, motion_px=0.1).taken
-    assert [sighting.moment for sighting in collector.sightings] == [1]
+    assert [detection.frame_index for detection in collector.detections] == [1]
 
 
 def test_chosen_pictures_are_all_taken():
@@ -70,7 +70,7 @@ def test_image_of_another_size_is_refused():
 
 
 def test_collecting_ends_when_lens_is_known_and_everything_covered():
-    camera, collector = lens(), ViewCollector(BOARD, targets=Targets(focal_sd=0.002, centre_sd_px=1.0))
+    camera, collector = lens(), ViewCollector(BOARD, goals=AccuracyGoals(focal_sd=0.002, centre_sd_px=1.0))
     for view in shown(camera, 120, 0.1, seed=3):
         assert not collector.enough and collector.advice()
         collector.offer(view, blur_px=0.5)
@@ -92,12 +92,12 @@ def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
 
 
 def test_advice_names_the_part_of_the_image_that_lacks_most():
-    sightings = [s for s in shown(lens(), 200, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
-    views = [view_of(sighting, BOARD) for sighting in sightings]
+    detections = [s for s in shown(lens(), 200, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
+    views = [view_of(detection, BOARD) for detection in detections]
     model = LensModel("plumb_bob")
     theta = model.start(467.0, (640, 480))
-    looks = [look_of(board_pose(theta, view, model), view) for view in views]
-    coverage = coverage_of(views, looks, (640, 480))
+    placements = [placement_of(board_pose(theta, view, model), view) for view in views]
+    coverage = coverage_of(views, placements, (640, 480))
     assert 0.3 < coverage.image < 0.6
     assert "left" in coverage.emptiest() and "left" in coverage.advice()
 
@@ -112,17 +112,17 @@ def test_tilt_is_named_by_the_side_that_comes_nearer(side, axis, sign):
     points = corners @ R.T + [0, 0, 0.5]
     nearest = points[np.argmin(points[:, 2])]
     assert {"top": nearest[1] < 0, "bottom": nearest[1] > 0, "left": nearest[0] < 0, "right": nearest[0] > 0}[side]
-    sighting = replace(shown(camera, 1, 0.1, seed=1)[0], pixels=camera.project(points), ids=np.arange(54))
-    view, model = view_of(sighting, BOARD), LensModel("plumb_bob")
-    look = look_of(board_pose(model.start(467.0, (640, 480)), view, model), view)
-    tilts = coverage_of([view], [look], (640, 480)).tilt_deg
+    detection = replace(shown(camera, 1, 0.1, seed=1)[0], pixels=camera.project(points), ids=np.arange(54))
+    view, model = view_of(detection, BOARD), LensModel("plumb_bob")
+    placement = placement_of(board_pose(model.start(467.0, (640, 480)), view, model), view)
+    tilts = coverage_of([view], [placement], (640, 480)).tilt_deg
     assert max(tilts, key=tilts.get) == side and tilts[side] == pytest.approx(30, abs=4)
 
 
 def test_most_telling_views_are_chosen_before_repetitions():
     strong, weak = np.diag([10.0, 1.0]), np.diag([0.1, 5.0])
     information = np.array([strong, strong, strong, weak])
-    assert most_telling(information, 1e-3 * np.eye(2), 2) == [0, 3]
+    assert d_optimal_views(information, 1e-3 * np.eye(2), 2) == [0, 3]
 
 
 def test_motion_between_images_is_measured_in_pixels():
@@ -141,7 +141,7 @@ def test_same_views_in_the_same_order_are_chosen_alike():
         collector = ViewCollector(BOARD)
         for view in shown(lens(), 22, 0.1, seed=7):
             collector.offer(view, blur_px=0.5)
-        return [sighting.moment for sighting in collector.best(15)]
+        return [detection.frame_index for detection in collector.best(15)]
 
     once = chosen()
     assert once == chosen() and len(once) == 15

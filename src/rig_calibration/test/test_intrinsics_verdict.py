@@ -7,8 +7,8 @@ from intrinsics_views import BOARD, lens, shown, with_pixels
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 
 
-def verdict(sightings, model="plumb_bob"):
-    return calibrate_intrinsics(sightings, BOARD, name="cam01", model=model).verdict
+def verdict(detections, model="plumb_bob"):
+    return calibrate_intrinsics(detections, BOARD, name="cam01", model=model).verdict
 
 
 def said(verdict, text):
@@ -39,8 +39,8 @@ def test_distortion_beyond_the_corners_is_called_a_guess():
 
 
 def test_corners_that_are_much_less_exact_than_sharp_are_suspicious():
-    sightings, rng = shown(lens(), 25, 0.05, seed=5), np.random.default_rng(5)
-    shaken = [with_pixels(s, s.pixels + rng.normal(0, 1.0, s.pixels.shape)) for s in sightings]
+    detections, rng = shown(lens(), 25, 0.05, seed=5), np.random.default_rng(5)
+    shaken = [with_pixels(s, s.pixels + rng.normal(0, 1.0, s.pixels.shape)) for s in detections]
     finding = said(verdict(shaken), "corners miss their places by")[0]
     assert "board not flat" in finding.remedy
 

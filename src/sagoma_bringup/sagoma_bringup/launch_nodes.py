@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from .node_spec import NodeSpec
+from .graph import NodeSpec
 
 
 def value_of(context: Any, argument: str) -> str:

@@ -8,8 +8,7 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import build_graph
-from sagoma_bringup.node_spec import Role
+from sagoma_bringup.graph import Role, build_graph
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 RING4 = CONFIG / "rig" / "ring4.yaml"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import array
+from collections.abc import Collection
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 
 from capture_rig.errors import InputError
 
-from .stamps import to_stamp
+from .messages import to_stamp
 
 
 def _layout(*names: str) -> np.dtype:
@@ -18,7 +19,7 @@ def _layout(*names: str) -> np.dtype:
 
 CENTERLINE = _layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill", "body")
 VOXELS = _layout("x", "y", "z", "surface", "body")
-RIMS = _layout("x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body")
+CONTOUR_RAYS = _layout("x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body")
 ONE_BODY = {"body": 0.0}  # what a cloud without this field means: all of it is the same body
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 REFERENCE_POINTS = _layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
@@ -135,3 +136,37 @@ def split_reference_points(array: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     for field, row, column in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
         covariance[:, row, column] = covariance[:, column, row] = array[field]
     return xyz(array), covariance, array["visible"] > 0.5
+
+
+# --- Points of a cloud that are numbers.
+
+
+def only_finite(cloud: PointCloud2, names: Collection[str]) -> tuple[PointCloud2, int]:
+    """The cloud without the points that have a NaN or infinity in one of the float32 fields ``names``.
+
+    Returns the cloud itself when all is well (or when its layout is not plain enough to judge: the reader that follows
+    says what is wrong with it), and the number of points dropped.
+    """
+    plain = cloud.point_step > 0 and len(cloud.data) % cloud.point_step == 0
+    if not plain:
+        return cloud, 0
+    rows = np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)
+    finite = np.ones(len(rows), dtype=bool)
+    for field in cloud.fields:
+        if field.name in names and field.datatype == PointField.FLOAT32:
+            column = np.ascontiguousarray(rows[:, field.offset : field.offset + 4])
+            finite &= np.isfinite(column.view(">f4" if cloud.is_bigendian else "<f4")[:, 0])
+    if finite.all():
+        return cloud, 0
+    kept = PointCloud2(
+        header=cloud.header,
+        height=1,
+        width=int(finite.sum()),
+        fields=cloud.fields,
+        is_bigendian=cloud.is_bigendian,
+        point_step=cloud.point_step,
+        row_step=cloud.point_step * int(finite.sum()),
+        is_dense=True,
+    )
+    kept.data = array.array("B", rows[finite].tobytes())
+    return kept, int((~finite).sum())

@@ -14,7 +14,7 @@ from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 
 from . import mask_png
-from .stamps import to_stamp
+from .messages import to_stamp
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
 PNG_DEPTH_AND_COLOUR = slice(24, 26)  # of the header chunk, which always comes first

@@ -5,25 +5,105 @@ configure / activate / deactivate / cleanup are the thesis's connect / start / s
 
 from __future__ import annotations
 
+import signal
+import sys
+import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 
 from capture_rig.errors import InputError
-from capture_rig.settings import setting
+from capture_rig.settings import Leaf, build_settings, leaves, setting
 
 from .health import ERROR, OK, NodeHealth
-from .parameters import declare_parameters, read_declared, read_parameters
+
+# --- ROS parameters from a settings class: declared with description and range, read back typed, unknown ones refused.
+
+T = TypeVar("T")
+
+FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made, possibly later than we look
+
+
+def declare_parameters(node: Node, settings_class: type) -> None:
+    """Declare every setting as a parameter; later changes are checked, and take effect at the next configure."""
+    for leaf in leaves(settings_class):
+        node.declare_parameter(leaf.key, leaf.default, _descriptor(leaf))
+    node.add_on_set_parameters_callback(lambda changes: _check(node, settings_class, changes))
+
+
+def read_parameters(node: Node, settings_class: type[T]) -> T:
+    """The declared parameters as an instance of ``settings_class``.
+
+    Raises InputError naming node, key, value and remedy: unknown parameter, wrong type, out of range.
+    """
+    return build_settings(settings_class, _declared(node, settings_class) | _undeclared(node), _where(node))
+
+
+def read_declared(node: Node, settings_class: type[T]) -> T:
+    """As :func:`read_parameters`, but parameters that ``settings_class`` does not know are none of its business."""
+    return build_settings(settings_class, _declared(node, settings_class), _where(node))
+
+
+def _declared(node: Node, settings_class: type) -> dict[str, Any]:
+    return {leaf.key: _value(leaf, node.get_parameter(leaf.key).value) for leaf in leaves(settings_class)}
+
+
+def _value(leaf: Leaf, given: Any) -> Any:
+    # an empty list in a parameter file has no type, and arrives as no value at all
+    return [] if given is None and isinstance(leaf.default, list) else given
+
+
+def _undeclared(node: Node) -> dict[str, Any]:
+    # overrides of parameters that nobody declared are silently ignored by rclpy: a misspelt key would go unnoticed
+    given = node._parameter_overrides.items()
+    return {k: v.value for k, v in given if not node.has_parameter(k) and not k.startswith(FOREIGN_PREFIXES)}
+
+
+def _where(node: Node) -> str:
+    return f"parameters of {node.get_fully_qualified_name()}"
+
+
+def _check(node: Node, settings_class: type, changes: list[Parameter]) -> SetParametersResult:
+    known = {leaf.key: leaf for leaf in leaves(settings_class)}
+    values = {change.name: _value(known[change.name], change.value) for change in changes if change.name in known}
+    try:
+        build_settings(settings_class, values, _where(node))
+    except InputError as error:
+        return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)
+
+
+def _descriptor(leaf: Leaf) -> ParameterDescriptor:
+    """Description, unit and allowed values. Type and range are left to our own check, whose error names the remedy."""
+    unit, choices = leaf.metadata.get("unit"), leaf.metadata.get("choices")
+    low, high = leaf.metadata.get("low"), leaf.metadata.get("high")
+    constraints = ""
+    if choices:
+        constraints = "one of " + ", ".join(map(str, choices))
+    elif low is not None or high is not None:
+        constraints = f"{'-inf' if low is None else low} to {'inf' if high is None else high}"
+    return ParameterDescriptor(
+        description=leaf.metadata.get("help", "") + (f" [{unit}]" if unit else ""),
+        additional_constraints=constraints,
+        dynamic_typing=True,
+    )
+
 
 RCLError = rclpy_implementation.RCLError
 
 
 @dataclass(frozen=True)
-class Autonomy:
+class AutostartSettings:
     """The parameter that every node has."""
 
     autostart: bool = setting(False, "configure and activate by itself, without a supervisor")
@@ -43,7 +123,7 @@ class SagomaNode(LifecycleNode):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         declare_parameters(self, self.Settings)
-        declare_parameters(self, Autonomy)
+        declare_parameters(self, AutostartSettings)
         self.settings: Any = None
         self.health = NodeHealth(self, hardware_id=name)
         self.health.status(OK, "unconfigured")
@@ -95,7 +175,7 @@ class SagomaNode(LifecycleNode):
 
     def autostart(self) -> bool:
         """Configure and activate by oneself when the parameter ``autostart`` says so; False when that failed."""
-        if not read_declared(self, Autonomy).autostart:
+        if not read_declared(self, AutostartSettings).autostart:
             return True
         steps = (self.trigger_configure, self.trigger_activate)
         return all(step() == TransitionCallbackReturn.SUCCESS for step in steps)
@@ -137,3 +217,59 @@ class SagomaNode(LifecycleNode):
         if done is not None:
             self.health.status(OK, done)
         return TransitionCallbackReturn.SUCCESS
+
+
+# --- The common main of all nodes: spin until a signal, then release everything.
+
+SIGNAL_LATENCY_S = 0.2  # Python sees a signal only when the wait for the next event returns
+
+
+def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -> int:
+    """Main of every node: spin until SIGINT or SIGTERM, then release everything.
+
+    Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when the node could not be made at all.
+    """
+    ending = threading.Event()
+
+    def interrupt(number: int, frame: object) -> None:
+        ending.set()
+        raise KeyboardInterrupt
+
+    # our own handlers: rclpy's shut the context down first, and a node could no longer say or release anything
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, interrupt)
+    status = 0
+    node: SagomaNode | None = None
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        node = factory()
+        if node.autostart():
+            _spin(node, ending)
+        else:
+            status = 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (InputError, RCLError) as error:  # RCLError: a parameter file or --ros-args that cannot be read
+        print(error, file=sys.stderr)
+        status = 2
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return status
+
+
+def _spin(node: SagomaNode, ending: threading.Event) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while rclpy.ok() and not ending.is_set():
+        try:
+            executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
+        except ExternalShutdownException:
+            raise
+        except Exception as error:  # in a callback: one bad message may not end the process
+            if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
+                node.report(error)

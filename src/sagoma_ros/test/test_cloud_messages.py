@@ -12,8 +12,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 from capture_rig.errors import InputError
 from sagoma_ros.clouds import (
     CENTERLINE,
+    CONTOUR_RAYS,
     REFERENCE_POINTS,
-    RIMS,
     VOXELS,
     from_cloud,
     reference_points_array,
@@ -21,7 +21,7 @@ from sagoma_ros.clouds import (
     to_cloud,
     xyz,
 )
-from sagoma_ros.stamps import to_ns
+from sagoma_ros.messages import to_ns
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "hull/voxels"
@@ -58,7 +58,7 @@ def refusal(cloud: PointCloud2) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("layout", [CENTERLINE, VOXELS, RIMS, REFERENCE_POINTS])
+@pytest.mark.parametrize("layout", [CENTERLINE, VOXELS, CONTOUR_RAYS, REFERENCE_POINTS])
 @pytest.mark.parametrize("count", [0, 1, 1000])
 def test_cloud_comes_back_as_it_was(layout: np.dtype, count: int) -> None:
     points = random_points(layout, count)

@@ -16,7 +16,7 @@ from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
 from sagoma_ros import mask_png
 from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message, silhouette_message
-from sagoma_ros.stamps import to_ns
+from sagoma_ros.messages import to_ns
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "cam01/silhouette/compressed"

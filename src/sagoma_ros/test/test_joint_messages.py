@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
 from capture_rig.errors import InputError
-from sagoma_ros.joints import covariance_message, joint_state_message, prediction_message, read_prediction
-from sagoma_ros.stamps import to_ns
+from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import covariance_message, joint_state_message, prediction_message, read_prediction
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, TANGENT_NAMES
 

@@ -13,8 +13,8 @@ from rclpy.parameter import Parameter
 
 from sagoma_ros import health
 from sagoma_ros.health import ERROR, WARN, NodeHealth
+from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT
-from sagoma_ros.stamps import to_ns
 
 if TYPE_CHECKING:
     from conftest import Ros

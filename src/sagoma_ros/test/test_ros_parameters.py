@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from sagoma_ros.parameters import declare_parameters, read_declared, read_parameters
+from sagoma_ros.node import declare_parameters, read_declared, read_parameters
 
 if TYPE_CHECKING:
     from conftest import Ros

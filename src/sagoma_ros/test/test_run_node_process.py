@@ -20,7 +20,7 @@ NODE = textwrap.dedent("""
 
     from capture_rig.errors import InputError
     from capture_rig.settings import setting
-    from sagoma_ros.main import run_node
+    from sagoma_ros.node import run_node
     from sagoma_ros.node import SagomaNode
 
 

@@ -6,7 +6,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 
 from sagoma_ros import qos
-from sagoma_ros.stamps import to_ns, to_stamp
+from sagoma_ros.messages import to_ns, to_stamp
 
 
 @pytest.mark.parametrize("ns", [0, 1, 999_999_999, 1_000_000_000, 1_700_000_000_123_456_789])

@@ -136,7 +136,7 @@ def test_patient_put_drops_nothing_and_keeps_to_the_depth() -> None:
     def feed() -> None:
         nonlocal most
         for item in range(1, 30):
-            bench.worker.put_when_there_is_room(item)
+            bench.worker.put_blocking(item)
             most = max(most, bench.worker.waiting)
 
     feeder = threading.Thread(target=feed)
@@ -151,7 +151,7 @@ def test_patient_put_does_not_outlast_the_worker() -> None:
     bench = Bench(depth=1)
     bench.block()
     bench.worker.put(1)
-    feeder = threading.Thread(target=lambda: bench.worker.put_when_there_is_room(2))
+    feeder = threading.Thread(target=lambda: bench.worker.put_blocking(2))
     feeder.start()
     closer = threading.Thread(target=bench.worker.close)
     closer.start()

@@ -23,7 +23,7 @@ from .commands import (
     studio,
     up,
 )
-from .supervisor import GraphError
+from .graph.supervisor import GraphError
 
 COMMANDS = (
     demo,

@@ -14,16 +14,15 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.session import load_session
-from ekf_tracker.rehearsal import rehearse
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.detection import find_board
+from ekf_tracker.filter import warm_up
+from rig_calibration.boards.board import Checkerboard, TargetDetection
+from rig_calibration.boards.detector import find_board
 from rig_calibration.boards.drawing import draw_board
-from rig_calibration.boards.sighting import Sighting
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from stick_figure.body import Body
 from stick_figure.rotations import rotation_matrix
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 from .evaluation.in_process import Configuration, track_session
 
@@ -42,7 +41,7 @@ def main() -> int:
 def calibrate_and_filter() -> None:
     """What the capture does not need at once."""
     calibrate(ring(1, False).cameras[0])
-    rehearse()
+    warm_up()
 
 
 def calibrate(camera: CameraModel) -> None:
@@ -50,12 +49,14 @@ def calibrate(camera: CameraModel) -> None:
     board = Checkerboard(9, 6, (0.025, 0.025))
     find_board(draw_board(board, pixels_per_m=1500.0).image, board)
     corners = board.corners_board - board.corners_board.mean(axis=0)
-    sightings = []
-    for moment, tilt in enumerate(([3.1, 0, 0], [2.7, 0.2, 0], [3.5, 0.3, 0], [3.1, 0.5, 0], [3.1, -0.5, 0.3])):
+    detections = []
+    for frame_index, tilt in enumerate(([3.1, 0, 0], [2.7, 0.2, 0], [3.5, 0.3, 0], [3.1, 0.5, 0], [3.1, -0.5, 0.3])):
         in_camera = corners @ rotation_matrix(np.array(tilt, float)).T + [0.0, 0.0, 0.4]
         pixels = camera.project((in_camera - camera.t_camera_world) @ camera.R_camera_world)
-        sightings.append(Sighting(camera.name, moment, np.arange(54), pixels, (camera.width, camera.height)))
-    calibrate_intrinsics(sightings, board, name=camera.name)
+        detections.append(
+            TargetDetection(camera.name, frame_index, np.arange(54), pixels, (camera.width, camera.height))
+        )
+    calibrate_intrinsics(detections, board, name=camera.name)
 
 
 def capture() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sagoma_tools.ros_link import RosLink
+from sagoma_tools.graph.ros_link import RosLink
 
 sys.path.insert(0, str(Path(__file__).parent))  # humaneva_files: the data set that the importer's tests share
 

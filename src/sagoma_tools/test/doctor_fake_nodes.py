@@ -20,8 +20,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage
 
 from sagoma_ros.images import camera_info_message, silhouette_message
+from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
-from sagoma_ros.stamps import to_stamp
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)

@@ -15,14 +15,13 @@ import numpy as np
 from scipy.optimize import brentq
 
 from capture_rig.camera import CameraModel
-from capture_rig.truth import WRIST_FRACTION
+from capture_rig.session import WRIST_FRACTION
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import walk
-from virtual_studio.render import VirtualCamera
+from virtual_studio.motions.catalogue import walk
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rig import ring
-from virtual_studio.sensor import Sensor
 
 Array = np.ndarray
 NECK, HEAD, HAND = 2, 1, (11, 12)
@@ -261,7 +260,7 @@ def write_data_set(root: Path) -> DataSet:
         for n in range(1, FIRST_IMAGE[name] + LAST_COMMON):
             capsules = volumetric.place(played.poses[pose_at(mocap + (n - image) * scale)])
             flash = 2.0 if n == FIRST_IMAGE[name] + FLASH_COMMON - 1 else 1.0
-            images.append(_tint(sensor.expose(flash * eye.see(capsules, None)[0], number, n), name))
+            images.append(_tint(sensor.expose(flash * eye.render(capsules, None)[0], number, n), name))
         write_avi(folders["Image_Data"] / f"Walking_1_({name}).avi", images)
         for movie, gain in ((1, 0.8), (2, 1.0), (3, 1.25)):
             empty = [sensor.expose(gain * eye.empty_room(), number, 1000 * movie + k) for k in range(8)]

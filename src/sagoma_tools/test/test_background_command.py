@@ -13,14 +13,13 @@ from rclpy.task import Future
 from rich.console import Console
 from std_srvs.srv import Trigger
 
-from camera_client.background_model import BackgroundLearner, BackgroundModel, Provenance, load_background
-from camera_client.lesson_report import KEY, LessonReport
+from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance, load_background
+from camera_client.background.training import KEY, TrainingReport
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
-from sagoma_tools.background_tables import exit_status, figures
-from sagoma_tools.backgrounds import Lesson, camera_of
 from sagoma_tools.cli import main
-from sagoma_tools.countdown import count_down
-from sagoma_tools.ros_link import RosLink
+from sagoma_tools.commands.background import exit_status, figures
+from sagoma_tools.graph.background_training import TrainingOutcome, camera_of, count_down
+from sagoma_tools.graph.ros_link import RosLink
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
 NOISE = Finding(USABLE, "the noise is high", "lower the gain")
@@ -53,7 +52,7 @@ class Pretender:
         if grade == "silent":
             await Future()
         text = f"{grade}; lesson {self.asked} of {self.camera}"
-        report = LessonReport(self.asked, grade, OUTCOMES[grade], 100, 1.5, 0.0, f"{self.camera}.npz", text)
+        report = TrainingReport(self.asked, grade, OUTCOMES[grade], 100, 1.5, 0.0, f"{self.camera}.npz", text)
         self.values[KEY] = report.to_json()
         if grade != REDO:
             self.values["background"] = text
@@ -161,7 +160,7 @@ def test_graph_without_camera_clients_is_an_input_error(capsys):
 
 def test_worst_of_no_lesson_at_all_and_of_silence():
     assert exit_status([]) == 0
-    silent = Lesson("cam01", "did not answer")
+    silent = TrainingOutcome("cam01", "did not answer")
     assert exit_status([silent]) == 2
     assert figures([silent]) == {"cam01": {"said": "did not answer", "grade": REDO}}
     assert camera_of("/lab/cam01/camera_client") == "lab/cam01"
@@ -214,7 +213,7 @@ def test_pictures_that_cannot_be_written_are_an_input_error(saved, tmp_path, cap
 
 
 def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():
-    from sagoma_tools.background_pictures import sigma_picture
+    from sagoma_tools.commands.background import sigma_picture
 
     sigma = np.ones((4, 6, 3), np.float32)
     sigma[1, 2, 1] = 10.0

@@ -9,18 +9,18 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 
 from capture_rig.errors import InputError
-from sagoma_tools.bag_writer import OFFERED, BagWriter
-from sagoma_tools.bags import (
+from sagoma_tools.recording.reader import (
+    TYPES,
     bag_cameras,
     bag_digest,
+    canonical_bytes,
     first_difference,
     header_stamp_ns,
     input_topics,
     read_frame_sets,
     read_messages,
 )
-from sagoma_tools.cdr import TYPES, canonical_bytes
-from sagoma_tools.recover import recover_bag
+from sagoma_tools.recording.writer import OFFERED, BagWriter, recover_bag
 
 PERIOD_NS = 16_666_667
 EPOCH_NS = 1_700_000_000_123_456_789

@@ -12,8 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import Checkerboard
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import Checkerboard, TargetDetection
 from sagoma_tools.calibration.click_window import ClickWindow
 from sagoma_tools.calibration.clicking import Clicks, OuterCorners, find_from_clicks, read_corners, save_corners
 
@@ -29,16 +28,16 @@ def image() -> np.ndarray:
 
 
 def fit_to(image: np.ndarray):
-    return lambda outer: find_from_clicks(image, BOARD, outer, model=CAMERA, moment=0, target="floor")
+    return lambda outer: find_from_clicks(image, BOARD, outer, model=CAMERA, frame_index=0, target="floor")
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 3, 0, 1), (3, 2, 1, 0), (1, 3, 0, 2)])
 def test_corners_clicked_in_any_order_are_numbered_by_the_boards_colours(
     image: np.ndarray, order: tuple[int, ...]
 ) -> None:
-    sighting = fit_to(image)(OUTER[list(order)] + [2.0, -1.5])
-    expected = corner_pixels(CAMERA, BOARD, LYING)[sighting.ids]
-    assert len(sighting) > 20 and np.abs(sighting.pixels - expected).max() < 0.5
+    detection = fit_to(image)(OUTER[list(order)] + [2.0, -1.5])
+    expected = corner_pixels(CAMERA, BOARD, LYING)[detection.ids]
+    assert len(detection) > 20 and np.abs(detection.pixels - expected).max() < 0.5
 
 
 def test_corners_file_is_read_back_as_it_was_saved(tmp_path: Path) -> None:
@@ -66,23 +65,23 @@ def test_corners_file_that_cannot_be_used_is_refused_naming_the_camera(tmp_path:
 
 
 def test_four_clicks_are_tried_and_dropped_when_they_show_no_board() -> None:
-    def refuse(outer: np.ndarray) -> Sighting:
+    def refuse(outer: np.ndarray) -> TargetDetection:
         raise InputError("no field's corner is there")
 
     clicks = Clicks(refuse)
     for x, y in OUTER:
         clicks.add(x, y)
-    assert clicks.points == [] and clicks.sighting is None
+    assert clicks.points == [] and clicks.detection is None
     assert clicks.message.startswith("no field's corner is there. Click again")
 
 
 def test_undo_takes_one_click_back() -> None:
-    clicks = Clicks(lambda outer: Sighting("cam01", 0, np.arange(4), outer, (640, 480)))
+    clicks = Clicks(lambda outer: TargetDetection("cam01", 0, np.arange(4), outer, (640, 480)))
     for x, y in OUTER:
         clicks.add(x, y)
-    assert clicks.sighting is not None
+    assert clicks.detection is not None
     clicks.undo()
-    assert len(clicks.points) == 3 and clicks.sighting is None
+    assert len(clicks.points) == 3 and clicks.detection is None
     assert "the first one of the last row" in clicks.message
 
 
@@ -107,7 +106,7 @@ def test_window_accepts_four_clicks_and_enter(image: np.ndarray) -> None:
     figure, window = window_on(image)
     for pixel in OUTER:
         press(figure, pixel)
-    assert window.clicks.sighting is not None and not window.accepted
+    assert window.clicks.detection is not None and not window.accepted
     key(figure, "enter")
     assert window.accepted
     assert window.clicks.pixels == pytest.approx(OUTER, abs=1.0)

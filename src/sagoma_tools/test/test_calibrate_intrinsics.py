@@ -13,16 +13,14 @@ from sensor_msgs.srv import SetCameraInfo
 
 from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError
-from rig_calibration.intrinsics.selection import ViewCollector
-from rig_calibration.intrinsics.watching import BoardWatcher
+from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
 from sagoma_ros.images import image_message
 from sagoma_ros.qos import RESULT
-from sagoma_tools.calibration.live_camera import camera_name_of, namespace_of
+from sagoma_tools.calibration.live_display import draw_preview, panel, plain_line, state_of
 from sagoma_tools.calibration.live_image import image_of
-from sagoma_tools.calibration.live_panel import panel, plain_line, state_of
-from sagoma_tools.calibration.live_preview import draw_preview
+from sagoma_tools.calibration.live_lens import camera_name_of, namespace_of
 from sagoma_tools.cli import main
-from sagoma_tools.ros_link import RosLink
+from sagoma_tools.graph.ros_link import RosLink
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +154,10 @@ def test_names_come_from_the_topic():
 
 
 def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
-    watcher = BoardWatcher(BOARD, "cam01", ViewCollector(BOARD))
+    watcher = BoardImageProcessor(BOARD, "cam01", ViewCollector(BOARD))
     watcher.see(shown[0], None, 0)
     seen = watcher.see(shown[0], shown[0], 1)
-    assert seen.sighting is not None and not seen.taken
+    assert seen.detection is not None and not seen.taken
     state = state_of(watcher, seen.reason, 2, 0)
     line = plain_line(state)
     assert line.startswith("cam01: 1 views; image ") and "tilt" in line
@@ -167,7 +165,7 @@ def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
     assert state.advice in str(shown_panel.title) and state.last == seen.reason
     picture = draw_preview(shown[0], seen, watcher.collector.coverage, state.advice)
     marked = np.ptp(picture.astype(int), axis=2) > 100
-    corner = np.rint(seen.sighting.pixels[20]).astype(int)
+    corner = np.rint(seen.detection.pixels[20]).astype(int)
     assert marked[corner[1] - 6 : corner[1] + 7, corner[0] - 6 : corner[0] + 7].any()
 
 

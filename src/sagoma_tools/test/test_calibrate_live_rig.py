@@ -14,11 +14,11 @@ from sensor_msgs.msg import Image
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard
-from rig_calibration.extrinsics import progress
+from rig_calibration.extrinsics import carried_board as progress
 from sagoma_ros.images import image_message
 from sagoma_ros.qos import SILHOUETTE_PUBLISHER
 from sagoma_tools.calibration.rig_live import LiveSources, find_topics, grab
-from sagoma_tools.ros_link import RosLink
+from sagoma_tools.graph.ros_link import RosLink
 
 BOARD = Checkerboard(7, 4, (0.12, 0.12))
 CAMERAS = three_cameras()
@@ -77,7 +77,7 @@ def test_camera_that_does_not_publish_is_named(published: PublishedCameras, link
 def test_floor_and_carried_board_are_seen_live_at_common_moments(
     published: PublishedCameras, link: RosLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_MOMENTS", 5), ("ENOUGH_CELLS", 1)):
+    for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_FRAMES", 5), ("ENOUGH_CELLS", 1)):
         monkeypatch.setattr(progress, name, few)
     asked: list[str] = []
 
@@ -90,10 +90,10 @@ def test_floor_and_carried_board_are_seen_live_at_common_moments(
     floor = sources.see_floor(BOARD, CAMERAS, {})
     moving = sources.see_moving(BOARD, CAMERAS)
     assert [what.split()[0] for what in asked] == ["Lay", "Carry"]
-    assert all(len(seen.sightings) == seen.examined for seen in floor.values())
-    moments = [{s.moment for s in moving[name].sightings} for name in CAMERAS]
-    assert len(moments[0] & moments[1] | moments[1] & moments[2] | moments[0] & moments[2]) >= 5
+    assert all(len(seen.detections) == seen.examined for seen in floor.values())
+    frames = [{s.frame_index for s in moving[name].detections} for name in CAMERAS]
+    assert len(frames[0] & frames[1] | frames[1] & frames[2] | frames[0] & frames[2]) >= 5
     for name, camera in CAMERAS.items():
-        seen = moving[name].sightings[-1].pixels
+        seen = moving[name].detections[-1].pixels
         true = [camera.project(BOARD.corners_board @ T[:3, :3].T + T[:3, 3]) for T in POSES]
         assert min(np.abs(seen - pixels).max() for pixels in true) < 1.0, "corners of one of the published poses"

@@ -19,15 +19,15 @@ def video(path, greys):
     writer.release()
 
 
-def moments(footage):
-    return {name: [moment for moment, _ in camera] for name, camera in footage.items()}
+def frames(footage):
+    return {name: [frame_index for frame_index, _ in camera] for name, camera in footage.items()}
 
 
 def test_folder_of_videos_gives_a_camera_each_with_frames_as_moments(tmp_path):
     video(tmp_path / "cam01.mp4", [10, 90, 170])
     video(tmp_path / "cam02_floor.mp4", [50, 60])
     footage = open_footage_of_cameras([str(tmp_path)])
-    assert moments(footage) == {"cam01": [0, 1, 2], "cam02": [0, 1]}
+    assert frames(footage) == {"cam01": [0, 1, 2], "cam02": [0, 1]}
     images = [image for _, image in footage["cam01"]]
     assert images[0].shape == (48, 64) and [round(image.mean(), -1) for image in images] == [10, 90, 170]
     assert footage["cam01"].count == 3 and footage["cam01"].is_video
@@ -38,14 +38,14 @@ def test_numbered_stills_carry_their_numbers_as_moments_so_that_a_missing_one_sh
         for number in numbers:
             still(tmp_path / f"{side}{number:02d}.png", 10 * number)
     footage = open_footage_of_cameras([str(tmp_path)])
-    assert moments(footage) == {"left": [1, 2, 3, 10], "right": [1, 3, 10]}
+    assert frames(footage) == {"left": [1, 2, 3, 10], "right": [1, 3, 10]}
     assert [image[0, 0] for _, image in footage["right"]] == [10, 30, 100]
 
 
 def test_one_still_a_camera_is_the_same_moment_for_all(tmp_path):
     for name in ("cam01.png", "cam02.png", "cam10.jpg"):
         still(tmp_path / name)
-    assert moments(open_footage_of_cameras([str(tmp_path)])) == {"cam01": [0], "cam02": [0], "cam10": [0]}
+    assert frames(open_footage_of_cameras([str(tmp_path)])) == {"cam01": [0], "cam02": [0], "cam10": [0]}
 
 
 def test_sub_folders_are_cameras_and_stills_are_in_natural_order(tmp_path):
@@ -59,21 +59,21 @@ def test_numbers_that_no_other_camera_shares_are_no_moments(tmp_path):
     for name, start in (("a", 1000), ("b", 5000)):
         for k in range(3):
             still(tmp_path / name / f"{start + 7 * k}.png")
-    assert moments(open_footage_of_cameras([str(tmp_path)])) == {"a": [0, 1, 2], "b": [0, 1, 2]}
+    assert frames(open_footage_of_cameras([str(tmp_path)])) == {"a": [0, 1, 2], "b": [0, 1, 2]}
 
 
 def test_named_pattern_is_one_camera(tmp_path):
     for number in (1, 2):
         still(tmp_path / f"x_{number}.png")
     footage = open_footage_of_cameras([f"front={tmp_path}/x_*.png"])
-    assert moments(footage) == {"front": [1, 2]} and footage["front"].where == str(tmp_path)
+    assert frames(footage) == {"front": [1, 2]} and footage["front"].where == str(tmp_path)
 
 
 def test_damaged_still_is_left_out_and_the_others_keep_their_moments(tmp_path):
     for number in (1, 2, 3):
         still(tmp_path / f"view{number}.png")
     (tmp_path / "view2.png").write_bytes(b"no picture")
-    assert moments(open_footage_of_cameras([f"cam={tmp_path}/view*.png"])) == {"cam": [1, 3]}
+    assert frames(open_footage_of_cameras([f"cam={tmp_path}/view*.png"])) == {"cam": [1, 3]}
 
 
 def test_same_camera_twice_is_refused_with_both_sources(tmp_path):

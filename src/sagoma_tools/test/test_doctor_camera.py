@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import yaml
 
-from camera_client.aravis_source import AravisSource, import_aravis
-from camera_client.background_model import BackgroundLearner
+from camera_client.background.model import BackgroundLearner
 from camera_client.settings import AravisSettings
+from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, save_rig
 from sagoma_tools.cli import main
-from sagoma_tools.doctor.ask_camera import ask_camera
+from sagoma_tools.doctor.camera_network import ask_camera
 from sagoma_tools.doctor.collect import collect_host, collect_interface
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
 from virtual_studio.rig import ring

@@ -7,18 +7,18 @@ import pytest
 
 from camera_client.settings import AravisSettings, CameraClientSettings
 from capture_rig.camera import CameraModel
-from sagoma_tools.doctor.camera_checks import check_background, check_timing
-from sagoma_tools.doctor.collect import chrony_clock
-from sagoma_tools.doctor.facts import BackgroundFacts, ClockFacts, DeviceFacts, HostFacts, InterfaceFacts, Stream
-from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, warning
-from sagoma_tools.doctor.host_checks import check_host
-from sagoma_tools.doctor.network_checks import (
+from sagoma_tools.doctor.camera import check_background, check_timing
+from sagoma_tools.doctor.camera_network import (
     check_bandwidth,
     check_device,
     check_interface,
     check_receive_buffer,
     stream_bytes_per_s,
 )
+from sagoma_tools.doctor.collect import chrony_clock
+from sagoma_tools.doctor.facts import BackgroundFacts, ClockFacts, DeviceFacts, HostFacts, InterfaceFacts, Stream
+from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, warning
+from sagoma_tools.doctor.machine.checks import check_host
 
 LINK = InterfaceFacts("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
 DEVICE = DeviceFacts(

@@ -8,7 +8,7 @@ from doctor_fake_nodes import RIG, Camera, FakeGraph
 from capture_rig.rig import save_rig
 from sagoma_tools.cli import main
 from sagoma_tools.doctor.graph.collect import collect_graph
-from sagoma_tools.doctor.graph.examination import judge_graph
+from sagoma_tools.doctor.graph.graph_checks import judge_graph
 
 SERVER = ("hull_server", "icp_tracker", "ekf_tracker")
 DOMAIN, ELSEWHERE = 93, 94  # of this file alone: nobody else's nodes are heard

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from camera_client.camera_moved import State
-from camera_client.lesson_report import LessonReport
+from camera_client.background.training import TrainingReport
+from camera_client.movement.detector import MovementState
 from capture_rig.verdict import Finding
 from sagoma_tools.doctor.findings import Severity
-from sagoma_tools.doctor.graph.examination import canvas_of, judge_graph
+from sagoma_tools.doctor.graph.collect import machine_of
 from sagoma_tools.doctor.graph.facts import Announcement, Canvas, FrameSetFacts, GraphFacts, NodeFacts, SilhouetteFacts
-from sagoma_tools.doctor.graph.middleware import machine_of
+from sagoma_tools.doctor.graph.graph_checks import canvas_of, judge_graph
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)
@@ -92,7 +92,8 @@ C2 = CLIENTS["cam02"]
         (replace(C2, values={"background_age_h": "30.2"}), "WARNING", "background", "30 h old"),
         (
             replace(
-                C2, values={"camera_moved": State.MOVED.value, "camera_shift_px": "8.30", "camera_turn_deg": "0.2"}
+                C2,
+                values={"camera_moved": MovementState.MOVED.value, "camera_shift_px": "8.30", "camera_turn_deg": "0.2"},
             ),
             "WARNING",
             "moved",
@@ -214,9 +215,9 @@ def test_frame_sets_that_do_not_come_or_fit_are_named(sets, subject, text):
 
 def test_camera_that_the_hull_suspects_is_named_with_degrees():
     figures = {
-        "calibration_push_deg_cam02": "1.020",
-        "calibration_push_sd_deg_cam02": "0.11",
-        "calibration_push_deg_cam01": "0.100",
+        "calibration_rotation_error_deg_cam02": "1.020",
+        "calibration_rotation_error_sd_deg_cam02": "0.11",
+        "calibration_rotation_error_deg_cam01": "0.100",
         "calibration_suspects": "cam02",
     }
     (trouble,) = troubles(graph([replace(HULL, values=figures)]))
@@ -234,8 +235,8 @@ def test_cameras_that_are_set_differently_are_named_together():
 @pytest.mark.parametrize("grade, expected", [("good", []), ("usable", []), ("redo", ["WARNING"])])
 def test_background_that_has_to_be_learned_again_is_named_with_the_reason(grade, expected):
     finding = Finding(grade, "something moved: in the middle", "clear the scene")
-    lesson = LessonReport(1, grade, () if grade == "good" else (finding,)).to_json()
-    found = troubles(graph([replace(C2, values={"background_lesson": lesson})]))
+    lesson = TrainingReport(1, grade, () if grade == "good" else (finding,)).to_json()
+    found = troubles(graph([replace(C2, values={"background_training": lesson})]))
     assert [severity for severity, *_ in found] == expected
     assert not found or "in the middle (clear the scene)" in found[0][3]
 

@@ -8,15 +8,14 @@ import pytest
 
 from capture_rig.rig import Rig, load_rig, save_rig
 from sagoma_bringup.graph import build_graph
-from sagoma_tools.backgrounds import learn_backgrounds
 from sagoma_tools.doctor.findings import Severity
-from sagoma_tools.doctor.graph.examination import examine_graph
-from sagoma_tools.stages import free_first_address
-from sagoma_tools.studio_process import StudioProcess
-from sagoma_tools.supervisor import Supervisor
+from sagoma_tools.doctor.graph.graph_checks import examine_graph
+from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
+from sagoma_tools.graph.background_training import learn_backgrounds
+from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 pytestmark = pytest.mark.slow
 DOMAIN, SECONDS, FPS = 95, 4.0, 6.0

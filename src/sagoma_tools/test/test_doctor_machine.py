@@ -9,7 +9,20 @@ from pathlib import Path
 import pytest
 
 import hull_server
-from sagoma_tools.doctor.facts import ClockFacts, HostFacts, InterfaceFacts
+from sagoma_tools.doctor.collect import judge_kernel_clock, kernel_clock
+from sagoma_tools.doctor.facts import (
+    ClockFacts,
+    DiskFacts,
+    GraphicsFacts,
+    HostFacts,
+    InterfaceFacts,
+    KernelFacts,
+    LimitFacts,
+    MachineFacts,
+    NetworkFacts,
+    SharedMemoryFacts,
+    SoftwareFacts,
+)
 from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.machine.ask_gl import collect_graphics
 from sagoma_tools.doctor.machine.checks import check_machine
@@ -21,19 +34,13 @@ from sagoma_tools.doctor.machine.collect import (
     collect_software,
     fingerprint_of,
 )
-from sagoma_tools.doctor.machine.collect_network import collect_network, domains_of_ports
-from sagoma_tools.doctor.machine.facts import (
-    DiskFacts,
-    GraphicsFacts,
-    KernelFacts,
-    LimitFacts,
-    MachineFacts,
-    NetworkFacts,
-    SharedMemoryFacts,
-    SoftwareFacts,
+from sagoma_tools.doctor.machine.network import (
+    ReachFacts,
+    check_reach,
+    collect_network,
+    collect_reach,
+    domains_of_ports,
 )
-from sagoma_tools.doctor.machine.kernel_clock import judge_kernel_clock, kernel_clock
-from sagoma_tools.doctor.machine.reach import ReachFacts, check_reach, collect_reach
 
 LINK = InterfaceFacts("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
 MACHINE = MachineFacts(

@@ -5,8 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from sagoma_tools.doctor.findings import error, exit_status, note, ok, on, summary, warning
-from sagoma_tools.doctor.report import show
+from sagoma_tools.doctor.findings import error, exit_status, note, ok, on, show, summary, warning
 
 FINDINGS = [
     *on("this machine", [ok("disk", "is large"), warning("clock", "is off", "chrony"), ok("memory", "is there")]),

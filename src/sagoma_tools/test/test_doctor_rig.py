@@ -12,8 +12,7 @@ import yaml
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.rig import Rig, save_rig
 from sagoma_tools.cli import main
-from sagoma_tools.doctor.rig.calibration_report import read_report
-from sagoma_tools.doctor.rig.facts import geometry
+from sagoma_tools.doctor.rig_facts import geometry, read_report
 from virtual_studio.rig import ring
 
 GOOD = ring(5, False)

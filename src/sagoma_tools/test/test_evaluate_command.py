@@ -11,18 +11,18 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig.errors import InputError
 from sagoma_ros.clouds import reference_points_array, to_cloud
-from sagoma_ros.joints import joint_state_message
-from sagoma_ros.stamps import to_stamp
-from sagoma_tools.bag_writer import BagWriter
+from sagoma_ros.messages import to_stamp
+from sagoma_ros.packets import joint_state_message
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
-from sagoma_tools.evaluation.ablation import OURS, ROWS, THESIS
+from sagoma_tools.evaluation.in_process import OURS, ROWS, THESIS
+from sagoma_tools.recording.writer import BagWriter
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 FRAMES = 12
 FIGURES = {

@@ -7,9 +7,9 @@ import pytest
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.truth import WRIST_FRACTION, Truth
+from capture_rig.session import WRIST_FRACTION, Truth
+from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.scores import score
-from sagoma_tools.evaluation.silhouettes import distort_mask
 from sagoma_tools.evaluation.track import Track
 from stick_figure.body import Body
 from stick_figure.kinematics import forward

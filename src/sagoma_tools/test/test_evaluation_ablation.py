@@ -8,13 +8,21 @@ import pytest
 
 from capture_rig.session import Session, load_session
 from sagoma_tools.evaluation import in_process
-from sagoma_tools.evaluation.ablation import OURS, PARTS, ROWS, THESIS, ablation_rows, thesis_configuration
 from sagoma_tools.evaluation.chain import Configuration, TrackingChain
-from sagoma_tools.evaluation.in_process import track_session, track_variants
-from sagoma_tools.live_run import start_settings
+from sagoma_tools.evaluation.in_process import (
+    OURS,
+    PARTS,
+    ROWS,
+    THESIS,
+    ablation_rows,
+    thesis_configuration,
+    track_session,
+    track_variants,
+)
+from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 
 @pytest.fixture(scope="module")

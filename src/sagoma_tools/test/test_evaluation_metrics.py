@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from capture_rig.truth import Truth
+from capture_rig.session import Truth
 from sagoma_tools.evaluation.angles import STRAIGHT_RAD, angle_truth, defined, score_angles
-from sagoma_tools.evaluation.honesty import honesty
-from sagoma_tools.evaluation.jitter import jitter
-from sagoma_tools.evaluation.judgement import time_to_track_s
+from sagoma_tools.evaluation.scores import honesty
 from sagoma_tools.evaluation.track import Track
+from sagoma_tools.evaluation.track_evaluation import jitter, time_to_track_s
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose

@@ -7,14 +7,23 @@ import numpy as np
 import pytest
 
 from capture_rig.session import Session, load_session
-from sagoma_tools.evaluation.judgement import Judgement, judge
-from sagoma_tools.evaluation.overlays import caption, draw_stills, sheets, write_overlay
-from sagoma_tools.evaluation.pictures import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
+from sagoma_tools.evaluation.pictures import (
+    LEFT_BGR,
+    TRUTH_BGR,
+    Window,
+    caption,
+    draw_skeleton,
+    draw_stills,
+    overlay,
+    sheets,
+    write_overlay,
+)
 from sagoma_tools.evaluation.plots import Curves, draw_plots, unwrapped
 from sagoma_tools.evaluation.track import Track
+from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
 FRAMES = 6
 
@@ -26,7 +35,7 @@ def session(tmp_path_factory) -> Session:
 
 
 @pytest.fixture()
-def judged(session) -> Judgement:
+def judged(session) -> TrackEvaluation:
     """A track that is the truth moved up by 30 mm, its left hand 250 mm off in frame 4, without frame 0."""
     assert session.truth is not None and session.truth.angles is not None
     points = session.truth.points_world[1:] + np.array([0.0, 0.0, 0.03])
@@ -34,7 +43,7 @@ def judged(session) -> Judgement:
     states = np.array(["acquiring", "tracking", "tracking", "doubtful", "tracking"])
     covariance = np.broadcast_to(np.eye(3) * 1e-3, (FRAMES - 1, 15, 3, 3)).copy()
     track = Track(np.arange(1, FRAMES), points, covariance, session.truth.angles[1:].copy(), states)
-    return judge(session, FRAMES, track, thesis=track)
+    return evaluate_track(session, FRAMES, track, thesis=track)
 
 
 def test_every_page_of_plots_is_written(judged, tmp_path):
@@ -54,7 +63,7 @@ def test_every_page_of_plots_is_written(judged, tmp_path):
 @pytest.mark.slow
 def test_without_a_truth_the_angles_alone_are_plotted(judged, tmp_path):
     session = replace(judged.session, truth=None)
-    paths = draw_plots(tmp_path, judge(session, FRAMES, judged.track))
+    paths = draw_plots(tmp_path, evaluate_track(session, FRAMES, judged.track))
     assert all(path.stem.startswith("angles_") for path in paths)
     assert len(paths) == 4
 
@@ -79,7 +88,7 @@ def test_the_caption_says_frame_time_state_and_error(judged):
 
 
 def test_the_caption_of_a_session_without_truth_has_no_error(judged):
-    blind = judge(replace(judged.session, truth=None), FRAMES, judged.track)
+    blind = evaluate_track(replace(judged.session, truth=None), FRAMES, judged.track)
     assert caption(blind, 4) == "session   frame 4   0.20 s   doubtful"
 
 
@@ -90,7 +99,7 @@ def test_the_overlay_video_has_every_frame(judged, tmp_path):
 
 
 def test_the_overlay_video_works_without_a_truth(judged):
-    blind = judge(replace(judged.session, truth=None), FRAMES, judged.track)
+    blind = evaluate_track(replace(judged.session, truth=None), FRAMES, judged.track)
     sizes = {sheet.shape for sheet in sheets(blind)}
     assert len(sizes) == 1
     height, width, _ = sizes.pop()
@@ -99,7 +108,7 @@ def test_the_overlay_video_works_without_a_truth(judged):
 
 def test_stills_show_frames_all_over_and_the_worst_one(judged, tmp_path):
     assert [path.name for path in draw_stills(tmp_path, judged)] == ["overlay.png", "worst.png"]
-    blind = judge(replace(judged.session, truth=None), FRAMES, judged.track)
+    blind = evaluate_track(replace(judged.session, truth=None), FRAMES, judged.track)
     assert [path.name for path in draw_stills(tmp_path / "blind", blind)] == ["overlay.png"]
 
 

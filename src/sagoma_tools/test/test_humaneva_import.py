@@ -14,9 +14,8 @@ from capture_rig.session import load_session
 from icp_tracker.acquisition.pose_source import make_pose_source
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.chain import Configuration
-from sagoma_tools.importers.humaneva.importer import Request, import_trial
-from sagoma_tools.importers.humaneva.layout import Trial
-from sagoma_tools.live_run import start_settings
+from sagoma_tools.evaluation.live_run import start_settings
+from sagoma_tools.importers.humaneva.importer import Request, Trial, import_trial
 from stick_figure.kinematics import forward
 
 FIRST = 6

@@ -6,12 +6,11 @@ from humaneva_files import SHOULDER_WIDTH_MM, joints_of, marker_points, model_po
 from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
-from sagoma_tools.importers.humaneva.c3d_file import Mocap, read_c3d
-from sagoma_tools.importers.humaneva.joints import MARKERS, Measures, joints, measures
-from sagoma_tools.importers.humaneva.virtual_points import Instants, segment
+from sagoma_tools.importers.humaneva.formats import Mocap, read_c3d
+from sagoma_tools.importers.humaneva.joints import MARKERS, Instants, Measures, joints, measures, segment
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.motion import walk
+from virtual_studio.motions.catalogue import walk
 
 SIZES = Measures(SHOULDER_WIDTH_MM / 2 - 7.0, {"L": 46.0, "R": 52.0})
 GRID_HZ = 600

@@ -6,7 +6,7 @@ import threading
 
 import psutil
 
-from sagoma_tools.processes import Child, Exit, node_command, stop_children
+from sagoma_tools.graph.processes import Child, Exit, node_command, stop_children
 
 
 def test_installed_executable_is_preferred_to_the_module(tmp_path, monkeypatch):
@@ -26,8 +26,8 @@ def test_installed_executable_is_preferred_to_the_module(tmp_path, monkeypatch):
     assert node_command("hull_server", "hull_server", "m") == [sys.executable, "-m", "m"]
 
 
-def start(tmp_path, name, script, on_death=lambda child: None):
-    return Child(name, [sys.executable, "-c", script], tmp_path / f"{name}.log", os.environ, on_death)
+def start(tmp_path, name, script, on_exit=lambda child: None):
+    return Child(name, [sys.executable, "-c", script], tmp_path / f"{name}.log", os.environ, on_exit)
 
 
 def test_children_end_on_sigint_even_when_they_inherit_it_ignored(tmp_path):
@@ -35,8 +35,8 @@ def test_children_end_on_sigint_even_when_they_inherit_it_ignored(tmp_path):
     script = "import time; print('ready', flush=True); time.sleep(600)"
     child = start(tmp_path, "sleeper", script)
     wait_for_text(child, "ready")
-    (farewell,) = stop_children([child], grace_s=30.0)
-    assert farewell.exit is Exit.CLEAN and not psutil.pid_exists(child.pid)
+    (ended,) = stop_children([child], grace_s=30.0)
+    assert ended.exit is Exit.CLEAN and not psutil.pid_exists(child.pid)
 
 
 def test_killing_takes_the_whole_process_group(tmp_path):
@@ -47,8 +47,8 @@ def test_killing_takes_the_whole_process_group(tmp_path):
     )
     child = start(tmp_path, "deaf", script)
     grandchild = psutil.Process(int(wait_for_text(child, "ready").split()[0]))
-    (farewell,) = stop_children([child], grace_s=0.2)
-    assert (farewell.exit, farewell.returncode) == (Exit.KILLED, -9)
+    (ended,) = stop_children([child], grace_s=0.2)
+    assert (ended.exit, ended.returncode) == (Exit.KILLED, -9)
     assert grandchild.wait(timeout=30) is not None or not grandchild.is_running()
 
 
@@ -59,8 +59,8 @@ def test_child_that_fails_on_the_way_out_is_told_from_a_clean_one(tmp_path):
     )
     child = start(tmp_path, "failing", script)
     wait_for_text(child, "ready")
-    (farewell,) = stop_children([child], grace_s=30.0)
-    assert (farewell.exit, farewell.returncode) == (Exit.FAILED, 4)
+    (ended,) = stop_children([child], grace_s=30.0)
+    assert (ended.exit, ended.returncode) == (Exit.FAILED, 4)
 
 
 def test_death_is_told_once_with_the_log_complete(tmp_path):
@@ -68,8 +68,8 @@ def test_death_is_told_once_with_the_log_complete(tmp_path):
     child = start(tmp_path, "mortal", "print('first'); print('last'); raise SystemExit(5)", lambda child: told.set())
     assert told.wait(30)
     assert child.log_tail(1) == "last" and child.returncode == 5 and child.usage() is None
-    (farewell,) = stop_children([child], grace_s=1.0)
-    assert (farewell.exit, farewell.returncode) == (Exit.ALREADY_DEAD, 5)
+    (ended,) = stop_children([child], grace_s=1.0)
+    assert (ended.exit, ended.returncode) == (Exit.ALREADY_DEAD, 5)
 
 
 def wait_for_text(child, text):

@@ -10,11 +10,11 @@ from sensor_msgs.msg import CompressedImage, JointState
 
 from capture_rig.errors import InputError
 from capture_rig.frame_set import FrameSet
-from sagoma_tools.bags import BagMessage, read_messages
-from sagoma_tools.recorder import Recorder, has_header
-from sagoma_tools.replayer import Answers, InputPublishers, play_lockstep, play_timed
-from sagoma_tools.ros_link import RosLink
-from sagoma_tools.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
+from sagoma_tools.graph.ros_link import RosLink
+from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
+from sagoma_tools.recording.reader import BagMessage, read_messages
+from sagoma_tools.recording.recorder import Recorder, has_header
+from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed
 
 CAMERAS = ("cam01", "cam02")
 SILHOUETTE = "sensor_msgs/msg/CompressedImage"

@@ -5,12 +5,12 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from capture_rig.errors import InputError
-from sagoma_bringup.node_spec import NodeSpec, Role
-from sagoma_tools.bag_writer import BagWriter
+from sagoma_bringup.graph import NodeSpec, Role
+from sagoma_tools.arguments import parse_settings
 from sagoma_tools.cli import main
-from sagoma_tools.commands.common import parse_settings
-from sagoma_tools.configuration import read_configuration
-from sagoma_tools.supervisor import Supervisor
+from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.recording.recorder import read_configuration
+from sagoma_tools.recording.writer import BagWriter
 
 TOPIC = "/mocap/joint_states"
 

@@ -7,11 +7,11 @@ import psutil
 import pytest
 from rich.console import Console
 
-from camera_client.pace import choose_epoch_ns
-from sagoma_bringup.node_spec import NodeSpec, Role
-from sagoma_tools.lifecycle_client import Transition, Verdict
-from sagoma_tools.processes import Exit, owned_shared_memory, shared_memory_files
-from sagoma_tools.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
+from camera_client.sources.footage_source import choose_epoch_ns
+from sagoma_bringup.graph import NodeSpec, Role
+from sagoma_tools.graph.lifecycle_client import Transition, Verdict
+from sagoma_tools.graph.processes import Exit, owned_shared_memory, shared_memory_files
+from sagoma_tools.graph.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
 
 
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
@@ -50,8 +50,8 @@ def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
     assert usage.keys() == {"hull_server", "cam01", "cam02"}
     assert all(used.peak_mib >= used.resident_mib > 10 and used.cpu_s > 0 for used in usage.values())
     pids = run.pids().values()
-    farewells = run.stop()
-    assert [farewell.exit for farewell in farewells] == [Exit.CLEAN] * 3
+    exit_statuses = run.stop()
+    assert [ended.exit for ended in exit_statuses] == [Exit.CLEAN] * 3
     assert run.stop_outcome.ok and len(run.stop_outcome.answers) == 6  # deactivate and cleanup, each acknowledged
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
@@ -80,11 +80,11 @@ def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
 def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supervise):
     deaths, told = [], threading.Event()
 
-    def on_death(spec, log_tail):
+    def on_exit(spec, log_tail):
         deaths.append((spec.label, log_tail))
         told.set()
 
-    run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_death=on_death)
+    run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_exit=on_exit)
     run.configure()
     its_memory = owned_shared_memory([run.pids()["/cam01/camera_client"]])
     outcome = run.activate()
@@ -93,7 +93,7 @@ def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supe
     assert deaths[0][0] == "cam01" and deaths[0][1].endswith("the last words of a dying node")
     assert run.states()["/cam01/camera_client"] == "dead"
     assert run.states()["/hull_server"] == run.states()["/cam02/camera_client"] == "active"
-    exits = {farewell.name: (farewell.exit, farewell.returncode) for farewell in run.stop()}
+    exits = {ended.name: (ended.exit, ended.returncode) for ended in run.stop()}
     assert exits["cam01"] == (Exit.ALREADY_DEAD, 3) and exits["cam02"] == (Exit.CLEAN, 0)
     assert its_memory and not shared_memory_files(its_memory)
 
@@ -120,7 +120,7 @@ def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(superv
     pid = run.pids()["/deaf"]
     its_memory = owned_shared_memory([pid])
     assert its_memory
-    exits = {farewell.name: farewell.exit for farewell in run.stop()}
+    exits = {ended.name: ended.exit for ended in run.stop()}
     assert exits == {"deaf": Exit.KILLED, "good": Exit.CLEAN}
     assert not psutil.pid_exists(pid)
     assert not shared_memory_files(its_memory)
@@ -137,13 +137,13 @@ def test_lifecycle_client_names_the_silent_node_and_serves_the_others(supervise)
 
 def test_board_shows_what_a_node_says_of_itself(supervise):
     run = supervise(camera("cam01"))
-    assert run.board.wait_for(["/cam01/camera_client"], timeout_s=30)
-    report = run.board.report("/cam01/camera_client")
+    assert run.diagnostics.wait_for(["/cam01/camera_client"], timeout_s=30)
+    report = run.diagnostics.report("/cam01/camera_client")
     assert report.values["rate_hz"] == "60.0" and report.losses() == {"dropped": 7}
     names, states = {"/cam01/camera_client": "cam01", "/gone": "gone"}, {"/cam01/camera_client": "active"}
-    heard_line = rendered(run.board.table(names, states, now_s=report.heard_s))[1]
+    heard_line = rendered(run.diagnostics.table(names, states, now_s=report.heard_s))[1]
     assert heard_line.split() == ["cam01", "active", "60.0", "7", "dropped", "tiny"]
-    assert "silent for 10 s" in rendered(run.board.table(names, states, now_s=report.heard_s + 10))[1]
+    assert "silent for 10 s" in rendered(run.diagnostics.table(names, states, now_s=report.heard_s + 10))[1]
 
 
 def rendered(table):

@@ -8,10 +8,10 @@ import pytest
 from sagoma_tools.evaluation.chain import Chain, Configuration
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import t_pose_only
+from virtual_studio.motions.catalogue import t_pose_only
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
-from virtual_studio.silhouettes import ExactSilhouettes
 
 FRAME_NS = 16_666_667
 BODY = Body.from_stature(1.75)
@@ -21,7 +21,7 @@ BODY = Body.from_stature(1.75)
 def t_pose():
     """Rig, silhouettes {camera: mask} and true points (15, 3) of somebody in a T-pose."""
     rig, pose = ring(5), t_pose_only(BODY, 0.1, 60.0).poses[0]
-    return rig, ExactSilhouettes(rig).see(VolumetricBody(BODY).place(pose)), forward(BODY, pose)
+    return rig, ExactSilhouettes(rig).render(VolumetricBody(BODY).place(pose)), forward(BODY, pose)
 
 
 @pytest.fixture

@@ -2,16 +2,139 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
+from capture_rig.errors import InputError
+
 from . import kernels
 from .body import Body
-from .euler import ball_rates, euler_axes
-from .inverse import inverse
 from .pose import Pose
-from .rotations import Array
-from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_STICK
+from .rotations import (
+    Array,
+    ball_rates,
+    ball_rotation,
+    euler_axes,
+    excess_over_range,
+    nearest_rotation,
+    wrap_into_range,
+)
+from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, POINT_STICK, T_POSE_ANGLES, TORSO_POINTS
+
+# --- Inverse kinematics: the pose that explains 15 reference points (thesis Table 5.4, corrected).
+
+STRAIGHT_SINE = 1e-7
+"""Below this bend the twist of the upper limb cannot be seen in the points."""
+_LIMB_POINTS = np.array([[3, 7, 11], [4, 8, 12], [5, 9, 13], [6, 10, 14]])
+"""(4, 3) points at the joint, middle and end of each limb."""
+_SEGMENTS = np.vstack([[[2, 1]], _LIMB_POINTS[:, :2], _LIMB_POINTS[:, 1:]])
+
+
+def inverse(body: Body, points_world: Array, previous: Pose | None = None) -> Pose:
+    """The pose of reference points (15, 3), world frame, metres: the exact inverse of `kinematics.forward`.
+
+    The torso is the rigid fit to its six points; limbs follow from directions, so limbs of other lengths than the
+    body's do no harm. What the points leave open (the twist of a straight arm or leg, the first angle where the limb
+    points along its axis) keeps the angle of `previous`, or of the T-pose. Elbows and knees bend the right way.
+    Raises InputError for a wrong shape, a point that is not finite, or two joints of one limb in the same place.
+    """
+    points = np.asarray(points_world, float)
+    _check(points)
+    R0, t0 = _rigid_fit(body.torso_points, points[TORSO_POINTS])
+    remembered = T_POSE_ANGLES if previous is None else previous.angles()
+    R_joints, hinges = np.empty((5, 3, 3)), np.empty(4)
+    _joints(points @ R0, remembered, R_joints, hinges)
+    return Pose(t0, R0, R_joints, hinges)
+
+
+def _rigid_fit(model: Array, data: Array) -> tuple[Array, Array]:
+    """Rotation and translation that move the model's points (n, 3) onto the data (orthogonal Procrustes)."""
+    centre_model, centre_data = model.mean(0), data.mean(0)
+    R = nearest_rotation((data - centre_data).T @ (model - centre_model))
+    return R, centre_data - R @ centre_model
+
+
+@njit(cache=True)
+def _joints(points_torso, remembered, R_joints, hinges):
+    """R_joints (5, 3, 3), hinges (4,) <- from the points (15, 3) turned into the torso's axes."""
+    head = points_torso[1] - points_torso[2]
+    kernels.neck_from_direction(head[0], head[1], head[2], R_joints[0])
+    for limb in range(4):
+        joint, middle, end = _LIMB_POINTS[limb]
+        upper = _unit(points_torso[middle] - points_torso[joint])
+        lower = _unit(points_torso[end] - points_torso[middle])
+        hinges[limb] = _limb(limb, upper, lower, remembered, R_joints[1 + limb])
+
+
+@njit(cache=True)
+def _limb(limb, upper, lower, remembered, R):
+    """R (3, 3) <- ball rotation of an arm (0, 1) or leg (2, 3) from two unit directions; returns the hinge's angle."""
+    arm = limb < 2
+    along = np.dot(lower, upper)
+    across = lower - along * upper
+    bend = math.sqrt(np.dot(across, across))
+    if bend < STRAIGHT_SINE:
+        _straight_limb(limb, upper, remembered, R)
+        if along > 0.0:
+            return 0.0
+        return -math.pi if arm else math.pi
+    across /= bend
+    if arm:  # forearm in the upper arm's frame: (-sin h, cos h, 0), h <= 0, so it bends towards +x
+        R[:, 0], R[:, 1], R[:, 2] = across, upper, np.cross(across, upper)
+        return -math.atan2(bend, along)
+    # calf in the thigh's frame: (-sin h, 0, -cos h), h >= 0, so it bends towards -x
+    R[:, 0], R[:, 1], R[:, 2] = -across, np.cross(upper, across), -upper
+    return math.atan2(bend, along)
+
+
+@njit(cache=True)
+def _straight_limb(limb, upper, remembered, R):
+    """R (3, 3) <- a straight limb: the first two angles from its direction, the twist remembered.
+
+    Both covers point the same way but carry the remembered twist differently: the one inside the joint ranges is
+    taken, or the one nearer the remembered angles.
+    """
+    x, y, z = upper
+    slots = BALL_ANGLES[1 + limb]
+    level = math.hypot(y, z)
+    first = remembered[slots[0]]
+    if level > STRAIGHT_SINE:
+        first = math.atan2(z, y) if limb < 2 else math.atan2(y, -z)
+    second = math.atan2(-x, level)
+    angles, values, best_cost = remembered.copy(), np.empty(3), math.inf
+    for cover in range(2):
+        values[0] = wrap_into_range(first + cover * math.pi, slots[0])
+        values[1] = wrap_into_range(second if cover == 0 else math.pi - second, slots[1])
+        values[2] = remembered[slots[2]]
+        cost = 0.0 if excess_over_range(values, slots) == 0.0 else 100.0
+        for k in range(3):
+            cost += abs(math.sin(0.5 * (values[k] - remembered[slots[k]])))
+        if cost < best_cost:
+            best_cost = cost
+            for k in range(3):
+                angles[slots[k]] = values[k]
+    ball_rotation(1 + limb, angles, R)
+
+
+@njit(cache=True)
+def _unit(vector):
+    return vector / math.sqrt(np.dot(vector, vector))
+
+
+def _check(points: Array) -> None:
+    if points.shape != (15, 3):
+        raise InputError(f"reference points have shape {points.shape}", remedy="Expected (15, 3).")
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        names = ", ".join(POINT_NAMES[i] for i in np.flatnonzero(bad))
+        raise InputError(f"points are not finite: {names}", remedy="Give all 15 points or drop the frame.")
+    lengths = np.linalg.norm(points[_SEGMENTS[:, 1]] - points[_SEGMENTS[:, 0]], axis=1)
+    if lengths.min() < 1e-6:
+        start, end = _SEGMENTS[np.argmin(lengths)]
+        raise InputError(f"{POINT_NAMES[start]} and {POINT_NAMES[end]} are in the same place", remedy="Drop the frame.")
+
 
 __all__ = ["angle_jacobian", "angle_rates", "forward", "inverse", "jacobian", "sticks"]
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .euler import wrap_pi
-from .rotations import Array
+from .rotations import Array, wrap_pi
 
 LARGE_ERROR_M = 0.2
 """Default threshold of "a point is lost"."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import kernels
-from .euler import angles_of_joints, joint_rotations
-from .rotations import Array
+from .rotations import Array, angles_of_joints, joint_rotations
 from .skeleton import HINGE_ANGLES, T_POSE_ANGLES
 
 __all__ = ["HINGE_MARGIN_RAD", "T_POSE_ANGLES", "Pose"]

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from gige_vision import gvcp_payloads
+from gige_vision import gvcp as gvcp_payloads
 from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket
 
 HOST = "127.0.0.1"

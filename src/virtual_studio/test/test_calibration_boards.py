@@ -9,18 +9,13 @@ import pytest
 
 from rig_calibration.boards.board import CharucoBoard, Checkerboard
 from stick_figure.body import Body
-from virtual_studio.body import VolumetricBody
-from virtual_studio.calibration.board_camera import BoardCamera, HeldBoard
-from virtual_studio.calibration.board_caster import cast_board, sample_places
-from virtual_studio.calibration.carrying import carry, on_floor
-from virtual_studio.calibration.hands import hands, person_with
-from virtual_studio.calibration.paths import pose
-from virtual_studio.calibration.photographer import Optics, Photographer, exposed
-from virtual_studio.calibration.prints import print_of
-from virtual_studio.calibration.wand import Wand
-from virtual_studio.calibration.waving import FACING
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.board_camera import BoardCamera, FilmingCamera, Optics, PosedBoard, exposed
+from virtual_studio.rendering.board_caster import cast_board, sample_places
+from virtual_studio.rendering.camera import WHITE, Sensor
 from virtual_studio.rig import ring
-from virtual_studio.sensor import WHITE, Sensor
+from virtual_studio.scene.boards import Wand, print_of
+from virtual_studio.scene.handling import FACING, carry, hands, on_floor, person_with, pose
 
 RIG = ring(2, ceiling=True)
 CAMERA = RIG.cameras[0]
@@ -37,7 +32,7 @@ def shown(distance_m, tilt_rad=0.0, about=(1.0, 0.0, 0.0), aside=(0.0, 0.0), boa
 
 
 def held(T, board=HAND):
-    return HeldBoard(board, T[None])
+    return PosedBoard(board, T[None])
 
 
 def picture(light):
@@ -91,16 +86,16 @@ def found_corners(image, start, window_px):
 def test_corners_lie_where_the_lens_projects_them(distance_m, tilt_rad, about, aside, window_px):
     board = held(shown(distance_m, tilt_rad, about, aside))
     truth = CAMERA.project(board.corners_world)
-    errors = found_corners(picture(EYE.see([board])), truth, window_px) - truth
+    errors = found_corners(picture(EYE.render([board])), truth, window_px) - truth
     assert np.abs(errors.mean(axis=0)).max() < 0.02
     assert np.sqrt((errors**2).mean()) < 0.06  # of which OpenCV's refinement itself makes most: see docs/studio.md
 
 
 @pytest.mark.parametrize("camera", RIG.cameras, ids=RIG.names)
 def test_grazing_floor_board_has_unbiased_corners(camera):
-    board = HeldBoard(FLOOR, on_floor(FLOOR)[None])
+    board = PosedBoard(FLOOR, on_floor(FLOOR)[None])
     truth = camera.project(board.corners_world)
-    errors = found_corners(picture(BoardCamera(camera).see([board])), truth, 2) - truth
+    errors = found_corners(picture(BoardCamera(camera).render([board])), truth, 2) - truth
     assert np.abs(errors.mean(axis=0)).max() < 0.03
     assert np.abs(errors).max() < 0.25
 
@@ -123,14 +118,14 @@ def test_shortcut_for_plain_pixels_changes_nothing():
 
 def test_board_that_faces_the_lamp_is_brighter():
     leaning_back, leaning_forward = shown(0.8, -0.6), shown(0.8, 0.6)
-    up, down = (picture(EYE.see([held(T)]))[among_corners(T)].max() for T in (leaning_back, leaning_forward))
+    up, down = (picture(EYE.render([held(T)]))[among_corners(T)].max() for T in (leaning_back, leaning_forward))
     assert 1.25 * down < up < 255  # even so, paper does not saturate
 
 
 def test_back_of_a_board_shows_no_fields():
     turned = pose(np.diag([-1.0, 1.0, -1.0]), 2.0 * HAND.middle_board * [1.0, 0.0, 0.0])
     T = shown(0.8) @ turned
-    patch = picture(EYE.see([held(T)]))[among_corners(T)]
+    patch = picture(EYE.render([held(T)]))[among_corners(T)]
     assert patch.size > 10_000 and np.ptp(patch) == 0
 
 
@@ -142,7 +137,7 @@ def test_board_is_seen_before_the_person_who_carries_it_and_hidden_behind(side, 
     looking = -side * ahead
     R = np.array([np.cross(looking, [0, 0, 1.0]), [0, 0, -1.0], looking])
     camera = replace(CAMERA, T_camera_world=pose(R, -R @ (middle + side * 2.4 * ahead)))
-    image = picture(BoardCamera(camera).see([held(T, FLOOR)], person_with(body, FLOOR, T)))
+    image = picture(BoardCamera(camera).render([held(T, FLOOR)], person_with(body, FLOOR, T)))
     x, y = np.rint(camera.project(middle)).astype(int)
     assert (np.ptp(image[y - 20 : y + 20, x - 20 : x + 20]) > 60) == contrast_seen
 
@@ -150,26 +145,26 @@ def test_board_is_seen_before_the_person_who_carries_it_and_hidden_behind(side, 
 def test_thumbs_cover_the_margin_and_no_field():
     T = shown(0.6)
     inside = among_corners(T)
-    bare, grasped = EYE.see([held(T)]), EYE.see([held(T)], hands(HAND, T))
+    bare, grasped = EYE.render([held(T)]), EYE.render([held(T)], hands(HAND, T))
     np.testing.assert_array_equal(bare[inside], grasped[inside])
     assert (np.abs(bare - grasped) > 0.1).sum() > 500
 
 
 def test_board_behind_the_camera_is_not_seen():
-    np.testing.assert_array_equal(EYE.see([held(shown(-0.7))], blur_px=0.0), EYE.empty_room())
+    np.testing.assert_array_equal(EYE.render([held(shown(-0.7))], blur_px=0.0), EYE.empty_room())
 
 
 def test_board_around_the_camera_s_plane_is_drawn_where_it_is_ahead():
-    light = EYE.see([held(shown(0.12, 1.4, (0, 1, 0)))], blur_px=0.0)
+    light = EYE.render([held(shown(0.12, 1.4, (0, 1, 0)))], blur_px=0.0)
     assert np.isfinite(light).all() and (light != EYE.empty_room()).sum() > 1000
 
 
 def test_moving_board_is_smeared_as_the_mean_of_its_places():
     places = np.array([shown(0.8, aside=(0.002 * k, 0.0)) for k in range(7)])  # a pixel apart
-    smeared = EYE.see([HeldBoard(HAND, places)], blur_px=0.0, samples=700)
-    mean = np.mean([EYE.see([held(T)], blur_px=0.0, samples=100) for T in places], axis=0)
+    smeared = EYE.render([PosedBoard(HAND, places)], blur_px=0.0, samples=700)
+    mean = np.mean([EYE.render([held(T)], blur_px=0.0, samples=100) for T in places], axis=0)
     assert np.abs(smeared - mean).mean() < 1e-3
-    assert np.abs(smeared - EYE.see([held(places[3])], blur_px=0.0)).max() > 0.2
+    assert np.abs(smeared - EYE.render([held(places[3])], blur_px=0.0)).max() > 0.2
 
 
 def test_exposure_has_as_many_moments_as_the_motion_asks_for_and_the_middle_is_one():
@@ -184,7 +179,7 @@ def test_exposure_has_as_many_moments_as_the_motion_asks_for_and_the_middle_is_o
 
 def test_the_same_frame_is_taken_again_bit_for_bit():
     path, sensor = carry(FLOOR, 20.0, 3), Sensor(3.0, 0.005, 1)
-    first, second = (Photographer(CAMERA, 0, Optics(sensor)).take(5, FLOOR, path, 2.0) for _ in range(2))
+    first, second = (FilmingCamera(CAMERA, 0, Optics(sensor)).take(5, FLOOR, path, 2.0) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -192,7 +187,7 @@ def test_charuco_s_markers_are_read_in_the_picture():
     board = CharucoBoard(8, 6, 0.05, 0.037, "DICT_5X5_100")
     T = shown(0.7, 0.3, (0.7, 0.7, 0), board=print_of(board))
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
-    _, ids, _ = detector.detectMarkers(picture(EYE.see([held(T, print_of(board))])))
+    _, ids, _ = detector.detectMarkers(picture(EYE.render([held(T, print_of(board))])))
     assert sorted(np.ravel(ids)) == list(range(24))
 
 

@@ -8,14 +8,17 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from rig_calibration.boards.specification import board_text, read_board
 from virtual_studio.__main__ import main
-from virtual_studio.calibration.board_camera import HeldBoard
-from virtual_studio.calibration.carrying import carry, on_floor, swing
-from virtual_studio.calibration.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_calibration_footage
-from virtual_studio.calibration.prints import print_of
-from virtual_studio.calibration.truth_files import read_truth_floor
-from virtual_studio.calibration.wand import Wand
-from virtual_studio.calibration.waving import wave
+from virtual_studio.recording.footage import (
+    FLOOR_BOARD,
+    HAND_BOARD,
+    FootagePlan,
+    read_truth_floor,
+    write_calibration_footage,
+)
+from virtual_studio.rendering.board_camera import PosedBoard
 from virtual_studio.rig import ring
+from virtual_studio.scene.boards import Wand, print_of
+from virtual_studio.scene.handling import carry, on_floor, swing, wave
 
 RIG = ring(5, ceiling=True)
 HAND, FLOOR = print_of(HAND_BOARD), print_of(FLOOR_BOARD)
@@ -25,7 +28,7 @@ SMALL = FootagePlan(fps=1.0, moving_s=2.0, brief=True, wand=Wand())
 def corners_px(camera, board, T_world_board):
     """(n, 2) where a board's corners are in the picture; None unless all are, seen from in front."""
     towards = camera.centre_world - T_world_board[:3, 3]
-    pixels = camera.project(HeldBoard(board, T_world_board[None]).corners_world)
+    pixels = camera.project(PosedBoard(board, T_world_board[None]).corners_world)
     inside = (pixels > 0).all() and (pixels < [camera.width - 1, camera.height - 1]).all()
     return pixels if inside and T_world_board[:3, 2] @ towards > 0 else None
 
@@ -132,7 +135,7 @@ def test_boards_files_are_read_as_the_boards_that_were_filmed(footage):
 
 
 def test_truth_says_where_the_middle_of_the_floor_board_lies(footage):
-    corners = HeldBoard(FLOOR, on_floor(FLOOR)[None]).corners_world
+    corners = PosedBoard(FLOOR, on_floor(FLOOR)[None]).corners_world
     T = read_truth_floor(footage)
     np.testing.assert_allclose(T[:3, 3], corners.mean(axis=0), atol=1e-9)
     row = corners[6] - corners[0]

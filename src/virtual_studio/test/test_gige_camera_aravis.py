@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gige_client import AravisClient, eventually
 
-from gige_vision.gvcp_payloads import Action
+from gige_vision.gvcp import Action
 from gige_vision.pixel_formats import PixelFormat
 from virtual_studio.gige import CameraSettings, EventLoop, PatternScene, SimulatedCamera, TriggerWire, free_addresses
 

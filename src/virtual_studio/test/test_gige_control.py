@@ -7,16 +7,15 @@ import pytest
 from gige_client import CONTROL_PRIVILEGE, GvcpClient, eventually
 
 from capture_rig.errors import InputError
-from gige_vision import bootstrap, gvcp_payloads
+from gige_vision import bootstrap
+from gige_vision import gvcp as gvcp_payloads
 from gige_vision.bootstrap import Capability
-from gige_vision.discovery import DeviceRecord
-from gige_vision.gvcp import Command, Status
-from gige_vision.gvcp_payloads import Action
+from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
-from virtual_studio.gige.camera import feature_table
-from virtual_studio.gige.loop import Timer
-from virtual_studio.gige.privilege import ControlPrivilege
-from virtual_studio.gige.registers import Registers
+from virtual_studio.gige.server.gvcp_server import ControlPrivilege
+from virtual_studio.gige.server.loop import Timer
+from virtual_studio.gige.server.registers import Registers
+from virtual_studio.gige.simulated_camera.camera import feature_table
 
 
 def table():
@@ -96,14 +95,14 @@ class FakeLoop:
 def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
     now = SimpleNamespace(ns=0)
     clock = SimpleNamespace(monotonic_ns=lambda: now.ns, time_ns=lambda: now.ns)
-    monkeypatch.setattr("virtual_studio.gige.privilege.time", clock)
+    monkeypatch.setattr("virtual_studio.gige.server.gvcp_server.time", clock)
     registers, loop, released, peer = Registers(table()), FakeLoop(), [], ("127.0.0.1", 5000)
     privilege = ControlPrivilege(registers, Counter(), loop, lambda: released.append(now.ns))
     privilege.request(peer, 2)
     for ms in (1000, 2500, 4000):
         now.ns = ms * 1_000_000
-        privilege.hear(peer)
-    privilege.hear(("127.0.0.1", 6000))  # a stranger's command is none
+        privilege.heartbeat_from(peer)
+    privilege.heartbeat_from(("127.0.0.1", 6000))  # a stranger's command is none
     for expected_ms in (3000, 7000):  # the timer looks, finds a fresh heartbeat, and looks again when that is old
         timer = loop.timers[-1]
         assert timer.when_ns == expected_ms * 1_000_000 and not released

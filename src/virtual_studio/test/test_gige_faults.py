@@ -10,7 +10,7 @@ from gige_client import AravisClient, eventually
 from capture_rig.errors import InputError
 from gige_vision.pixel_formats import PixelFormat
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
-from virtual_studio.gige.stream import StreamChannel
+from virtual_studio.gige.server.stream import StreamChannel
 
 SECOND_NS = 1_000_000_000
 

@@ -10,12 +10,11 @@ import pytest
 
 from gige_vision import bootstrap
 from gige_vision.gvcp import Status
-from virtual_studio.gige.camera import _features
-from virtual_studio.gige.features import Kind
-from virtual_studio.gige.genicam_xml import genicam_xml, zipped
-from virtual_studio.gige.registers import FILE_SPACE, RegisterError, Registers
-from virtual_studio.gige.scenes import PatternScene
-from virtual_studio.gige.settings import OLD, SFNC, CameraSettings
+from virtual_studio.gige.server.genicam_xml import genicam_xml, zipped
+from virtual_studio.gige.server.registers import FILE_SPACE, Kind, RegisterError, Registers
+from virtual_studio.gige.server.settings import OLD, SFNC, CameraSettings
+from virtual_studio.gige.simulated_camera.camera import _features
+from virtual_studio.live.scenes import PatternScene
 
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
 

@@ -12,16 +12,15 @@ from capture_rig.rig import save_rig
 from capture_rig.session import load_session
 from gige_vision.pixel_formats import PixelFormat
 from stick_figure.body import Body
-from virtual_studio.body import VolumetricBody
-from virtual_studio.gige.pixels import pixel_bytes
-from virtual_studio.gige.room_scene import RoomScene
-from virtual_studio.gige.scenes import PatternScene
-from virtual_studio.gige.session_scene import load_session_scene
-from virtual_studio.motion import MOTIONS
-from virtual_studio.render import VirtualCamera
+from virtual_studio.gige.simulated_camera.imaging import pixel_bytes
+from virtual_studio.live.rendered_scenes import RoomScene
+from virtual_studio.live.scenes import PatternScene
+from virtual_studio.live.session_scene import load_session_scene
+from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import WHITE, VirtualCamera
+from virtual_studio.rendering.capsules import floor_shadow
 from virtual_studio.rig import ring
-from virtual_studio.sensor import WHITE
-from virtual_studio.shadow import floor_shadow
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_800_000_000 * SECOND_NS
@@ -130,7 +129,7 @@ def test_room_shows_the_body_with_its_shadow_through_each_camera_s_lens(room):
     capsules = VolumetricBody(body).place(MOTIONS["tour"](body, 0.1, 60.0).poses[0])
     for model in ring(1, ceiling=False).cameras:
         camera = VirtualCamera(model)
-        light, mask = camera.see(capsules, floor_shadow(capsules))
+        light, mask = camera.render(capsules, floor_shadow(capsules))
         expected = np.rint(light * WHITE).astype(np.uint8)
         # what was rendered before the person stood still is seen first
         eventually(lambda name=model.name, e=expected: np.array_equal(room.views[name].image(time.time_ns()), e))

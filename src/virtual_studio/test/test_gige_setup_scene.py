@@ -8,17 +8,15 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from virtual_studio.calibration.board_camera import HeldBoard
-from virtual_studio.calibration.carrying import on_floor
-from virtual_studio.calibration.footage import FLOOR_BOARD, HAND_BOARD
-from virtual_studio.calibration.prints import print_of
 from virtual_studio.gige import Studio, StudioSettings, free_addresses
-from virtual_studio.gige.command import request_from
-from virtual_studio.gige.live_scene import LiveScene, PictureSet
-from virtual_studio.gige.rig_files import write_rig_files
-from virtual_studio.gige.setup_scene import PHASES, SetupScene
-from virtual_studio.gige.stage import Stage
+from virtual_studio.gige.command import request_from, write_rig_files
+from virtual_studio.live.rendered_scenes import PHASES, LiveScene, RenderedSet, SetupScene
+from virtual_studio.live.scenes import Playback
+from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD
+from virtual_studio.rendering.board_camera import PosedBoard
 from virtual_studio.rig import ring
+from virtual_studio.scene.boards import print_of
+from virtual_studio.scene.handling import on_floor
 
 SECOND_NS = 1_000_000_000
 
@@ -40,7 +38,7 @@ def test_setup_begins_with_the_empty_room(scene):
 
 def test_floor_board_lies_where_the_truth_says_in_every_picture(scene):
     printed = print_of(FLOOR_BOARD)
-    corners_world = HeldBoard(printed, on_floor(printed)[None]).corners_world
+    corners_world = PosedBoard(printed, on_floor(printed)[None]).corners_world
     for name, picture in shown(scene, "floor").items():
         truth = ring(2, ceiling=False).camera(name).project(corners_world)
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
@@ -77,10 +75,10 @@ class NothingHappens(LiveScene):
 
 
 def test_cameras_that_look_at_one_instant_see_the_same_moment():
-    scene = NothingHappens(Stage(1, 60.0), {}, most_hz=20.0)
-    scene._sets.append(PictureSet(100, {}))
+    scene = NothingHappens(Playback(1, 60.0), {}, most_hz=20.0)
+    scene._sets.append(RenderedSet(100, {}))
     assert scene.newest(200).instant_ns == 100
-    scene._sets.append(PictureSet(150, {}))  # it was rendered too late for the first camera that looked
+    scene._sets.append(RenderedSet(150, {}))  # it was rendered too late for the first camera that looked
     assert scene.newest(200).instant_ns == 100
     assert scene.newest(300).instant_ns == 150
 

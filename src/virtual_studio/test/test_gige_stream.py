@@ -8,16 +8,13 @@ import numpy as np
 import pytest
 from gige_client import eventually
 
-from gige_vision.gvcp import Status
-from gige_vision.gvcp_payloads import ResendRequest
+from gige_vision.gvcp import ResendRequest, Status
 from gige_vision.gvsp import Content, ImageLeader, ImageTrailer, PacketHeader
-from virtual_studio.gige.camera import feature_table
-from virtual_studio.gige.faults import Faults
-from virtual_studio.gige.loop import EventLoop
-from virtual_studio.gige.packets import Block, Layout
-from virtual_studio.gige.registers import Registers
-from virtual_studio.gige.settings import CameraSettings
-from virtual_studio.gige.stream import StreamChannel, _stretches
+from virtual_studio.gige.server.loop import EventLoop
+from virtual_studio.gige.server.registers import Registers
+from virtual_studio.gige.server.settings import CameraSettings, Faults
+from virtual_studio.gige.server.stream import Block, Layout, StreamChannel, _stretches
+from virtual_studio.gige.simulated_camera.camera import feature_table
 
 DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
 LEADER, TRAILER = ImageLeader(5, 0x01080001, 100_003, 1), ImageTrailer(1)

@@ -16,20 +16,18 @@ from gige_client import AravisClient, GvcpClient
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
-from gige_vision.discovery import DeviceRecord
-from gige_vision.gvcp import Command
+from gige_vision.gvcp import Command, DeviceRecord
 from virtual_studio.gige import PatternScene, Studio, StudioSettings, free_addresses
-from virtual_studio.gige.addresses import following, is_free
-from virtual_studio.gige.command import request_from
+from virtual_studio.gige.addresses import consecutive_addresses, is_free
+from virtual_studio.gige.command import request_from, write_rig_files
 from virtual_studio.gige.control import ask
-from virtual_studio.gige.rig_files import write_rig_files
 
 
 def first_of_free(count):
     """The first of so many free addresses in a row."""
     for _ in range(200):
         first = free_addresses(1)[0]
-        if int(first.split(".")[3]) + count < 255 and all(is_free(a) for a in following(first, count)):
+        if int(first.split(".")[3]) + count < 255 and all(is_free(a) for a in consecutive_addresses(first, count)):
             return first
     pytest.skip("no row of free loopback addresses was found")
 
@@ -236,7 +234,7 @@ def test_program_says_what_is_wrong_in_one_line(tmp_path):
 def test_addresses_outside_of_loopback_are_refused():
     for first, count in (("192.168.1.5", 1), ("127.0.0.254", 3), ("here", 1)):
         with pytest.raises(InputError, match="loopback"):
-            following(first, count)
+            consecutive_addresses(first, count)
 
 
 def test_session_studio_serves_its_footage(aravis, shared_data, tmp_path):

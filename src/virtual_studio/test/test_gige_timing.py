@@ -12,12 +12,12 @@ from gige_client import eventually
 from hypothesis import given
 from hypothesis import strategies as st
 
-from virtual_studio.gige import CameraSettings, EventLoop, Faults, Stage, TriggerWire
-from virtual_studio.gige.camera import feature_table
-from virtual_studio.gige.clock import CameraClock
-from virtual_studio.gige.exposure import ExposureControl
-from virtual_studio.gige.registers import Registers
-from virtual_studio.gige.timing import Timing, next_multiple
+from virtual_studio.gige import CameraSettings, EventLoop, Faults, Playback, TriggerWire
+from virtual_studio.gige.server.registers import Registers
+from virtual_studio.gige.simulated_camera.camera import feature_table
+from virtual_studio.gige.simulated_camera.clock import CameraClock
+from virtual_studio.gige.simulated_camera.imaging import ExposureControl
+from virtual_studio.gige.simulated_camera.timing import Timing, next_multiple
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_800_000_000 * SECOND_NS
@@ -31,7 +31,7 @@ rates = st.sampled_from([0.5, 25, 29.97, 30, 59.94, 60, 100, 120, 999.9])
 def now(monkeypatch):
     """A system clock that stands still until it is moved."""
     clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns)
-    monkeypatch.setattr("virtual_studio.gige.clock.time", clock)
+    monkeypatch.setattr("virtual_studio.gige.simulated_camera.clock.time", clock)
     return clock
 
 
@@ -134,7 +134,7 @@ def test_free_run_timer_takes_effect_when_it_is_updated():
 
 @given(st.integers(-5, 50), rates)
 def test_stage_shows_each_frame_for_its_period_from_the_epoch_on(frame, rate):
-    stage = Stage(frames=40, fps=rate)
+    stage = Playback(frames=40, fps=rate)
     epoch_ns = stage.play(NOW_NS, loop=False)
     period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
     middle = epoch_ns + round((frame + Fraction(1, 2)) * period_ns)
@@ -145,7 +145,7 @@ def test_stage_shows_each_frame_for_its_period_from_the_epoch_on(frame, rate):
 
 @pytest.mark.parametrize("rate", [25.0, 59.94, 60.0, 100.0])
 def test_free_running_camera_at_the_stage_s_rate_sees_every_frame_once(rate):
-    stage = Stage(frames=1000, fps=rate)
+    stage = Playback(frames=1000, fps=rate)
     start = stage.play(NOW_NS)
     period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
     seen, instant = [], start - 1
@@ -156,7 +156,7 @@ def test_free_running_camera_at_the_stage_s_rate_sees_every_frame_once(rate):
 
 
 def test_person_comes_and_goes_at_one_instant_for_all():
-    stage = Stage(10, 60.0)
+    stage = Playback(10, 60.0)
     before = time.time_ns()
     stage.occupy(False)
     assert stage.occupied_at(before)
@@ -164,7 +164,7 @@ def test_person_comes_and_goes_at_one_instant_for_all():
 
 
 def test_held_stage_stays_at_its_first_frame():
-    stage = Stage(10, 60.0)
+    stage = Playback(10, 60.0)
     stage.hold()
     assert {stage.frame_at(NOW_NS + k * 50_000_000) for k in range(20)} == {0}
     stage.play(NOW_NS)

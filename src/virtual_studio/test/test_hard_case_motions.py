@@ -21,9 +21,8 @@ from stick_figure.skeleton import (
     T_POSE_ANGLES,
     TORSO,
 )
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import HARD_CASES, MOTIONS, T_POSE_S
-from virtual_studio.people import person_of
+from virtual_studio.motions.catalogue import HARD_CASES, MOTIONS, T_POSE_S
+from virtual_studio.people import VolumetricBody, person_of
 from virtual_studio.rig import VOLUME
 
 FPS = 30
@@ -36,7 +35,7 @@ LEFT_HAND, RIGHT_HAND, NECK, L_KNEE, L_ANKLE, R_ANKLE = 11, 12, 2, 9, 13, 14
 def played(name, who=AVERAGE):
     stature_m, build = who
     body = Body.from_stature(stature_m)
-    motion = HARD_CASES[name](body, HARD_CASES[name].once_s, FPS, build)
+    motion = HARD_CASES[name](body, HARD_CASES[name].duration_s, FPS, build)
     return VolumetricBody(body, build), motion, np.array([forward(body, pose) for pose in motion.poses])
 
 

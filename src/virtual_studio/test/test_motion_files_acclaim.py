@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
-from virtual_studio.motion_files.amc import read_amc
-from virtual_studio.motion_files.asf import read_asf
+from virtual_studio.motion_files.acclaim import read_amc, read_asf
 
 ASF = """# a comment
 :version 1.10

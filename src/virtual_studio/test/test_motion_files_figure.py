@@ -13,10 +13,15 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.__main__ import main
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion_files.joint_names import NAMINGS, plain
-from virtual_studio.motion_files.recorded import RecordedMotion
-from virtual_studio.motion_files.to_stick_figure import ReadingOptions, read_joints, read_stick_motion, reference_points
+from virtual_studio.motion_files.joints import NAMINGS, plain
+from virtual_studio.motion_files.recorded import (
+    ReadingOptions,
+    RecordedMotion,
+    read_joints,
+    read_stick_motion,
+    reference_points,
+)
+from virtual_studio.people import VolumetricBody
 
 # offsets in centimetres, y up, facing z, left is +x: the usual axes of character animation
 TREE = {
@@ -82,7 +87,7 @@ def test_a_t_pose_stands_upright_facing_x_with_its_left_at_y(tmp_path: Path) -> 
     np.testing.assert_allclose(at(points, "right_foot"), [0, -0.09, 0.03], atol=1e-3)
     # a wrist is not the end of the stick: the hand is stretched, 108 to 146 of the forearm
     np.testing.assert_allclose(at(points, "left_hand"), [0, 0.472 + 0.25 * (1 + 108 / 146), 1.40], atol=1e-3)
-    assert motion.misfit_m < 1e-6
+    assert motion.fit_error_m < 1e-6
     np.testing.assert_allclose(motion.poses[0].R_world_torso, np.eye(3), atol=1e-9)
 
 

@@ -7,8 +7,8 @@ from capture_rig.errors import InputError
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
-from virtual_studio.body import ANKLE_HEIGHT, VolumetricBody
-from virtual_studio.motion import MOTIONS, T_POSE_S, t_pose_only, tour, walk
+from virtual_studio.motions.catalogue import MOTIONS, T_POSE_S, t_pose_only, tour, walk
+from virtual_studio.people import ANKLE_HEIGHT, VolumetricBody
 from virtual_studio.rig import VOLUME, azimuths, ring
 
 BODY = Body.from_stature(1.75)

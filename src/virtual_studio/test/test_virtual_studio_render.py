@@ -8,14 +8,20 @@ import pytest
 
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from virtual_studio.body import VolumetricBody
-from virtual_studio.motion import tour
-from virtual_studio.ray_caster import hit_capsule
-from virtual_studio.render import VirtualCamera
+from virtual_studio.motions.catalogue import tour
+from virtual_studio.people import VolumetricBody
+from virtual_studio.rendering.camera import ExactSilhouettes, Sensor, VirtualCamera
+from virtual_studio.rendering.capsules import (
+    CELL_M,
+    DARKNESS,
+    HALF_WIDTH_M,
+    LAMP_POINTS,
+    LAMPS_WORLD,
+    floor_shadow,
+    hit_capsule,
+)
 from virtual_studio.rig import ring
-from virtual_studio.room import look
-from virtual_studio.sensor import Sensor
-from virtual_studio.shadow import CELL_M, DARKNESS, HALF_WIDTH_M, LAMP_POINTS, LAMPS_WORLD, floor_shadow
+from virtual_studio.scene.room import look
 
 BODY = Body.from_stature(1.72)
 PERSON = VolumetricBody(BODY)
@@ -48,7 +54,7 @@ def clearance(origin, rays, starts, ends, radii):
 def test_mask_equals_brute_force_rays_against_parts(frame):
     camera = CAMERAS[frame % 3].camera
     capsules = PERSON.place(MOTION.poses[frame])
-    _, mask = CAMERAS[frame % 3].see(capsules, None)
+    _, mask = CAMERAS[frame % 3].render(capsules, None)
     edge = cv2.dilate(mask, np.ones((5, 5))) != cv2.erode(mask, np.ones((5, 5)))
     rng = np.random.default_rng(frame)
     near = np.argwhere(edge)
@@ -68,7 +74,7 @@ def test_part_around_the_camera_does_not_break_the_picture():
         starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
         ends=capsules.ends - capsules.starts[0] + 1.2 * centre,
     )
-    light, mask = camera.see(behind, None)
+    light, mask = camera.render(behind, None)
     assert mask.max() == 0
     np.testing.assert_array_equal(light, camera.empty_room())
 
@@ -106,7 +112,7 @@ def test_truth_points_project_into_the_mask():
     for pose in MOTION.poses:
         capsules, points = PERSON.place(pose), forward(BODY, pose)
         for camera in CAMERAS:
-            _, mask = camera.see(capsules, None)
+            _, mask = camera.render(capsules, None)
             pixels = np.rint(camera.camera.project(points)).astype(int)
             seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
             inside += (mask[tuple(pixels[seen].T[::-1])] > 0).sum()
@@ -214,3 +220,20 @@ def test_bright_light_saturates_instead_of_wrapping():
     assert picture.min() > 200
     dark = Sensor(noise=30.0).expose(np.zeros((100, 100), np.float32), 0, 0)
     assert np.median(dark) < 30
+
+
+# --- Silhouettes without pictures equal those of the rendered sessions.
+
+
+def test_bare_silhouettes_equal_the_rendered_ones():
+    rig, body = ring(1), Body.from_stature(1.7)
+    eyes = ExactSilhouettes(rig)
+    for pose in tour(body, 6.0, 1.0).poses[::4]:
+        capsules = VolumetricBody(body).place(pose)
+        masks = eyes.render(capsules)
+        assert list(masks) == list(rig.names)
+        for camera in rig.cameras:
+            rendered = VirtualCamera(camera).render(capsules, None)[1]
+            expected = camera.undistorted_view().undistort_mask(rendered)
+            assert expected.any()
+            np.testing.assert_array_equal(masks[camera.name], expected)

@@ -12,11 +12,10 @@ from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix
 from virtual_studio.__main__ import main
-from virtual_studio.motion import tour
+from virtual_studio.motions.catalogue import tour
+from virtual_studio.recording.files import read_grey
+from virtual_studio.recording.session import TORSO_COLUMNS, write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
-from virtual_studio.truth import TORSO_COLUMNS
-from virtual_studio.video import read_grey
 
 BODY = Body.from_stature(1.80)
 RIG = ring(1, ceiling=True)

@@ -9,13 +9,12 @@ from pathlib import Path
 
 from capture_rig.errors import InputError
 
-from .calibration.command import main as setup
-from .motion import MOTIONS, Player
-from .motion_files.recorded import RecordedMotion, is_motion_file
-from .motion_files.to_stick_figure import ReadingOptions
+from .motion_files.recorded import ReadingOptions, RecordedMotion, is_motion_file
+from .motions.catalogue import MOTIONS, MotionFunction
 from .people import person_of
+from .recording.session import write_session
+from .recording.setup_command import main as setup
 from .rig import ring
-from .session import write_session
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -86,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _motion(options: argparse.Namespace) -> str | Player:
+def _motion(options: argparse.Namespace) -> str | MotionFunction:
     if not is_motion_file(options.motion):
         return options.motion
     reading = ReadingOptions(

@@ -1,12 +1,23 @@
-"""People who are not average: longer or shorter arms and legs at the same stature."""
+"""A body with volume on the stick figure: tapered capsules with radii, each with its own grey.
+
+A part is the hull of two spheres fixed to one stick. Sizes scale with the stature; the trunk is made of side-by-side
+capsules, so that it is wider than deep. Feet have no joint: near the floor they lie level, lifted they follow the calf.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from numpy.typing import NDArray
 
 from capture_rig.errors import InputError
+from stick_figure import kernels
 from stick_figure.body import Body
+from stick_figure.pose import Pose
 from stick_figure.skeleton import (
+    HEAD,
     L_CALF,
     L_FOREARM,
     L_THIGH,
@@ -17,6 +28,218 @@ from stick_figure.skeleton import (
     R_UPPER_ARM,
     TORSO,
 )
+
+Array = NDArray[np.float64]
+
+REFERENCE_STATURE_M = 1.75
+WRIST = 0.146 / (0.146 + 0.108)
+"""Wrist on the stick from elbow to finger tip: forearm .146 and hand .108 of stature (Drillis & Contini 1966)."""
+ANKLE_HEIGHT = 0.039
+"""Ankle over stature, same source."""
+SKIN, HAIR, SHIRT, SLEEVE, TROUSERS, SHOES = 0.38, 0.09, 0.27, 0.30, 0.15, 0.11
+"""Albedos: a person darker than the room, in clothes that differ from each other."""
+LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
+"""Ankle height over stature between which a foot turns from level to following its calf."""
+FREE_FOOT_TILT, LEVEL_FOOT_TILT = 0.15, 0.40
+"""Cosine of a calf's tilt between which its foot turns from following it (lying) to level (standing, squatting)."""
+LEAST_BUILD, GREATEST_BUILD = 0.6, 1.6
+
+
+@dataclass(frozen=True)
+class Capsules:
+    """Parts of a body in one pose: the hulls of the spheres (starts, radii[:, 0]) and (ends, radii[:, 1]).
+
+    starts, ends (P, 3) world frame, metres; radii (P, 2) metres; albedo (P,) between 0 and 1.
+    """
+
+    starts: Array
+    ends: Array
+    radii: Array
+    albedo: Array
+
+
+@dataclass(frozen=True)
+class _Part:
+    stick: int
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    radii: tuple[float, float]
+    albedo: float
+
+
+@dataclass(frozen=True, eq=False)
+class VolumetricBody:
+    """The parts of a person of the given sizes; `place` puts them into a pose.
+
+    build: thickness of trunk and limbs over the average's, 0.85 slim, 1.2 heavy; head and hands vary less, feet not.
+    Raises InputError for a build that is nobody's.
+    """
+
+    body: Body
+    build: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not LEAST_BUILD <= self.build <= GREATEST_BUILD:
+            raise InputError(
+                f"a build of {self.build:g} is not a person's",
+                remedy=f"Give {LEAST_BUILD} (slim) to {GREATEST_BUILD} (heavy).",
+            )
+
+    @property
+    def scale(self) -> float:
+        """Size of this person over the one the radii are drawn for."""
+        return self.body.stature / REFERENCE_STATURE_M
+
+    @property
+    def ankle_height(self) -> float:
+        """Height of the ankles of a standing person, metres."""
+        return ANKLE_HEIGHT * self.body.stature
+
+    @cached_property
+    def _parts(self) -> list[_Part]:
+        thick, thin = self.scale * self.build, self.scale * self._slight_build
+        return [
+            *_trunk(self.body, thick),
+            *_head(self.body, thin),
+            *_arms(self.body, thick, thin),
+            *_legs(self.body, thick),
+        ]
+
+    @property
+    def _slight_build(self) -> float:
+        """Thickness of head and hands over the average's."""
+        return 1.0 + 0.3 * (self.build - 1.0)
+
+    def place(self, pose: Pose) -> Capsules:
+        """The parts in the world."""
+        G, A, B = _frames(self.body, pose)
+        parts = self._parts
+        sticks = np.array([part.stick for part in parts])
+        origins = A.copy()
+        origins[TORSO] = pose.position_world
+        starts = origins[sticks] + np.einsum("pij,pj->pi", G[sticks], np.array([part.start for part in parts]))
+        ends = origins[sticks] + np.einsum("pij,pj->pi", G[sticks], np.array([part.end for part in parts]))
+        feet = [self._foot(G[calf], B[calf]) for calf in (L_CALF, R_CALF)]
+        s = self.scale
+        return Capsules(
+            starts=np.vstack([starts, *(foot[0] for foot in feet)]),
+            ends=np.vstack([ends, *(foot[1] for foot in feet)]),
+            radii=np.vstack([[part.radii for part in parts], *[[(0.040 * s, 0.030 * s), (0.036 * s, 0.024 * s)]] * 2]),
+            albedo=np.array([*(part.albedo for part in parts), *[SHOES] * 4]),
+        )
+
+    def contact_spheres(self, pose: Pose) -> tuple[Array, Array]:
+        """Spheres that may rest on the floor: centres (c, 3) m in the world, radii (c,) m.
+
+        The first two stand for the feet: ankles, as high above the floor as of a standing person. The others end the
+        parts above the knees.
+        """
+        G, A, B = _frames(self.body, pose)
+        A[TORSO] = pose.position_world
+        sticks, ends, radii = self._above_the_knees
+        centres = A[sticks] + np.einsum("pij,pj->pi", G[sticks], ends)
+        return np.vstack([B[[L_CALF, R_CALF]], centres]), np.append(np.full(2, self.ankle_height), radii)
+
+    @cached_property
+    def _above_the_knees(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """Sticks (e,), places (e, 3) m in the stick's frame, and radii (e,) m of the ends of the parts."""
+        parts = [part for part in self._parts if part.stick not in (L_CALF, R_CALF)]
+        ends = np.array([end for part in parts for end in (part.start, part.end)])
+        return np.repeat([part.stick for part in parts], 2), ends, np.array([part.radii for part in parts]).ravel()
+
+    def _foot(self, R_world_calf: Array, ankle: Array) -> tuple[Array, Array]:
+        """Starts and ends (2, 3) of a foot's two capsules: heel to toes, and the outer edge."""
+        s, stature = self.scale, self.body.stature
+        lifted = (ankle[2] / stature - LEVEL_FOOT_BELOW) / (FREE_FOOT_ABOVE - LEVEL_FOOT_BELOW)
+        tilted = (LEVEL_FOOT_TILT - R_world_calf[2, 2]) / (LEVEL_FOOT_TILT - FREE_FOOT_TILT)
+        free = np.clip(max(lifted, tilted), 0.0, 1.0)
+        level = R_world_calf[:, 0] * np.array([1.0, 1.0, 1e-9])
+        forward = _unit((1 - free) * _unit(level) + free * R_world_calf[:, 0])
+        side = _unit(np.cross([0.0, 0.0, 1.0], forward) + 1e-9 * R_world_calf[:, 1])
+        up = np.cross(forward, side)
+        sole = ankle - 0.030 * s * up
+        starts = [sole - 0.035 * s * forward, sole]
+        ends = [
+            sole + 0.150 * s * forward - 0.010 * s * up + 0.02 * s * side,
+            sole + 0.140 * s * forward - 0.014 * s * up - 0.02 * s * side,
+        ]
+        return np.array(starts), np.array(ends)
+
+
+def _trunk(body: Body, s: float) -> list[_Part]:
+    h, w = body.half_lengths[TORSO], body.half_shoulder_width
+    shoulder, hip = body.shoulder_height_ratio * h, body.hip_width_ratio * w
+    parts = [
+        _Part(TORSO, (0, -0.45 * hip, -0.92 * h), (0, 0.45 * hip, -0.92 * h), (0.108 * s, 0.108 * s), TROUSERS),
+        _Part(TORSO, (0.02 * s, 0, 0.1 * h), (0.02 * s, 0, 0.6 * shoulder), (0.100 * s, 0.098 * s), SHIRT),
+        _Part(TORSO, (-0.01 * s, 0, 0.9 * shoulder), (0, 0, 1.05 * h), (0.066 * s, 0.054 * s), SHIRT),
+    ]
+    for side in (-1.0, 1.0):
+        waist, chest = side * 0.050 * s, side * 0.42 * w
+        parts += [
+            _Part(TORSO, (0, side * 0.6 * hip, -0.85 * h), (0, waist, -0.35 * h), (0.100 * s, 0.094 * s), TROUSERS),
+            _Part(TORSO, (0, waist, -0.45 * h), (0.01 * s, chest, 0.30 * h), (0.097 * s, 0.104 * s), SHIRT),
+            _Part(TORSO, (0.01 * s, chest, 0.25 * h), (0, 0.95 * chest, 0.8 * shoulder), (0.104 * s, 0.086 * s), SHIRT),
+            _Part(TORSO, (0, chest, 0.85 * shoulder), (0, side * w, shoulder), (0.078 * s, 0.060 * s), SHIRT),
+            _Part(TORSO, (-0.01 * s, 0, 0.93 * h), (0, side * 0.8 * w, shoulder), (0.052 * s, 0.056 * s), SHIRT),
+        ]
+    return parts
+
+
+def _head(body: Body, s: float) -> list[_Part]:
+    length = body.lengths[HEAD]
+    crown = length + 0.008 * s
+    return [
+        _Part(HEAD, (0, 0, -0.03 * s), (0.01 * s, 0, 0.40 * length), (0.056 * s, 0.052 * s), SKIN),
+        _Part(HEAD, (0.022 * s, 0, 0.36 * length), (0.015 * s, 0, crown - 0.088 * s), (0.058 * s, 0.078 * s), SKIN),
+        _Part(HEAD, (-0.014 * s, 0, crown - 0.105 * s), (0, 0, crown - 0.085 * s), (0.084 * s, 0.085 * s), HAIR),
+    ]
+
+
+def _arms(body: Body, s: float, hand: float) -> list[_Part]:
+    """s, hand: scale of the arms' thickness and of the hands'."""
+    parts = []
+    for upper, fore in ((L_UPPER_ARM, L_FOREARM), (R_UPPER_ARM, R_FOREARM)):
+        wrist, tip = WRIST * body.lengths[fore], body.lengths[fore]
+        palm = wrist + 0.55 * (tip - wrist)
+        parts += [
+            _Part(upper, (0, 0, 0), (0, body.lengths[upper], 0), (0.058 * s, 0.044 * s), SLEEVE),
+            _Part(fore, (0, 0, 0), (0, 0.35 * wrist, 0), (0.043 * s, 0.044 * s), SKIN),
+            _Part(fore, (0, 0.35 * wrist, 0), (0, wrist, 0), (0.044 * s, 0.028 * s), SKIN),
+        ]
+        for side in (-0.018 * hand, 0.018 * hand):
+            parts.append(_Part(fore, (0, wrist, 0.5 * side), (0, palm, side), (0.024 * hand, 0.022 * hand), SKIN))
+            parts.append(_Part(fore, (0, palm, side), (0, tip, 0.3 * side), (0.021 * hand, 0.013 * hand), SKIN))
+    return parts
+
+
+def _legs(body: Body, s: float) -> list[_Part]:
+    parts = []
+    for thigh, calf in ((L_THIGH, L_CALF), (R_THIGH, R_CALF)):
+        upper, lower = body.lengths[thigh], body.lengths[calf]
+        parts += [
+            _Part(thigh, (0, 0, 0), (0, 0, -0.45 * upper), (0.094 * s, 0.078 * s), TROUSERS),
+            _Part(thigh, (0, 0, -0.45 * upper), (0, 0, -upper), (0.078 * s, 0.056 * s), TROUSERS),
+            _Part(calf, (0, 0, 0), (-0.012 * s, 0, -0.32 * lower), (0.056 * s, 0.058 * s), TROUSERS),
+            _Part(calf, (-0.012 * s, 0, -0.32 * lower), (0, 0, -lower), (0.058 * s, 0.040 * s), TROUSERS),
+        ]
+    return parts
+
+
+def _frames(body: Body, pose: Pose) -> tuple[Array, Array, Array]:
+    """Stick rotations (10, 3, 3), starts and ends (10, 3), world frame."""
+    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
+    A, B = np.empty((10, 3)), np.empty((10, 3))
+    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
+    kernels.stick_ends(G, pose.position_world, body.lengths, body.stick_origins_torso, A, B)
+    return G, A, B
+
+
+def _unit(vector: Array) -> Array:
+    return vector / np.linalg.norm(vector)
+
+
+# --- People who are not average: longer or shorter arms and legs at the same stature.
 
 ARMS, LEGS = [L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM], [L_THIGH, R_THIGH, L_CALF, R_CALF]
 LEAST, GREATEST = 0.85, 1.15

@@ -9,7 +9,7 @@ from capture_rig.errors import InputError
 from ..settings import AravisSettings
 from .features import Features
 from .pixel_formats import FORMATS, choose_format, find_format, standard_name
-from .synchronisation import switch_triggers_off
+from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
 RATE_SHORTFALL = 0.01  # a camera that is slower than asked for by more than this is warned of

@@ -10,8 +10,7 @@ from typing import Protocol
 
 from capture_rig.errors import InputError
 
-from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock
-from .clock_reading import ClockReading
+from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock, ClockReading
 
 PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is not what it is said to be
 PTP_IN_STEP = ("Slave", "Master")

@@ -5,18 +5,108 @@ Aravis's own discovery broadcasts on every interface of the machine, the office 
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
+import os
 import socket
+import stat
+import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from capture_rig.errors import InputError
-from gige_vision.discovery import DeviceRecord
-from gige_vision.gvcp import ALLOW_BROADCAST_ACK, PORT, AcknowledgePacket, Command, CommandPacket, MalformedPacket
+from gige_vision.gvcp import (
+    ALLOW_BROADCAST_ACK,
+    PORT,
+    AcknowledgePacket,
+    Command,
+    CommandPacket,
+    DeviceRecord,
+    MalformedPacket,
+)
 
 from ..frame_source import SourceUnavailable
-from .network import Interface, interfaces
+
+# --- Our own side of the link to a camera: network interfaces, and a socket that is large enough to stream through.
+
+_SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
+_IFREQ = struct.Struct("256s")
+
+
+@dataclass(frozen=True)
+class Interface:
+    """A network interface with its first IPv4 address."""
+
+    name: str
+    address: ipaddress.IPv4Interface
+
+    @property
+    def host(self) -> str:
+        return str(self.address.ip)
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.address})"
+
+
+def interfaces() -> tuple[Interface, ...]:
+    """This machine's interfaces that have an IPv4 address."""
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        for _, name in socket.if_nameindex():
+            try:
+                address, mask = (_interface_address(any_socket, what, name) for what in (_SIOCGIFADDR, _SIOCGIFNETMASK))
+            except OSError:  # it has none
+                continue
+            found.append(Interface(name, ipaddress.IPv4Interface(f"{address}/{mask}")))
+    return tuple(found)
+
+
+def _interface_address(any_socket: socket.socket, what: int, name: str) -> str:
+    answer = fcntl.ioctl(any_socket.fileno(), what, _IFREQ.pack(name.encode()))
+    return socket.inet_ntoa(answer[20:24])
+
+
+def enlarge_receive_buffer(port: int, wanted_bytes: int) -> str:
+    """Set SO_RCVBUF of this process's UDP socket bound to ``port``; returns a warning, "" when all is well.
+
+    Aravis sizes the socket only when the first packet has come, by which time most of the first frames are lost; its
+    socket is found among the process's own descriptors.
+    """
+    for name in os.listdir("/proc/self/fd"):
+        try:
+            if not stat.S_ISSOCK(os.fstat(int(name)).st_mode):
+                continue
+            candidate = socket.socket(fileno=os.dup(int(name)))
+        except OSError:  # closed meanwhile
+            continue
+        with candidate:
+            if _is_udp_on(candidate, port):
+                candidate.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
+                return _buffer_warning(candidate, wanted_bytes)
+    return f"the stream's socket on port {port} was not found; its receive buffer stays at the system's default"
+
+
+def _is_udp_on(candidate: socket.socket, port: int) -> bool:
+    try:
+        return (
+            candidate.family == socket.AF_INET
+            and candidate.type == socket.SOCK_DGRAM
+            and candidate.getsockname()[1] == port
+        )
+    except OSError:
+        return False
+
+
+def _buffer_warning(link: socket.socket, wanted_bytes: int) -> str:
+    granted = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice the payload size
+    if granted >= wanted_bytes:
+        return ""
+    return (
+        f"the system grants a receive buffer of {granted} bytes instead of {wanted_bytes}, frames may be lost; "
+        f"run: sudo sysctl -w net.core.rmem_max={wanted_bytes}"
+    )
+
 
 DISCOVERY = CommandPacket(Command.DISCOVERY)
 ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
@@ -25,7 +115,7 @@ BROADCAST = "255.255.255.255"
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundCamera:
     """A camera that answered, and our own IPv4 address on the way to it."""
 
     device: DeviceRecord
@@ -33,7 +123,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class CameraSelector:
     """Which camera: at an address, or with a serial number or user-defined name on an interface; "" is any.
 
     ``interface``: names or own addresses of interfaces, separated by commas.
@@ -50,7 +140,7 @@ class Wanted:
         return "camera " + (self.address or " and ".join(words) or "(not chosen)")
 
 
-def find_camera(wanted: Wanted) -> Found:
+def find_camera(wanted: CameraSelector) -> FoundCamera:
     """The one camera that is ``wanted``.
 
     With an address, the discovery command goes to this address alone. Without, it is broadcast on the interfaces named,
@@ -58,7 +148,7 @@ def find_camera(wanted: Wanted) -> Found:
     camera answers at the address, or the camera cannot be reached from its subnet.
     """
     if wanted.address:
-        found = at_address(wanted.address)
+        found = discover_at(wanted.address)
         _verify(found.device, wanted)
         return found
     if not (wanted.serial or wanted.user_id):
@@ -67,12 +157,12 @@ def find_camera(wanted: Wanted) -> Found:
             where="aravis.address",
             remedy="Give aravis.address, aravis.serial or aravis.user_id.",
         )
-    chosen = chosen_interfaces(wanted.interface)
-    answers = [(link, device) for link in chosen for device in listen(link)]
-    return _the_one(answers, wanted, chosen)
+    chosen = select_interfaces(wanted.interface)
+    answers = [(link, device) for link in chosen for device in discover_on(link)]
+    return _single_match(answers, wanted, chosen)
 
 
-def at_address(address: str) -> Found:
+def discover_at(address: str) -> FoundCamera:
     """The camera at an IPv4 address. Raises InputError for what is no unicast address, else SourceUnavailable."""
     _check_unicast(address)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
@@ -81,7 +171,7 @@ def at_address(address: str) -> Found:
             link.connect((address, PORT))
             for _ in range(ATTEMPTS):
                 if (device := _ask(link)) is not None:
-                    return Found(device, link.getsockname()[0])
+                    return FoundCamera(device, link.getsockname()[0])
             reason = "nothing answered"
         except OSError as error:
             reason = error.strerror or str(error)
@@ -92,7 +182,7 @@ def at_address(address: str) -> Found:
     )
 
 
-def listen(link: Interface, listen_s: float = LISTEN_S) -> tuple[DeviceRecord, ...]:
+def discover_on(link: Interface, listen_s: float = LISTEN_S) -> tuple[DeviceRecord, ...]:
     """Broadcast a discovery on one interface and collect the answers, each camera once, in the order of serials.
 
     Raises InputError when the system does not let us.
@@ -116,7 +206,7 @@ def listen(link: Interface, listen_s: float = LISTEN_S) -> tuple[DeviceRecord, .
     return tuple(sorted(found.values(), key=lambda device: (device.serial, device.address)))
 
 
-def chosen_interfaces(names: str) -> tuple[Interface, ...]:
+def select_interfaces(names: str) -> tuple[Interface, ...]:
     """The interfaces with these names or own addresses (separated by commas). Raises InputError with a list."""
     present = interfaces()
     listed = ", ".join(map(str, present)) or "none"
@@ -140,7 +230,9 @@ def chosen_interfaces(names: str) -> tuple[Interface, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
-def _the_one(answers: list[tuple[Interface, DeviceRecord]], wanted: Wanted, asked: tuple[Interface, ...]) -> Found:
+def _single_match(
+    answers: list[tuple[Interface, DeviceRecord]], wanted: CameraSelector, asked: tuple[Interface, ...]
+) -> FoundCamera:
     fitting = [(link, device) for link, device in answers if _fits(device, wanted)]
     on = ", ".join(map(str, asked))
     if not fitting:
@@ -165,10 +257,10 @@ def _the_one(answers: list[tuple[Interface, DeviceRecord]], wanted: Wanted, aske
             remedy=f"Give the camera a free address in {link.address.network} (its maker's IP tool, or DHCP), or this "
             "interface one in the camera's subnet.",
         )
-    return Found(device, reachable[0].host)
+    return FoundCamera(device, reachable[0].host)
 
 
-def _verify(device: DeviceRecord, wanted: Wanted) -> None:
+def _verify(device: DeviceRecord, wanted: CameraSelector) -> None:
     if not _fits(device, wanted):
         raise InputError(
             f"is {_named(device)}, not serial {wanted.serial or '(any)'} and user id {wanted.user_id or '(any)'}",
@@ -177,7 +269,7 @@ def _verify(device: DeviceRecord, wanted: Wanted) -> None:
         )
 
 
-def _fits(device: DeviceRecord, wanted: Wanted) -> bool:
+def _fits(device: DeviceRecord, wanted: CameraSelector) -> bool:
     return (not wanted.serial or device.serial == wanted.serial) and (
         not wanted.user_id or device.user_id == wanted.user_id
     )

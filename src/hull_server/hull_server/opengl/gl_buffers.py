@@ -1,14 +1,186 @@
-"""The buffers of one frame set under way on the device: what goes there, and what comes home."""
+"""The few OpenGL objects that the GL backends share: programs, storage buffers and their transfers."""
 
 from __future__ import annotations
+
+import ctypes
 
 import numpy as np
 import numpy.typing as npt
 
+from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
+
+from OpenGL import GL  # isort: skip
+import cv2
+from numba import njit
+
 from ..grid import BRICK_EDGE
-from .egl import NoGraphics
-from .gl_objects import GL, StorageBuffer
-from .gl_upload import FRAME_OFFSET, LISTS
+from ..views import Masks, RigViews
+
+MAX_GL_CAMERAS = 32  # cameras of a frame set are the bits of one shader word
+
+
+def make_program(**sources: str) -> int:
+    """Compile and link shaders given by stage: ``compute=...``, or ``vertex=...`` and ``fragment=...``."""
+    stages = {"compute": GL.GL_COMPUTE_SHADER, "vertex": GL.GL_VERTEX_SHADER, "fragment": GL.GL_FRAGMENT_SHADER}
+    program = GL.glCreateProgram()
+    for stage, source in sources.items():
+        shader = GL.glCreateShader(stages[stage])
+        GL.glShaderSource(shader, source)
+        GL.glCompileShader(shader)
+        if not GL.glGetShaderiv(shader, GL.GL_COMPILE_STATUS):
+            raise NoGraphics(f"the driver rejects a {stage} shader: {_text(GL.glGetShaderInfoLog(shader))}")
+        GL.glAttachShader(program, shader)
+        GL.glDeleteShader(shader)
+    GL.glLinkProgram(program)
+    if not GL.glGetProgramiv(program, GL.GL_LINK_STATUS):
+        raise NoGraphics(f"the driver cannot link the shaders: {_text(GL.glGetProgramInfoLog(program))}")
+    return int(program)
+
+
+class StorageBuffer:
+    """A shader storage buffer of a fixed size. Transfers go through mapping, which every 4.3 driver does well.
+
+    size : bytes, or an array, which it then holds. usage : what it is for, a hint on which memory suits it.
+    Raises NoGraphics when the driver has no room for it.
+    """
+
+    def __init__(self, size: int | np.ndarray, usage: int = GL.GL_DYNAMIC_COPY) -> None:
+        data = size if isinstance(size, np.ndarray) else None
+        self.nbytes = max(16, data.nbytes if data is not None else int(size))
+        self.name = int(GL.glGenBuffers(1))
+        GL.glBindBuffer(GL.GL_SHADER_STORAGE_BUFFER, self.name)
+        try:
+            GL.glBufferData(GL.GL_SHADER_STORAGE_BUFFER, self.nbytes, None, usage)
+        except GL.GLError as error:
+            raise NoGraphics(f"the driver has no room for {self.nbytes} bytes (OpenGL error {error.err})") from None
+        if data is not None:
+            self.write(data)
+
+    def bind(self, binding: int) -> None:
+        GL.glBindBufferBase(GL.GL_SHADER_STORAGE_BUFFER, binding, self.name)
+
+    def bind_part(self, binding: int, offset: int, nbytes: int) -> None:
+        """Bind bytes ``offset`` (a multiple of 256) to ``offset + nbytes`` only."""
+        GL.glBindBufferRange(GL.GL_SHADER_STORAGE_BUFFER, binding, self.name, offset, nbytes)
+
+    def write(self, data: np.ndarray) -> None:
+        """Copy a contiguous array to the buffer's beginning."""
+        data = np.ascontiguousarray(data)
+        address = self._map(data.nbytes, GL.GL_MAP_WRITE_BIT | GL.GL_MAP_INVALIDATE_RANGE_BIT)
+        ctypes.memmove(address, data.ctypes.data, data.nbytes)
+        GL.glUnmapBuffer(GL.GL_SHADER_STORAGE_BUFFER)
+
+    def read(self, dtype: npt.DTypeLike, count: int) -> np.ndarray:
+        """The first ``count`` items, copied."""
+        data: np.ndarray = np.empty(count, dtype)
+        if count:
+            address = self._map(data.nbytes, GL.GL_MAP_READ_BIT)
+            ctypes.memmove(data.ctypes.data, address, data.nbytes)
+            GL.glUnmapBuffer(GL.GL_SHADER_STORAGE_BUFFER)
+        return data
+
+    def _map(self, nbytes: int, access: int) -> int:
+        if nbytes > self.nbytes:
+            raise ValueError(f"{nbytes} bytes do not fit a buffer of {self.nbytes}")
+        GL.glBindBuffer(GL.GL_SHADER_STORAGE_BUFFER, self.name)
+        return GL.glMapBufferRange(GL.GL_SHADER_STORAGE_BUFFER, 0, nbytes, access)
+
+
+def _text(log: bytes | str) -> str:
+    return log.decode(errors="replace") if isinstance(log, bytes) else log
+
+
+# --- What the compute carve needs of one frame set, laid out on the host as its shaders read it: one upload.
+
+LISTS = 4  # lists that the kernels hand on: coarse blocks, bricks, blocks, doubts
+FRAME_OFFSET = 256  # bytes: the largest alignment that a driver may ask of a bound range
+PIXELS_PER_WORD = 16
+_HEAD, _BOX = 4, 4  # words: of the frame's head, of a camera's foreground box
+
+
+class FrameUpload:
+    """The words of a frame set: the empty lists; from FRAME_OFFSET on head, boxes, labels and summed areas.
+
+    words : int32, all of them at their largest. labels_start : word at which the labels begin.
+    Only rows that hold foreground, now or in the frame set before, are written. Not for two threads at a time.
+    """
+
+    def __init__(self, views: RigViews) -> None:
+        cameras, height, width = views.seen.shape
+        self._names, self._countable = views.names, np.minimum(views.seen, 1)
+        columns = width // PIXELS_PER_WORD
+        boxes = FRAME_OFFSET // 4 + _HEAD
+        starts = boxes + _BOX * cameras
+        self.labels_start = starts + cameras
+        self._areas_start = self.labels_start + cameras * height * columns
+        self.words: npt.NDArray[np.int32] = np.zeros(self._areas_start + cameras * (height + 1) * (width + 1), np.int32)
+        self.words[: 4 * LISTS] = [0, 1, 1, 0] * LISTS  # groups x, y, z of a dispatch; length
+        self._head = self.words[FRAME_OFFSET // 4 : boxes]
+        self._boxes = self.words[boxes:starts].reshape(cameras, _BOX)
+        self._area_starts = self.words[starts : self.labels_start]
+        labels = self.words[self.labels_start : self._areas_start]
+        self._labels = labels.view(np.uint32).reshape(cameras, height, columns)
+        self._labels[:] = np.packbits(views.seen == 0, axis=-1, bitorder="little").view("<u2").astype(np.uint32) << 16
+        self._rows = np.zeros((cameras, 2), np.int64)  # from and to, of each camera's foreground
+
+    def fill(self, masks: Masks, present: npt.NDArray[np.int64], min_seeing: int) -> npt.NDArray[np.int32]:
+        """The words to upload for the masks of the ``present`` cameras; valid until the next call."""
+        self._head.view(np.uint32)[:2] = sum(1 << int(camera) for camera in present), min_seeing
+        end = self._areas_start
+        for camera in present:
+            end = self._fill_camera(camera, masks[self._names[camera]], end)
+        return self.words[:end]
+
+    def _fill_camera(self, camera: int, mask: npt.NDArray[np.uint8], start: int) -> int:
+        """Labels, foreground box and summed areas, these from word ``start``; returns where they end."""
+        words = np.ascontiguousarray(mask).view(np.uint64)
+        u0, v0, u1, v1 = label_foreground(words, self._labels[camera], self._rows[camera])
+        self._boxes[camera] = u0, v0, u1, v1
+        self._area_starts[camera] = start
+        if u1 == 0:
+            return start
+        foreground = cv2.min(mask[v0:v1, u0:u1], self._countable[camera, v0:v1, u0:u1])
+        end = start + (v1 - v0 + 1) * (u1 - u0 + 1)
+        cv2.integral(foreground, self.words[start:end].reshape(v1 - v0 + 1, u1 - u0 + 1), cv2.CV_32S)
+        return end
+
+
+@njit(cache=True, nogil=True)
+def label_foreground(words, labels, rows):  # type: ignore[no-untyped-def]
+    """Write a mask's foreground into its labels; return a box (u, v from and to) around it, u in steps of 16.
+
+    words (h, w / 8) uint64: the mask, eight pixels a word. labels (H, W / 16) uint32: bit p is set where the camera
+    sees foreground, bit 16 + p (kept) where it is blind. rows (2,): the rows that hold foreground, from and to;
+    on entry those of the frame set before.
+    """
+    labels[rows[0] : rows[1]] &= np.uint32(0xFFFF0000)
+    groups = words.shape[1] // 2
+    left, right, top, bottom = groups, 0, words.shape[0], 0
+    for row in range(words.shape[0]):
+        any_word = np.uint64(0)
+        for column in range(words.shape[1]):
+            any_word |= words[row, column]
+        if any_word == 0:
+            continue
+        top, bottom = min(top, row), row + 1
+        for group in range(groups):
+            bits = _nonzero_bytes(words[row, 2 * group]) | _nonzero_bytes(words[row, 2 * group + 1]) << np.uint64(8)
+            if bits != 0:
+                left, right = min(left, group), max(right, group + 1)
+                labels[row, group] |= np.uint32(bits) & ~(labels[row, group] >> np.uint32(16))
+    rows[0], rows[1] = min(top, bottom), bottom
+    return (16 * left, top, 16 * right, bottom) if bottom > 0 else (0, 0, 0, 0)
+
+
+@njit(cache=True, nogil=True)
+def _nonzero_bytes(word):  # type: ignore[no-untyped-def]
+    """Bit b is set where byte b of a word is not zero."""
+    low = np.uint64(0x7F7F7F7F7F7F7F7F)
+    flags = ((word & low) + low | word) >> np.uint64(7) & np.uint64(0x0101010101010101)
+    return flags * np.uint64(0x0102040810204080) >> np.uint64(56)
+
+
+# --- The buffers of one frame set under way on the device: what goes there, and what comes home.
 
 BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRICK_EDGE)])  # as the shaders' Brick
 LIST_BYTES = 16  # size of a dispatch, and length

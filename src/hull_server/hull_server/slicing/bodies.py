@@ -11,7 +11,7 @@ from numba import njit
 
 from ..grid import Array, VoxelGrid
 from ..settings import BodySettings
-from .slicer import HullRuns
+from .skeletonisation import HullRuns
 
 NOBODY = -1
 

@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from capture_rig.errors import InputError
+from mocap_packets.hull_products import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
 from stick_figure.kinematics import inverse
@@ -18,9 +19,7 @@ from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
-from ..hull_clouds import HullClouds
-from .body_estimate import BodyEstimate
-from .flesh_sizes import FleshSizes
+from .body_sizes import BodyEstimate, LimbGirths
 
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
 NEIGHBOUR_FRAMES = 5
@@ -38,7 +37,7 @@ class InitialPose:
     body: Body | None = None
     reason: str = ""
     estimate: BodyEstimate | None = None
-    flesh: FleshSizes | None = None
+    girths: LimbGirths | None = None
 
 
 class PoseSource(Protocol):
@@ -49,7 +48,7 @@ class PoseSource(Protocol):
         """Whether it looks at the hull's voxels."""
         ...
 
-    def look(self, seen: HullClouds) -> InitialPose:
+    def find_pose(self, seen: HullProducts) -> InitialPose:
         """The first pose, if this frame set brings it."""
         ...
 
@@ -65,7 +64,7 @@ class KnownPose:
     def needs_voxels(self) -> bool:
         return False
 
-    def look(self, seen: HullClouds) -> InitialPose:
+    def find_pose(self, seen: HullProducts) -> InitialPose:
         return InitialPose(self.pose, self.body)
 
 

@@ -10,11 +10,11 @@ from capture_rig.settings import setting
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, load_thickness
 
-from .flesh_sizes import FleshSizes
+from .body_sizes import LimbGirths
 from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_reference
-from .known_body import KnownBodySource
-from .t_pose import TPoseSource
-from .t_pose_shape import TPoseSettings
+from .known_body_source import KnownBodySource
+from .t_pose_measures import TPoseSettings
+from .t_pose_source import TPoseSource
 
 WHERE = "parameters of the ICP tracker"
 
@@ -49,7 +49,7 @@ def make_pose_source(settings: InitialPoseSettings, body_file: str = "", volume:
         volume = load_rig(settings.rig_file).volume if settings.rig_file else volume
         if body is None:
             return TPoseSource(settings.t_pose, volume)
-        return KnownBodySource(settings.t_pose, body, volume, FleshSizes.of(load_thickness(body_file)))
+        return KnownBodySource(settings.t_pose, body, volume, LimbGirths.of(load_thickness(body_file)))
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)

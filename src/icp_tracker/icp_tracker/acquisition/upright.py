@@ -11,7 +11,23 @@ import numpy as np
 
 from capture_rig.rig import Volume
 
-from .refusal import Refusal
+# --- Why a hull shows no pose to start from, in words for the person in front of the cameras.
+
+
+class PoseRejected(Exception):
+    """Raised inside a measurement as soon as it is clear that there is nothing to measure; ``reason`` says why."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def reasons_of_bodies(reasons: dict[int, str]) -> str:
+    """One sentence for the reasons by which each body, by its number, was refused."""
+    if len(reasons) == 1:
+        return next(iter(reasons.values()))
+    return "; ".join(f"body {number}: {reason}" for number, reason in sorted(reasons.items())) or "no hull"
+
 
 FEWEST_VOXELS, FEWEST_OF_A_PART = 200, 8
 TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
@@ -57,17 +73,17 @@ class Upright:
 def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, volume: Volume | None) -> Upright:
     """Find floor, stature and the axis of the arms on hull voxels (m, 3) of one body, z up.
 
-    Raises Refusal when the hull is cut off by the ``volume`` or is no single upright body.
+    Raises PoseRejected when the hull is cut off by the ``volume`` or is no single upright body.
     """
     pitch = _pitch(voxels_world)
-    refuse_cut_off(voxels_world, pitch, volume)
+    reject_cut_off(voxels_world, pitch, volume)
     low, high = np.percentile(voxels_world[:, 2], [TRIMMED, 100.0 - TRIMMED])
     low, high = low - pitch / 2, high + pitch / 2
     floor = _floor(low)
     stature = float(high - floor)
     if not stature_low_m <= stature <= stature_high_m:
         size = "small" if stature < stature_low_m else "large"
-        raise Refusal(f"the hull is too {size}: {stature:.2f} m high")
+        raise PoseRejected(f"the hull is too {size}: {stature:.2f} m high")
     body = _in_its_frame(voxels_world, floor, stature, pitch)
     _refuse_several_heads(body)
     return body
@@ -78,17 +94,17 @@ def stand_known(
 ) -> tuple[Upright, float]:
     """The same for a body of known stature, whose hands may be above its head; and its crown's height over the floor.
 
-    Raises Refusal when the hull is cut off by the ``volume``, or the crown lower than ``crouch`` of the stature.
+    Raises PoseRejected when the hull is cut off by the ``volume``, or the crown lower than ``crouch`` of the stature.
     """
     pitch = _pitch(voxels_world)
-    refuse_cut_off(voxels_world, pitch, volume)
+    reject_cut_off(voxels_world, pitch, volume)
     body = _in_its_frame(
         voxels_world, _floor(float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2), stature_m, pitch
     )
     column = body.local[np.linalg.norm(body.local[:, :2], axis=1) < HEAD_RADIUS * stature_m, 2]
     crown = float(np.percentile(column, 100.0 - TRIMMED)) + pitch / 2 if len(column) else 0.0
     if not crouch * stature_m <= crown <= TALLER * stature_m:
-        raise Refusal(f"the known body does not fit: it is {stature_m:.2f} m tall, and this one {crown:.2f} m")
+        raise PoseRejected(f"the known body does not fit: it is {stature_m:.2f} m tall, and this one {crown:.2f} m")
     return body, crown
 
 
@@ -111,8 +127,8 @@ def _pitch(voxels_world: np.ndarray) -> float:
     return float(np.diff(layers).min()) if len(layers) > 1 else 0.0
 
 
-def refuse_cut_off(voxels_world: np.ndarray, pitch: float, volume: Volume | None) -> None:
-    """Raises Refusal when the body touches a wall or the ceiling of the volume (its floor may)."""
+def reject_cut_off(voxels_world: np.ndarray, pitch: float, volume: Volume | None) -> None:
+    """Raises PoseRejected when the body touches a wall or the ceiling of the volume (its floor may)."""
     if volume is None:
         return
     beyond_low = voxels_world.min(axis=0) - pitch < volume.low
@@ -120,14 +136,14 @@ def refuse_cut_off(voxels_world: np.ndarray, pitch: float, volume: Volume | None
     for k, name in enumerate("xyz"):
         if beyond_high[k] or (beyond_low[k] and name != "z"):
             wall = volume.high[k] if beyond_high[k] else volume.low[k]
-            raise Refusal(f"partly outside the volume, which ends at {name} = {wall:.2f} m")
+            raise PoseRejected(f"partly outside the volume, which ends at {name} = {wall:.2f} m")
 
 
 def _arms_axis(flat: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of the trunk (2,) and the longest horizontal direction (2,) of the upper body."""
     trunk = flat[(height > TRUNK[0]) & (height < TRUNK[1])]
     if len(trunk) < FEWEST_OF_A_PART:
-        raise Refusal("no trunk in the hull")
+        raise PoseRejected("no trunk in the hull")
     centre = np.median(trunk, axis=0)
     return centre, np.linalg.eigh(np.cov((flat[height > ARMS_FROM] - centre).T))[1][:, -1]
 
@@ -136,20 +152,20 @@ def _refuse_several_heads(body: Upright) -> None:
     head = body.between(HEAD_FROM, 2.0)[:, :2]
     head = head[np.linalg.norm(head, axis=1) < RAISED_HANDS_FROM * body.stature]
     if len(head) < FEWEST_OF_A_PART:
-        raise Refusal("no head above the trunk")
+        raise PoseRejected("no head above the trunk")
     near = np.linalg.norm(head - np.median(head, axis=0), axis=1) < HEAD_RADIUS * body.stature
     if np.mean(near) < ONE_HEAD:
-        raise Refusal("no single head at the top: more than one body, or hands beside the head?")
+        raise PoseRejected("no single head at the top: more than one body, or hands beside the head?")
 
 
-def refuse_leaning(body: Upright) -> None:
-    """Raises Refusal unless the head is above the feet."""
+def reject_leaning(body: Upright) -> None:
+    """Raises PoseRejected unless the head is above the feet."""
     feet = body.between(*SHINS)[:, :2]
     if len(feet) < FEWEST_OF_A_PART:
-        raise Refusal("no feet in the hull")
+        raise PoseRejected("no feet in the hull")
     lean = float(np.linalg.norm(np.median(body.between(HEAD_FROM, 2.0)[:, :2], axis=0) - _middle(feet)))
     if lean > LEAN * body.stature:
-        raise Refusal(f"not upright: the head is {lean:.2f} m off the feet")
+        raise PoseRejected(f"not upright: the head is {lean:.2f} m off the feet")
 
 
 def _middle(points: np.ndarray) -> np.ndarray:

@@ -12,16 +12,136 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capture_rig.settings import setting
+from stick_figure import kernels
 from stick_figure.body import Body
+from stick_figure.joint_limits import add_joint_limits, add_neck_rest
+from stick_figure.least_squares.gauss_newton import ContourArrays
+from stick_figure.least_squares.placed_figure import State
+from stick_figure.least_squares.point_factor import TANGENT, mirror_upper
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
-from ..acquisition.body_estimate import BodyEstimate, prior_sizes
-from ..acquisition.flesh_sizes import FleshSizes
-from ..articulated_solver import PriorSettings
-from ..gauss_newton import Rims
-from .keyframe import Keyframe
-from .settings import RefinementSettings
-from .shape import SIZE, ShapeModel, ShapePrior, body_of, thickness_of
+from ..acquisition.body_sizes import BodyEstimate, LimbGirths, prior_sizes
+from ..articulated_fit import PriorSettings
+from .shape import SIZE, UNKNOWNS, ShapeModel, ShapePrior, body_of, girths_of, rim_system
+
+# --- How a body's sizes are refined while it moves, as settings.
+
+
+@dataclass(frozen=True)
+class RefinementSettings:
+    """The sizes of a body that was measured in a T-pose, from the rims of the poses that follow."""
+
+    keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
+    turn: float = setting(
+        0.2, "a pose is different when some joint turned by this much against every kept one", unit="rad", low=0.01
+    )
+    rays: int = setting(400, "rays of a kept pose that are looked at", low=50, high=100000)
+    explained: float = setting(
+        0.93, "share of the rays that the flesh must explain for a pose to count", low=0.0, high=1.0
+    )
+    explained_m: float = setting(0.06, "misfit up to which a ray is explained", unit="m", low=1e-3)
+    gate_m: float = setting(0.04, "misfit at which a ray's weight has fallen to 1/4", unit="m", low=1e-3)
+    slack_m: float = setting(
+        0.05, "the flesh may touch a ray this far from the stretch where the ray touches the hull", unit="m", low=0.0
+    )
+    surface_sd_m: float = setting(
+        0.01,
+        "distance of a body's surface from the capsules that stand for it, where they fit well",
+        unit="m",
+        low=1e-4,
+    )
+    independent_rays: float = setting(
+        6.0,
+        "independent rays that all rays of a pose are worth: one for head, trunk and each limb, for the misfit of "
+        "the flesh is common to them",
+        low=0.1,
+        high=1e4,
+    )
+    thickness_sd: float = setting(
+        0.12, "how people's limbs differ in thickness at equal stature, as a share of it", low=1e-3, high=1.0
+    )
+    farthest_sd: float = setting(
+        3.0, "no size leaves what the T-pose said by more than this many standard deviations", low=0.1, high=10.0
+    )
+    least_change_m: float = setting(
+        0.004, "the tracker takes over sizes when one of them has changed by so much", unit="m", low=0.0
+    )
+    pause_s: float = setting(1.0, "and not more often than this", unit="s", low=0.0)
+
+
+# --- One kept pose with its rims, and what it says about the body's shape whatever the pose was exactly.
+
+LARGEST_STEP = 0.3  # m, rad
+
+
+class Keyframe:
+    """Pose and shape share the rims: the pose is eliminated, and follows when the shape changes.
+
+    ``information`` (UNKNOWNS, UNKNOWNS) and ``target`` (UNKNOWNS,) are its part of normal equations for the shape's
+    values themselves: (sum of information) values = sum of target. Zero until the first :meth:`look`, and while the
+    flesh explains too few of its rays.
+    """
+
+    def __init__(
+        self, pose: Pose, contour_rays: ContourArrays, settings: RefinementSettings, prior: PriorSettings
+    ) -> None:
+        self.pose, self.contour_rays = pose, _evenly_spread(contour_rays, settings)
+        self.explained = 0.0
+        self._settings, self._prior = settings, prior
+        self._values: np.ndarray | None = None
+        self._through = np.empty((TANGENT, UNKNOWNS + 1))
+        self._forget()
+
+    def _forget(self) -> None:
+        self.information, self.target = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
+
+    def linearise(self, model: ShapeModel, values: np.ndarray) -> None:
+        """Move the pose to where it suits a shape's ``values`` (UNKNOWNS,), and linearise there."""
+        state, n = State.of(self.pose), TANGENT + UNKNOWNS
+        if self._values is not None:  # the pose follows the shape, by the last linearisation
+            step = self._through @ np.concatenate([self._values - values, [1.0]])
+            kernels.retract(*state, step, min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), LARGEST_STEP)))
+            self.pose = state.pose()
+        H, g = np.empty((n, n)), np.empty(n)
+        robust = (self._settings.gate_m, self._settings.slack_m, self._settings.explained_m)
+        self.explained = float(
+            rim_system(self.contour_rays, *state, *model.at(values), model.derivatives, robust, H, g)
+        )
+        pose, shape = slice(0, TANGENT), slice(TANGENT, n)
+        own, pull = self._with_prior(state, H, g)
+        self._through, self._values = np.linalg.solve(own, np.column_stack([H[pose, shape], pull])), values
+        if self.explained < self._settings.explained:
+            self._forget()
+            return
+        # the pose is eliminated: Schur complement
+        self.information = H[shape, shape] - H[shape, pose] @ self._through[:, :-1]
+        self.target = g[shape] - H[shape, pose] @ self._through[:, -1] + self.information @ values
+
+    def _with_prior(self, state: State, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pose's normal equations with what holds it where rims do not: scatter, the neck's rest, limits."""
+        own, pull = np.zeros((TANGENT, TANGENT)), g[:TANGENT].copy()
+        if self._prior.neck_sd > 0.0:
+            add_neck_rest(state.RJ[0], self._prior.neck_pitch, self._prior.neck_sd**-2, own, pull)
+        if self._prior.limit_sd > 0.0:
+            add_joint_limits(state.RJ, state.hinges, self._prior.limit_sd**-2, own, pull)
+        mirror_upper(own)
+        return own + H[:TANGENT, :TANGENT] + np.diag(self._prior.information()), pull
+
+    def differs(self, pose: Pose, turn: float) -> bool:
+        """Whether some joint (not the torso) is turned by more than ``turn`` (rad) against this pose."""
+        return bool(np.abs(pose.minus(self.pose)[6:]).max() > turn)
+
+
+def _evenly_spread(contour_rays: ContourArrays, settings: RefinementSettings) -> ContourArrays:
+    """At most so many rays, evenly spread, together worth the independent ones."""
+    count = len(contour_rays.information)
+    rows = np.arange(count) if count <= settings.rays else np.arange(settings.rays) * count // settings.rays
+    information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
+    points, directions, normals, tangents = (np.ascontiguousarray(part[:, rows]) for part in contour_rays[:4])
+    half_lengths = np.ascontiguousarray(contour_rays.half_lengths[rows])
+    return ContourArrays(points, directions, normals, tangents, half_lengths, information)
+
 
 NS_PER_S = 1e9
 LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
@@ -32,7 +152,7 @@ class RefinedBody:
     """A body with the uncertainty of its sizes and how thick its limbs are, and the poses it is known from."""
 
     estimate: BodyEstimate
-    thickness: FleshSizes
+    girths: LimbGirths
     keyframes: int
 
 
@@ -54,14 +174,14 @@ class BodyRefiner:
         full = len(self._kept) >= self._settings.keyframes
         return full and self._looks >= LOOKS_TO_SETTLE * self._settings.keyframes
 
-    def step(self, stamp_ns: int, pose: Pose, rims: Rims) -> Body | None:
+    def step(self, stamp_ns: int, pose: Pose, contour_rays: ContourArrays) -> Body | None:
         """Take a well fitted pose and its rims; a body to go on with when its sizes have changed enough."""
-        if self.done or len(rims.information) == 0:
+        if self.done or len(contour_rays.information) == 0:
             return None
         if self._given_ns < 0:
             self._given_ns = stamp_ns
-        if not self._keep(pose, rims) and self._kept:
-            self._kept[self._looks % len(self._kept)].look(self._model, self._values)
+        if not self._keep(pose, contour_rays) and self._kept:
+            self._kept[self._looks % len(self._kept)].linearise(self._model, self._values)
             self._looks += 1
         self._solve()
         return self._due(stamp_ns)
@@ -71,16 +191,16 @@ class BodyRefiner:
         """The body as it is known now."""
         covariance = np.linalg.inv(self._information + sum(k.information for k in self._kept))
         estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
-        return RefinedBody(estimate, thickness_of(self._values), len(self._kept))
+        return RefinedBody(estimate, girths_of(self._values), len(self._kept))
 
-    def _keep(self, pose: Pose, rims: Rims) -> bool:
+    def _keep(self, pose: Pose, contour_rays: ContourArrays) -> bool:
         """Whether the pose is a new one that the flesh explains; then it is kept."""
         if len(self._kept) >= self._settings.keyframes:
             return False
         if not all(kept.differs(pose, self._settings.turn) for kept in reversed(self._kept)):
             return False
-        keyframe = Keyframe(pose, rims, self._settings, self._pose_prior)
-        keyframe.look(self._model, self._values)
+        keyframe = Keyframe(pose, contour_rays, self._settings, self._pose_prior)
+        keyframe.linearise(self._model, self._values)
         if keyframe.explained < self._settings.explained:
             return False
         self._kept.append(keyframe)
@@ -105,8 +225,8 @@ class BodyRefiner:
         return body_of(self._values)
 
 
-def rehearse(settings: RefinementSettings, pose_prior: PriorSettings) -> None:
+def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> None:
     """One step on a made-up ray, so that compiled code is loaded before it is needed."""
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     x, y, z = np.eye(3).reshape(3, 3, 1)
-    BodyRefiner(prior_sizes(1.7), settings, pose_prior).step(0, pose, Rims(x, y, x, z, np.ones(1), np.ones(1)))
+    BodyRefiner(prior_sizes(1.7), settings, pose_prior).step(0, pose, ContourArrays(x, y, x, z, np.ones(1), np.ones(1)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -70,3 +71,39 @@ Board: TypeAlias = Checkerboard | CharucoBoard
 def _grid(columns: int, rows: int, field_m: tuple[float, float]) -> Array:
     row, column = np.mgrid[:rows, :columns].reshape(2, -1)
     return np.column_stack([column * field_m[0], -row * field_m[1], np.zeros(columns * rows)])
+
+
+# --- What one image shows of a calibration target.
+
+
+@dataclass(frozen=True, eq=False)
+class TargetDetection:
+    """Corners of a target found in one image of one camera.
+
+    camera : the camera's name. moment : which frame (what several cameras show at the same moment is in the same
+    place). target : which of several targets, "" when there is only one. ids (n,) : which corners, rows of the
+    target's ``corners_board``. pixels (n, 2) : where, in the raw (distorted) image; pixel centres at whole numbers.
+    image_size : (width, height), px. sigma_px : standard deviation of a corner's coordinate, as far as it is known.
+    """
+
+    camera: str
+    frame_index: int
+    ids: npt.NDArray[np.int64]
+    pixels: npt.NDArray[np.float64]
+    image_size: tuple[int, int]
+    target: str = ""
+    sigma_px: float = 0.2
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+# --- The same ChArUco board as OpenCV knows it.
+
+
+def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board, whose corner ids are ours."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    theirs = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square_m, board.marker_m, dictionary)
+    theirs.setLegacyPattern(board.legacy)
+    return theirs

@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .board import Board, CharucoBoard
-from .opencv_charuco import opencv_board
-from .print_layout import lay_out
-from .print_pages import save_pages
+from .board import Board, CharucoBoard, opencv_board
+from .printing import lay_out, save_pages
 from .specification import board_text
 
 Array = npt.NDArray[np.float64]

@@ -13,15 +13,10 @@ from scipy.spatial import cKDTree
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
-from .board import Board, CharucoBoard
-from .charuco import marker_margin
-from .checkerboard import complete, possible_orders
-from .corner_grid import CornerGrid, empty_grid, fitted, is_black_first, turned
-from .detection import as_grey, sighting_of
-from .grid import jogs, predict, steps
-from .image_variants import Variant
-from .lattice import find_saddles
-from .sighting import Sighting
+from .board import Board, CharucoBoard, TargetDetection
+from .corner_grid import CornerGrid, discontinuities, empty_grid, fitted, is_black_first, predict, steps, turned
+from .detector import as_grey, complete, detection_of, marker_margin, possible_orders
+from .lattice import Variant, find_saddles
 
 Array = npt.NDArray[np.float64]
 
@@ -31,7 +26,7 @@ CANDIDATES = 3  # saddles looked at near each click
 HIT_FIELDS, MIN_HIT_PX = 0.25, 1.0  # how near a saddle must lie to where a corner is expected
 MIN_FOUND = 0.5  # of a board's corners
 ROUNDS = 12
-LOOKS = (Variant(), Variant(1, 2), Variant(1, 3), Variant(1, 1, 2.5))
+VARIANTS = (Variant(), Variant(1, 2), Variant(1, 3), Variant(1, 1, 2.5))
 ORDER = "Give the outermost inner corners in reading order: first, end of first row, last, start of last row."
 
 
@@ -77,18 +72,18 @@ def find_from_outer_corners(
     outer_px: npt.ArrayLike,
     *,
     camera: str = "",
-    moment: int = 0,
+    frame_index: int = 0,
     target: str = "",
     model: CameraModel | None = None,
-) -> Sighting:
+) -> TargetDetection:
     """The board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order: first,
     end of the first row, last, start of the last row; up to 6 pixels or half a field off.
 
     ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
-    the right places then. The sighting holds those corners that are seen to be corners, to a part of a pixel; where the
+    the right places then. The detection holds those corners that are seen to be corners, to a part of a pixel; where the
     colours tell, they also decide which of the corners is the first. InputError when there is no such board.
     """
-    where = f"camera '{camera}', frame {moment}" if camera else ""
+    where = f"camera '{camera}', frame {frame_index}" if camera else ""
     grey = as_grey(image)
     outer = _checked(outer_px, where)
     shape = (board.rows - 1, board.columns - 1) if isinstance(board, CharucoBoard) else (board.rows, board.columns)
@@ -104,7 +99,7 @@ def find_from_outer_corners(
             remedy=f"{ORDER} Check that the board has {shape[1]} x {shape[0]} of them, and is in focus.",
         )
     ordered = _ordered(_whole(grey, grid, board), board, outer, where)
-    return sighting_of(ordered, grey.shape, camera=camera, moment=moment, target=target)
+    return detection_of(ordered, grey.shape, camera=camera, frame_index=frame_index, target=target)
 
 
 def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
@@ -124,7 +119,7 @@ def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
 
 def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
     """The four saddles near the given corners with which most of the board's corners fall onto saddles."""
-    found = [look.to_raw(find_saddles(look.make(grey), look.smoothing_px).pixels) for look in LOOKS]
+    found = [variant.to_raw(find_saddles(variant.make(grey), variant.smoothing_px).pixels) for variant in VARIANTS]
     saddles = np.concatenate([*found, outer])
     tree = cKDTree(saddles)
     expected = view.corners(view.outer, outer)
@@ -179,7 +174,7 @@ def _followed(grey: npt.NDArray[np.uint8], view: _View, outer: Array, margin: fl
         expected = np.where(np.isfinite(near), near, flat)
         if grid.count <= before:
             break
-    smooth = np.where(jogs(grid.pixels)[:, :, None], np.nan, grid.pixels)
+    smooth = np.where(discontinuities(grid.pixels)[:, :, None], np.nan, grid.pixels)
     return fitted(grey, smooth, empty_grid(*view.shape), margin)
 
 

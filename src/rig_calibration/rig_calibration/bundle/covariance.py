@@ -17,15 +17,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .adjustment import HUBER, Adjusted, Prior, huber_weights, normalised_lengths
-from .displacement import whitened
-from .normal_equations import Bools, Free, normal_equations, reduce
-from .observations import Layout, Observations
-from .pose_misfit import pose_freedom, pose_misfit
+from .adjustment import (
+    HUBER,
+    Adjusted,
+    Bools,
+    FreeUnknowns,
+    Prior,
+    huber_weights,
+    normal_equations,
+    normalised_lengths,
+    reduce,
+)
 from .projection import linearise
 from .rigid import Array
+from .state import Layout, Observations
+from .sync_error import pose_dof, pose_misfit, whitened
 
-LEAST_FREEDOM = 18  # of the comparison between cameras: with less it tells nothing
+MIN_DOF = 18  # of the comparison between cameras: with less it tells nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +55,9 @@ class Covariance:
 def covariance(
     fit: Adjusted,
     seen: Observations,
-    free: Free,
+    free: FreeUnknowns,
     lens_covariance: Mapping[int, Array],
-    displacement: Array,
+    sync_error: Array,
     prior: Prior | None = None,
 ) -> Covariance:
     """Covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were refined).
@@ -61,16 +69,16 @@ def covariance(
     scaled = seen.weighted(np.array(1 / fit.scale))
     lengths = normalised_lengths(fit.state, scaled)
     weighted = scaled.weighted(np.sqrt(huber_weights(lengths)))
-    linear = whitened(linearise(fit.state, weighted, with_lens=True), displacement)
+    linear = whitened(linearise(fit.state, weighted, with_lens=True), sync_error)
     equations = normal_equations(linear, weighted, layout, len(free.poses))
-    S = reduce(equations, Free(np.ones(layout.size, bool), free.poses)).S
+    S = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses)).S
     inverse = _inverse(S if prior is None else S + prior.information, free.shared)
     misfit, shared = pose_misfit(linear), int(free.shared.sum())
     corners = scaled.weight > 0
-    unknowns, coordinates = shared + pose_freedom(scaled.pose, misfit.freedom), 2 * int(corners.sum())
+    unknowns, coordinates = shared + pose_dof(scaled.pose, misfit.dof), 2 * int(corners.sum())
     factor = _variance_factor(lengths[corners], unknowns)
-    ratio, freedom = misfit.ratio(linear.residual, int(corners.sum()), scaled.pose, shared)
-    inflation = max(ratio, 1.0) if freedom >= LEAST_FREEDOM else 1.0
+    ratio, dof = misfit.ratio(linear.residual, int(corners.sum()), scaled.pose, shared)
+    inflation = max(ratio, 1.0) if dof >= MIN_DOF else 1.0
     total = inverse * factor * inflation + _lens_effect(inverse, S, layout, lens_covariance)
     blocks = [layout.camera(c) for c in range(layout.cameras)]
     scales = np.sqrt(np.diag(total)[layout.size - layout.targets :])
@@ -87,9 +95,9 @@ def _inverse(information: Array, free: Bools) -> Array:
 
 def _variance_factor(lengths: Array, unknowns: int) -> float:
     """Huber's estimate: squared clipped residuals over the degrees of freedom, by the square of the share inside."""
-    freedom = max(2 * len(lengths) - unknowns, 1)
+    dof = max(2 * len(lengths) - unknowns, 1)
     inside = max(float(np.mean(lengths <= HUBER)), 0.5)
-    return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / freedom / inside**2
+    return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / dof / inside**2
 
 
 def _lens_effect(inverse: Array, S: Array, layout: Layout, lens_covariance: Mapping[int, Array]) -> Array:

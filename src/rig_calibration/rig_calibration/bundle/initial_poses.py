@@ -14,13 +14,12 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
-from ..boards.sighting import Sighting
-from .line_targets import line_pose, relative_pose_of_line
-from .relative_poses import RelativePose, kernel, relative_pose
+from ..boards.board import TargetDetection
+from .detection_poses import View
+from .relative_poses import RelativePose, agreement_weight, line_pose, relative_pose, relative_pose_of_line
 from .rigid import Array, angle_between, inverse, transform
 from .target_shape import LINE
-from .view import View
-from .view_graph import Key
+from .view_graph import PoseKey
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,30 +28,30 @@ class InitialPoses:
 
     root: str
     T_camera_root: dict[str, Array]
-    T_root_target: dict[Key, Array]
-    turns: tuple[int, ...]
+    T_root_target: dict[PoseKey, Array]
+    symmetries: tuple[int, ...]
 
 
 def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
     """Poses good enough to start the adjustment from; InputError when the pairs do not hang together."""
     pairs = relative_poses(cameras, views)
-    root, T_camera_root = chain(sorted(cameras), pairs)
-    T_root_target: dict[Key, Array] = {}
-    turns = dict.fromkeys(range(len(views)), 0)
+    root, T_camera_root = poses_along_spanning_tree(sorted(cameras), pairs)
+    T_root_target: dict[PoseKey, Array] = {}
+    symmetries = dict.fromkeys(range(len(views)), 0)
     for key, rows in _rows_by_key(views).items():
         find = line_pose if views[rows[0]].shape.dimension == LINE else _vote
-        pose, turned = find([(views[i], T_camera_root[views[i].sighting.camera]) for i in rows])
+        pose, found = find([(views[i], T_camera_root[views[i].detection.camera]) for i in rows])
         if pose is not None:
             T_root_target[key] = pose
-            turns.update(zip(rows, turned, strict=True))
-    return InitialPoses(root, T_camera_root, T_root_target, tuple(turns[i] for i in range(len(views))))
+            symmetries.update(zip(rows, found, strict=True))
+    return InitialPoses(root, T_camera_root, T_root_target, tuple(symmetries[i] for i in range(len(views))))
 
 
 def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
     """The relative pose of each pair of cameras (a < b) with common moments, by boards or, where better, by wands."""
-    by_camera: dict[str, dict[Key, View]] = {name: {} for name in sorted(cameras)}
+    by_camera: dict[str, dict[PoseKey, View]] = {name: {} for name in sorted(cameras)}
     for view in views:
-        by_camera[view.sighting.camera][view.key] = view
+        by_camera[view.detection.camera][view.key] = view
     pairs = {}
     for a in by_camera:
         for b in (name for name in by_camera if name > a):
@@ -66,7 +65,9 @@ def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) ->
     return pairs
 
 
-def chain(names: Sequence[str], pairs: Mapping[tuple[str, str], RelativePose]) -> tuple[str, dict[str, Array]]:
+def poses_along_spanning_tree(
+    names: Sequence[str], pairs: Mapping[tuple[str, str], RelativePose]
+) -> tuple[str, dict[str, Array]]:
     """The best supported camera and the poses of all cameras in its frame, along the maximum spanning tree."""
     support = {name: sum(pose.support for pair, pose in pairs.items() if name in pair) for name in names}
     root = max(names, key=lambda name: support[name])
@@ -89,13 +90,13 @@ def chain(names: Sequence[str], pairs: Mapping[tuple[str, str], RelativePose]) -
     return root, T_camera_root
 
 
-def numbered_right(view: View, turn: int) -> Sighting:
-    """The sighting with the ids that its turn calls for."""
-    return replace(view.sighting, ids=view.shape.turns[turn].permutation[view.sighting.ids])
+def with_symmetry(view: View, symmetry: int) -> TargetDetection:
+    """The detection with the ids that its turn calls for."""
+    return replace(view.detection, ids=view.shape.symmetries[symmetry].permutation[view.detection.ids])
 
 
-def _rows_by_key(views: Sequence[View]) -> dict[Key, list[int]]:
-    rows: dict[Key, list[int]] = {}
+def _rows_by_key(views: Sequence[View]) -> dict[PoseKey, list[int]]:
+    rows: dict[PoseKey, list[int]] = {}
     for index, view in enumerate(views):
         rows.setdefault(view.key, []).append(index)
     return rows
@@ -106,17 +107,17 @@ def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
     usable = [(view.poses, T_camera_root) for view, T_camera_root in seen if view.poses is not None]
     if not usable:
         return None, [0] * len(seen)
-    offers = [inverse(T) @ transform(poses.R, poses.t) for poses, T in usable]  # (h, 4, 4) per view
-    candidates = np.concatenate(offers)
+    hypotheses = [inverse(T) @ transform(poses.R, poses.t) for poses, T in usable]  # (h, 4, 4) per view
+    candidates = np.concatenate(hypotheses)
     scores, best = np.zeros(len(candidates)), []
-    for (poses, _), offer in zip(usable, offers, strict=True):
+    for (poses, _), hypothesis in zip(usable, hypotheses, strict=True):
         distance = np.linalg.norm(poses.t, axis=1)
-        miss = np.linalg.norm(candidates[:, None, :3, 3] - offer[None, :, :3, 3], axis=2) / distance
-        agreement = poses.weight * kernel(angle_between(candidates[:, :3, :3], offer[:, :3, :3]), miss)
+        miss = np.linalg.norm(candidates[:, None, :3, 3] - hypothesis[None, :, :3, 3], axis=2) / distance
+        agreement = poses.weight * agreement_weight(angle_between(candidates[:, :3, :3], hypothesis[:, :3, :3]), miss)
         scores += agreement.max(axis=1)
-        best.append(poses.turn[agreement.argmax(axis=1)])
-    turns = np.array(best)
-    scores -= 1e-6 * (turns > 0).sum(axis=0)  # of two that fit alike, the one that leaves the numbering alone
+        best.append(poses.symmetry[agreement.argmax(axis=1)])
+    symmetries = np.array(best)
+    scores -= 1e-6 * (symmetries > 0).sum(axis=0)  # of two that fit alike, the one that leaves the numbering alone
     winner = int(np.argmax(np.round(scores, 9)))
-    chosen = iter(turns[:, winner].tolist())
+    chosen = iter(symmetries[:, winner].tolist())
     return candidates[winner], [next(chosen) if view.poses is not None else 0 for view, _ in seen]

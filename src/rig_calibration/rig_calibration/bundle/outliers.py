@@ -1,4 +1,4 @@
-"""Step 5: sightings that contradict the others, and which of them to blame.
+"""Step 5: detections that contradict the others, and which of them to blame.
 
 A wrong order of corners, a target that moved between the exposures, corners found on something else: where three or
 more cameras saw the target, the one without which the others agree is left out; where two did, both are, unless a half
@@ -13,53 +13,52 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..boards.sighting import Sighting
-from .adjustment import RAYLEIGH_MEDIAN, ROUGHLY, Adjusted, adjust, normalised_lengths
-from .normal_equations import Free
-from .observations import Ints, Layout, Observations
+from ..boards.board import TargetDetection
+from .adjustment import RAYLEIGH_MEDIAN, ROUGHLY, Adjusted, FreeUnknowns, adjust, normalised_lengths
 from .rigid import Array
+from .state import Ints, Layout, Observations
 from .target_shape import TargetShape
 
-BAD_SIGHTING = 5.0  # standard deviations of the median corner
-LEAST_CONTRADICTION_PX = 0.5  # median residual below which a sighting is imprecise, not wrong
+BAD_DETECTION = 5.0  # standard deviations of the median corner
+MIN_CONTRADICTION_PX = 0.5  # median residual below which a detection is imprecise, not wrong
 WORST_FIRST = 0.3  # of the worst: what is left out in one round
 BAD_CORNER = 8.0  # standard deviations of a single corner among good ones
-TURN_GAIN = 0.2  # a turned numbering must fit this many times better to be believed
+RENUMBERED_GAIN = 0.2  # a turned numbering must fit this many times better to be believed
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras at that moment (wrong corners, or moved between the exposures)"
 PAIR = "the two cameras contradict each other at that moment (wrong corners, or moved between the exposures)"
 ALL = "the cameras contradict one another at that moment (the target moved between the exposures)"
-TURNED = "its corners are numbered from the other end: the target is seen upside down, or was found wrongly"
+RENUMBERED = "its corners are numbered from the other end: the target is seen upside down, or was found wrongly"
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A sighting that took no part, and why."""
+    """A detection that took no part, and why."""
 
-    sighting: Sighting
+    detection: TargetDetection
     reason: str
 
 
 def misfits(fit: Adjusted, seen: Observations) -> Array:
-    """(s,) the median residual of each sighting over what is to be expected: about 1 when all is well."""
+    """(s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
     lengths = normalised_lengths(fit.state, seen) / fit.scale
     return np.nanmedian(np.where(seen.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
 
 
 def bad_corners(fit: Adjusted, seen: Observations) -> npt.NDArray[np.bool_]:
-    """(s, n) bool: corners far off in sightings that are good otherwise."""
+    """(s, n) bool: corners far off in detections that are good otherwise."""
     lengths = normalised_lengths(fit.state, seen) / fit.scale
-    return (lengths > BAD_CORNER) & (misfits(fit, seen) < BAD_SIGHTING)[:, None]
+    return (lengths > BAD_CORNER) & (misfits(fit, seen) < BAD_DETECTION)[:, None]
 
 
 def contradictions(
-    fit: Adjusted, seen: Observations, sightings: Sequence[Sighting], shapes: Mapping[str, TargetShape]
+    fit: Adjusted, seen: Observations, detections: Sequence[TargetDetection], shapes: Mapping[str, TargetShape]
 ) -> list[tuple[int, str]]:
-    """The rows of sightings to leave out, with the reason; of one moment, no more than needs be."""
+    """The rows of detections to leave out, with the reason; of one moment, no more than needs be."""
     misfit = misfits(fit, seen)
     found: list[tuple[int, str]] = []
     disputed: list[Ints] = []
-    bad = max(BAD_SIGHTING, WORST_FIRST * float(misfit.max(initial=0.0)))  # lesser ones may only follow from the worst
+    bad = max(BAD_DETECTION, WORST_FIRST * float(misfit.max(initial=0.0)))  # lesser ones may only follow from the worst
     for pose in np.unique(seen.pose[_is_bad(misfit, bad, fit, seen)]):
         rows = np.flatnonzero(seen.pose == pose)
         if len(rows) == 1:
@@ -68,14 +67,14 @@ def contradictions(
             disputed.append(rows)
     if disputed:
         without = _misfit_without(fit, seen, disputed)
-        turned = _misfit_turned(fit, seen, disputed, sightings, shapes)
+        renumbered = _misfit_renumbered(fit, seen, disputed, detections, shapes)
         for rows in disputed:
-            found += _blame(rows, misfit, without, turned)
+            found += _blame(rows, misfit, without, renumbered)
     return sorted(found)
 
 
 def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
-    """Rows of sightings (of all in ``seen``, ``rows`` of which take part) that fit after all, now that others left."""
+    """Rows of detections (of all in ``seen``, ``rows`` of which take part) that fit after all, now that others left."""
     finite = (np.isfinite(normalised_lengths(fit.state, seen))).all(axis=1)  # a pose that nothing tells is no start
     out = np.setdiff1d(np.flatnonzero(finite), rows)
     cases = []
@@ -85,49 +84,51 @@ def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
     if not cases:
         return []
     worst = _refit(fit, seen.only(np.concatenate(cases)), _cases(cases)[1])
-    fitting = [case for case, misfit in zip(cases, worst, strict=True) if len(case) > 1 and misfit < BAD_SIGHTING]
+    fitting = [case for case, misfit in zip(cases, worst, strict=True) if len(case) > 1 and misfit < BAD_DETECTION]
     return sorted({int(row) for case in fitting for row in case if row in out})
 
 
-def _blame(rows: Ints, misfit: Array, without: dict[int, float], turned: dict[int, float]) -> list[tuple[int, str]]:
-    """Who of the sightings of one pose must go."""
+def _blame(rows: Ints, misfit: Array, without: dict[int, float], renumbered: dict[int, float]) -> list[tuple[int, str]]:
+    """Who of the detections of one pose must go."""
     worst = float(misfit[rows].max())
     culprit = int(min(rows, key=lambda row: without[row]))
-    upside_down = int(min(rows, key=lambda row: turned.get(row, np.inf)))
-    if turned.get(upside_down, np.inf) < TURN_GAIN * worst and (len(rows) == 2 or culprit == upside_down):
-        return [(int(row), TURNED) for row in (rows if len(rows) == 2 else [culprit])]
+    renumbered_row = int(min(rows, key=lambda row: renumbered.get(row, np.inf)))
+    if renumbered.get(renumbered_row, np.inf) < RENUMBERED_GAIN * worst and (
+        len(rows) == 2 or culprit == renumbered_row
+    ):
+        return [(int(row), RENUMBERED) for row in (rows if len(rows) == 2 else [culprit])]
     if len(rows) > 2:
-        clear = without[culprit] < BAD_SIGHTING or len(rows) > 3  # else two of three are wrong, nobody knows which
+        clear = without[culprit] < BAD_DETECTION or len(rows) > 3  # else two of three are wrong, nobody knows which
         return [(culprit, ODD_ONE)] if clear else [(int(row), ALL) for row in rows]
     other = int(rows[0] if culprit == rows[1] else rows[1])
-    if without[culprit] < BAD_SIGHTING < without[other]:  # the other one fits the target, this one does not
+    if without[culprit] < BAD_DETECTION < without[other]:  # the other one fits the target, this one does not
         return [(culprit, SINGLE)]
     return [(int(row), PAIR) for row in rows]
 
 
 def _misfit_without(fit: Adjusted, seen: Observations, disputed: Sequence[Ints]) -> dict[int, float]:
-    """For each disputed sighting: the worst misfit of the others of its pose when that pose is fitted without it."""
+    """For each disputed detection: the worst misfit of the others of its pose when that pose is fitted without it."""
     cases = [(int(row), rows[rows != row]) for rows in disputed for row in rows]
     rows, case = _cases([rest for _, rest in cases])
     worst = _refit(fit, seen.only(rows), case)
     return {row: value for (row, _), value in zip(cases, worst, strict=True)}
 
 
-def _misfit_turned(
+def _misfit_renumbered(
     fit: Adjusted,
     seen: Observations,
     disputed: Sequence[Ints],
-    sightings: Sequence[Sighting],
+    detections: Sequence[TargetDetection],
     shapes: Mapping[str, TargetShape],
 ) -> dict[int, float]:
-    """For each disputed sighting of a target that has a half turn: the worst misfit of its pose with it turned."""
-    cases = [(int(row), rows) for rows in disputed for row in rows if shapes[sightings[row].target].half_turn]
+    """For each disputed detection of a target that has a half turn: the worst misfit of its pose with it turned."""
+    cases = [(int(row), rows) for rows in disputed for row in rows if shapes[detections[row].target].half_turn]
     if not cases:
         return {}
     rows, case = _cases([rest for _, rest in cases])
     points = seen.points[rows]
     for place in np.flatnonzero(rows == np.array([row for row, _ in cases])[case]):
-        half_turn = shapes[sightings[rows[place]].target].half_turn
+        half_turn = shapes[detections[rows[place]].target].half_turn
         assert half_turn is not None
         points[place] = points[place] @ half_turn.R.T
     worst = _refit(fit, replace(seen.only(rows), points=points), case)
@@ -137,7 +138,7 @@ def _misfit_turned(
 def _is_bad(misfit: Array, limit: float, fit: Adjusted, seen: Observations) -> npt.NDArray[np.bool_]:
     """(s,) misfits beyond a limit and, in pixels, beyond what lenses and delays may do."""
     sigma_px = 1 / np.maximum(seen.weight.max(axis=1), 1e-300)
-    return (misfit > limit) & (misfit * fit.scale * sigma_px * RAYLEIGH_MEDIAN > LEAST_CONTRADICTION_PX)
+    return (misfit > limit) & (misfit * fit.scale * sigma_px * RAYLEIGH_MEDIAN > MIN_CONTRADICTION_PX)
 
 
 def _cases(rows: Sequence[Ints]) -> tuple[Ints, Ints]:
@@ -145,12 +146,12 @@ def _cases(rows: Sequence[Ints]) -> tuple[Ints, Ints]:
 
 
 def _refit(fit: Adjusted, taken: Observations, case: Ints) -> list[float]:
-    """Fit one pose to the sightings of each case, all cameras fixed; the worst misfit in each case."""
+    """Fit one pose to the detections of each case, all cameras fixed; the worst misfit in each case."""
     starts = np.flatnonzero(np.diff(case, prepend=-1))
     first, state = taken.pose[starts], fit.state
     start = replace(state, R_pose=state.R_pose[first], position=state.position[first])
     layout = Layout(len(state.centre), len(state.scale))
-    free = Free(np.zeros(layout.size, bool), np.ones(len(starts), bool))
+    free = FreeUnknowns(np.zeros(layout.size, bool), np.ones(len(starts), bool))
     alone = replace(taken, pose=case, weight=taken.weight / fit.scale)
     refitted = adjust(start, alone, layout, free, stop=ROUGHLY)
     return np.maximum.reduceat(misfits(replace(refitted, scale=1.0), alone), starts).tolist()

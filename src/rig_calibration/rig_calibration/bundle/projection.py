@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .lens_derivatives import by_coefficients, by_point, distort
-from .observations import Observations, State
 from .rigid import Array
+from .state import Observations, State
 
 MIN_DEPTH = 1e-6  # m
 

@@ -10,15 +10,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.camera import CameraModel
+
+from .detection_poses import DetectionPoses, View
 from .rigid import Array, angle_between, orthonormal, transform
-from .sighting_poses import SightingPoses
 
 ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
 DISTANCE_TOLERANCE = 0.05  # of the distance of the board
-CANDIDATE_MOMENTS, VOTING_MOMENTS = 40, 80
+CANDIDATE_FRAMES, VOTING_FRAMES = 40, 80
 AVERAGING_ROUNDS = 3
 
 
@@ -31,87 +34,239 @@ class RelativePose:
 
 
 @dataclass(frozen=True, eq=False)
-class _Offers:
+class _Hypotheses:
     """What all common moments offer, one row each: rotation a to b, the target's centre in a and in b, weight."""
 
     R: Array
     centre_a: Array
     centre_b: Array
     weight: Array
-    moment: npt.NDArray[np.int64]
+    frame_index: npt.NDArray[np.int64]
 
 
-def relative_pose(common: Sequence[tuple[SightingPoses, SightingPoses]]) -> RelativePose:
+def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
     """The pose of camera b relative to a from what both saw at the same moments: pairs (poses in a, poses in b)."""
-    offers = _offers(common)
-    voting = _every(len(common), VOTING_MOMENTS)
-    candidates = np.flatnonzero(np.isin(offers.moment, _every(len(common), CANDIDATE_MOMENTS)))
-    R, t = offers.R[candidates], _translations(offers, candidates)
-    votes = _agreement(_only(offers, voting), R, t).sum(axis=1) * (1 + 1e-6 * offers.weight[candidates])
+    hypotheses = _hypotheses(common)
+    voting = _evenly_spaced(len(common), VOTING_FRAMES)
+    candidates = np.flatnonzero(np.isin(hypotheses.frame_index, _evenly_spaced(len(common), CANDIDATE_FRAMES)))
+    R, t = hypotheses.R[candidates], _translations(hypotheses, candidates)
+    votes = _agreement(_only(hypotheses, voting), R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight[candidates])
     best = int(np.argmax(np.round(votes, 9)))
     R_b_a, t_b_a = R[best], t[best]
     for _ in range(AVERAGING_ROUNDS):
-        R_b_a, t_b_a = _average(offers, R_b_a, t_b_a)
-    support = float(_agreement(offers, R_b_a[None], t_b_a[None]).sum())
+        R_b_a, t_b_a = _average(hypotheses, R_b_a, t_b_a)
+    support = float(_agreement(hypotheses, R_b_a[None], t_b_a[None]).sum())
     return RelativePose(transform(R_b_a, t_b_a), support)
 
 
-def kernel(angle: Array, distance_ratio: Array) -> Array:
+def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
     """How well two poses agree, 1 to 0, that differ by an angle (rad) and by a share of the distance."""
     return 1 / (1 + (angle / ANGLE_TOLERANCE) ** 2 + (distance_ratio / DISTANCE_TOLERANCE) ** 2) ** 2
 
 
-def _offers(common: Sequence[tuple[SightingPoses, SightingPoses]]) -> _Offers:
-    R, centre_a, centre_b, weight, moment = [], [], [], [], []
+def _hypotheses(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> _Hypotheses:
+    R, centre_a, centre_b, weight, frame_index = [], [], [], [], []
     for index, (a, b) in enumerate(common):
-        for i in np.flatnonzero(a.turn == 0):  # only the turn of one against the other matters
+        for i in np.flatnonzero(a.symmetry == 0):  # only the turn of one against the other matters
             R.append(b.R @ a.R[i].T)
             centre_a.append(np.tile(a.t[i], (len(b.t), 1)))
             centre_b.append(b.t)
             weight.append(a.weight[i] * b.weight)
-            moment.append(np.full(len(b.t), index))
-    return _Offers(
+            frame_index.append(np.full(len(b.t), index))
+    return _Hypotheses(
         np.concatenate(R),
         np.concatenate(centre_a),
         np.concatenate(centre_b),
         np.concatenate(weight),
-        np.concatenate(moment),
+        np.concatenate(frame_index),
     )
 
 
-def _only(offers: _Offers, moments: npt.NDArray[np.int64]) -> _Offers:
-    rows = np.isin(offers.moment, moments)
-    return _Offers(
-        offers.R[rows], offers.centre_a[rows], offers.centre_b[rows], offers.weight[rows], offers.moment[rows]
+def _only(hypotheses: _Hypotheses, frames: npt.NDArray[np.int64]) -> _Hypotheses:
+    rows = np.isin(hypotheses.frame_index, frames)
+    return _Hypotheses(
+        hypotheses.R[rows],
+        hypotheses.centre_a[rows],
+        hypotheses.centre_b[rows],
+        hypotheses.weight[rows],
+        hypotheses.frame_index[rows],
     )
 
 
-def _every(count: int, wanted: int) -> npt.NDArray[np.int64]:
+def _evenly_spaced(count: int, wanted: int) -> npt.NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, wanted)).round().astype(np.int64))
 
 
-def _translations(offers: _Offers, rows: npt.NDArray[np.int64]) -> Array:
-    return offers.centre_b[rows] - (offers.R[rows] @ offers.centre_a[rows, :, None])[..., 0]
+def _translations(hypotheses: _Hypotheses, rows: npt.NDArray[np.int64]) -> Array:
+    return hypotheses.centre_b[rows] - (hypotheses.R[rows] @ hypotheses.centre_a[rows, :, None])[..., 0]
 
 
-def _row_agreement(offers: _Offers, R: Array, t: Array) -> Array:
+def _row_agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
     """(candidates, offers) how well each offer agrees with each candidate."""
-    miss = np.einsum("cij,oj->coi", R, offers.centre_a) + t[:, None] - offers.centre_b
-    ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(offers.centre_b, axis=1)
-    return offers.weight * kernel(angle_between(R, offers.R), ratio)
+    miss = np.einsum("cij,oj->coi", R, hypotheses.centre_a) + t[:, None] - hypotheses.centre_b
+    ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(hypotheses.centre_b, axis=1)
+    return hypotheses.weight * agreement_weight(angle_between(R, hypotheses.R), ratio)
 
 
-def _agreement(offers: _Offers, R: Array, t: Array) -> Array:
+def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
     """(candidates, moments) the best agreement that each moment offers."""
-    starts = np.flatnonzero(np.diff(offers.moment, prepend=-1))
-    return np.maximum.reduceat(_row_agreement(offers, R, t), starts, axis=1)
+    starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
+    return np.maximum.reduceat(_row_agreement(hypotheses, R, t), starts, axis=1)
 
 
-def _average(offers: _Offers, R: Array, t: Array) -> tuple[Array, Array]:
-    agreement = _row_agreement(offers, R[None], t[None])[0]
-    starts = np.flatnonzero(np.diff(offers.moment, prepend=-1))
-    best = np.maximum.reduceat(agreement, starts)[np.cumsum(np.diff(offers.moment, prepend=-1) > 0) - 1]
+def _average(hypotheses: _Hypotheses, R: Array, t: Array) -> tuple[Array, Array]:
+    agreement = _row_agreement(hypotheses, R[None], t[None])[0]
+    starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
+    best = np.maximum.reduceat(agreement, starts)[np.cumsum(np.diff(hypotheses.frame_index, prepend=-1) > 0) - 1]
     weight = np.where(agreement == best, agreement, 0) + 1e-300
-    R_mean = orthonormal(np.einsum("o,oij->ij", weight, offers.R))
-    shift = offers.centre_b - offers.centre_a @ R_mean.T
+    R_mean = orthonormal(np.einsum("o,oij->ij", weight, hypotheses.R))
+    shift = hypotheses.centre_b - hypotheses.centre_a @ R_mean.T
     return R_mean, weight @ shift / weight.sum()
+
+
+# --- Step 3 for wands: markers on a line have no pose in a single picture, so pairs of cameras are related by their
+# essential matrix (Hartley & Zisserman 2004, chapter 9), and the wand's length gives the scale.
+
+MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
+INLIER_PX, CONFIDENCE = 3.0, 0.9999
+LABELLING_ROUNDS = 5
+FRAME_SUPPORT = 0.5  # what a moment of a wand is worth beside a moment of a board
+
+Pair = tuple[Array, Array, Array]  # the same markers of a moment: ideal points (n, 2) in a and b, positions (n, 3)
+
+
+def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b: CameraModel) -> RelativePose | None:
+    """The pose of camera b relative to a from wands that both saw at the same moments; None when there are too few.
+
+    Where a wand's ends cannot be told apart, each moment's numbering in b is tried both ways round.
+    """
+    choices = [[pair for pair in _ways_round(u, v) if len(pair[0])] for u, v in common]
+    choices = [pairs for pairs in choices if pairs]
+    if sum(len(pairs[0][0]) for pairs in choices) < MIN_POINTS:
+        return None
+    tolerance = INLIER_PX / float(np.sqrt(a.K[0, 0] * b.K[0, 0]))
+    labels, E, chosen = [0] * len(choices), np.empty((0, 3)), [pairs[0] for pairs in choices]
+    for _ in range(LABELLING_ROUNDS):
+        chosen = [pairs[label] for pairs, label in zip(choices, labels, strict=True)]
+        E = _essential(chosen, tolerance)
+        if len(E) == 0:
+            return None
+        before, labels = labels, [int(np.argmin([_epipolar_distance(E, p).max() for p in pairs])) for pairs in choices]
+        if labels == before:
+            break
+    fitting = [pair for pair in chosen if _epipolar_distance(E, pair).max() < tolerance]
+    return _with_scale(E, fitting, len(fitting) * FRAME_SUPPORT) if fitting else None
+
+
+def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
+    """The pose of a wand at one moment by triangulation, and the way round that each view needs.
+
+    ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views tell it.
+    """
+    best: tuple[float, Array | None, list[int]] = (np.inf, None, [0] * len(seen))
+    if len(seen) < 2:
+        return None, best[2]
+    for second in range(len(seen[0][0].shape.symmetries)):  # the first view stays as it is, the second decides
+        symmetries = [0, second]
+        pose, _ = _fit_line(seen[:2], symmetries)
+        if pose is None:
+            continue
+        for view, T in seen[2:]:  # the others follow
+            symmetries.append(int(np.argmin([_miss(pose, view, T, way) for way in range(len(view.shape.symmetries))])))
+        pose, miss = _fit_line(seen, symmetries)
+        if pose is not None and miss < best[0]:
+            best = miss, pose, symmetries
+    return best[1], best[2]
+
+
+def _ways_round(u: View, v: View) -> list[Pair]:
+    pairs = []
+    for symmetry in u.shape.symmetries:
+        ids, rows_u, rows_v = np.intersect1d(
+            u.detection.ids, symmetry.permutation[v.detection.ids], return_indices=True
+        )
+        good = np.isfinite(u.ideal[rows_u]).all(axis=1) & np.isfinite(v.ideal[rows_v]).all(axis=1)
+        pairs.append((u.ideal[rows_u][good], v.ideal[rows_v][good], u.shape.points[ids][good]))
+    return pairs
+
+
+def _essential(chosen: Sequence[Pair], tolerance: float) -> Array:
+    """(3, 3), or (0, 3) when there is none."""
+    points_a, points_b = (np.concatenate([pair[side] for pair in chosen]) for side in (0, 1))
+    E, _ = cv2.findEssentialMat(points_a, points_b, np.eye(3), cv2.RANSAC, CONFIDENCE, tolerance)
+    return np.empty((0, 3)) if E is None or E.shape[0] < 3 else np.asarray(E[:3], float)
+
+
+def _epipolar_distance(E: Array, pair: Pair) -> Array:
+    """(n,) Sampson distances, in units of the focal length."""
+    a, b = (np.column_stack([pair[side], np.ones(len(pair[side]))]) for side in (0, 1))
+    line_b, line_a = a @ E.T, b @ E
+    slope = np.sqrt((line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1))
+    return np.abs((b * line_b).sum(1)) / np.maximum(slope, 1e-12)
+
+
+def _with_scale(E: Array, fitting: Sequence[Pair], support: float) -> RelativePose:
+    points_a, points_b = (np.concatenate([pair[side] for pair in fitting]) for side in (0, 1))
+    _, R, direction, _ = cv2.recoverPose(E, points_a, points_b, np.eye(3))
+    T = transform(np.asarray(R, float), np.asarray(direction, float).reshape(3))
+    ratios = []
+    for ideal_a, ideal_b, points in fitting:
+        ends = [int(np.argmin(points @ points[-1])), int(np.argmax(points @ points[-1]))]
+        seen = [_triangulate([ideal_a[end], ideal_b[end]], [np.eye(4), T]) for end in ends]
+        ratios.append(np.linalg.norm(points[ends[1]] - points[ends[0]]) / np.linalg.norm(seen[1] - seen[0]))
+    T[:3, 3] *= np.median(ratios)
+    return RelativePose(T, support)
+
+
+def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Array:
+    """The point (3,) in the root frame, by the linear method (Hartley & Zisserman 2004, 12.2)."""
+    rows = [point[axis] * T[2] - T[axis] for point, T in zip(ideal, T_camera_root, strict=True) for axis in (0, 1)]
+    solution = np.linalg.svd(np.array(rows))[2][-1]
+    return solution[:3] / solution[3]
+
+
+def _fit_line(seen: Sequence[tuple[View, Array]], symmetries: Sequence[int]) -> tuple[Array | None, float]:
+    """The wand's pose from all markers that two views show, and how far (share of the distance) they are from it."""
+    shape = seen[0][0].shape
+    ids = [
+        shape.symmetries[symmetry].permutation[view.detection.ids]
+        for (view, _), symmetry in zip(seen, symmetries, strict=True)
+    ]
+    found, where = [], []
+    for marker in range(len(shape.points)):
+        shown = [
+            (view.ideal[np.flatnonzero(rows == marker)[0]], T)
+            for (view, T), rows in zip(seen, ids, strict=True)
+            if marker in rows
+        ]
+        if len(shown) >= 2 and all(np.isfinite(ideal).all() for ideal, _ in shown):
+            found.append(_triangulate([ideal for ideal, _ in shown], [T for _, T in shown]))
+            where.append(marker)
+    if len(found) < 2 or not np.isfinite(found).all():
+        return None, np.inf
+    points, model = np.array(found, float), shape.points[where]
+    along, direction = model[-1] - model[0], points[-1] - points[0]
+    R = _swing(along / np.linalg.norm(along), direction / np.linalg.norm(direction))
+    pose = transform(R, (points - model @ R.T).mean(0))
+    return pose, float(
+        np.mean([_miss(pose, view, T, symmetry) for (view, T), symmetry in zip(seen, symmetries, strict=True)])
+    )
+
+
+def _miss(pose: Array, view: View, T_camera_root: Array, symmetry: int) -> float:
+    ids = view.shape.symmetries[symmetry].permutation[view.detection.ids]
+    T = T_camera_root @ pose
+    seen = T[:3, :3] @ view.shape.points[ids].T + T[:3, 3:]
+    if np.any(seen[2] <= 0) or not np.isfinite(view.ideal).all():
+        return np.inf
+    return float(np.mean(np.linalg.norm(seen[:2] / seen[2] - view.ideal.T, axis=0)))
+
+
+def _swing(a: Array, b: Array) -> Array:
+    """The smallest rotation that takes unit vector a to b."""
+    axis, cosine = np.cross(a, b), float(a @ b)
+    if cosine < -1 + 1e-12:
+        across = np.linalg.svd(a[None])[2][1]
+        return 2 * np.outer(across, across) - np.eye(3)
+    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + K + K @ K / (1 + cosine)

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
 
-from ..boards.sighting import Sighting
+from ..boards.board import TargetDetection
+from .adjustment import (
+    FreeUnknowns,
+    NormalEquations,
+    huber_weights,
+    noise_scale,
+    normal_equations,
+    normalised_lengths,
+    reduce,
+    step,
+)
+from .covariance import covariance
+from .initial_poses import InitialPoses
 from .outliers import LeftOut
-from .rigid import Array
-from .view_graph import Key
+from .problem import Problem
+from .projection import linearise, residuals_px
+from .rigid import Array, transform
+from .robust_fit import Fit, lens_covariances
+from .state import Layout, State
+from .sync_error import whitened
+from .view_graph import PoseKey, most_seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,38 +39,218 @@ class RigSolution:
     reference : a camera's name, or (target, moment): the target's own frame at that moment.
     cameras : the cameras, with these poses as their ``T_camera_world`` (and refined lenses, if asked for).
     T_camera_reference : (4, 4) by camera. T_reference_target : (4, 4) by (target, moment).
-    sightings, residuals_px : what was used, ids as they proved right, and seen minus predicted pixels (n, 2) of each.
+    detections, residuals_px : what was used, ids as they proved right, and seen minus predicted pixels (n, 2) of each.
     rms_px : by camera, root mean square distance of its corners (sqrt(2) times the noise of one coordinate, as OpenCV
     reports it); rms_all_px of all of them.
     covariance : (6, 6) by camera, relative to the reference: rotation vector (rad, in the camera's frame), centre (m,
     in the reference's frame). inflation : by how much it exceeds what independent errors of corners would leave (1: not
     at all), because the cameras contradict one another: a target that moved between the exposures or is bent, a lens.
-    noise : standard deviation of the corners over the one that their sightings claim. displacement_m : by how much (sd)
+    noise : standard deviation of the corners over the one that their detections claim. sync_error_m : by how much (sd)
     the targets seem to have moved between the cameras' exposures, 0 where nothing says that they did.
-    left_out : sightings that took no part, with the reason (not those of a wand that no other camera saw, which tell
-    nothing). turned : sightings whose numbering was turned.
+    left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
+    nothing). turned : detections whose numbering was turned.
     undecided : cameras whose way round (half turn) nothing tells. scale_of : by target, the size that it has beside
     the most seen one (``scale_base``) over the size given, and its standard deviation; believed when consistent with
     1, else the solution uses the ratio. focal_of : by camera, the focal length that all views together ask for over the
     one given (or refined), and its standard deviation: far from 1, the intrinsics are not this camera's.
     """
 
-    reference: str | Key
+    reference: str | PoseKey
     cameras: dict[str, CameraModel]
     T_camera_reference: dict[str, Array]
-    T_reference_target: dict[Key, Array]
-    sightings: tuple[Sighting, ...]
+    T_reference_target: dict[PoseKey, Array]
+    detections: tuple[TargetDetection, ...]
     residuals_px: tuple[Array, ...]
     rms_px: dict[str, float]
     rms_all_px: float
     covariance: dict[str, Array]
     inflation: float
     noise: float
-    displacement_m: float
+    sync_error_m: float
     left_out: tuple[LeftOut, ...]
-    turned: tuple[Sighting, ...]
+    renumbered: tuple[TargetDetection, ...]
     undecided: tuple[str, ...]
     scale_base: str
     scale_of: dict[str, tuple[float, float]]
     focal_of: dict[str, tuple[float, float]]
     iterations: int
+
+
+# --- The frame of the solution: that of a camera, or of a target at one moment.
+
+
+def choose_reference(problem: Problem, reference: str | PoseKey | None, root: str) -> str | PoseKey:
+    """A camera's name or (target, moment); InputError when ``reference`` names neither, or a target that moved."""
+    if reference is None:
+        return root
+    if isinstance(reference, str):
+        if reference in problem.cameras:
+            return reference
+        keys = [key for key in problem.keys if key[0] == reference]
+        if len(keys) > 1:
+            raise InputError(
+                f"target '{reference}' cannot be the reference: it was seen at {len(keys)} moments",
+                remedy="Say at which: (target, moment).",
+            )
+        reference = keys[0] if keys else (reference, 0)
+    if reference not in problem.keys:
+        raise InputError(
+            f"the reference {reference} is neither a camera nor a target that was seen",
+            remedy=f"Cameras: {', '.join(problem.cameras)}.",
+        )
+    return reference
+
+
+def in_gauge(fit: Fit, reference: str | PoseKey) -> Fit:
+    """The same solution in the frame of the reference."""
+    state, problem = fit.adjusted.state, fit.problem
+    if isinstance(reference, str):
+        row = list(problem.cameras).index(reference)
+        R, origin = state.R_camera[row], state.centre[row]
+    else:
+        row = problem.keys.index(reference)
+        if row not in fit.used.pose:
+            raise InputError(
+                f"the reference, target '{reference[0]}' at moment {reference[1]}, contradicts the rest",
+                remedy="Take another reference, or take its pictures again.",
+            )
+        R, origin = state.R_pose[row].T, target_origin(problem, state, row)
+    moved = State(
+        state.R_camera @ R.T,
+        (state.centre - origin) @ R.T,
+        state.lens,
+        R @ state.R_pose,
+        (state.position - origin) @ R.T,
+        state.scale,
+    )
+    return replace(fit, adjusted=replace(fit.adjusted, state=moved))
+
+
+def target_origin(problem: Problem, state: State, row: int) -> Array:
+    """(3,) where the origin of the target's own frame lies, for pose ``row``."""
+    names = list(problem.shapes)
+    name = problem.keys[row][0]
+    return state.position[row] - state.scale[names.index(name)] * state.R_pose[row] @ problem.shapes[name].centroid
+
+
+# --- Do the views of several cameras agree with the focal lengths that were given?
+#
+# One Gauss-Newton step away from the solution, with focal lengths and principal points of all cameras set free: were the
+# intrinsics right, it would not change them by more than their standard deviations. (A board that only one camera sees
+# tells little about them: a longer lens looks like a board farther away. Another camera knows where the board is.)
+
+WIDE = 0.1  # of the focal length: standard deviation of what is assumed of all four beforehand
+PINHOLE = 4
+
+
+def focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
+    """By camera, the focal length that all views together ask for over the one given, and its standard deviation."""
+    state, names = fit.adjusted.state, list(fit.problem.cameras)
+    layout = Layout(len(names), fit.layout.targets, with_lens=True)
+    used = fit.used.weighted(np.array(1 / fit.adjusted.scale))
+    weighted = used.weighted(np.sqrt(huber_weights(normalised_lengths(state, used))))
+    linear = whitened(linearise(state, weighted, with_lens=True), fit.sync_error[fit.rows])
+    equations = normal_equations(linear, weighted, layout, len(state.position))
+    focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
+    free, U = fit.free(layout), equations.U.copy()
+    shared = free.shared.copy()
+    for row in range(len(names)):
+        pinhole = np.arange(layout.size)[layout.lens(row)][:PINHOLE]
+        shared[pinhole] = True
+        U[pinhole, pinhole] += (WIDE * focal_px[row]) ** -2.0
+    asked = NormalEquations(U, equations.W, equations.V, equations.g_shared, equations.g_poses)
+    free = FreeUnknowns(shared, free.poses)
+    change = step(asked, free, 0.0)[0]
+    variance = np.zeros(layout.size)
+    variance[shared] = np.diag(np.linalg.pinv(reduce(asked, free).S, rcond=1e-14, hermitian=True))
+    found = {}
+    for row, name in enumerate(names):
+        focal = np.arange(layout.size)[layout.lens(row)][:2]
+        ratio = float(np.mean(1 + change[focal] / state.lens[row, :2]))
+        found[name] = ratio, float(np.sqrt(variance[focal].mean()) / focal_px[row])
+    return found
+
+
+# --- From the adjusted state to the solution that is handed out.
+
+
+def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> RigSolution:
+    """The solution: poses, residuals, covariance relative to the reference, what was left out and why."""
+    problem, state, used = fit.problem, fit.adjusted.state, fit.used
+    names = list(problem.cameras)
+    T_camera = {
+        name: transform(R, -R @ centre) for name, R, centre in zip(names, state.R_camera, state.centre, strict=True)
+    }
+    T_target = {
+        key: transform(state.R_pose[row], target_origin(problem, state, row))
+        for row, key in enumerate(problem.keys)
+        if row in used.pose
+    }
+    residuals = residuals_px(state, used)
+    corners = used.weight > 0
+    squares = np.where(corners, (residuals**2).sum(axis=2), 0.0)
+    tau = fit.sync_error[fit.rows]
+    found = covariance(fit.adjusted, used, _free(fit, reference), lens_covariances(fit), tau, fit.prior)
+    renumbered = tuple(s for s, symmetry in zip(problem.detections, initial.symmetries, strict=True) if symmetry)
+    cameras = {
+        name: _camera(problem.cameras[name], lens, T_camera[name]) for name, lens in zip(names, state.lens, strict=True)
+    }
+    return RigSolution(
+        reference=reference,
+        cameras=cameras,
+        T_camera_reference=T_camera,
+        T_reference_target=T_target,
+        detections=fit.detections,
+        residuals_px=tuple(r[: len(s)] for r, s in zip(residuals, fit.detections, strict=True)),
+        rms_px={name: _rms(squares[used.camera == row], corners[used.camera == row]) for row, name in enumerate(names)},
+        rms_all_px=_rms(squares, corners),
+        covariance=dict(zip(names, found.cameras, strict=True)),
+        inflation=found.inflation,
+        noise=noise_scale(state, used) / float(np.sqrt(found.redundancy)),
+        sync_error_m=float(np.sqrt(np.mean(tau**2))),
+        left_out=tuple(sorted(fit.left_out, key=_place)),
+        renumbered=renumbered,
+        undecided=_undecided(fit),
+        scale_base=most_seen(fit.detections, list(problem.shapes)),
+        scale_of=fit.scale_of,
+        focal_of=focal_ratios(fit),
+        iterations=fit.adjusted.iterations,
+    )
+
+
+def _free(fit: Fit, reference: str | PoseKey) -> FreeUnknowns:
+    """All that moves when the reference holds the frame."""
+    layout = Layout(fit.layout.cameras, fit.layout.targets, with_lens=True)
+    free = fit.free(layout)
+    shared, poses = free.shared.copy(), free.poses.copy()
+    shared[layout.camera(fit.root)] = True
+    if isinstance(reference, str):
+        shared[layout.camera(list(fit.problem.cameras).index(reference))] = False
+    else:
+        poses[fit.problem.keys.index(reference)] = False
+    return FreeUnknowns(shared, poses)
+
+
+def _camera(camera: CameraModel, lens: Array, T_camera_reference: Array) -> CameraModel:
+    K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+    return replace(camera, K=K, D=lens[4 : 4 + len(camera.D)], T_camera_world=T_camera_reference)
+
+
+def _rms(squares: Array, corners: np.ndarray) -> float:
+    return float(np.sqrt(squares.sum() / max(int(corners.sum()), 1)))
+
+
+def _place(out: LeftOut) -> tuple[str, int, str]:
+    return out.detection.target, out.detection.frame_index, out.detection.camera
+
+
+def _undecided(fit: Fit) -> tuple[str, ...]:
+    """Cameras linked to the others by a single pose of a target whose turns cannot be seen."""
+    used = fit.used
+    shared = np.bincount(used.pose)[used.pose] > 1
+    links: dict[str, list[str]] = {name: [] for name in fit.problem.cameras}
+    for detection, linked in zip(fit.detections, shared, strict=True):
+        if linked:
+            links[detection.camera].append(detection.target)
+    hides = {name for name, shape in fit.problem.shapes.items() if len(shape.symmetries) > 1}
+    return tuple(name for name, targets in links.items() if len(targets) == 1 and targets[0] in hides)

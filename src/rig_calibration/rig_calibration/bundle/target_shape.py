@@ -19,7 +19,7 @@ FLAT = 1e-6  # of the target's size
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class Symmetry:
     """A turn that maps the target onto itself: point i comes to lie on point ``permutation[i]``."""
 
     permutation: npt.NDArray[np.int64]
@@ -38,12 +38,12 @@ class TargetShape:
     points: Array
     centroid: Array
     dimension: int
-    turns: tuple[Turn, ...]
-    half_turn: Turn | None
+    symmetries: tuple[Symmetry, ...]
+    half_turn: Symmetry | None
 
 
-def target_shape(name: str, points_target: npt.ArrayLike, fold: int = 1) -> TargetShape:
-    """The shape of a target with points (n, 3); ``fold`` as in :func:`turns_of`.
+def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 1) -> TargetShape:
+    """The shape of a target with points (n, 3); ``fold`` as in :func:`symmetry_order_of`.
 
     Raises InputError for fewer than two points, and when the points do not look alike after the turns of ``fold``.
     """
@@ -54,17 +54,17 @@ def target_shape(name: str, points_target: npt.ArrayLike, fold: int = 1) -> Targ
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
     dimension = max(int(np.sum(spread > FLAT * spread[0])), 1)
     axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
-    found = [_turn(centred, axis * 2 * np.pi * k / fold) for k in range(fold)]
-    if any(turn is None for turn in found):
+    found = [_turn(centred, axis * 2 * np.pi * k / symmetry_order) for k in range(symmetry_order)]
+    if any(symmetry is None for symmetry in found):
         raise InputError(
-            f"target '{name}' does not look alike after 1/{fold} of a turn",
+            f"target '{name}' does not look alike after 1/{symmetry_order} of a turn",
             remedy="Name it turnable only when its turns cannot be seen.",
         )
     half_turn = _turn(centred, axis * np.pi) if dimension < VOLUME else None
     return TargetShape(name, centred, points.mean(0), dimension, tuple(t for t in found if t is not None), half_turn)
 
 
-def turns_of(board: Board) -> int:
+def symmetry_order_of(board: Board) -> int:
     """How many ways round a board may lie without a picture showing it: 1 (its corners are told apart), 2 or 4."""
     if board.half_turn_is_visible or not isinstance(board, Checkerboard):
         return 1
@@ -72,13 +72,13 @@ def turns_of(board: Board) -> int:
     return 4 if square and board.columns % 2 == 0 else 2
 
 
-def shapes_of(targets: Mapping[str, npt.ArrayLike], turnable: Mapping[str, int]) -> dict[str, TargetShape]:
+def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str, int]) -> dict[str, TargetShape]:
     """The shapes of all targets, in name order."""
-    return {name: target_shape(name, targets[name], turnable.get(name, 1)) for name in sorted(targets)}
+    return {name: target_shape(name, targets[name], symmetry_orders.get(name, 1)) for name in sorted(targets)}
 
 
-def _turn(centred: Array, vector: Array) -> Turn | None:
+def _turn(centred: Array, vector: Array) -> Symmetry | None:
     R = rotation(vector)
     distance, nearest = cKDTree(centred).query(centred @ R.T)
     alike = distance.max() < 1e-3 * np.abs(centred).max() and len(set(nearest.tolist())) == len(nearest)
-    return Turn(nearest.astype(np.int64), R) if alike else None
+    return Symmetry(nearest.astype(np.int64), R) if alike else None

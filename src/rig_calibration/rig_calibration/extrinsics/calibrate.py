@@ -1,4 +1,4 @@
-"""From sightings of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics."""
+"""From detections of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.verdict import Verdict, judge
 
-from ..boards.board import Board
-from ..boards.sighting import Sighting
-from ..bundle.explain import explain
+from ..boards.board import Board, TargetDetection
+from ..bundle.diagnosis import diagnose
 from ..bundle.solution import RigSolution
 from ..bundle.solve import solve_rig
-from ..bundle.target_shape import turns_of
-from .evidence import Evidence
-from .figures import Adjusted, RigFigures, rig_figures
-from .floor import FloorView, see_floor
-from .rig import PlacedRig, place_rig
-from .tape import TapeCheck, TapeMeasure
-from .verdict import judge_rig
-from .world import WorldChoice, board_in_world, world_from_floor, world_of_level_camera
+from ..bundle.target_shape import symmetry_order_of
+from .figures import CameraEstimate, RigFigures, rig_figures
+from .floor import FloorView, floor_view
+from .verdict import RigEvidence, TapeCheck, TapeMeasure, rig_verdict
+from .world import PlacedRig, WorldChoice, board_in_world, place_rig, world_from_floor, world_of_level_camera
 
 Array = npt.NDArray[np.float64]
 
@@ -39,12 +35,12 @@ class Target:
     without a picture showing it (1: its points are told apart)."""
 
     points: Array
-    turns: int = 1
+    symmetry_order: int = 1
 
     @classmethod
     def of(cls, board: Board) -> Target:
         """A board as a target."""
-        return cls(board.corners_board, turns_of(board))
+        return cls(board.corners_board, symmetry_order_of(board))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +52,7 @@ class FloorTarget(Target):
     @classmethod
     def of_board(cls, board: Board, choice: WorldChoice) -> FloorTarget:
         """A board, from which the world is measured as ``choice`` says."""
-        return cls(board.corners_board, turns_of(board), board_in_world(board.corners_board, choice))
+        return cls(board.corners_board, symmetry_order_of(board), board_in_world(board.corners_board, choice))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,36 +67,36 @@ class RigCalibration:
     floor: Mapping[str, FloorView]
     floor_world: Array | None
     figures: RigFigures
-    evidence: Evidence
+    evidence: RigEvidence
     verdict: Verdict
 
 
 def calibrate_rig(
     cameras: Mapping[str, CameraModel],
-    sightings: Sequence[Sighting],
+    detections: Sequence[TargetDetection],
     targets: Mapping[str, Target],
     *,
     intrinsics_covariance: Mapping[str, npt.ArrayLike] | None = None,
-    strays: Mapping[str, tuple[int, int]] | None = None,
+    moved_frames: Mapping[str, tuple[int, int]] | None = None,
     floor_guess: tuple[int, ...] = (),
     tape: Iterable[TapeMeasure] = (),
 ) -> RigCalibration:
     """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.
 
     The target called FLOOR, a FloorTarget seen at moment 0, tells where the world is; without it the first camera is
-    taken for level. Every sighting names its target. ``intrinsics_covariance`` : as :func:`solve_rig` takes it.
+    taken for level. Every detection names its target. ``intrinsics_covariance`` : as :func:`solve_rig` takes it.
     ``strays``, ``floor_guess`` : as Evidence. Raises InputError naming cameras that see nothing, or groups that share
     no view.
     """
     floor = _floor_target(targets)
-    require_way_round(sightings, targets)
+    require_way_round(detections, targets)
     # all cameras and targets at once, in the frame of what lies on the floor
     solution = solve_rig(
         cameras,
-        sightings,
+        detections,
         {name: target.points for name, target in targets.items()},
         reference=FLOOR_POSE if floor is not None else None,
-        turnable={name: target.turns for name, target in targets.items()},
+        symmetry_orders={name: target.symmetry_order for name, target in targets.items()},
         intrinsics_covariance=intrinsics_covariance,
     )
     # z up, the origin on the floor (thesis 6.1)
@@ -113,33 +109,33 @@ def calibrate_rig(
         _evidence(placed, solution, figures, views, checks),
         floor_known=floor is not None,
         floor_guess=floor_guess,
-        strays=strays or {},
+        moved_frames=moved_frames or {},
     )
     on_floor = None if floor is None else floor.points @ floor.T_world_floor[:3, :3].T + floor.T_world_floor[:3, 3]
     return RigCalibration(placed, solution, views, on_floor, figures, evidence, _verdict(evidence, solution))
 
 
-def require_way_round(sightings: Iterable[Sighting], targets: Mapping[str, Target]) -> None:
+def require_way_round(detections: Iterable[TargetDetection], targets: Mapping[str, Target]) -> None:
     """Raises InputError when only the floor target ties the cameras together and no picture tells which way round it
     lies: each camera might as well stand on the other side of it."""
-    seen = {(sighting.target, sighting.camera) for sighting in sightings}
+    seen = {(detection.target, detection.camera) for detection in detections}
     on_floor = sorted(camera for target, camera in seen if target == FLOOR)
     floor = targets.get(FLOOR)
-    if floor is None or floor.turns == 1 or len(on_floor) < 2 or any(target != FLOOR for target, _ in seen):
+    if floor is None or floor.symmetry_order == 1 or len(on_floor) < 2 or any(target != FLOOR for target, _ in seen):
         return
     raise InputError(
-        f"the floor board looks the same after 1/{floor.turns} of a turn, so that {', '.join(on_floor)} may as well "
+        f"the floor board looks the same after 1/{floor.symmetry_order} of a turn, so that {', '.join(on_floor)} may as well "
         "stand on the other side of it",
         remedy="Use a board with an odd and an even number of inner corners, or a ChArUco board; or carry a board "
         "through the room (--moving); or give its outer corners in each picture, the same one first (--corners).",
     )
 
 
-def _verdict(evidence: Evidence, solution: RigSolution) -> Verdict:
+def _verdict(evidence: RigEvidence, solution: RigSolution) -> Verdict:
     """The rig's findings, and what its footage was like. (A floor board alone shares one view with every camera: there
     is nothing in it that could contradict.)"""
-    shared = any(sighting.target != FLOOR for sighting in solution.sightings)
-    return judge([*judge_rig(evidence).findings, *(explain(solution) if shared else ())])
+    shared = any(detection.target != FLOOR for detection in solution.detections)
+    return judge([*rig_verdict(evidence).findings, *(diagnose(solution) if shared else ())])
 
 
 def _floor_target(targets: Mapping[str, Target]) -> FloorTarget | None:
@@ -158,16 +154,16 @@ def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
 
 def _floor_views(solution: RigSolution, cameras: Mapping[str, CameraModel], floor: Target) -> dict[str, FloorView]:
     views = {}
-    for sighting in solution.sightings:  # numbered as the solver found right
-        if sighting.target == FLOOR:
-            views[sighting.camera] = see_floor(sighting, floor.points, cameras[sighting.camera])
+    for detection in solution.detections:  # numbered as the solver found right
+        if detection.target == FLOOR:
+            views[detection.camera] = floor_view(detection, floor.points, cameras[detection.camera])
     return views
 
 
-def _adjusted(solution: RigSolution) -> dict[str, Adjusted]:
-    used = [sighting.camera for sighting in solution.sightings]
+def _adjusted(solution: RigSolution) -> dict[str, CameraEstimate]:
+    used = [detection.camera for detection in solution.detections]
     return {
-        name: Adjusted(solution.rms_px[name], used.count(name), solution.covariance[name])
+        name: CameraEstimate(solution.rms_px[name], used.count(name), solution.covariance[name])
         for name in solution.T_camera_reference
     }
 
@@ -178,12 +174,12 @@ def _evidence(
     figures: RigFigures,
     views: Mapping[str, FloorView],
     checks: tuple[TapeCheck, ...],
-) -> Evidence:
-    tied = {sighting.camera for sighting in solution.sightings if sighting.target != FLOOR}
+) -> RigEvidence:
+    tied = {detection.camera for detection in solution.detections if detection.target != FLOOR}
     left_out: dict[str, tuple[str, ...]] = {}
     for left in solution.left_out:
-        left_out[left.sighting.camera] = (*left_out.get(left.sighting.camera, ()), left.reason)
-    return Evidence(
+        left_out[left.detection.camera] = (*left_out.get(left.detection.camera, ()), left.reason)
+    return RigEvidence(
         figures=figures,
         widths_px={camera.name: camera.width for camera in placed.rig.cameras},
         usable_volume=placed.common.usable,
@@ -192,7 +188,7 @@ def _evidence(
         undecided=solution.undecided,
         left_out=left_out,
         floor_left_out={
-            left.sighting.camera: left.reason for left in solution.left_out if left.sighting.target == FLOOR
+            left.detection.camera: left.reason for left in solution.left_out if left.detection.target == FLOOR
         },
         scales={name: scale for name, scale in solution.scale_of.items() if name != solution.scale_base},
         tape=checks,

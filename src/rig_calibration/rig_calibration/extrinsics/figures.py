@@ -12,8 +12,7 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 
 from .floor import FloorView
-from .rig import PlacedRig
-from .volume import centre_of
+from .world import PlacedRig, centre_of
 
 Array = npt.NDArray[np.float64]
 
@@ -22,7 +21,7 @@ Array = npt.NDArray[np.float64]
 class CameraFigures:
     """One camera's.
 
-    rms_px : of the corners' coordinates in the final solution. sightings : how many went into it. distance_m : from the
+    rms_px : of the corners' coordinates in the final solution. detections : how many went into it. distance_m : from the
     volume's centre. height_m : of the lens above the floor. mm_per_px : what a pixel covers at the volume's centre.
     floor_angle_deg : at which it sees the floor board, from the board's normal; None when it does not see it.
     sd_centre_mm, sd_rotation_deg : standard deviation, in the worst direction.
@@ -30,7 +29,7 @@ class CameraFigures:
 
     name: str
     rms_px: float
-    sightings: int
+    detections: int
     distance_m: float
     height_m: float
     mm_per_px: float
@@ -61,20 +60,22 @@ class RigFigures:
 
 
 @dataclass(frozen=True, eq=False)
-class Adjusted:
-    """What the adjustment says of one camera: rms_px, number of sightings, and covariance (6, 6) of its pose: rotation
+class CameraEstimate:
+    """What the adjustment says of one camera: rms_px, number of detections, and covariance (6, 6) of its pose: rotation
     vector (rad), then centre (m)."""
 
     rms_px: float
-    sightings: int
+    detections: int
     covariance: Array
 
 
-def rig_figures(placed: PlacedRig, adjusted: Mapping[str, Adjusted], floor: Mapping[str, FloorView]) -> RigFigures:
+def rig_figures(
+    placed: PlacedRig, adjusted: Mapping[str, CameraEstimate], floor: Mapping[str, FloorView]
+) -> RigFigures:
     """All figures of the rig; ``adjusted`` by camera, ``floor`` for those that see the floor board."""
     centre = centre_of(placed.rig.volume)
     cameras = placed.rig.cameras
-    weights = np.array([adjusted[camera.name].sightings for camera in cameras], float)
+    weights = np.array([adjusted[camera.name].detections for camera in cameras], float)
     squares = np.array([adjusted[camera.name].rms_px ** 2 for camera in cameras])
     return RigFigures(
         cameras=tuple(_camera_figures(c, centre, adjusted[c.name], floor.get(c.name)) for c in cameras),
@@ -86,13 +87,15 @@ def rig_figures(placed: PlacedRig, adjusted: Mapping[str, Adjusted], floor: Mapp
     )
 
 
-def _camera_figures(camera: CameraModel, centre: Array, adjusted: Adjusted, floor: FloorView | None) -> CameraFigures:
+def _camera_figures(
+    camera: CameraModel, centre: Array, adjusted: CameraEstimate, floor: FloorView | None
+) -> CameraFigures:
     distance = float(np.linalg.norm(camera.centre_world - centre))
     sd_rotation, sd_centre = (_worst_sd(adjusted.covariance[part, part]) for part in (slice(0, 3), slice(3, 6)))
     return CameraFigures(
         name=camera.name,
         rms_px=adjusted.rms_px,
-        sightings=adjusted.sightings,
+        detections=adjusted.detections,
         distance_m=distance,
         height_m=float(camera.centre_world[2]),
         mm_per_px=1e3 * distance / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),

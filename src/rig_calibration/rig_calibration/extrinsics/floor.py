@@ -6,7 +6,8 @@ unless the corners rule one out. EPnP is not used: it fails by metres on a plane
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,14 +16,14 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
-from ..boards.sighting import Sighting
+from ..boards.board import Board, TargetDetection
+from ..bundle.detection_poses import detection_poses
 from ..bundle.rigid import inverse, transform
-from ..bundle.sighting_poses import sighting_poses
 from ..bundle.target_shape import target_shape
 
 Array = npt.NDArray[np.float64]
 
-FEWEST_CORNERS = 4
+MIN_CORNERS = 4
 SAME_POSE = np.deg2rad(0.5)
 """Solutions whose planes differ by less are one."""
 RULED_OUT_CHI2 = 25.0
@@ -54,44 +55,44 @@ class FloorView:
         return inverse(self.T_camera_board)[:3, 3]
 
 
-def see_floor(sighting: Sighting, corners_board: Array, camera: CameraModel) -> FloorView:
-    """The camera's pose before the board that ``sighting`` shows. Only the intrinsics of ``camera`` are used.
+def floor_view(detection: TargetDetection, corners_board: Array, camera: CameraModel) -> FloorView:
+    """The camera's pose before the board that ``detection`` shows. Only the intrinsics of ``camera`` are used.
 
     ``corners_board`` (n, 3) metres. Raises InputError for too few corners, and for a board seen from below.
     """
-    if len(sighting) < FEWEST_CORNERS:
+    if len(detection) < MIN_CORNERS:
         raise InputError(
-            f"only {len(sighting)} corners of the board are seen",
-            where=sighting.camera,
-            remedy=f"Show it whole, or give its {FEWEST_CORNERS} outer corners (--corners).",
+            f"only {len(detection)} corners of the board are seen",
+            where=detection.camera,
+            remedy=f"Show it whole, or give its {MIN_CORNERS} outer corners (--corners).",
         )
-    points = corners_board[sighting.ids]
-    solutions = _solutions(sighting, corners_board, camera)
+    points = corners_board[detection.ids]
+    solutions = _solutions(detection, corners_board, camera)
     if not solutions:
         raise InputError(
             "the corners fit no pose of the board",
-            where=sighting.camera,
+            where=detection.camera,
             remedy="Check its corners in the picture, or give its outer corners (--corners).",
         )
     above = [(rms, T) for rms, T in solutions if inverse(T)[2, 3] > 0]
     if not above:
         raise InputError(
             "the corners' order is that of a board seen from below or in a mirror",
-            where=sighting.camera,
+            where=detection.camera,
             remedy="Lay the print upwards, switch off the camera's mirroring, and give outer corners "
             "in reading order: the first row's two ends, then the last row's last and first.",
         )
     rms, T = above[0]
-    sigma = max(sighting.sigma_px, rms)
+    sigma = max(detection.sigma_px, rms)
     sd_rotation, sd_centre = _standard_deviations(points, camera, T, sigma)
     to_camera = inverse(T)[:3, 3] - points.mean(axis=0)
     distance = float(np.linalg.norm(to_camera))
     return FloorView(
-        camera=sighting.camera,
+        camera=detection.camera,
         T_camera_board=T,
         rms_px=rms,
-        corners=len(sighting),
-        other=_not_ruled_out(above, len(sighting), sigma),
+        corners=len(detection),
+        other=_not_ruled_out(above, len(detection), sigma),
         distance_m=distance,
         angle=float(np.arccos(np.clip(to_camera[2] / distance, -1.0, 1.0))),
         sd_centre_m=sd_centre,
@@ -99,15 +100,15 @@ def see_floor(sighting: Sighting, corners_board: Array, camera: CameraModel) -> 
     )
 
 
-def _solutions(sighting: Sighting, corners_board: Array, camera: CameraModel) -> list[tuple[float, Array]]:
+def _solutions(detection: TargetDetection, corners_board: Array, camera: CameraModel) -> list[tuple[float, Array]]:
     """Poses that fit, the best first: (rms of the raw pixels' coordinates, T_camera_board)."""
-    shape = target_shape(sighting.target, corners_board)
-    poses = sighting_poses(sighting, camera, shape)
+    shape = target_shape(detection.target, corners_board)
+    poses = detection_poses(detection, camera, shape)
     if poses is None:
         return []
     found = [transform(R, t - R @ shape.centroid) for R, t in zip(poses.R, poses.t, strict=True)]
-    points = corners_board[sighting.ids]
-    misses = [_project(points, camera, T) - sighting.pixels for T in found]
+    points = corners_board[detection.ids]
+    misses = [_project(points, camera, T) - detection.pixels for T in found]
     return sorted(
         ((float(np.sqrt((miss**2).mean())), T) for miss, T in zip(misses, found, strict=True)), key=lambda pair: pair[0]
     )
@@ -143,3 +144,91 @@ def _standard_deviations(points: Array, camera: CameraModel, T: Array, sigma: fl
     covariance = sigma**2 * np.linalg.pinv(J.T @ J)
     worst = [float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in (covariance[:3, :3], covariance[3:, 3:])]
     return worst[0], worst[1]
+
+
+# --- The corners of a board that lies still before a camera, out of several frames: averaged, hands left out.
+
+Array = npt.NDArray[np.float64]
+
+SAME_PLACE_PX = 1.0
+"""Corners that lie further apart (median over the board) belong to a board, or a camera, that was moved."""
+OUTLIER_SDS = 4.0
+MIN_SCATTER_PX = 0.1
+"""A corner that strays less than OUTLIER_SDS times this is never an outlier."""
+MIN_SHARE = 1 / 3
+"""A corner counts when so many of the frames that agree show it."""
+LASTING_PX = 0.05
+"""What averaging does not remove: compression, the grid of pixels and the lens err alike in every frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class StillBoard:
+    """What one camera's frames say together.
+
+    detection : the averaged corners. frames : the moments that agree. strays : those that show the board elsewhere.
+    """
+
+    detection: TargetDetection
+    frames: tuple[int, ...]
+    moved_frames: tuple[int, ...]
+
+
+def average_still_board(
+    detections: Sequence[TargetDetection], board: Board, *, target: str, frame_index: int = 0
+) -> StillBoard:
+    """The average of one camera's ``detections`` of a board that lies still, as a detection of ``target``.
+
+    The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
+    corner's frames that stray from the median (a hand at its edge) are left out. Needs one detection or more.
+    """
+    ordered = sorted(detections, key=lambda detection: detection.frame_index)
+    pixels = _table(ordered, len(board.corners_board), board.half_turn_is_visible)  # (F, N, 2)
+    together = _largest_group(pixels)
+    chosen = pixels[together]
+    mean, count = _mean_without_outliers(chosen)
+    ids = np.flatnonzero(count >= max(1.0, MIN_SHARE * len(chosen)))
+    single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
+    sigma = float(np.hypot(single / np.sqrt(np.median(count[ids])), LASTING_PX))
+    averaged = replace(ordered[0], frame_index=frame_index, target=target, ids=ids, pixels=mean[ids], sigma_px=sigma)
+    frames = np.array([detection.frame_index for detection in ordered])
+    return StillBoard(averaged, tuple(frames[together].tolist()), tuple(frames[~together].tolist()))
+
+
+def _table(detections: Sequence[TargetDetection], corners: int, half_turn_is_visible: bool) -> Array:
+    """(F, corners, 2) pixels, NaN where a frame does not show a corner; boards that may be seen either way round are
+    counted as the first frame counts them."""
+    table = np.full((len(detections), corners, 2), np.nan)
+    for row, detection in zip(table, detections, strict=True):
+        row[detection.ids] = detection.pixels
+    if not half_turn_is_visible:
+        for row in table[1:]:
+            if _distance(row[::-1], table[0]) < _distance(row, table[0]):
+                row[:] = row[::-1].copy()
+    return table
+
+
+def _largest_group(pixels: Array) -> npt.NDArray[np.bool_]:
+    """(F,) which frames show the board at the place at which most show it."""
+    near = np.array([[_distance(one, other) <= SAME_PLACE_PX for other in pixels] for one in pixels])
+    return near[near.sum(axis=1).argmax()]
+
+
+def _distance(one: Array, other: Array) -> float:
+    """Median distance, px, of the corners that both show; infinite when they share none."""
+    apart = np.linalg.norm(one - other, axis=1)
+    apart = apart[np.isfinite(apart)]
+    return float(np.median(apart)) if apart.size else float("inf")
+
+
+def _mean_without_outliers(pixels: Array) -> tuple[Array, Array]:
+    """Mean (N, 2) and number of frames (N,) of each corner; median and MAD tell which frames stray."""
+    shown = np.isfinite(pixels[..., 0])
+    seen = np.flatnonzero(shown.any(axis=0))
+    median = np.full(pixels.shape[1:], np.nan)
+    median[seen] = np.nanmedian(pixels[:, seen], axis=0)
+    apart = np.linalg.norm(pixels - median, axis=2)
+    scatter = max(MIN_SCATTER_PX, 1.4826 * float(np.median(apart[shown])))
+    good = shown & (apart <= OUTLIER_SDS * scatter)
+    count = good.sum(axis=0)
+    mean = np.where(good[..., None], pixels, 0.0).sum(axis=0) / np.maximum(count, 1)[:, None]
+    return mean, count.astype(float)

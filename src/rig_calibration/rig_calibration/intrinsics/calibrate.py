@@ -11,39 +11,38 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.verdict import judge
 
-from ..boards.board import Board
-from ..boards.sighting import Sighting
-from .judgement import findings_of
-from .model_choice import AUTO, Choice, choose_model
+from ..boards.board import Board, TargetDetection
+from .adjustment import residuals
+from .model_choice import AUTO, ModelChoice, choose_model
 from .parameters import Array, LensModel
-from .pose import look_of
-from .projection import residuals
 from .result import Intrinsics, ViewResult
 from .robust_fit import LeftOut, RobustFit, robust_fit
-from .uncertainty import honest_covariance, projection_sd
+from .start import placement_of
+from .uncertainty import jackknife_covariance, projection_sd
+from .verdict import lens_findings
 from .views import View, diagonal_m, make_views
 
 
 def calibrate_intrinsics(
-    sightings: Sequence[Sighting], board: Board, *, name: str, model: str = "plumb_bob"
+    detections: Sequence[TargetDetection], board: Board, *, name: str, model: str = "plumb_bob"
 ) -> Intrinsics:
-    """The lens of camera ``name`` from what it saw of ``board``; the same sightings give the same bytes, in any order.
+    """The lens of camera ``name`` from what it saw of ``board``; the same detections give the same bytes, in any order.
 
     ``model`` : plumb_bob, rational_polynomial, or auto: the one that predicts views it has not seen better.
     Raises InputError: images of several sizes, corners that the board has not, too few views that agree.
     """
-    views, poor = make_views(sightings, board)
+    views, poor = make_views(detections, board)
     # which lens model
     choice = choose_model(views) if model == AUTO else None
     lens_model = LensModel(choice.model if choice else model)
     # camera, poses and the board's bending together, without what the other views contradict
     robust = robust_fit(views, lens_model)
     # how well the camera is known
-    covariance, jackknife = honest_covariance(robust.fit)
-    left_out = (*(LeftOut(sighting, (), reason) for sighting, reason in poor), *robust.left_out)
+    covariance, jackknife = jackknife_covariance(robust.fit)
+    left_out = (*(LeftOut(detection, (), reason) for detection, reason in poor), *robust.left_out)
     result = _result(robust, lens_model, board, name, covariance, jackknife, left_out, choice)
     # is it good enough, and if not, what to do
-    return replace(result, verdict=judge(findings_of(result)))
+    return replace(result, verdict=judge(lens_findings(result)))
 
 
 def _result(
@@ -54,10 +53,10 @@ def _result(
     covariance: Array,
     jackknife: float,
     left_out: tuple[LeftOut, ...],
-    choice: Choice | None,
+    choice: ModelChoice | None,
 ) -> Intrinsics:
     theta, unit_m = robust.fit.theta, diagonal_m(board)
-    width, height = robust.views[0].sighting.image_size
+    width, height = robust.views[0].detection.image_size
     camera = CameraModel(name, width, height, model.K(theta), model.name, model.D(theta), np.eye(4))
     views = tuple(
         _view_result(theta, pose, view, model, board) for pose, view in zip(robust.fit.poses, robust.views, strict=True)
@@ -89,4 +88,4 @@ def _view_result(theta: Array, pose: Array, view: View, model: LensModel, board:
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(pose[:3])[0]
     T[:3, 3] = pose[3:] * diagonal_m(board) - T[:3, :3] @ board.corners_board.mean(axis=0)
-    return ViewResult(view.sighting, view.ids, view.pixels, residual, rms, look_of(pose, view), T)
+    return ViewResult(view.detection, view.ids, view.pixels, residual, rms, placement_of(pose, view), T)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .parameters import Array
-from .pose import BoardView
+from .start import BoardPlacement
 from .views import View
 
 CELLS_ACROSS = 8
@@ -70,13 +70,13 @@ class Coverage:
         return f"{ROW_NAMES[row]} edge" if column == 1 else f"{ROW_NAMES[row]} {COLUMN_NAMES[column]} corner"
 
 
-def coverage_of(views: Sequence[View], looks: Sequence[BoardView], image_size: tuple[int, int]) -> Coverage:
+def coverage_of(views: Sequence[View], placements: Sequence[BoardPlacement], image_size: tuple[int, int]) -> Coverage:
     """Of views and how each shows the board."""
     width, height = image_size
     cells = np.zeros((max(round(CELLS_ACROSS * height / width), 2), CELLS_ACROSS), bool)
     for view in views:
         cells |= covered_cells(view.pixels, image_size, cells.shape)
-    leans = np.rad2deg(np.array([look.nearer for look in looks]).reshape(-1, 2))
+    leans = np.rad2deg(np.array([placement.lean_rad for placement in placements]).reshape(-1, 2))
     x, y = leans.T
     tilt = {
         "left": (-x).max(initial=0.0),
@@ -84,7 +84,7 @@ def coverage_of(views: Sequence[View], looks: Sequence[BoardView], image_size: t
         "top": (-y).max(initial=0.0),
         "bottom": y.max(initial=0.0),
     }
-    sizes = [max(look.size, 1e-6) for look in looks] or [1.0]
+    sizes = [max(placement.size, 1e-6) for placement in placements] or [1.0]
     return Coverage(cells, {side: float(lean) for side, lean in tilt.items()}, max(sizes) / min(sizes))
 
 

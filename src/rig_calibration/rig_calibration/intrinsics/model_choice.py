@@ -9,10 +9,10 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
+from .adjustment import residuals
 from .parameters import LensModel
-from .pose import board_pose
-from .projection import residuals
 from .robust_fit import robust_fit
+from .start import board_pose
 from .views import MIN_VIEWS, View
 
 AUTO = "auto"
@@ -24,7 +24,7 @@ LOST_PX = 10.0  # what a view counts for that cannot be predicted at all
 
 
 @dataclass(frozen=True)
-class Choice:
+class ModelChoice:
     """``model`` and why; held_out_px: each model's rms at corners of views that it was not fitted to."""
 
     model: str
@@ -32,7 +32,7 @@ class Choice:
     reason: str
 
 
-def choose_model(views: Sequence[View]) -> Choice:
+def choose_model(views: Sequence[View]) -> ModelChoice:
     """By cross-validation in five folds over the views: each is predicted (but for its pose) by a fit to the others."""
     squares = {name: _held_out(views, LensModel(name)) for name in (SIMPLE, RICH)}
     rms = {name: float(np.sqrt(np.mean(value))) for name, value in squares.items()}
@@ -40,7 +40,7 @@ def choose_model(views: Sequence[View]) -> Choice:
     error = gain.std(ddof=1) / np.sqrt(len(gain))
     better = gain.mean() > max(STANDARD_ERRORS * error, 2 * WORTHWHILE)
     reason = f"held-out rms {rms[SIMPLE]:.3f} px with {SIMPLE}, {rms[RICH]:.3f} px with {RICH}"
-    return Choice(RICH if better else SIMPLE, rms, reason + ("" if better else ": no better, so the simpler one"))
+    return ModelChoice(RICH if better else SIMPLE, rms, reason + ("" if better else ": no better, so the simpler one"))
 
 
 def _held_out(views: Sequence[View], model: LensModel) -> np.ndarray:

@@ -51,21 +51,21 @@ def _residuals(axis: Axes, result: Intrinsics) -> None:
     )
     for entry in result.left_out:
         if entry.whole:
-            axis.plot(*np.asarray(entry.sighting.pixels).T, "x", color=WRONG, markersize=3, alpha=0.5)
+            axis.plot(*np.asarray(entry.detection.pixels).T, "x", color=WRONG, markersize=3, alpha=0.5)
     _image_frame(axis, result)
     axis.set_title(f"residuals, {magnified:.0f} times larger; red: views left out", fontsize=10)
 
 
 def _coverage(axis: Axes, result: Intrinsics) -> None:
     size = (result.camera.width, result.camera.height)
-    views = [View(view.sighting, view.ids, view.pixels, view.pixels, view.pixels, 1.0) for view in result.views]
-    looks = [view.look for view in result.views]
-    coverage = coverage_of(views, looks, size)
+    views = [View(view.detection, view.ids, view.pixels, view.pixels, view.pixels, 1.0) for view in result.views]
+    placements = [view.placement for view in result.views]
+    coverage = coverage_of(views, placements, size)
     axis.imshow(coverage.cells, extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5), cmap="Greens", vmin=0, vmax=3)
     for view in result.views:
         axis.plot(*view.pixels.T, ".", markersize=2)
-    leans = np.array([look.nearer for look in looks])
-    centres = np.array([look.centre_px for look in looks])
+    leans = np.array([placement.lean_rad for placement in placements])
+    centres = np.array([placement.centre_px for placement in placements])
     axis.quiver(
         *centres.T, *leans.T, angles="xy", scale_units="xy", scale=np.deg2rad(45) / (0.1 * size[0]), width=0.004
     )
@@ -86,7 +86,7 @@ def _image_frame(axis: Axes, result: Intrinsics) -> None:
 
 
 def _views(axis: Axes, result: Intrinsics) -> None:
-    names = [str(view.sighting.moment) for view in result.views]
+    names = [str(view.detection.frame_index) for view in result.views]
     axis.bar(range(len(names)), [view.rms_px for view in result.views], color=SEEN)
     axis.axhline(result.rms_px, color=CURVE, label=f"all: {result.rms_px:.3f} px")
     axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7)

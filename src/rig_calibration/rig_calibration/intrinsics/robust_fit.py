@@ -9,10 +9,9 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
-from ..boards.sighting import Sighting
-from .adjustment import Fit, adjust
+from ..boards.board import TargetDetection
+from .adjustment import Fit, adjust, residuals
 from .parameters import Array, LensModel
-from .projection import residuals
 from .start import ROBUST_SIGMAS, fit_from, start_fit
 from .views import MIN_CORNERS, MIN_VIEWS, View
 
@@ -21,7 +20,7 @@ CORNER_SIGMAS = 5.0  # a corner this far off, in robust sds of all, is wrong
 VIEW_FACTOR = 3.5  # a view whose median misfit is so many times the typical one is wrong as a whole
 AGREEING_SHARE = 0.4  # of the views must agree, else it is anybody's guess who is right
 NEGLIGIBLE_PX = 0.3  # misfits below are nobody's fault
-LEAST_SIGMA_PX = 1e-3  # for corners without any noise
+MIN_SIGMA_PX = 1e-3  # for corners without any noise
 MEDIAN_OF_RAYLEIGH = 1.1774  # median distance of a normal deviate in the plane, in sds of a coordinate
 
 
@@ -29,7 +28,7 @@ MEDIAN_OF_RAYLEIGH = 1.1774  # median distance of a normal deviate in the plane,
 class LeftOut:
     """A view, or single corners of it, that the result does not rest on, and why."""
 
-    sighting: Sighting
+    detection: TargetDetection
     corners: tuple[int, ...]
     reason: str
 
@@ -82,7 +81,7 @@ def _cleaned(fit: Fit, views: Sequence[View], model: LensModel) -> tuple[list[Vi
         if np.median(miss) > max(VIEW_FACTOR * expected, NEGLIGIBLE_PX) or len(view) - off.sum() < MIN_CORNERS:
             wrong.append(
                 LeftOut(
-                    view.sighting,
+                    view.detection,
                     (),
                     f"its corners lie {np.median(miss):.1f} px from where the other "
                     f"views' lens puts them, against {expected:.2f} px elsewhere",
@@ -91,7 +90,7 @@ def _cleaned(fit: Fit, views: Sequence[View], model: LensModel) -> tuple[list[Vi
             continue
         if off.any():
             corners = tuple(map(int, view.ids[off]))
-            wrong.append(LeftOut(view.sighting, corners, f"up to {miss[off].max():.1f} px off"))
+            wrong.append(LeftOut(view.detection, corners, f"up to {miss[off].max():.1f} px off"))
         kept.append(view.without(off))
         poses.append(pose)
     return kept, np.array(poses).reshape(-1, 6), wrong
@@ -104,7 +103,7 @@ def _with_noise(fit: Fit, views: Sequence[View], model: LensModel) -> list[View]
     printed, and lenses that the model does not quite describe, add the same to all views; what remains is a common
     factor. By medians: views that are wrong do not matter.
     """
-    promised = np.array([max(view.sighting.sigma_px, LEAST_SIGMA_PX) for view in views])
+    promised = np.array([max(view.detection.sigma_px, MIN_SIGMA_PX) for view in views])
     seen = np.array(
         [
             np.median(np.hypot(*residuals(fit.theta, pose, view, model).T)) / MEDIAN_OF_RAYLEIGH
@@ -113,7 +112,7 @@ def _with_noise(fit: Fit, views: Sequence[View], model: LensModel) -> list[View]
     )
     added = max(float(np.median(seen**2 - promised**2)), 0.0)
     together = np.sqrt(promised**2 + added)
-    together *= max(float(np.median(seen / together)), LEAST_SIGMA_PX / float(together.min()))
+    together *= max(float(np.median(seen / together)), MIN_SIGMA_PX / float(together.min()))
     return [replace(view, sigma_px=float(sigma)) for view, sigma in zip(views, together, strict=True)]
 
 
@@ -124,13 +123,13 @@ def _scaled(fit: Fit, views: Sequence[View], model: LensModel) -> list[View]:
         squares += float(((residuals(fit.theta, pose, view, model) / view.sigma_px) ** 2).sum())
         count += 2 * len(view)
     scale = np.sqrt(squares / max(count - 6 * len(views) - model.size, 1))
-    return [replace(view, sigma_px=max(view.sigma_px * float(scale), LEAST_SIGMA_PX)) for view in views]
+    return [replace(view, sigma_px=max(view.sigma_px * float(scale), MIN_SIGMA_PX)) for view in views]
 
 
 def _require_enough(views: Sequence[View], count: int, left_out: Sequence[LeftOut]) -> None:
     if len(views) < max(MIN_VIEWS, AGREEING_SHARE * count):
         raise InputError(
             f"the views contradict each other: only {len(views)} of {count} agree ({left_out[0].reason})",
-            where=left_out[0].sighting.camera,
+            where=left_out[0].detection.camera,
             remedy="Film one flat board only, keep it and the lens (zoom, focus) fixed, and name the board as it is.",
         )

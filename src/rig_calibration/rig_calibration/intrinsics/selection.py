@@ -7,6 +7,7 @@ known well enough, not after some number of views.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,14 +15,15 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
-from ..boards.board import Board
-from ..boards.sighting import Sighting
+from ..boards.board import Board, TargetDetection
+from ..boards.detector import find_board
+from ..boards.image_quality import blur_px, motion_px
 from .adjustment import view_information
 from .coverage import Coverage, coverage_of
 from .parameters import Array, LensModel, Prior, prior_of
-from .pose import BoardView, board_pose, look_of
 from .robust_fit import robust_fit
-from .uncertainty import honest_covariance
+from .start import BoardPlacement, board_pose, placement_of
+from .uncertainty import jackknife_covariance
 from .views import View, view_of
 
 REFERENCE_WIDTH_PX = 640
@@ -31,11 +33,11 @@ ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  
 BETTER = 0.7  # an alike view takes another's place when it is that much stiller and sharper
 FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
 POOL, PLENTY, WANTED = 150, 80, 60
-LEAST_VIEWS = 12
+ENOUGH_VIEWS = 12
 
 
 @dataclass(frozen=True)
-class Targets:
+class AccuracyGoals:
     """When enough is known: sd of the focal length (share), of the principal point (px)."""
 
     focal_sd: float = 0.001
@@ -43,7 +45,7 @@ class Targets:
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedAccuracy:
     """What a calibration from the views so far would know: sd of focal length (share) and principal point (px)."""
 
     focal_sd: float
@@ -59,21 +61,21 @@ class Offer:
 
 
 @dataclass(frozen=True, eq=False)
-class _Held:
+class _CollectedView:
     view: View
     pose: Array
-    look: BoardView
+    placement: BoardPlacement
     roll: float
-    unrest: float  # of blur and motion, px
+    blur_and_motion_px: float  # of blur and motion, px
 
-    def unlike(self, other: _Held) -> float:
+    def unlike(self, other: _CollectedView) -> float:
         """1 and more: another view; less: the same again."""
-        width = self.view.sighting.image_size[0]
+        width = self.view.detection.image_size[0]
         turn = np.rad2deg(np.angle(np.exp(1j * (self.roll - other.roll))))
         differences = (
-            np.hypot(*(self.look.centre_px - other.look.centre_px)) / (ALIKE_PLACE * width),
-            np.log(self.look.size / other.look.size) / ALIKE_SIZE,
-            np.rad2deg(np.hypot(*(self.look.nearer - other.look.nearer))) / ALIKE_LEAN_DEG,
+            np.hypot(*(self.placement.centre_px - other.placement.centre_px)) / (ALIKE_PLACE * width),
+            np.log(self.placement.size / other.placement.size) / ALIKE_SIZE,
+            np.rad2deg(np.hypot(*(self.placement.lean_rad - other.placement.lean_rad))) / ALIKE_LEAN_DEG,
             turn / ALIKE_ROLL_DEG,
         )
         return float(np.linalg.norm(differences))
@@ -83,11 +85,11 @@ class ViewCollector:
     """Collects views of ``board`` by one camera. ``every`` : take alike views, too (a few chosen photographs)."""
 
     def __init__(
-        self, board: Board, *, model: str = "plumb_bob", every: bool = False, targets: Targets | None = None
+        self, board: Board, *, model: str = "plumb_bob", every: bool = False, goals: AccuracyGoals | None = None
     ) -> None:
         self._board, self._model, self._every = board, LensModel(model), every
-        self.targets = targets or Targets()
-        self._held: list[_Held] = []
+        self.goals = goals or AccuracyGoals()
+        self._held: list[_CollectedView] = []
         self._theta: Array | None = None
         self._prior: Prior | None = None
         self._precision: Array | None = None  # of what has been taken
@@ -96,39 +98,39 @@ class ViewCollector:
         self.refused = 0
 
     @property
-    def sightings(self) -> list[Sighting]:
-        return [held.view.sighting for held in self._held]
+    def detections(self) -> list[TargetDetection]:
+        return [held.view.detection for held in self._held]
 
     def __len__(self) -> int:
         return len(self._held)
 
-    def offer(self, sighting: Sighting, *, blur_px: float = 0.0, motion_px: float = 0.0) -> Offer:
+    def offer(self, detection: TargetDetection, *, blur_px: float = 0.0, motion_px: float = 0.0) -> Offer:
         """Take the view, or say why not. Raises InputError for an image of another size, corners the board has not."""
-        answer = self._take(sighting, blur_px, motion_px)
+        answer = self._take(detection, blur_px, motion_px)
         self.refused += not answer.taken
         return answer
 
     @property
     def coverage(self) -> Coverage:
         """Of what has been taken."""
-        size = self._held[0].view.sighting.image_size if self._held else (4, 3)
-        return coverage_of([held.view for held in self._held], [held.look for held in self._held], size)
+        size = self._held[0].view.detection.image_size if self._held else (4, 3)
+        return coverage_of([held.view for held in self._held], [held.placement for held in self._held], size)
 
     @property
-    def expected(self) -> Expected | None:
+    def expected(self) -> ExpectedAccuracy | None:
         """None until there are enough views to tell."""
         if self._theta is None or self._precision is None:
             return None
         sd = np.sqrt(np.diag(np.linalg.inv(self._precision))) * self._noise
-        return Expected(float((sd[:2] / self._theta[:2]).max()), float(sd[2:4].max()))
+        return ExpectedAccuracy(float((sd[:2] / self._theta[:2]).max()), float(sd[2:4].max()))
 
     @property
     def enough(self) -> bool:
         """Is everything covered and known well enough, or have there been so many views that more help little?"""
         expected = self.expected
-        if expected is None or len(self) < LEAST_VIEWS or not self.coverage.complete:
+        if expected is None or len(self) < ENOUGH_VIEWS or not self.coverage.complete:
             return False
-        focal, centre = expected.focal_sd <= self.targets.focal_sd, expected.centre_sd_px <= self.targets.centre_sd_px
+        focal, centre = expected.focal_sd <= self.goals.focal_sd, expected.centre_sd_px <= self.goals.centre_sd_px
         return (focal and centre) or len(self) >= PLENTY
 
     def advice(self) -> str:
@@ -139,53 +141,55 @@ class ViewCollector:
             return "show the whole board to the camera and hold it still"
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
 
-    def best(self, wanted: int = WANTED) -> list[Sighting]:
+    def best(self, wanted: int = WANTED) -> list[TargetDetection]:
         """The views to calibrate from, in the order of their moments: at most ``wanted``, those that tell most."""
         if len(self) <= wanted or self._theta is None or self._prior is None:
-            return sorted(self.sightings, key=lambda sighting: sighting.moment)
+            return sorted(self.detections, key=lambda detection: detection.frame_index)
         information = self._information(self._held)
-        chosen = most_telling(information, self._prior.precision, wanted)
-        return sorted((self._held[i].view.sighting for i in chosen), key=lambda sighting: sighting.moment)
+        chosen = d_optimal_views(information, self._prior.precision, wanted)
+        return sorted((self._held[i].view.detection for i in chosen), key=lambda detection: detection.frame_index)
 
-    def _take(self, sighting: Sighting, blur_px: float, motion_px: float) -> Offer:
-        scale = max(sighting.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
+    def _take(self, detection: TargetDetection, blur_px: float, motion_px: float) -> Offer:
+        scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
         limit = max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest())
         if not blur_px <= limit:
             how = "beyond measure" if np.isnan(blur_px) else f"by {blur_px:.1f} px"
             return Offer(False, f"too blurred: {how}; hold it still, check focus and exposure")
         if not motion_px <= MOTION_PX * scale:
             return Offer(False, "the board moves: hold it still")
-        view = view_of(sighting, self._board)
+        view = view_of(detection, self._board)
         if isinstance(view, str):
             return Offer(False, view)
-        if self._held and sighting.image_size != self._held[0].view.sighting.image_size:
+        if self._held and detection.image_size != self._held[0].view.detection.image_size:
             raise InputError(
-                f"the images have several sizes: {self._held[0].view.sighting.image_size}, then {sighting.image_size}",
-                where=sighting.camera,
+                f"the images have several sizes: {self._held[0].view.detection.image_size}, then {detection.image_size}",
+                where=detection.camera,
                 remedy="Give images of one size.",
             )
-        held = self._looked_at(view, float(np.hypot(blur_px, motion_px)))
+        held = self._placed(view, float(np.hypot(blur_px, motion_px)))
         return Offer(False, "its pose cannot be told") if held is None else self._compare(held)
 
     def _sharpest(self) -> float:
-        return float(np.percentile([held.unrest for held in self._held], 25)) if self._held else 0.0
+        return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0
 
-    def _looked_at(self, view: View, unrest: float) -> _Held | None:
-        pose = board_pose(self._lens(view.sighting.image_size), view, self._model)
+    def _placed(self, view: View, blur_and_motion_px: float) -> _CollectedView | None:
+        pose = board_pose(self._lens(view.detection.image_size), view, self._model)
         if pose is None:
             return None
         # the turn in the image: that of the board's long way through its corners
         along = view.pixels[-1] - view.pixels[0]
-        return _Held(view, pose, look_of(pose, view), float(np.arctan2(along[1], along[0])), unrest)
+        return _CollectedView(
+            view, pose, placement_of(pose, view), float(np.arctan2(along[1], along[0])), blur_and_motion_px
+        )
 
     def _lens(self, size: tuple[int, int]) -> Array:
         return self._model.start(float(max(size)), size) if self._theta is None else self._theta
 
-    def _compare(self, held: _Held) -> Offer:
+    def _compare(self, held: _CollectedView) -> Offer:
         distances = [held.unlike(other) for other in self._held]
         if not self._every and distances and min(distances) < 1.0:
             nearest = int(np.argmin(distances))
-            if held.unrest >= BETTER * self._held[nearest].unrest:
+            if held.blur_and_motion_px >= BETTER * self._held[nearest].blur_and_motion_px:
                 return Offer(False, "like one that is there already: show the board elsewhere or tilted otherwise")
             self._held[nearest] = held
             self._refresh()
@@ -209,25 +213,25 @@ class ViewCollector:
             robust = robust_fit([held.view for held in self._held], self._model, theta=self._start())
         except InputError:
             return
-        size = self._held[0].view.sighting.image_size
+        size = self._held[0].view.detection.image_size
         self._theta = robust.fit.theta
         self._prior = prior_of(self._model, float(self._theta[:2].mean()), size)
         given = float(np.median([held.view.sigma_px for held in self._held]))
-        self._noise = robust.sigma_px / given * honest_covariance(robust.fit)[1]
-        again = [self._looked_at(held.view, held.unrest) for held in self._held]
+        self._noise = robust.sigma_px / given * jackknife_covariance(robust.fit)[1]
+        again = [self._placed(held.view, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
 
     def _start(self) -> Array | None:
         """The lens as known, once there are views enough to trust it."""
-        return self._theta if len(self) > LEAST_VIEWS else None
+        return self._theta if len(self) > ENOUGH_VIEWS else None
 
-    def _information(self, held: Sequence[_Held]) -> Array:
+    def _information(self, held: Sequence[_CollectedView]) -> Array:
         assert self._theta is not None
         poses = np.array([one.pose for one in held])
         return view_information(self._theta, poses, [one.view for one in held], self._model)
 
 
-def most_telling(information: Array, precision: Array, wanted: int) -> list[int]:
+def d_optimal_views(information: Array, precision: Array, wanted: int) -> list[int]:
     """Indices of ``wanted`` of the views (V, p, p), chosen one by one so that the determinant of the normal matrix,
     which begins as ``precision`` (p, p), grows most (D-optimal design)."""
     chosen: list[int] = []
@@ -238,3 +242,49 @@ def most_telling(information: Array, precision: Array, wanted: int) -> list[int]
         chosen.append(best)
         precision = precision + information[best]
     return sorted(chosen)
+
+
+# --- Looks at images one by one, and collects the views of a board that are worth calibrating from.
+
+NOT_SEEN = "the board is not seen"
+
+
+@dataclass(frozen=True, eq=False)
+class ImageResult:
+    """What an image showed: the detection, None when the board was not found; ``taken``, or the ``reason`` why not."""
+
+    detection: TargetDetection | None
+    taken: bool
+    reason: str
+
+
+class BoardImageProcessor:
+    """Feeds the images of ``camera`` into a collector, and counts what became of them.
+
+    ``thorough`` : look longer for the board in each image, for a few pictures that each matter.
+    """
+
+    def __init__(self, board: Board, camera: str, collector: ViewCollector, *, thorough: bool = False) -> None:
+        self.board, self.camera, self.collector, self.thorough = board, camera, collector, thorough
+        self.examined = self.found = 0
+        self.reasons: Counter[str] = Counter()
+
+    def see(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
+        """Look at an image (H, W[, 3]) uint8; ``neighbour`` is the one just before it, if there is one.
+
+        Raises InputError when the images change their size.
+        """
+        seen = self._detect(image, neighbour, frame_index)
+        self.examined += 1
+        self.found += seen.detection is not None
+        if not seen.taken:
+            self.reasons[seen.reason.partition(":")[0]] += 1
+        return seen
+
+    def _detect(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
+        detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)
+        if detection is None:
+            return ImageResult(None, False, NOT_SEEN)
+        moved = 0.0 if neighbour is None else motion_px(image, neighbour, detection.pixels)
+        offer = self.collector.offer(detection, blur_px=blur_px(image, detection), motion_px=moved)
+        return ImageResult(detection, offer.taken, offer.reason)

@@ -17,7 +17,7 @@ from .adjustment import Fit
 from .parameters import CENTRE, FOCAL, Array, LensModel
 
 
-def honest_covariance(fit: Fit) -> tuple[Array, float]:
+def jackknife_covariance(fit: Fit) -> tuple[Array, float]:
     """(p, p) of the parameters, and the factor >= 1 by which the jackknife has enlarged standard deviations overall.
 
     Each parameter's own factor lies between that and what its own scatter says, which is few numbers, and is never

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from capture_rig.errors import InputError
 
-from ..boards.board import Board
-from ..boards.sighting import Sighting
+from ..boards.board import Board, TargetDetection
 from .parameters import Array
 
 MIN_CORNERS = 8
@@ -21,14 +20,14 @@ MIN_VIEWS = 3
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One sighting, ready for the adjustment.
+    """One detection, ready for the adjustment.
 
-    ids (n,) as the sighting's; points_board (n, 3) in units of the board's diagonal, whose middle is the origin;
+    ids (n,) as the detection's; points_board (n, 3) in units of the board's diagonal, whose middle is the origin;
     bow (n, 2) how far a corner stands out where the middle does by one unit, for bending along x and along y;
     pixels (n, 2); sigma_px.
     """
 
-    sighting: Sighting
+    detection: TargetDetection
     ids: npt.NDArray[np.int64]
     points_board: Array
     bow: Array
@@ -42,22 +41,24 @@ class View:
         """The view without the marked corners (n,)."""
         keep = ~corners
         ids, points, bow, pixels = self.ids[keep], self.points_board[keep], self.bow[keep], self.pixels[keep]
-        return View(self.sighting, ids, points, bow, pixels, self.sigma_px)
+        return View(self.detection, ids, points, bow, pixels, self.sigma_px)
 
 
-def make_views(sightings: Sequence[Sighting], board: Board) -> tuple[list[View], list[tuple[Sighting, str]]]:
-    """The views worth adjusting, ordered by moment, and the sightings that show too little, with the reason.
+def make_views(
+    detections: Sequence[TargetDetection], board: Board
+) -> tuple[list[View], list[tuple[TargetDetection, str]]]:
+    """The views worth adjusting, ordered by moment, and the detections that show too little, with the reason.
 
     Raises InputError for what cannot belong together: images of several sizes or cameras, corners that the board does
     not have, fewer than three views.
     """
-    ordered = sorted(sightings, key=lambda sighting: sighting.moment)
+    ordered = sorted(detections, key=lambda detection: detection.frame_index)
     _require_one_camera(ordered)
     kept, poor = [], []
-    for sighting in ordered:
-        view = view_of(sighting, board)
+    for detection in ordered:
+        view = view_of(detection, board)
         if isinstance(view, str):
-            poor.append((sighting, view))
+            poor.append((detection, view))
         else:
             kept.append(view)
     if len(kept) < MIN_VIEWS:
@@ -69,20 +70,20 @@ def make_views(sightings: Sequence[Sighting], board: Board) -> tuple[list[View],
     return kept, poor
 
 
-def view_of(sighting: Sighting, board: Board) -> View | str:
-    """The sighting ready for the adjustment, or why it is too little to fix the board's pose.
+def view_of(detection: TargetDetection, board: Board) -> View | str:
+    """The detection ready for the adjustment, or why it is too little to fix the board's pose.
 
     Raises InputError for corners that the board does not have.
     """
     corners = board.corners_board
-    _require_corners_of(sighting, len(corners))
-    reason = _poverty(sighting, corners)
+    _require_corners_of(detection, len(corners))
+    reason = _poverty(detection, corners)
     if reason:
         return reason
     points = (corners - corners.mean(axis=0)) / diagonal_m(board)
     bow = 1.0 - (points[:, :2] / np.abs(points[:, :2]).max(axis=0)) ** 2
-    pixels = np.asarray(sighting.pixels, float).reshape(-1, 2)
-    return View(sighting, sighting.ids, points[sighting.ids], bow[sighting.ids], pixels, sighting.sigma_px)
+    pixels = np.asarray(detection.pixels, float).reshape(-1, 2)
+    return View(detection, detection.ids, points[detection.ids], bow[detection.ids], pixels, detection.sigma_px)
 
 
 def diagonal_m(board: Board) -> float:
@@ -90,28 +91,28 @@ def diagonal_m(board: Board) -> float:
     return float(np.linalg.norm(np.ptp(board.corners_board, axis=0)))
 
 
-def _poverty(sighting: Sighting, corners: Array) -> str:
-    """Why a sighting is too little to fix the board's pose, "" when it is not."""
-    if len(sighting) < MIN_CORNERS:
-        return f"shows {len(sighting)} corners only"
-    pixels = np.asarray(sighting.pixels, float)
+def _poverty(detection: TargetDetection, corners: Array) -> str:
+    """Why a detection is too little to fix the board's pose, "" when it is not."""
+    if len(detection) < MIN_CORNERS:
+        return f"shows {len(detection)} corners only"
+    pixels = np.asarray(detection.pixels, float)
     if not np.isfinite(pixels).all():
         return "has corners that are no numbers"
-    seen = corners[sighting.ids, :2]
+    seen = corners[detection.ids, :2]
     spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
     return "shows corners on one line only" if spread[1] < MIN_SPREAD * spread[0] else ""
 
 
-def _require_one_camera(sightings: Sequence[Sighting]) -> None:
-    sizes = sorted({sighting.image_size for sighting in sightings})
+def _require_one_camera(detections: Sequence[TargetDetection]) -> None:
+    sizes = sorted({detection.image_size for detection in detections})
     if len(sizes) > 1:
-        listed = ", ".join(f"{w} x {h} (first: moment {_first(sightings, (w, h))})" for w, h in sizes)
+        listed = ", ".join(f"{w} x {h} (first: moment {_first(detections, (w, h))})" for w, h in sizes)
         raise InputError(
             f"the images have several sizes: {listed}",
-            where=sightings[0].camera,
+            where=detections[0].camera,
             remedy="Give images of one size: the one that the camera will work with.",
         )
-    cameras = sorted({sighting.camera for sighting in sightings})
+    cameras = sorted({detection.camera for detection in detections})
     if len(cameras) > 1:
         raise InputError(
             f"the views come from several cameras: {', '.join(cameras)}",
@@ -119,19 +120,21 @@ def _require_one_camera(sightings: Sequence[Sighting]) -> None:
         )
 
 
-def _first(sightings: Sequence[Sighting], size: tuple[int, int]) -> int:
-    return next(sighting.moment for sighting in sightings if sighting.image_size == size)
+def _first(detections: Sequence[TargetDetection], size: tuple[int, int]) -> int:
+    return next(detection.frame_index for detection in detections if detection.image_size == size)
 
 
-def _require_corners_of(sighting: Sighting, count: int) -> None:
-    wrong = [int(corner) for corner in sighting.ids if not 0 <= corner < count]
+def _require_corners_of(detection: TargetDetection, count: int) -> None:
+    wrong = [int(corner) for corner in detection.ids if not 0 <= corner < count]
     if wrong:
         raise InputError(
-            f"moment {sighting.moment} shows corner {wrong[0]}, but the board has {count} corners",
-            where=sighting.camera,
+            f"moment {detection.frame_index} shows corner {wrong[0]}, but the board has {count} corners",
+            where=detection.camera,
             remedy="Name the board that was filmed, and film only one.",
         )
-    if len(np.unique(sighting.ids)) != len(sighting.ids):
+    if len(np.unique(detection.ids)) != len(detection.ids):
         raise InputError(
-            f"moment {sighting.moment} shows a corner twice", where=sighting.camera, remedy="Leave this view out."
+            f"moment {detection.frame_index} shows a corner twice",
+            where=detection.camera,
+            remedy="Leave this view out.",
         )

@@ -14,7 +14,7 @@ from matplotlib.backend_bases import Event, KeyEvent, MouseButton, MouseEvent
 from matplotlib.figure import Figure
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.sighting import Sighting
+from rig_calibration.boards.board import TargetDetection
 
 from .clicking import FORMAT, Clicks
 
@@ -54,19 +54,19 @@ class ClickWindow:
         if event.key == UNDO_KEY:
             self.clicks.undo()
             self._draw()
-        elif event.key == SKIP_KEY or (event.key == ACCEPT_KEY and self.clicks.sighting is not None):
+        elif event.key == SKIP_KEY or (event.key == ACCEPT_KEY and self.clicks.detection is not None):
             self.accepted = event.key == ACCEPT_KEY
             plt.close(self._figure)
 
     def _draw(self) -> None:
         self._marks.set_data(*self.clicks.pixels.T)
-        found = self.clicks.sighting
+        found = self.clicks.detection
         self._found.set_data(*(found.pixels.T if found is not None else ([], [])))
         self._axes.set_title(f"{self._name}: {self.clicks.message}", fontsize=9, wrap=True)
         self._figure.canvas.draw_idle()
 
 
-def click_corners(name: str, image: np.ndarray, fit: Callable[[np.ndarray], Sighting]) -> np.ndarray | None:
+def click_corners(name: str, image: np.ndarray, fit: Callable[[np.ndarray], TargetDetection]) -> np.ndarray | None:
     """Four outer corners (4, 2) px that ``fit`` accepts, clicked in a window; None when the person skips the camera."""
     window = ClickWindow(plt.figure(figsize=(12, 9), constrained_layout=True), name, image, Clicks(fit))
     plt.show(block=True)

@@ -13,10 +13,9 @@ import yaml
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.yaml_file import read_mapping
-from rig_calibration.boards.board import Board
+from capture_rig.settings import read_mapping
+from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.four_corners import find_from_outer_corners
-from rig_calibration.boards.sighting import Sighting
 
 FORMAT = (
     "Write NAME: [[x, y], [x, y], [x, y], [x, y]] for each camera, or NAME: {corners: [...], frame: 12}: the outermost "
@@ -48,15 +47,15 @@ def save_corners(path: str | Path, corners: Mapping[str, OuterCorners]) -> None:
 
 
 def find_from_clicks(
-    image: np.ndarray, board: Board, outer_px: np.ndarray, *, model: CameraModel, moment: int, target: str
-) -> Sighting:
+    image: np.ndarray, board: Board, outer_px: np.ndarray, *, model: CameraModel, frame_index: int, target: str
+) -> TargetDetection:
     """The board's corners from four rough ones, refined; in whatever order they were clicked, if the board's colours or
     markers tell which way round it lies. Raises InputError when no order fits, for the order that was given."""
     refused: InputError | None = None
     for order in _orders(outer_px, board.half_turn_is_visible):
         try:
             return find_from_outer_corners(
-                image, board, outer_px[order], camera=model.name, moment=moment, target=target, model=model
+                image, board, outer_px[order], camera=model.name, frame_index=frame_index, target=target, model=model
             )
         except InputError as error:
             refused = refused or error
@@ -101,13 +100,13 @@ def _corners(entry: Any, where: str) -> OuterCorners:
 class Clicks:
     """Up to four clicks on one picture, and what they lead to; knows no window.
 
-    ``fit`` makes a sighting of four corners (4, 2), or raises InputError, whose text is then shown.
+    ``fit`` makes a detection of four corners (4, 2), or raises InputError, whose text is then shown.
     """
 
-    def __init__(self, fit: Callable[[np.ndarray], Sighting]) -> None:
+    def __init__(self, fit: Callable[[np.ndarray], TargetDetection]) -> None:
         self._fit = fit
         self.points: list[tuple[float, float]] = []
-        self.sighting: Sighting | None = None
+        self.detection: TargetDetection | None = None
         self.message = self._next_step()
 
     def add(self, x: float, y: float) -> None:
@@ -121,7 +120,7 @@ class Clicks:
 
     def undo(self) -> None:
         """Take the last corner back."""
-        self.points, self.sighting = self.points[:-1], None
+        self.points, self.detection = self.points[:-1], None
         self.message = self._next_step()
 
     @property
@@ -131,10 +130,10 @@ class Clicks:
 
     def _try(self) -> None:
         try:
-            self.sighting = self._fit(self.pixels)
-            self.message = f"{len(self.sighting)} corners found: Enter to accept, u to take the last click back"
+            self.detection = self._fit(self.pixels)
+            self.message = f"{len(self.detection)} corners found: Enter to accept, u to take the last click back"
         except InputError as error:
-            self.points, self.sighting = [], None
+            self.points, self.detection = [], None
             self.message = f"{error} Click again: {_ORDER[0]}"
 
     def _next_step(self) -> str:

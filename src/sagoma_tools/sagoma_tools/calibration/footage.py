@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from camera_client.footage_reader import FootageReader, StillsReader, VideoReader
 from camera_client.frame_source import UndecodableFrame
+from camera_client.sources.footage_reader import FootageReader, StillsReader, VideoReader
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
 
@@ -44,16 +44,16 @@ class CameraFootage:
 
     name: str
     files: tuple[Path, ...]
-    moments: tuple[int, ...] | None = None
+    frames: tuple[int, ...] | None = None
 
     @property
     def is_video(self) -> bool:
-        return self.moments is None
+        return self.frames is None
 
     @property
     def count(self) -> int:
-        if self.moments is not None:
-            return len(self.moments)
+        if self.frames is not None:
+            return len(self.frames)
         reader = self._reader()
         reader.close()
         return reader.frame_count
@@ -74,7 +74,7 @@ class CameraFootage:
                     continue
                 if image is None:
                     return
-                yield (place if self.moments is None else self.moments[place]), image
+                yield (place if self.frames is None else self.frames[place]), image
                 place += 1
         finally:
             reader.close()
@@ -99,8 +99,8 @@ def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
             found[name] = source, files
     if not found:
         raise InputError("no footage is given", remedy=HELP)
-    moments = _moments({name: files for name, (_, files) in found.items()})
-    return {name: CameraFootage(name, tuple(found[name][1]), moments[name]) for name in sorted(found, key=natural)}
+    frames = _moments({name: files for name, (_, files) in found.items()})
+    return {name: CameraFootage(name, tuple(found[name][1]), frames[name]) for name in sorted(found, key=natural)}
 
 
 def natural(text: str) -> tuple[tuple[int, int | str], ...]:

@@ -4,49 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import Board
-from rig_calibration.boards.sighting import Sighting
-from rig_calibration.bundle.wand import wand_points, wand_turns
+from capture_rig.rig import load_rig
+from capture_rig.settings import read_mapping
+from rig_calibration.boards.board import Board, TargetDetection
+from rig_calibration.boards.wand import wand_points, wand_symmetry_order
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND, FloorTarget, Target
-from rig_calibration.extrinsics.from_motion import FloorAt, moments_on_floor
-from rig_calibration.extrinsics.moments import choose_moments
-from rig_calibration.extrinsics.still_board import StillBoard, average_still_board
+from rig_calibration.extrinsics.carried_board import FloorAt, choose_frames, frames_on_floor
+from rig_calibration.extrinsics.floor import StillBoard, average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 
-from .rig_sightings import Seen, explain_unseen
+from .rig_detections import CameraDetections, explain_unseen
 
 
 @dataclass(frozen=True, eq=False)
 class RigInputs:
-    """Sightings and the targets they name. ``strays``: by camera, frames in which the floor board lay elsewhere, of how
+    """Detections and the targets they name. ``strays``: by camera, frames in which the floor board lay elsewhere, of how
     many. ``floor_guess``: frames in which the carried board was taken to lie on the floor."""
 
-    sightings: tuple[Sighting, ...]
+    detections: tuple[TargetDetection, ...]
     targets: Mapping[str, Target]
-    strays: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    moved_frames: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     floor_guess: tuple[int, ...] = ()
 
 
 def floor_inputs(
-    floor: Mapping[str, Seen], board: Board, choice: WorldChoice, by_hand: Iterable[str] = ()
+    floor: Mapping[str, CameraDetections], board: Board, choice: WorldChoice, by_hand: Iterable[str] = ()
 ) -> RigInputs:
     """The board on the floor: each camera's frames averaged. Where all cameras' corners were given ``by_hand``, their
     order tells which way round the board lies."""
     stills = {
-        name: average_still_board(seen.sightings, board, target=FLOOR) for name, seen in floor.items() if seen.sightings
+        name: average_still_board(seen.detections, board, target=FLOOR)
+        for name, seen in floor.items()
+        if seen.detections
     }
     target = FloorTarget.of_board(board, choice)
     if set(by_hand) >= set(stills):
         target = FloorTarget(target.points, 1, target.T_world_floor)
-    return RigInputs(tuple(still.sighting for still in stills.values()), {FLOOR: target}, _strays(stills))
+    return RigInputs(tuple(still.detection for still in stills.values()), {FLOOR: target}, _strays(stills))
 
 
 def moving_inputs(
     cameras: Mapping[str, CameraModel],
-    moving: Sequence[Sighting],
+    moving: Sequence[TargetDetection],
     board: Board,
     choice: WorldChoice,
     floor_at: FloorAt | None,
@@ -54,41 +61,43 @@ def moving_inputs(
     """The carried board at chosen moments; with ``floor_at``, what it shows while it lies on the floor becomes the
     floor target."""
     if floor_at is None:
-        return RigInputs(_at_chosen_moments(moving), {MOVING: Target.of(board)})
-    lying = set(moments_on_floor(cameras, moving, board, floor_at))
-    resting = [sighting for sighting in moving if sighting.moment in lying]
-    names = sorted({sighting.camera for sighting in resting})
+        return RigInputs(_at_chosen_frames(moving), {MOVING: Target.of(board)})
+    lying = set(frames_on_floor(cameras, moving, board, floor_at))
+    resting = [detection for detection in moving if detection.frame_index in lying]
+    names = sorted({detection.camera for detection in resting})
     stills = {
         name: average_still_board([s for s in resting if s.camera == name], board, target=FLOOR) for name in names
     }
-    carried = _at_chosen_moments([sighting for sighting in moving if sighting.moment not in lying])
+    carried = _at_chosen_frames([detection for detection in moving if detection.frame_index not in lying])
     targets = {FLOOR: FloorTarget.of_board(board, choice)} | ({MOVING: Target.of(board)} if carried else {})
     guess = tuple(sorted(lying)) if floor_at == "lowest" else ()
-    return RigInputs((*(still.sighting for still in stills.values()), *carried), targets, _strays(stills), guess)
+    return RigInputs((*(still.detection for still in stills.values()), *carried), targets, _strays(stills), guess)
 
 
-def wand_inputs(wands: Sequence[Sighting], marks_m: Sequence[float]) -> RigInputs:
+def wand_inputs(wands: Sequence[TargetDetection], marks_m: Sequence[float]) -> RigInputs:
     """The carried wand at chosen moments."""
-    target = Target(wand_points(marks_m), wand_turns(marks_m))
-    return RigInputs(_at_chosen_moments(wands), {WAND: target})
+    target = Target(wand_points(marks_m), wand_symmetry_order(marks_m))
+    return RigInputs(_at_chosen_frames(wands), {WAND: target})
 
 
 def together(parts: Sequence[RigInputs]) -> RigInputs:
     """All parts as one."""
     return RigInputs(
-        tuple(sighting for part in parts for sighting in part.sightings),
+        tuple(detection for part in parts for detection in part.detections),
         {name: target for part in parts for name, target in part.targets.items()},
-        {name: strays for part in parts for name, strays in part.strays.items()},
+        {name: moved_frames for part in parts for name, moved_frames in part.moved_frames.items()},
         tuple(frame for part in parts for frame in part.floor_guess),
     )
 
 
 def require_seen(
-    cameras: Iterable[str], inputs: RigInputs, footage: Mapping[str, Mapping[str, tuple[Seen, Board | None]]]
+    cameras: Iterable[str],
+    inputs: RigInputs,
+    footage: Mapping[str, Mapping[str, tuple[CameraDetections, Board | None]]],
 ) -> None:
-    """Raises InputError for cameras that no sighting places, saying what their ``footage`` (by kind, by camera) shows
+    """Raises InputError for cameras that no detection places, saying what their ``footage`` (by kind, by camera) shows
     instead, and how to go on."""
-    placed = {sighting.camera for sighting in inputs.sightings}
+    placed = {detection.camera for detection in inputs.detections}
     unseen, others = sorted(set(cameras) - placed), len(placed) > 1
     if not unseen:
         return
@@ -106,10 +115,141 @@ def require_seen(
     )
 
 
-def _at_chosen_moments(moving: Sequence[Sighting]) -> tuple[Sighting, ...]:
-    chosen = set(choose_moments(moving))
-    return tuple(sighting for sighting in moving if sighting.moment in chosen)
+def _at_chosen_frames(moving: Sequence[TargetDetection]) -> tuple[TargetDetection, ...]:
+    chosen = set(choose_frames(moving))
+    return tuple(detection for detection in moving if detection.frame_index in chosen)
 
 
 def _strays(stills: Mapping[str, StillBoard]) -> dict[str, tuple[int, int]]:
-    return {name: (len(s.strays), len(s.strays) + len(s.frames)) for name, s in stills.items()}
+    return {name: (len(s.moved_frames), len(s.moved_frames) + len(s.frames)) for name, s in stills.items()}
+
+
+# --- Points on the floor that were measured by hand, and where each camera sees them: a floor without a board.
+
+FEWEST_POINTS = 4
+CLICKED_SD_PX = 1.0
+"""What a person's click errs by."""
+FORMAT = "Write points: {A: [x, y], ...} in metres on the floor, and cameras: {NAME: {A: [u, v], ...}} in pixels."
+
+
+def read_floor_points(path: str | Path, cameras: Mapping[str, CameraModel]) -> RigInputs:
+    """The measured points as the floor target, seen by those of ``cameras`` that the file names. A third number of a
+    point is its height. Raises InputError naming file, camera, point and remedy."""
+    document = read_mapping(Path(path), FORMAT)
+    points = {str(name): _numbers(xy, (2, 3), f"{path}: points.{name}") for name, xy in _part(document, "points", path)}
+    order = {name: index for index, name in enumerate(points)}
+    world = np.array([[*xy, 0.0][:3] for xy in points.values()])
+    detections = []
+    for name, seen in _part(document, "cameras", path):
+        if name in cameras:
+            detections.append(_detection(cameras[name], seen, order, f"{path}: cameras.{name}"))
+    return RigInputs(tuple(detections), {FLOOR: FloorTarget(world)})
+
+
+def names_in_floor_points(path: str | Path) -> list[str]:
+    """The cameras that the file names."""
+    return [str(name) for name, _ in _part(read_mapping(Path(path), FORMAT), "cameras", path)]
+
+
+def _part(document: Mapping[str, Any], key: str, path: str | Path) -> list[tuple[str, Any]]:
+    part = document.get(key)
+    if not isinstance(part, Mapping) or not part:
+        raise InputError(f"key '{key}' is missing or empty", where=str(path), remedy=FORMAT)
+    return [(str(name), value) for name, value in part.items()]
+
+
+def _detection(camera: CameraModel, seen: Any, order: Mapping[str, int], where: str) -> TargetDetection:
+    if not isinstance(seen, Mapping) or len(seen) < FEWEST_POINTS:
+        raise InputError(
+            f"shows fewer than {FEWEST_POINTS} points",
+            where=where,
+            remedy="Measure more points, spread over what the camera sees.",
+        )
+    unknown = sorted(set(map(str, seen)) - set(order))
+    if unknown:
+        raise InputError(
+            f"point '{unknown[0]}' is not among the measured ones",
+            where=where,
+            remedy=f"Known points: {', '.join(order)}.",
+        )
+    pixels = np.array([_numbers(uv, (2,), f"{where}.{name}") for name, uv in seen.items()])
+    ids = np.array([order[str(name)] for name in seen], np.int64)
+    return TargetDetection(camera.name, 0, ids, pixels, (camera.width, camera.height), FLOOR, CLICKED_SD_PX)
+
+
+def _numbers(value: Any, lengths: tuple[int, ...], where: str) -> list[float]:
+    try:
+        numbers = [float(number) for number in value]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in lengths or not np.isfinite(numbers).all():
+        raise InputError(f"{value!r} is not {' or '.join(map(str, lengths))} numbers", where=where, remedy=FORMAT)
+    return numbers
+
+
+# --- The lenses of a rig's cameras: camera_info YAML files, one a camera, or a rig file whose poses are to be renewed.
+
+PINHOLE = ("fx", "fy", "cx", "cy")
+CALIBRATE = "Run sagoma calibrate intrinsics for it first"
+
+
+def read_intrinsics(path: str | Path, names: Iterable[str]) -> dict[str, CameraModel]:
+    """The models of the cameras called ``names``, in name order; their poses mean nothing.
+
+    ``path``: a folder with one NAME.yaml (camera_info) a camera, or a rig YAML. Raises InputError naming the camera
+    without a file, and the file that is another camera's.
+    """
+    path, wanted = Path(path), sorted(names)
+    if path.is_file():
+        rig = load_rig(path)
+        return {name: rig.camera(name) for name in wanted}
+    if not path.is_dir():
+        raise InputError(
+            "does not exist", where=str(path), remedy=f"Give the folder of camera_info files. {CALIBRATE}."
+        )
+    return {name: _read(path, name) for name in wanted}
+
+
+def read_lens_deviations(path: str | Path, names: Iterable[str]) -> dict[str, list[float]]:
+    """Standard deviations of fx, fy, cx, cy, px, of those cameras whose NAME.report.yaml lies in the folder."""
+    found = {}
+    for name in sorted(names):
+        report = Path(path) / f"{name}.report.yaml"
+        if report.is_file():
+            parameters = read_mapping(report, f"{CALIBRATE}, or delete this file.").get("parameters")
+            if isinstance(parameters, Mapping) and set(PINHOLE) <= set(parameters):
+                found[name] = [float(parameters[key]["sd"]) for key in PINHOLE]
+    return found
+
+
+def require_image_sizes(cameras: Mapping[str, CameraModel], detections: Iterable[TargetDetection]) -> None:
+    """Raises InputError for images of another size than the camera's lens was calibrated for."""
+    for detection in detections:
+        camera = cameras[detection.camera]
+        if detection.image_size != (camera.width, camera.height):
+            raise InputError(
+                f"its images are {detection.image_size[0]} x {detection.image_size[1]} pixels, its intrinsics are for "
+                f"{camera.width} x {camera.height}",
+                where=detection.camera,
+                remedy="Calibrate the lens at the size that the camera delivers, or give footage of that size.",
+            )
+
+
+def _read(folder: Path, name: str) -> CameraModel:
+    path = folder / f"{name}.yaml"
+    if not path.is_file():
+        files = sorted(file.stem for file in folder.glob("*.yaml") if not file.stem.endswith(".report"))
+        there = f"it holds {', '.join(files)}" if files else "it holds no .yaml file"
+        raise InputError(
+            f"there is no {path.name} with the intrinsics of camera '{name}'; {there}",
+            where=str(folder),
+            remedy=f"{CALIBRATE}, rename the footage or the file, or leave the camera out (--without {name}).",
+        )
+    camera = read_camera_info(path)
+    if camera.name != name:
+        raise InputError(
+            f"camera_name = '{camera.name}', but the footage is called '{name}'",
+            where=str(path),
+            remedy="If the file belongs to this camera, correct camera_name in it; else give the right folder.",
+        )
+    return camera

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 
 from capture_rig.camera import CameraModel
 from rig_calibration.extrinsics.figures import CameraFigures
-from rig_calibration.extrinsics.rig import PlacedRig
+from rig_calibration.extrinsics.world import PlacedRig
 
 COLUMNS = 4
 FRUSTUM_M = 0.8

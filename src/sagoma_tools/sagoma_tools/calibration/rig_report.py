@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -14,8 +14,11 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.rig import Volume, save_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
-from rig_calibration.extrinsics.calibrate import RigCalibration
+from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.figures import CameraFigures, RigFigures
 
 COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
@@ -36,8 +39,8 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     if (frames := calibrated.evidence.floor_guess) != ():
         console.print(f"floor: the carried board in frames {', '.join(map(str, frames))}, where nothing was below it")
     for left in calibrated.solution.left_out[:5]:
-        sighting = left.sighting
-        console.print(f"left out: {sighting.camera}, {sighting.target}, frame {sighting.moment}: {left.reason}")
+        detection = left.detection
+        console.print(f"left out: {detection.camera}, {detection.target}, frame {detection.frame_index}: {left.reason}")
     if len(calibrated.solution.left_out) > 5:
         console.print(f"... and {len(calibrated.solution.left_out) - 5} more, in the report")
     for check in calibrated.evidence.tape:
@@ -85,7 +88,7 @@ def _table(figures: RigFigures) -> Table:
     table = Table(title="cameras", title_justify="left")
     table.add_column("camera")
     headings = (
-        "sightings",
+        "detections",
         "rms px",
         "mm/px",
         "distance m",
@@ -100,7 +103,7 @@ def _table(figures: RigFigures) -> Table:
         angle = "never" if c.floor_angle_deg is None else f"{c.floor_angle_deg:.0f} deg"
         table.add_row(
             c.name,
-            str(c.sightings),
+            str(c.detections),
             f"{c.rms_px:.2f}",
             f"{c.mm_per_px:.1f}",
             f"{c.distance_m:.2f}",
@@ -135,7 +138,7 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
 
 def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[str, Any]:
     keys = (
-        "sightings",
+        "detections",
         "rms_px",
         "mm_per_px",
         "distance_m",
@@ -151,8 +154,13 @@ def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[
 
 
 def _left_document(left: Any) -> dict[str, Any]:
-    sighting = left.sighting
-    return {"camera": sighting.camera, "target": sighting.target, "frame": sighting.moment, "reason": left.reason}
+    detection = left.detection
+    return {
+        "camera": detection.camera,
+        "target": detection.target,
+        "frame": detection.frame_index,
+        "reason": left.reason,
+    }
 
 
 def _rounded(value: float | None) -> float | int | None:
@@ -164,3 +172,137 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
+
+
+# --- The calibration drawn back into a camera's picture of the floor: the best check that a person has.
+
+GRID_M, GRID_REACH_M = 0.5, 3.0
+AXIS_M = 0.5
+SAMPLE_M = 0.05
+"""Lines are drawn in pieces so short that the lens bends none of them visibly."""
+SHIFT = 4
+"""Of the fixed-point coordinates that OpenCV draws at: sixteenths of a pixel."""
+GRID_BGR, BOX_BGR, FOUND_BGR, EXPECTED_BGR = (0, 200, 255), (80, 200, 80), (255, 255, 0), (60, 60, 255)
+AXES_BGR = ((0, 0, 255), (0, 255, 0), (255, 80, 0))
+
+
+def write_overlay(
+    path: Path,
+    picture: np.ndarray,
+    camera: CameraModel,
+    volume: Volume,
+    *,
+    board_world: np.ndarray,
+    found_px: np.ndarray,
+) -> Path:
+    """Floor grid of half a metre, world axes (x red, y green, z blue), the volume's outline on the floor, the corners
+    found (n, 2) and those of the board (m, 3) as the calibration expects them. Raises InputError."""
+    canvas = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if picture.ndim == 2 else picture.copy()
+    for start, end in _floor_grid():
+        _draw_line(canvas, camera, start, end, GRID_BGR, 1)
+    low, high = volume.low, volume.high
+    corners = [
+        np.array([x, y, 0.0]) for x, y in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))
+    ]
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        _draw_line(canvas, camera, start, end, BOX_BGR, 2)
+    for axis, colour in zip(np.eye(3) * AXIS_M, AXES_BGR, strict=True):
+        _draw_line(canvas, camera, np.zeros(3), axis, colour, 2)
+    for x, y in _finite(camera.project(board_world)):
+        cv2.drawMarker(canvas, (round(x), round(y)), EXPECTED_BGR, cv2.MARKER_TILTED_CROSS, 7)
+    for x, y in found_px:
+        cv2.circle(canvas, (round(x * 2**SHIFT), round(y * 2**SHIFT)), 4 * 2**SHIFT, FOUND_BGR, 1, cv2.LINE_AA, SHIFT)
+    _write_legend(canvas, camera.name)
+    if not cv2.imwrite(str(path), canvas):
+        raise InputError("cannot be written", where=str(path), remedy="Name an output in a folder that may be written.")
+    return path
+
+
+def _floor_grid() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    ticks = np.arange(-GRID_REACH_M, GRID_REACH_M + GRID_M / 2, GRID_M)
+    for tick in ticks:
+        yield np.array([tick, -GRID_REACH_M, 0.0]), np.array([tick, GRID_REACH_M, 0.0])
+        yield np.array([-GRID_REACH_M, tick, 0.0]), np.array([GRID_REACH_M, tick, 0.0])
+
+
+def _draw_line(
+    canvas: np.ndarray, camera: CameraModel, start: np.ndarray, end: np.ndarray, colour: tuple, thickness: int
+) -> None:
+    pieces = int(np.ceil(np.linalg.norm(end - start) / SAMPLE_M)) + 1
+    pixels = camera.project(start + np.linspace(0.0, 1.0, pieces)[:, None] * (end - start))
+    near = np.max(np.abs(pixels), axis=1) < 4 * max(camera.width, camera.height)  # NaN is not near
+    for one, two in zip(np.flatnonzero(near[:-1] & near[1:]), np.flatnonzero(near[:-1] & near[1:]) + 1, strict=True):
+        ends = [tuple(round(float(value) * 2**SHIFT) for value in pixels[index]) for index in (one, two)]
+        cv2.line(canvas, ends[0], ends[1], colour, thickness, cv2.LINE_AA, SHIFT)
+
+
+def _finite(pixels: np.ndarray) -> np.ndarray:
+    return pixels[np.isfinite(pixels).all(axis=1) & (np.abs(pixels) < 1e5).all(axis=1)]
+
+
+def _write_legend(canvas: np.ndarray, name: str) -> None:
+    text = f"{name}: grid {GRID_M} m; x red, y green, z blue; circle: found, cross: expected; green: volume"
+    scale = max(0.4, canvas.shape[1] / 1600)
+    (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    bottom = canvas.shape[0]
+    cv2.rectangle(canvas, (0, bottom - height - 12), (width + 12, bottom), (0, 0, 0), cv2.FILLED)
+    cv2.putText(canvas, text, (6, bottom - 7), cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
+
+
+# --- Everything that is written when a rig was calibrated: rig.yaml, its report, the rig's picture, overlays.
+
+
+def write_outputs(
+    path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.ndarray], asked: Mapping[str, Any]
+) -> list[Path]:
+    """Write the rig to ``path``, and beside it STEM.report.yaml, STEM.png and, for each camera that has a picture of
+    the floor, STEM_CAMERA.png; returns all paths. The rig's bytes depend on the detections alone. Raises InputError."""
+    from .rig_pictures import draw_rig  # matplotlib takes a second to load
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_rig(calibrated.placed.rig, path)
+        written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror})",
+            where=str(path),
+            remedy="Name a file in a folder that may be written (--output).",
+        ) from None
+    figures = {camera.name: camera for camera in calibrated.figures.cameras}
+    written.append(
+        draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))
+    )
+    return [*written, *_overlays(path, calibrated, pictures)]
+
+
+def residuals_of(calibrated: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """By camera: all its corners (n, 2) and by how much each misses its place (n, 2), px."""
+    solution = calibrated.solution
+    pairs = list(zip(solution.detections, solution.residuals_px, strict=True))
+    return {
+        name: (
+            np.concatenate([detection.pixels for detection, _ in pairs if detection.camera == name]),
+            np.concatenate([residuals for detection, residuals in pairs if detection.camera == name]),
+        )
+        for name in calibrated.placed.rig.names
+    }
+
+
+def _overlays(path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.ndarray]) -> list[Path]:
+    if calibrated.floor_world is None:
+        return []
+    found = {s.camera: s.pixels for s in calibrated.solution.detections if s.target == FLOOR}
+    rig = calibrated.placed.rig
+    return [
+        write_overlay(
+            path.with_name(f"{path.stem}_{name}.png"),
+            pictures[name],
+            rig.camera(name),
+            rig.volume,
+            board_world=calibrated.floor_world,
+            found_px=found.get(name, np.empty((0, 2))),
+        )
+        for name in rig.names
+        if name in pictures
+    ]

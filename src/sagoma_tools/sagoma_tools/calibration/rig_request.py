@@ -11,8 +11,8 @@ from typing import Any
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import read_board
-from rig_calibration.extrinsics.from_motion import FloorAt
-from rig_calibration.extrinsics.tape import TapeMeasure
+from rig_calibration.extrinsics.carried_board import FloorAt
+from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
 
 NO_FLOOR = "none"

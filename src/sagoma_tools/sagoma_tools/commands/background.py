@@ -8,23 +8,137 @@ import json
 import sys
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+import cv2
+import numpy as np
 from rich.console import Console
 from rich.live import Live
+from rich.table import Table
 from rich.text import Text
 
-from camera_client.background_model import load_background
+from camera_client.background.model import BackgroundModel, load_background, shape_text
+from camera_client.background.verdict import find_regions
 from capture_rig.errors import InputError
-from capture_rig.verdict import REDO
+from capture_rig.verdict import GOOD, REDO, USABLE
 
-from ..background_pictures import BRIGHTEST_SIGMA, write_pictures
-from ..background_tables import exit_status, figures, lessons_table, provenance_table
-from ..backgrounds import TIMEOUT_S, Lesson, camera_of, find_clients, need_one, progress_of, teach
-from ..board import Board
-from ..countdown import count_down
-from ..ros_link import RosLink
-from .common import StopOnSignal
+from ..arguments import StopOnSignal
+from ..graph.background_training import (
+    TIMEOUT_S,
+    TrainingOutcome,
+    camera_of,
+    count_down,
+    find_clients,
+    needing_training,
+    progress_of,
+    train_backgrounds,
+)
+from ..graph.diagnostics_table import DiagnosticsTable
+from ..graph.ros_link import RosLink
+
+# --- Lessons of the background and saved backgrounds, as tables for people and as figures for programs.
+
+STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
+STATUS = {GOOD: 0, USABLE: 1, REDO: 2}  # exit status
+
+
+def exit_status(lessons: Sequence[TrainingOutcome]) -> int:
+    """0 when all are good, 1 when one is only usable, 2 when one has to be redone."""
+    return max((STATUS[lesson.grade] for lesson in lessons), default=0)
+
+
+def training_table(lessons: Sequence[TrainingOutcome]) -> Table:
+    """One line a camera, and one more for each further finding."""
+    table = Table(box=None, pad_edge=False)
+    for title in ("camera", "verdict"):
+        table.add_column(title, no_wrap=True)
+    for title in ("frames", "noise", "moved %"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("why", ratio=1)
+    table.add_column("what to do", ratio=1)
+    for lesson in sorted(lessons, key=lambda lesson: lesson.camera):
+        first, *others = _reasons(lesson)
+        table.add_row(lesson.camera, Text(lesson.grade, STYLE[lesson.grade]), *_figures(lesson), *first)
+        for other in others:
+            table.add_row("", "", "", "", "", *other)
+    return table
+
+
+def _figures(lesson: TrainingOutcome) -> tuple[str, str, str]:
+    report = lesson.report
+    if report is None or not report.frames:
+        return "", "", ""
+    return str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}"
+
+
+def _reasons(lesson: TrainingOutcome) -> list[tuple[str, str]]:
+    """What was found and what to do, one a line; at least one."""
+    report = lesson.report
+    if report is None or (report.grade == REDO and not report.findings):
+        return [(lesson.said, "see that its frames come (sagoma up, sagoma doctor), and run it again")]
+    found = [(finding.what, finding.remedy) for finding in report.findings]
+    if report.grade != REDO and not report.saved:
+        found.append(("in use, but not saved", "set background_file in the camera's parameter file"))
+    return found or [("", "")]
+
+
+def figures(lessons: Sequence[TrainingOutcome]) -> dict[str, Any]:
+    """The same, for programs."""
+    return {
+        lesson.camera: {"said": lesson.said, **(asdict(lesson.report) if lesson.report else {}), "grade": lesson.grade}
+        for lesson in lessons
+    }
+
+
+def provenance_table(model: BackgroundModel, title: str) -> Table:
+    """Where a saved background comes from."""
+    table = Table("", "", title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
+    for key, value in asdict(model.provenance).items():
+        if value != "":
+            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
+    table.add_row("image", shape_text(model.shape))
+    table.add_row("moved", f"{100 * model.moving_share:.2f} % of the pixels")
+    return table
+
+
+# --- Pictures of a background model: its mean, and its noise with the places where something moved.
+
+BRIGHTEST_SIGMA = 10.0  # grey levels; as much noise and more has the brightest colour
+FRAME_BGR = (0, 0, 255)
+
+
+def mean_picture(model: BackgroundModel) -> np.ndarray:
+    """(H, W) or (H, W, 3) uint8: the empty room."""
+    return np.rint(model.mean).clip(0, 255).astype(np.uint8)
+
+
+def sigma_picture(model: BackgroundModel) -> np.ndarray:
+    """(H, W, 3) uint8: dark where the pixel was steady, yellow at BRIGHTEST_SIGMA; boxes where something moved."""
+    sigma = model.sigma if model.sigma.ndim == 2 else model.sigma.max(axis=2)
+    levels = np.rint(sigma * (255 / BRIGHTEST_SIGMA)).clip(0, 255).astype(np.uint8)
+    picture = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
+    for place in find_regions(model.moving_pixels):
+        cv2.rectangle(picture, (place.left, place.top), (place.right, place.bottom), FRAME_BGR)
+    return picture
+
+
+def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path]:
+    """NAME_mean.png and NAME_sigma.png in ``folder``. Raises InputError when they cannot be written."""
+    written = []
+    for kind, picture in (("mean", mean_picture(model)), ("sigma", sigma_picture(model))):
+        path = folder / f"{name}_{kind}.png"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        except OSError as error:
+            raise InputError(
+                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another folder with --output."
+            ) from None
+        written.append(path)
+    return written
+
 
 COUNTDOWN_S = 10
 CONTACT_S = 3.0  # within this every client tells its state
@@ -73,50 +187,59 @@ def run(args: argparse.Namespace) -> int:
     """Find the clients, empty the room, learn, report; the exit status tells the worst verdict."""
     console = Console() if sys.stdout.isatty() else Console(width=LOG_WIDTH)
     with StopOnSignal() as stop, RosLink("sagoma_background") as link:
-        board = Board(link.node)
+        board = DiagnosticsTable(link.node)
         names = chosen(find_clients(link.node, args.expect, args.wait), args.cameras)
         board.wait_for(names, CONTACT_S)
         if args.repeat:
-            names = need_one(board, names)
+            names = needing_training(board, names)
         if not names:
             console.print("every background is fine")
             return 0
         warn_of_absent(console, board, names)
-        learned = Classroom(console, link, board, stop, args.timeout).learn(names, args.countdown, args.retries)
-    console.print(lessons_table(learned))
+        learned = BackgroundTraining(console, link, board, stop, args.timeout).learn(
+            names, args.countdown, args.retries
+        )
+    console.print(training_table(learned))
     if args.json:
         print(json.dumps(figures(learned)))
     return exit_status(learned)
 
 
-class Classroom:
+class BackgroundTraining:
     """Empties the room and teaches the clients, as often as it takes."""
 
     def __init__(
-        self, console: Console, link: RosLink, board: Board, stop: threading.Event, timeout_s: float = TIMEOUT_S
+        self,
+        console: Console,
+        link: RosLink,
+        board: DiagnosticsTable,
+        stop: threading.Event,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         self._console, self._link, self._board, self._stop, self._timeout_s = console, link, board, stop, timeout_s
 
-    def learn(self, names: Sequence[str], countdown_s: int, retries: int) -> list[Lesson]:
+    def learn(self, names: Sequence[str], countdown_s: int, retries: int) -> list[TrainingOutcome]:
         """The last lesson of each client ``names``; those that came to nothing are tried ``retries`` times more."""
-        lessons = {camera_of(name): Lesson(camera_of(name), "cancelled") for name in names}
+        lessons = {camera_of(name): TrainingOutcome(camera_of(name), "cancelled") for name in names}
         pending, what = list(names), "leave the room"
         for attempt in range(1 + retries):
             if not count_down(self._console, what, countdown_s, self._stop):
                 break
-            lessons |= {lesson.camera: lesson for lesson in self._teach(pending)}
-            pending = [name for name in pending if worth_repeating(lessons[camera_of(name)])]
+            lessons |= {lesson.camera: lesson for lesson in self._train(pending)}
+            pending = [name for name in pending if should_repeat(lessons[camera_of(name)])]
             if not pending:
                 break
             what = f"leave the room for {', '.join(map(camera_of, pending))}"
             if attempt < retries:
-                self._console.print(lessons_table([lessons[camera_of(name)] for name in pending]))
+                self._console.print(training_table([lessons[camera_of(name)] for name in pending]))
         self._console.bell()
         return list(lessons.values())
 
-    def _teach(self, names: Sequence[str]) -> list[Lesson]:
+    def _train(self, names: Sequence[str]) -> list[TrainingOutcome]:
         with self._progress(names):
-            return teach(self._link.node, self._board, names, self._timeout_s, lambda: not self._stop.is_set())
+            return train_backgrounds(
+                self._link.node, self._board, names, self._timeout_s, lambda: not self._stop.is_set()
+            )
 
     @contextlib.contextmanager
     def _progress(self, names: Sequence[str]) -> Iterator[None]:
@@ -134,7 +257,7 @@ class Classroom:
             yield
 
 
-def worth_repeating(lesson: Lesson) -> bool:
+def should_repeat(lesson: TrainingOutcome) -> bool:
     """Was something learned that must be learned again? Where no frames come nobody needs to leave the room."""
     return lesson.report is not None and lesson.grade == REDO
 
@@ -154,7 +277,7 @@ def chosen(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
     return [by_camera[camera] for camera in sorted(set(cameras))]
 
 
-def warn_of_absent(console: Console, board: Board, names: Sequence[str]) -> None:
+def warn_of_absent(console: Console, board: DiagnosticsTable, names: Sequence[str]) -> None:
     """Name those that cannot learn now, before somebody leaves the room for nothing."""
     for name in names:
         report = board.report(name)

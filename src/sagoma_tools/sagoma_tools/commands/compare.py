@@ -6,7 +6,7 @@ import argparse
 
 from capture_rig.errors import InputError
 
-from ..bags import bag_digest, default_comparison, first_difference
+from ..recording.reader import bag_digest, default_comparison, first_difference
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:

@@ -9,9 +9,8 @@ from rclpy.node import Node
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
-from ..discovery import settled
-from ..lifecycle_client import LifecycleClient, State
-from ..ros_link import RosLink
+from ..graph.lifecycle_client import LifecycleClient, State
+from ..graph.ros_link import RosLink, settled
 
 # verb -> (the state it leads to, whether the cameras go first, help)
 VERBS = {

@@ -11,15 +11,14 @@ from pathlib import Path
 from rich.console import Console
 
 from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
-from virtual_studio.session import write_session
 
-from ..demo import draw, judged
+from ..arguments import StopOnSignal, add_settings_argument, parse_settings
+from ..evaluation.live_inputs import FootageInput, LiveInput, StudioInput
+from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_latency, print_nodes, print_scores
-from ..live_run import LiveRun, run_live
-from ..stages import FootageStage, Stage, StudioStage
-from .common import StopOnSignal, add_settings_argument, parse_settings
 
 CAMERA_FPS = 12.0  # what five cameras, studio and graph together reach on two cores
 KEPT_UP = 0.9  # of the frame sets, at least, are answered where a machine keeps up
@@ -61,17 +60,17 @@ def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     session = Path(args.session) if args.session else built_in_session(output / "session", console)
     shutil.rmtree(output / "bag", ignore_errors=True)
-    stage: Stage
+    stage: LiveInput
     if args.rate is None:
-        stage = StudioStage(session, output / "studio", args.fps)
+        stage = StudioInput(session, output / "studio", args.fps)
         console.print(f"{len(stage.session.rig.names)} simulated GigE cameras at {args.fps:g} Hz look at {session}")
     else:
-        stage = FootageStage(session, args.rate)
+        stage = FootageInput(session, args.rate)
         console.print(f"the camera clients read the videos of {session}")
     console.print(f"running the graph live (logs: {output / 'logs'})")
     with StopOnSignal() as stop:
         live = run_live(stage, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
-    outcome = judged(live)
+    outcome = evaluate_run(live)
     report(console, live, outcome.scores)
     for path in draw(live, output, outcome):
         console.print(f"picture: {path}")

@@ -12,12 +12,11 @@ from rich.console import Console
 from capture_rig.errors import InputError
 
 from ..doctor.camera import examine
-from ..doctor.findings import Finding, exit_status, summary
-from ..doctor.graph.examination import LIVE_S, examine_graph
-from ..doctor.machine.examination import examine_machine
-from ..doctor.machine.reach import examine_hosts
-from ..doctor.report import show
-from ..doctor.rig.examination import examine_rig
+from ..doctor.findings import Finding, exit_status, show, summary
+from ..doctor.graph.graph_checks import LIVE_S, examine_graph
+from ..doctor.machine.collect import examine_machine
+from ..doctor.machine.network import examine_hosts
+from ..doctor.rig_checks import examine_rig
 
 DESCRIPTION = """Examine this machine; with --rig also a rig and its calibration, with --live also the running graph,
 with --camera also a camera PC's parameter file and its camera. Exit status: 0 all is well (or notes only), 1 warnings,

@@ -13,18 +13,16 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 
-from ..evaluation.ablation import OURS, ROWS, THESIS, ablation_rows, thesis_configuration
-from ..evaluation.bag_session import is_bag, play_of, session_of_bag
+from ..arguments import add_settings_argument, parse_settings
 from ..evaluation.chain import Configuration
-from ..evaluation.in_process import track_variants
-from ..evaluation.judgement import Judgement, judge
-from ..evaluation.overlays import draw_stills, write_overlay
+from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_variants
+from ..evaluation.live_run import REFERENCE_START, T_POSE_START, start_settings
+from ..evaluation.pictures import draw_stills, write_overlay
 from ..evaluation.scores import Scores, score
-from ..evaluation.tables import print_ablation, print_judgement
+from ..evaluation.tables import print_ablation, print_evaluation
 from ..evaluation.track import Track, track_from_bag
-from ..live_run import REFERENCE_START, T_POSE_START, start_settings
-from ..playing import frame_count
-from .common import add_settings_argument, parse_settings
+from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
+from ..recording.session_clock import clock_of, frame_count, is_bag, session_of_bag
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
 """Of each row of an ablation."""
@@ -60,11 +58,11 @@ def run(args: argparse.Namespace) -> int:
     """Track or read, judge, print tables, draw, and print one line of JSON last."""
     session, bag = find(args)
     tracks, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
-    judged = judge(session, frames, tracks[OURS], tracks.get(THESIS))
+    judged = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS))
     figures, console = judged.figures(), wide_console(args.json)
     rows = ablation_scores(session, tracks) if args.ablation else {}
     if not args.json:
-        print_judgement(console, judged)
+        print_evaluation(console, judged)
         if rows:
             print_ablation(console, rows)
     if args.plots or args.video or not args.json:
@@ -93,7 +91,7 @@ def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict
             where="--ablation",
             remedy=f"Run sagoma evaluate {session.folder} --ablation.",
         )
-    play = play_of(bag, session)
+    play = clock_of(bag, session)
     tracks = {OURS: track_from_bag(bag, play.frame_of).between(0, play.frames)}
     if args.thesis and not session.videos:
         raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")
@@ -127,7 +125,7 @@ def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, 
     return {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
 
 
-def pictures(folder: Path, judged: Judgement, video: bool, progress: Callable[[int], None]) -> list[Path]:
+def pictures(folder: Path, judged: TrackEvaluation, video: bool, progress: Callable[[int], None]) -> list[Path]:
     """Plots, and overlays where there is footage."""
     from ..evaluation.plots import draw_plots  # matplotlib takes a second to load
 

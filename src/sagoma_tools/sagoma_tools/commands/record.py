@@ -8,11 +8,10 @@ from pathlib import Path
 from capture_rig.rig import load_rig
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
-from ..configuration import read_configuration
-from ..recorder import Recorder
-from ..ros_link import RosLink
-from ..topics import DIAGNOSTICS, OUTPUT_TOPICS, camera_topics
-from .common import StopOnSignal
+from ..arguments import StopOnSignal
+from ..graph.ros_link import RosLink
+from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, camera_topics
+from ..recording.recorder import Recorder, read_configuration
 
 PARAMETERS_TIMEOUT_S = 2.0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..recover import recover_bag
+from ..recording.writer import recover_bag
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:

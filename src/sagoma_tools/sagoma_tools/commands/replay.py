@@ -7,13 +7,13 @@ import threading
 
 from capture_rig.errors import InputError
 
-from ..bag_writer import require_new
-from ..bags import bag_topics, input_topics, read_messages
-from ..lockstep import lockstep_into, replay_through_graph
-from ..replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
-from ..ros_link import RosLink
-from ..topics import SILHOUETTE_SUFFIX
-from .common import StopOnSignal, add_settings_argument, new_run_folder, parse_settings
+from ..arguments import StopOnSignal, add_settings_argument, new_run_folder, parse_settings
+from ..graph.ros_link import RosLink
+from ..graph.topics import SILHOUETTE_SUFFIX
+from ..recording.lockstep import lockstep_into, replay_through_graph
+from ..recording.reader import bag_topics, input_topics, read_messages
+from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
+from ..recording.writer import require_new
 
 SUBSCRIBER_TIMEOUT_S = 30.0
 

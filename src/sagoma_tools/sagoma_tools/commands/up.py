@@ -11,13 +11,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 
-from sagoma_bringup.node_spec import NodeSpec
+from sagoma_bringup.graph import NodeSpec
 
-from ..bag_writer import require_new
-from ..graph_recorder import GraphRecorder
-from ..processes import Exit
-from ..supervisor import GraphError, Supervisor
-from .common import StopOnSignal, add_graph_arguments, graph_from, new_run_folder
+from ..arguments import StopOnSignal, add_graph_arguments, graph_from, new_run_folder
+from ..graph.processes import Exit
+from ..graph.supervisor import GraphError, Supervisor
+from ..recording.recorder import GraphRecorder
+from ..recording.writer import require_new
 
 REFRESH_S = 0.5
 LOG_WIDTH = 150
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"{spec.full_name} died. The end of {folder / spec.label}.log:", style="red")
         console.print(log_tail, markup=False, highlight=False)
 
-    with StopOnSignal() as stop, Supervisor(graph, folder, on_death=report_death, cancel=stop) as supervisor:
+    with StopOnSignal() as stop, Supervisor(graph, folder, on_exit=report_death, cancel=stop) as supervisor:
         recorder = bring_up(supervisor, args.record, stop)
         watch(supervisor, console, stop, args.seconds)
         supervisor.suspend()
@@ -76,12 +76,12 @@ def watch(supervisor: Supervisor, console: Console, stop: threading.Event, secon
     names = {spec.full_name: spec.label for spec in supervisor.graph}
     if not console.is_terminal:
         stop.wait(seconds)
-        console.print(supervisor.board.table(names, supervisor.states()))
+        console.print(supervisor.diagnostics.table(names, supervisor.states()))
         return
     end_s = None if seconds is None else time.monotonic() + seconds
     with Live(console=console, auto_refresh=False) as live:
         while not stop.wait(REFRESH_S) and (end_s is None or time.monotonic() < end_s):
-            live.update(supervisor.board.table(names, supervisor.states()), refresh=True)
+            live.update(supervisor.diagnostics.table(names, supervisor.states()), refresh=True)
 
 
 def print_counts(console: Console, bag: str | Path, counts: dict[str, int]) -> None:
@@ -93,9 +93,9 @@ def print_farewells(console: Console, supervisor: Supervisor) -> int:
     """Say who did not answer or did not end cleanly; the exit status."""
     for answer in supervisor.stop_outcome.failures:
         console.print(str(answer), style="yellow")
-    troubled = [farewell for farewell in supervisor.farewells if farewell.exit is not Exit.CLEAN]
-    for farewell in troubled:
-        console.print(f"{farewell.name} {farewell.exit.value} (status {farewell.returncode})", style="yellow")
+    troubled = [ended for ended in supervisor.exit_statuses if ended.exit is not Exit.CLEAN]
+    for ended in troubled:
+        console.print(f"{ended.name} {ended.exit.value} (status {ended.returncode})", style="yellow")
     if not troubled:
-        console.print(f"all {len(supervisor.farewells)} nodes stopped")
+        console.print(f"all {len(supervisor.exit_statuses)} nodes stopped")
     return 1 if troubled else 0

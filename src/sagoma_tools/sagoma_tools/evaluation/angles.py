@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture_rig.errors import InputError
-from capture_rig.truth import Truth
+from capture_rig.session import Truth
 from stick_figure import metrics
 from stick_figure.body import Body
-from stick_figure.inverse import inverse
+from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import BALL_ANGLES, HINGE_ANGLES
 

@@ -16,14 +16,13 @@ from capture_rig.settings import build_settings
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.state import EkfState, NoState
-from hull_server.pipeline import HullPipeline, HullResult
+from hull_server.hull_pipeline import HullPipeline, HullResult
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.pose_source import make_pose_source
-from icp_tracker.hull_clouds import BodyNumbers, HullClouds
 from icp_tracker.icp_node import IcpNodeSettings
-from icp_tracker.rim_rays import RimRays
 from icp_tracker.tracker import TRACKING, IcpResult, IcpTracker
-from icp_tracker.voxel_cloud import VoxelCloud
+from mocap_packets.contour_rays import ContourRays
+from mocap_packets.hull_products import BodyNumbers, HullProducts, VoxelCloud
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
@@ -93,7 +92,7 @@ class TrackingChain:
         self._ekf_settings, self._feeds_back = configuration.ekf, configuration.feedback
         self._feedback: Feedback | None = None
 
-    def step(self, clouds: HullClouds) -> ChainStep:
+    def step(self, clouds: HullProducts) -> ChainStep:
         """Fit and filter one frame set; stamps must rise."""
         return self._filtered(self.icp.step(clouds, self._feedback))
 
@@ -112,7 +111,7 @@ class TrackingChain:
         claim = IcpResult(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
         step = self._filtered(claim)
         # a set without points leaves the tracker at the filter's prediction
-        self.icp.step(HullClouds(stamp_ns, np.empty((0, 3))), self._feedback)
+        self.icp.step(HullProducts(stamp_ns, np.empty((0, 3))), self._feedback)
         return step
 
     def _filtered(self, fit: IcpResult) -> ChainStep:
@@ -125,7 +124,7 @@ class TrackingChain:
             self.ekf.change_body(body)
         answer = self.ekf.step(fit.stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
         if self._feeds_back and isinstance(answer, EkfState):
-            self._feedback = Feedback(answer.stamp_ns, answer.pose, answer.drift)
+            self._feedback = Feedback(answer.stamp_ns, answer.pose, answer.predicted_velocity)
         return ChainStep(fit, answer)
 
 
@@ -136,7 +135,7 @@ class Chain:
         self.hull = HullPipeline(rig, configuration.hull)
         self.tracking = TrackingChain(configuration, rig.volume)
 
-    def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullClouds:
+    def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
         """The hull of canvas masks {camera: (h, w) uint8} of one instant; ``missing`` cameras delivered nothing."""
         return as_published(self.hull.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), missing)))
 
@@ -145,16 +144,21 @@ class Chain:
         return self.tracking.step(self.carve(stamp_ns, masks, missing))
 
 
-def as_published(result: HullResult) -> HullClouds:
+def as_published(result: HullResult) -> HullProducts:
     """What the ICP node reads of a hull: rounded to float32, as the clouds between the nodes carry it."""
-    line, samples, rims, number_of_part = result.centerline, result.voxels, result.rims, result.bodies.number_of_part
-    return HullClouds(
+    line, samples, rims, number_of_part = (
+        result.centerline,
+        result.voxels,
+        result.contour_rays,
+        result.bodies.number_of_part,
+    )
+    return HullProducts(
         result.stamp_ns,
         _rounded(line.points_world),
         _rounded(line.sigma),
         VoxelCloud.checked(_rounded(samples.points_world), samples.surface),
         BodyNumbers(number_of_part[line.part], number_of_part[samples.part]),
-        RimRays(
+        ContourRays(
             *(_rounded(part) for part in (rims.point_world, rims.direction, rims.normal)),
             *(_rounded(part) for part in (rims.half_length, rims.sigma, number_of_part[rims.part])),
         ),

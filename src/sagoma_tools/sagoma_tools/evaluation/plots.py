@@ -13,8 +13,8 @@ from stick_figure import metrics
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from .angles import angle_truth, defined, torso_rotations
-from .judgement import TRACKING, Judgement
 from .scores import Scores
+from .track_evaluation import TRACKING, TrackEvaluation
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -42,7 +42,7 @@ ROBUST = 99.5
 """Percentile of the errors that the axes reach up to."""
 
 
-def draw_plots(folder: Path, judged: Judgement) -> list[Path]:
+def draw_plots(folder: Path, judged: TrackEvaluation) -> list[Path]:
     """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
     folder.mkdir(parents=True, exist_ok=True)
     figures = angle_figures(judged)
@@ -59,7 +59,7 @@ def draw_plots(folder: Path, judged: Judgement) -> list[Path]:
     return paths
 
 
-def angle_figures(judged: Judgement) -> dict[str, Figure]:
+def angle_figures(judged: TrackEvaluation) -> dict[str, Figure]:
     """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
     track, session = judged.track, judged.session
     ours = Curves.of(track.frames, track.angles, torso_rotations(track.points_world))
@@ -95,7 +95,7 @@ class Curves:
         return cls(frames, {name: unwrapped(value) for name, value in values.items()}, sure)
 
 
-def _angle_page(judged: Judgement, ours: Curves, truth: Curves | None, page: str, names: Sequence[str]) -> Figure:
+def _angle_page(judged: TrackEvaluation, ours: Curves, truth: Curves | None, page: str, names: Sequence[str]) -> Figure:
     rows = -(-len(names) // 2)
     figure, axes = plt.subplots(rows, 2, figsize=(12, 1.2 + 2.3 * rows), sharex=True, constrained_layout=True)
     for axis, name in zip(np.ravel(axes), names, strict=True):
@@ -136,7 +136,7 @@ def _with_gaps(frames: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.where(np.diff(frames, prepend=frames[:1]) > 3 * usual, np.nan, values)
 
 
-def _point_errors(judged: Judgement, scores: Scores) -> Figure:
+def _point_errors(judged: TrackEvaluation, scores: Scores) -> Figure:
     """Error of each point over time (as thesis fig. 7.9 to 7.13), ours over the thesis's method."""
     figure, axes = plt.subplots(5, 3, figsize=(13, 12), sharex=True, sharey=True, constrained_layout=True)
     assert judged.session.truth is not None
@@ -155,7 +155,7 @@ def _point_errors(judged: Judgement, scores: Scores) -> Figure:
     return figure
 
 
-def _shade_doubt(axis: Axes, judged: Judgement) -> None:
+def _shade_doubt(axis: Axes, judged: TrackEvaluation) -> None:
     """Where the tracker itself does not say that it tracks."""
     track, fps = judged.track, judged.session.fps
     doubtful = track.frames[track.states != TRACKING]
@@ -165,7 +165,7 @@ def _shade_doubt(axis: Axes, judged: Judgement) -> None:
         axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=DOUBT, alpha=0.3, linewidth=0, label=label)
 
 
-def _distribution(judged: Judgement, scores: Scores) -> Figure:
+def _distribution(judged: TrackEvaluation, scores: Scores) -> Figure:
     """Left: the share of errors below any bound; right: each point's mean, median and 95th percentile."""
     figure, (curve, bars) = plt.subplots(1, 2, figsize=(13, 5.5), constrained_layout=True)
     methods = [("ours", scores, OURS)]
@@ -192,7 +192,7 @@ def _distribution(judged: Judgement, scores: Scores) -> Figure:
     return figure
 
 
-def _finish(figure: Figure, judged: Judgement, what: str, unit: str) -> None:
+def _finish(figure: Figure, judged: TrackEvaluation, what: str, unit: str) -> None:
     """Title, units, grid and one legend for all panels."""
     entries: dict[str, Artist] = {}
     for axis in figure.axes:
@@ -204,7 +204,7 @@ def _finish(figure: Figure, judged: Judgement, what: str, unit: str) -> None:
     figure.legend(list(entries.values()), list(entries), loc="outside upper right", ncols=len(entries), fontsize=9)
 
 
-def _title(judged: Judgement, what: str) -> str:
+def _title(judged: TrackEvaluation, what: str) -> str:
     mean = "" if judged.scores is None else f" (mean error {judged.scores.mean_mm:.1f} mm)"
     return f"{judged.session.folder.name}: {what}{mean}"
 

@@ -10,10 +10,10 @@ from rich.table import Table
 
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
-from ..processes import Usage
+from ..graph.processes import Usage
 from .angles import AngleScores
-from .judgement import Judgement
 from .scores import Scores
+from .track_evaluation import TrackEvaluation
 
 PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
 """Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""
@@ -104,7 +104,7 @@ def _angles(angles: AngleScores) -> Table:
     return table
 
 
-def print_judgement(console: Console, judged: Judgement) -> None:
+def print_evaluation(console: Console, judged: TrackEvaluation) -> None:
     """All of ``sagoma evaluate``: scores where there is a truth, and what can be said without."""
     console.print(f"session {judged.session.folder}", style="bold")
     if judged.scores is not None:

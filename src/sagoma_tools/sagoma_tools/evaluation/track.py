@@ -17,7 +17,7 @@ from ekf_tracker.state import EkfState
 from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, split_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
-from ..bags import read_messages
+from ..recording.reader import read_messages
 
 POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC = "/mocap/reference_points", "/mocap/joint_states", "/mocap/state"
 NO_STATE = "tracking"

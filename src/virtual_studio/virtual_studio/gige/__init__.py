@@ -1,14 +1,12 @@
 """A studio of simulated GigE Vision cameras on loopback: they speak the real protocol to any GenICam client."""
 
+from ..live.scenes import CameraScene, PatternScene, Playback
 from .addresses import free_addresses
-from .camera import SimulatedCamera
-from .faults import Faults
-from .loop import EventLoop
-from .scenes import CameraScene, PatternScene
-from .settings import CameraSettings
-from .stage import Stage
+from .server.loop import EventLoop
+from .server.settings import CameraSettings, Faults
+from .simulated_camera.camera import SimulatedCamera
+from .simulated_camera.timing import TriggerWire
 from .studio import Studio, StudioSettings
-from .trigger_wire import TriggerWire
 
 __all__ = [
     "CameraScene",
@@ -16,8 +14,8 @@ __all__ = [
     "EventLoop",
     "Faults",
     "PatternScene",
+    "Playback",
     "SimulatedCamera",
-    "Stage",
     "Studio",
     "StudioSettings",
     "TriggerWire",

@@ -42,7 +42,7 @@ def is_free(address: str) -> bool:
         return True
 
 
-def following(first: str, count: int) -> list[str]:
+def consecutive_addresses(first: str, count: int) -> list[str]:
     """``count`` addresses from ``first`` on. Raises InputError unless all are unicast loopback addresses."""
     try:
         addresses = [ipaddress.IPv4Address(first) + i for i in range(count)]

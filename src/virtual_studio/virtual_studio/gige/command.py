@@ -12,15 +12,47 @@ from typing import Any
 import yaml
 
 from capture_rig.errors import InputError
+from capture_rig.rig import save_rig
 from capture_rig.settings import build_settings
 
-from ..calibration.truth_files import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE
+from ..live.rendered_scenes import PHASES
+from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
 from .control import Request, ask, default_path
-from .faults import FAULT_NAMES
-from .rig_files import CAMERA_FOLDER, RIG_FILE, write_rig_files
-from .setup_scene import PHASES
-from .shows import PERSON_SCENE, SETUP_SCENE, StudioSettings
-from .studio import Studio
+from .server.settings import FAULT_NAMES
+from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
+
+# --- The files with which camera clients and hull server run against a studio.
+
+RIG_FILE = "rig.yaml"
+CAMERA_FOLDER = "cameras"
+
+
+def write_rig_files(studio: Studio, folder: str | Path) -> Path:
+    """rig.yaml, and cameras/CAMERA.yaml for each camera PC, as `sagoma up --rig --cameras` reads them.
+
+    Of cameras that are still to be calibrated: the boards' files, and the rig as truth_rig.yaml, for scoring only.
+    """
+    folder = Path(folder)
+    cameras = folder / CAMERA_FOLDER
+    cameras.mkdir(parents=True, exist_ok=True)
+    rig_file = folder / RIG_FILE
+    if studio.is_calibrated:
+        save_rig(studio.rig, rig_file)
+    else:
+        save_truth(studio.rig, *studio.boards, folder)
+    for name, camera in studio.cameras.items():
+        parameters = {
+            "autostart": True,
+            **({"rig_file": str(rig_file.resolve())} if studio.is_calibrated else {}),
+            "camera_name": name,
+            "source": "aravis",
+            "aravis": {"address": camera.address, "frame_rate": studio.frame_rate},
+            "background_file": str((folder / f"{name}_background.npz").resolve()),
+        }
+        document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
+        (cameras / f"{name}.yaml").write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    return folder
+
 
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:

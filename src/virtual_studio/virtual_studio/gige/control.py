@@ -11,7 +11,7 @@ from typing import Any
 
 from capture_rig.errors import InputError
 
-from .loop import EventLoop
+from .server.loop import EventLoop
 
 Request = dict[str, Any]
 LONGEST_LINE = 1 << 16

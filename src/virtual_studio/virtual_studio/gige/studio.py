@@ -2,26 +2,113 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
-from capture_rig.settings import build_settings
+from capture_rig.session import load_session
+from capture_rig.settings import build_settings, setting
 from rig_calibration.boards.board import Board
-from rig_calibration.boards.specification import read_board
+from rig_calibration.boards.specification import board_text, read_board
 
-from .addresses import following
-from .camera import SimulatedCamera
+from ..live.rendered_scenes import PERSON, LiveScene, RoomScene, SetupScene
+from ..live.scenes import CameraScene, PatternScene, Playback
+from ..live.session_scene import load_session_scene
+from ..recording.footage import FLOOR_BOARD, HAND_BOARD
+from ..rig import ring
+from .addresses import consecutive_addresses
 from .control import ControlServer, Request
-from .loop import EventLoop
-from .settings import CameraSettings
-from .setup_scene import PERSON
-from .shows import StudioSettings, make_show
-from .stage import Stage
-from .trigger_wire import TriggerWire
+from .server.loop import EventLoop
+from .server.settings import CameraSettings
+from .simulated_camera.camera import SimulatedCamera
+from .simulated_camera.timing import TriggerWire
+
+# --- What a studio shows: a session's footage, the built-in room with a person or a set-up in it, or a test pattern.
+
+PERSON_SCENE, SETUP_SCENE = "person", "setup"
+
+
+@dataclass(frozen=True)
+class StudioSettings:
+    """A studio and what it shows. Without a session the built-in person moves in the built-in room, rendered live."""
+
+    session: str = setting("", "Session folder whose footage the cameras see")
+    cameras: int = setting(5, "Cameras of the built-in rig, the last one on the ceiling", low=1, high=32)
+    scene: str = setting(
+        PERSON_SCENE,
+        "What goes on in the built-in room: somebody moves, or a set-up in phases",
+        choices=(PERSON_SCENE, SETUP_SCENE),
+    )
+    pattern: bool = setting(False, "Show a test pattern instead, which carries frame number and time")
+    address: str = setting("127.0.1.1", "Loopback address of the first camera; the others follow")
+    frame_rate: float = setting(0.0, "Frame rate at power-on; 0: the session's, else 60", unit="Hz", low=0, high=1000)
+    motion: str = setting("tour", "What the built-in person does", choices=("tour", "walk", "t_pose_only"))
+    render_hz: float = setting(20.0, "At most so many live renderings", unit="Hz", low=0.1, high=1000)
+    memory_mb: float = setting(800.0, "Memory for a session's pictures", unit="MB", low=1)
+    hand_board: str = setting(board_text(HAND_BOARD), "Of a set-up: the board that is waved before each camera")
+    floor_board: str = setting(board_text(FLOOR_BOARD), "Of a set-up: the board on the floor, which is also carried")
+    camera: CameraSettings = setting(CameraSettings, "Every camera; serial and user id are given by the studio")
+
+
+@dataclass(frozen=True, eq=False)
+class StudioScene:
+    """What the cameras see: their views by name, the stage behind them, what to start and to end with it."""
+
+    rig: Rig
+    views: Mapping[str, CameraScene]
+    stage: Playback | None = None
+    can_be_empty: bool = False
+    notes: tuple[str, ...] = ()
+    start: Callable[[], None] = lambda: None
+    close: Callable[[], None] = lambda: None
+    counters: Mapping[str, int] | None = None
+    phases: SetupScene | None = None
+
+
+def make_studio_scene(settings: StudioSettings) -> StudioScene:
+    """Raises InputError for a session that cannot be read, or a board that is none."""
+    if settings.pattern:
+        rig = built_in_rig(settings.cameras)
+        return StudioScene(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
+    if settings.session:
+        return _session_scene(settings)
+    return _setup_scene(settings) if settings.scene == SETUP_SCENE else _person_scene(settings)
+
+
+def _session_scene(settings: StudioSettings) -> StudioScene:
+    session = load_session(settings.session)
+    scene = load_session_scene(session, settings.memory_mb)
+    played, total = scene.stage.frames, scene.total_frames
+    cut = f"only the first {played} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
+    notes = () if played >= total else (cut,)
+    return StudioScene(session.rig, scene.views, scene.stage, scene.can_be_empty, notes)
+
+
+def _person_scene(settings: StudioSettings) -> StudioScene:
+    rig = built_in_rig(settings.cameras)
+    scene = RoomScene(rig, settings.motion, most_hz=settings.render_hz)
+    return _rendered_scene(rig, scene, settings.render_hz)
+
+
+def _setup_scene(settings: StudioSettings) -> StudioScene:
+    rig = built_in_rig(settings.cameras)
+    boards = read_board(settings.hand_board), read_board(settings.floor_board)
+    scene = SetupScene(rig, settings.motion, most_hz=settings.render_hz, hand_board=boards[0], floor_board=boards[1])
+    return replace(_rendered_scene(rig, scene, settings.render_hz), phases=scene)
+
+
+def _rendered_scene(rig: Rig, scene: LiveScene, most_hz: float) -> StudioScene:
+    note = f"rendered live, at most {most_hz:g} times a second: pictures in between are repeated"
+    return StudioScene(rig, scene.views, scene.stage, True, (note,), scene.start, scene.close, scene.counters)
+
+
+def built_in_rig(cameras: int) -> Rig:
+    """So many cameras, the last one on the ceiling; a single one stands."""
+    return ring(cameras - 1, ceiling=True) if cameras > 1 else ring(1, ceiling=False)
 
 
 class Studio:
@@ -33,37 +120,37 @@ class Studio:
 
     def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:
         self.settings = settings or StudioSettings()
-        self._show = make_show(self.settings)
+        self._scene = make_studio_scene(self.settings)
         self._control_path = Path(control) if control else None
         self._control: ControlServer | None = None
         self.loop = EventLoop("studio")
         self.wire = TriggerWire(self.loop)
-        names = self._show.rig.names
-        addresses = following(self.settings.address, len(names))
+        names = self._scene.rig.names
+        addresses = consecutive_addresses(self.settings.address, len(names))
         self.cameras = {
             name: SimulatedCamera(
-                address, self._show.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
+                address, self._scene.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
             )
             for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
         }
 
     @property
     def rig(self) -> Rig:
-        return self._show.rig
+        return self._scene.rig
 
     @property
-    def stage(self) -> Stage | None:
+    def stage(self) -> Playback | None:
         """The stage, which can be emptied and played from the start; None for the test pattern."""
-        return self._show.stage
+        return self._scene.stage
 
     @property
     def can_be_empty(self) -> bool:
-        return self._show.can_be_empty
+        return self._scene.can_be_empty
 
     @property
     def is_calibrated(self) -> bool:
         """Do the users of these cameras know their calibration? Not while they set them up."""
-        return self._show.phases is None
+        return self._scene.phases is None
 
     @property
     def boards(self) -> tuple[Board, Board]:
@@ -73,7 +160,7 @@ class Studio:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should know about what is shown."""
-        return self._show.notes
+        return self._scene.notes
 
     @property
     def frame_rate(self) -> float:
@@ -86,7 +173,7 @@ class Studio:
         """Every camera on, or none."""
         self.loop.start()
         try:
-            self._show.start()
+            self._scene.start()
             for camera in self.cameras.values():
                 camera.start()
             if self._control_path is not None:
@@ -103,7 +190,7 @@ class Studio:
             self._control = None
         for camera in self.cameras.values():
             camera.close()
-        self._show.close()
+        self._scene.close()
         self.loop.stop()
 
     def handle(self, request: Request) -> Request:
@@ -170,9 +257,9 @@ class Studio:
                 "fps": stage.fps,
                 "loop": stage.loop,
             }
-        if self._show.phases is not None:
-            state["shows"] = self._show.phases.phase
-        return state | ({"room": dict(self._show.counters)} if self._show.counters is not None else {})
+        if self._scene.phases is not None:
+            state["shows"] = self._scene.phases.phase
+        return state | ({"room": dict(self._scene.counters)} if self._scene.counters is not None else {})
 
     def _set(self, request: Request) -> Request:
         changes = request.get("faults")
@@ -212,17 +299,17 @@ class Studio:
 
     def _play(self, request: Request) -> Request:
         stage = self._playing_stage()
-        if self._show.phases is not None:
-            self._show.phases.show(PERSON)
+        if self._scene.phases is not None:
+            self._scene.phases.show(PERSON)
         epoch_ns = stage.play(request.get("at_ns"), bool(request.get("loop", True)))
         if not stage.occupied:
             stage.occupy(True)
         return {"epoch_ns": epoch_ns, "frames": stage.frames, "fps": stage.fps}
 
     def _switch(self, request: Request) -> Request:
-        if self._show.phases is None:
+        if self._scene.phases is None:
             raise InputError("it shows no set-up", where="studio", remedy="Start one: sagoma studio --scene setup.")
-        return {"shows": self._show.phases.show(str(request.get("phase")))}
+        return {"shows": self._scene.phases.show(str(request.get("phase")))}
 
     def _hold(self, request: Request) -> Request:
         self._playing_stage().hold()
@@ -241,7 +328,7 @@ class Studio:
             self.wire.stop()
         return {"rate": rate}
 
-    def _playing_stage(self) -> Stage:
+    def _playing_stage(self) -> Playback:
         if self.stage is None:
             raise InputError("a test pattern has no stage", where="studio", remedy="Show a session or the room.")
         return self.stage

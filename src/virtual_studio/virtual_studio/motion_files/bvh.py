@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 
-from .joint_motion import Array, JointMotion, number, read_lines
+from .joints import Array, JointMotion, number, read_lines
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
 CHANNELS = {f"{axis.lower()}{kind}": (kind, axis) for axis in AXES for kind in ("position", "rotation")}

@@ -1,4 +1,4 @@
-"""A recorded motion as something the built-in person can do: T-pose, a blend, and then what the file holds."""
+"""From the joints of a motion file to the stick figure: 15 reference points, a body, and poses."""
 
 from __future__ import annotations
 
@@ -6,15 +6,214 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from capture_rig.errors import InputError
 from stick_figure.body import Body
+from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
-from ..body import VolumetricBody
 from ..motions.timeline import T_POSE_S, Motion, ease, frame_count
-from .to_stick_figure import SUFFIXES, ReadingOptions, read_stick_motion
+from ..people import VolumetricBody
+from .acclaim import read_amc
+from .bvh import read_bvh
+from .joints import Array, JointMotion, joints_by_role, load_joints_by_role
+
+SUFFIXES = (".bvh", ".amc")
+HAND_OVER_FOREARM = 0.108 / 0.146
+HEAD_OVER_LEG = 0.130 / (0.530 - 0.039)
+"""Segments over each other, Drillis & Contini (1966), as in Winter, Biomechanics and Motor Control, fig. 4.1."""
+LIKELY_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU's ASF": 0.0254 / 0.45}
+LIKELY_STATURES = (1.2, 2.2)
+STATURE_OVER_LEG = 1.0 / 0.491
+"""Stature over the leg from hip to ankle, same source."""
+UPRIGHT = 0.5
+"""Least cosine between the way from ankles to neck, on average, and up."""
+WORLD_FROM_UP = {
+    "x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+    "y": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+    "z": np.eye(3),
+}
+"""Rotations that turn the file's up axis to z; even permutations, so nothing is mirrored."""
+ORDER = (
+    "left_shoulder",
+    "right_shoulder",
+    "left_hip",
+    "right_hip",
+    "left_elbow",
+    "right_elbow",
+    "left_knee",
+    "right_knee",
+    "left_wrist",
+    "right_wrist",
+    "left_ankle",
+    "right_ankle",
+)
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """What a motion file does not say.
+
+    metres_per_unit : metres in one of its units; None: refuse, with the likely ones. leg_m : instead of a unit, how
+    long the person's legs are to be, hip to ankle. up : the axis that points up. start_s : what to leave out at the
+    start (some files begin with a rest pose). fps : frames a second of an AMC file. skeleton : its ASF file, if not
+    beside it. joints : YAML, ``role: joint``.
+    """
+
+    metres_per_unit: float | None = None
+    up: str = "y"
+    fps: float | None = None
+    skeleton: Path | None = None
+    joints: Path | None = None
+    leg_m: float | None = None
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class StickMotion:
+    """Poses of a body of its own at a steady rate; fit_error_m: mean distance of the file's points from the figure's."""
+
+    body: Body
+    poses: tuple[Pose, ...]
+    fps: float
+    fit_error_m: float
+
+
+def read_stick_motion(path: str | Path, fps: float | None = None, options: ReadingOptions | None = None) -> StickMotion:
+    """The stick figure's motion in a BVH or AMC file, at ``fps`` frames a second (None: the file's own).
+
+    World frame: z up, metres; origin and heading are the file's. Raises InputError for whatever cannot be read.
+    """
+    options = options or ReadingOptions()
+    motion = read_joints(path, options)
+    points = reference_points(motion, options)[_first_frame(motion, options.start_s) :]
+    body = Body.from_points(points)
+    points, rate = (points, motion.fps) if fps is None else (resampled(points, motion.fps, fps), fps)
+    poses: list[Pose] = []
+    for frame in points:
+        poses.append(inverse(body, frame, poses[-1] if poses else None))
+    placed = np.array([forward(body, pose) for pose in poses])
+    return StickMotion(body, tuple(poses), rate, float(np.linalg.norm(placed - points, axis=2).mean()))
+
+
+def read_joints(path: str | Path, options: ReadingOptions | None = None) -> JointMotion:
+    """All joints of a BVH or AMC file, in its own axes and unit; InputError for other files."""
+    path, options = Path(path), options or ReadingOptions()
+    if path.suffix.lower() == ".bvh":
+        return read_bvh(path)
+    if path.suffix.lower() == ".amc":
+        return read_amc(path, options.fps, options.skeleton)
+    raise InputError("is no motion file", where=str(path), remedy=f"Known endings: {', '.join(SUFFIXES)}.")
+
+
+def reference_points(motion: JointMotion, options: ReadingOptions | None = None) -> Array:
+    """The 15 reference points (F, 15, 3), m, z up.
+
+    A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
+    along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the file
+    has none, beyond the head's joint at the average distance from the neck.
+    """
+    options = options or ReadingOptions()
+    roles = joints_by_role(motion) if options.joints is None else load_joints_by_role(options.joints, motion)
+    if options.up not in WORLD_FROM_UP:
+        raise InputError(f"the axis that points up is '{options.up}'", remedy="Give x, y or z.")
+    R = WORLD_FROM_UP[options.up]
+    joint = {role: motion.of(name) @ R.T for role, name in roles.items()}
+    _check_upright(joint, motion, options.up)
+    scale = options.leg_m / _leg(joint) if options.leg_m else _metres_per_unit(joint, motion, options.metres_per_unit)
+    points = np.empty((len(motion.positions), 15, 3))
+    points[:, 2] = joint["neck"]
+    points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
+    points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
+    points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
+    points[:, 1] = _head_tip(joint)
+    return scale * points
+
+
+def _first_frame(motion: JointMotion, start_s: float) -> int:
+    first = round(start_s * motion.fps)
+    if not 0 <= first < len(motion.positions):
+        raise InputError(
+            f"there is no motion at {start_s:g} s",
+            where=str(motion.source),
+            remedy=f"It lasts {len(motion.positions) / motion.fps:.2f} s.",
+        )
+    return first
+
+
+def _head_tip(joint: dict[str, Array]) -> Array:
+    neck, head = joint["neck"], joint["head"]
+    along = head - neck
+    if "head_tip" in joint:
+        tip = joint["head_tip"] - neck
+        if np.median(np.linalg.norm(tip, axis=1)) > 1.2 * np.median(np.linalg.norm(along, axis=1)):
+            return neck + tip
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return neck + HEAD_OVER_LEG * _leg(joint) * along / np.maximum(length, 1e-12)
+
+
+def _leg(joint: dict[str, Array]) -> float:
+    """Hip to ankle along the leg, the file's unit."""
+    parts = [("hip", "knee"), ("knee", "ankle")]
+    lengths = [
+        np.linalg.norm(joint[f"{side}_{a}"] - joint[f"{side}_{b}"], axis=1)
+        for side in ("left", "right")
+        for a, b in parts
+    ]
+    return 0.5 * float(sum(np.median(length) for length in lengths))
+
+
+def _metres_per_unit(joint: dict[str, Array], motion: JointMotion, given: float | None) -> float:
+    stature = STATURE_OVER_LEG * _leg(joint)
+    if given is None:
+        fits = [
+            f"{scale:.5g} ({name}) for a person of {scale * stature:.2f} m"
+            for name, scale in LIKELY_UNITS.items()
+            if LIKELY_STATURES[0] <= scale * stature <= LIKELY_STATURES[1]
+        ]
+        remedy = "Give the metres of one unit" + (f": {', '.join(fits)}." if fits else ".")
+        raise InputError(
+            f"a motion file has no unit; its person is {stature:.4g} units tall",
+            where=str(motion.source),
+            remedy=remedy,
+        )
+    if not (np.isfinite(given) and 0.5 <= given * stature <= 2.6):
+        raise InputError(
+            f"with {given:g} m a unit its person is {given * stature:.3g} m tall",
+            where=str(motion.source),
+            remedy="Give another unit.",
+        )
+    return given
+
+
+def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> None:
+    """InputError when the person mostly does not stand along the axis that is said to point up."""
+    ankles = 0.5 * (joint["left_ankle"] + joint["right_ankle"])
+    standing = (joint["neck"] - ankles).mean(0)
+    if standing[2] < UPRIGHT * np.linalg.norm(standing):
+        in_file = WORLD_FROM_UP[up].T @ standing
+        likely = "xyz"[int(np.argmax(np.abs(in_file)))]
+        raise InputError(
+            f"the person does not stand along {up}",
+            where=str(motion.source),
+            remedy=f"Say which axis points up, probably {likely}.",
+        )
+
+
+def resampled(points: Array, fps: float, wanted_fps: float) -> Array:
+    """Points (F, ...) at another rate, by cubic splines through time."""
+    if not (np.isfinite(wanted_fps) and wanted_fps > 0.0):
+        raise InputError(f"fps is {wanted_fps!r}", remedy="Give a positive number.")
+    if len(points) < 2 or abs(wanted_fps - fps) < 1e-9 * fps:
+        return points
+    times = np.arange(len(points)) / fps
+    count = int(np.floor(times[-1] * wanted_fps + 1e-6)) + 1
+    return CubicSpline(times, points, axis=0)(np.arange(count) / wanted_fps)
+
+
+# --- A recorded motion as something the built-in person can do: T-pose, a blend, and then what the file holds.
 
 BLEND_S = 1.0
 """From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
@@ -105,7 +304,7 @@ def _opening(person: VolumetricBody, first: Pose, fps: float, frames: int) -> li
 
 def _lowest(person: VolumetricBody, pose: Pose) -> float:
     """Height of the lowest part of the body, m."""
-    centres, radii = person.touchpoints(pose)
+    centres, radii = person.contact_spheres(pose)
     return float((centres[:, 2] - radii).min())
 
 

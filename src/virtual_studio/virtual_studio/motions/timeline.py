@@ -5,8 +5,9 @@ All angles stay inside the joint ranges because every activity's do and fading i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Activity:
 
 
 @dataclass(frozen=True)
-class Mixture:
+class BlendedActivity:
     """What the body does at one instant, mixed from its activities; units as in `Activity`."""
 
     angles: Array
@@ -68,7 +69,7 @@ class Timeline:
     activities: tuple[Activity, ...]
     t_pose_s: float = T_POSE_S
 
-    def at(self, t: float) -> Mixture:
+    def at(self, t: float) -> BlendedActivity:
         """The mixture at time t, s; it has two continuous derivatives where the activities have."""
         cues = self._cues(t)
         rest = 1.0 - sum(weight for _, _, weight in cues)
@@ -81,7 +82,7 @@ class Timeline:
             turning += weight * activity.turning
             lift += weight * activity.lift(clock)
             walking += weight * activity.walking
-        return Mixture(angles, lean, turning, lift, walking)
+        return BlendedActivity(angles, lean, turning, lift, walking)
 
     def _cues(self, t: float) -> list[tuple[Activity, float, float]]:
         """Who acts at time t: activity, its own time, its weight (the T-pose has the rest)."""
@@ -113,3 +114,35 @@ def frame_count(seconds: float, fps: float) -> int:
     if frames < 1:
         raise InputError(f"{seconds:g} s at {fps:g} fps is no frame", remedy="Give a longer time.")
     return frames
+
+
+# --- Postures that follow each other: an activity from key poses.
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """Be in a posture at a time (s since the activity began); angles (18,) rad, forward: lean of the torso, rad."""
+
+    at_s: float
+    angles: Array
+    forward: float = 0.0
+
+
+def activity_of(keys: Sequence[Key], duration_s: float, turning: float = 0.0) -> Activity:
+    """Goes from key to key, smoothly and with a stop at each; holds the first before it and the last after it."""
+    times = np.array([key.at_s for key in keys])
+
+    def between(values: list, t: float) -> Any:
+        after = int(np.searchsorted(times, t))
+        if after == 0 or after == len(times):
+            return values[min(after, len(times) - 1)]
+        share = ease((t - times[after - 1]) / (times[after] - times[after - 1]))
+        return (1.0 - share) * values[after - 1] + share * values[after]
+
+    angles, leans = [key.angles for key in keys], [np.array([0.0, key.forward, 0.0]) for key in keys]
+    return Activity(duration_s, lambda t: between(angles, t), lean=lambda t: between(leans, t), turning=turning)
+
+
+def hold(duration_s: float, angles: Array, forward: float = 0.0) -> Activity:
+    """Stays in a posture."""
+    return activity_of([Key(0.0, angles, forward)], duration_s)

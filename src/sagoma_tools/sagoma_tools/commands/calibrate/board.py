@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from rig_calibration.boards.drawing import print_size_m, save_for_print
-from rig_calibration.boards.print_layout import PAPER_MM
+from rig_calibration.boards.printing import PAPER_MM
 from rig_calibration.boards.specification import board_text, read_board
 
 

@@ -142,18 +142,18 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _from_footage(request: RigRequest, console: Console) -> str:
-    from ...calibration.rig_run import calibrate_extrinsics  # the solver and numba take a second to load
-    from ...calibration.rig_sources import FootageSources
+    from ...calibration.extrinsics import calibrate_extrinsics  # the solver and numba take a second to load
+    from ...calibration.rig_detections import FootageSources
 
     sources = FootageSources(request.floor, request.moving, request.wand, request.without, Console(stderr=True))
     return calibrate_extrinsics(request, sources, console).verdict.grade
 
 
 def _from_cameras(request: RigRequest, console: Console) -> str:
+    from ...arguments import StopOnSignal
+    from ...calibration.extrinsics import calibrate_extrinsics
     from ...calibration.rig_live import LiveSources
-    from ...calibration.rig_run import calibrate_extrinsics
-    from ...ros_link import RosLink
-    from ..common import StopOnSignal
+    from ...graph.ros_link import RosLink
 
     def ask(what: str) -> None:
         if sys.stdin.isatty():

@@ -18,11 +18,10 @@ from rig_calibration.boards.specification import read_board
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics
-from rig_calibration.intrinsics.watching import BoardWatcher
+from rig_calibration.intrinsics.selection import BoardImageProcessor
 
 from ...calibration.footage import CameraFootage, open_footage_of_cameras
-from ...calibration.intrinsics_footage import watch_footage
-from ...calibration.intrinsics_results import figures, print_results, save_results
+from ...calibration.intrinsics import figures, print_results, save_results, watch_footage
 
 DEFAULT_FOLDER = "output/intrinsics"
 MODELS = (*COEFFICIENTS, AUTO)
@@ -70,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     console = Console(stderr=args.json)
     console = console if console.is_terminal else Console(stderr=args.json, width=TABLE_WIDTH)
     if args.topic:
-        from ...calibration.live_calibration import calibrate_live  # ROS takes a second to load
+        from ...calibration.live_lens import calibrate_live  # ROS takes a second to load
 
         results, failures = [calibrate_live(args, board, console)], list[InputError]()
     else:
@@ -109,7 +108,7 @@ def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Co
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(footage.name, total=None)
 
-        def progress(watcher: BoardWatcher) -> None:
+        def progress(watcher: BoardImageProcessor) -> None:
             said = f"{footage.name}: board in {watcher.found} of {watcher.examined}, {len(watcher.collector)} views"
             bar.update(task, description=said, completed=watcher.examined)
 

@@ -2,25 +2,104 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import select
+import socket
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from types import TracebackType
 from typing import Any
 
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
-from ...ros_link import RosLink
-from ...service_calls import call_all
-from ...topics import DIAGNOSTICS_TOPIC, cameras_in
-from ..machine.collect_network import collect_network
-from .announcements import AnnouncementEar
-from .ears import DiagnosticsEar, FrameSetEar, SilhouetteEar
-from .facts import GraphFacts
-from .middleware import machine_of
+from ...graph.ros_link import RosLink, call_all
+from ...graph.topics import DIAGNOSTICS_TOPIC, cameras_in
+from ..machine.network import DOMAIN_PORTS, FIRST_PORT, HIGHEST_DOMAIN, collect_interfaces, collect_network
+from .facts import Announcement, GraphFacts
+from .subscribers import DiagnosticsSubscriber, FrameSetSubscriber, SilhouetteSubscriber
+
+# --- What Fast DDS, the middleware that ROS uses by default, tells of its peers without being asked.
+
+FAST_DDS = b"\x01\x0f"  # the vendor's number, with which its GUIDs begin; the next two bytes are the machine's
+
+
+def machine_of(gid: Sequence[int]) -> str:
+    """The machine's number in a GUID, where the middleware is Fast DDS; else ""."""
+    prefix = bytes(gid[:4])
+    return prefix[2:].hex() if prefix[:2] == FAST_DDS else ""
+
+
+# --- Listens to how ROS nodes announce themselves by multicast, in every domain: who is out there, and at which address.
+#
+# Nothing is sent. Each process announces itself every three seconds (RTPS 2.3: 8.5.3, 9.6.1.1); the packet's first twenty
+# bytes say which middleware and which machine, the port says which domain.
+
+GROUP = "239.255.0.1"
+MAGIC, PREFIX = b"RTPS", slice(8, 20)
+LOOPBACK = "127.0.0.1"
+ANNOUNCEMENT_POLL_S = 0.2
+PACKET_BYTES = 65536
+
+
+class AnnouncementListener:
+    """Collects announcements while it is open; a context manager. ``loopback_only`` joins no other interface."""
+
+    def __init__(self, loopback_only: bool) -> None:
+        addresses = [LOOPBACK] if loopback_only else [LOOPBACK, *(i.address for i in collect_interfaces() if i.up)]
+        self._sockets = {}
+        for domain in range(HIGHEST_DOMAIN + 1):
+            with contextlib.suppress(OSError):  # a port that somebody else holds for himself
+                self._sockets[_listener(domain, addresses)] = domain
+        self._heard: set[Announcement] = set()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="announcements", daemon=True)
+
+    @property
+    def heard(self) -> tuple[Announcement, ...]:
+        """What came so far, in order of domain and address."""
+        return tuple(sorted(set(self._heard), key=lambda one: (one.domain, one.address, one.machine)))
+
+    def __enter__(self) -> AnnouncementListener:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.set()
+        self._thread.join()
+        for link in self._sockets:
+            link.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            ready, _, _ = select.select(list(self._sockets), [], [], ANNOUNCEMENT_POLL_S)
+            for link in ready:
+                packet, (address, _) = link.recvfrom(PACKET_BYTES)
+                if packet.startswith(MAGIC):
+                    self._heard.add(Announcement(self._sockets[link], address, machine_of(packet[PREFIX])))
+
+
+def _listener(domain: int, addresses: Sequence[str]) -> socket.socket:
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        link.bind((GROUP, FIRST_PORT + DOMAIN_PORTS * domain))
+        for address in addresses:
+            with contextlib.suppress(OSError):  # an interface without multicast
+                link.setsockopt(
+                    socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + socket.inet_aton(address)
+                )
+    except OSError:
+        link.close()
+        raise
+    return link
+
 
 OWN_NAME = "sagoma_doctor"
 DISCOVERY_S, QUIET_S, LOOK_S = 5.0, 1.0, 0.1
@@ -34,12 +113,12 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
     """What is heard in ``seconds``; ``expected`` cameras are listened to even when nobody publishes for them."""
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     alone = reach in ("LOCALHOST", "OFF")
-    with AnnouncementEar(alone) as announcements, RosLink(OWN_NAME, domain_id=domain_id) as link:
+    with AnnouncementListener(alone) as announcements, RosLink(OWN_NAME, domain_id=domain_id) as link:
         node = link.node
-        reports, sets = DiagnosticsEar(node), FrameSetEar(node)
+        reports, sets = DiagnosticsSubscriber(node), FrameSetSubscriber(node)
         _discover(node)
         cameras = sorted({*expected, *cameras_in(name for name, _ in node.get_topic_names_and_types())})
-        silhouettes = [SilhouetteEar(node, camera) for camera in cameras]
+        silhouettes = [SilhouetteSubscriber(node, camera) for camera in cameras]
         ends_s = time.monotonic() + seconds
         lifecycle = _lifecycle_nodes(node)
         states, trips = ask_states(node, lifecycle)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 
-from ...board import NodeReport
+from camera_client.movement.detector import MovementState
+from capture_rig.verdict import REDO, USABLE
+
+from ...graph.diagnostics_table import NodeReport
 from ..findings import Finding, error, note, ok, warning
 from .facts import ERROR, WARN, NodeFacts
 
@@ -17,7 +21,7 @@ BUSY_PERCENT = 95.0
 ACQUIRING = "acquiring"  # how the trackers' messages begin until they have a person
 EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
 RECOVERY = "docs/recovery.md"
-PAGES = {"/hull_server": "docs/lying_cameras.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
+PAGES = {"/hull_server": "docs/camera_faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
 START = "sagoma start (or sagoma up, where no process runs)"
 UNREACHABLE = "Look for its process and log there; for the way: sagoma doctor --host ADDRESS, firewall, cable."
 BIG_MESSAGES = (
@@ -120,3 +124,68 @@ def _remedy(node: NodeFacts) -> str:
 
 def _time(seconds: float) -> str:
     return f"{seconds:.2f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"
+
+
+# --- The running figures that nodes publish beside their message, which names the gravest trouble alone.
+
+OLD_BACKGROUND_H = 12.0
+LEARN = "sagoma background, while the room is empty"
+PUT_BACK = "Put the camera back as it was, or: sagoma calibrate extrinsics"
+
+
+def check_watch(node: NodeFacts) -> Iterator[Finding]:
+    """Age of the background, and whether the camera stands as it did when it was calibrated."""
+    age_h = _figure(node, "background_age_h")
+    if age_h is not None and age_h > OLD_BACKGROUND_H:
+        yield warning("background", f"it is {age_h:.0f} h old: the light has changed since", LEARN)
+    elif age_h is not None:
+        yield ok("background", f"it is {age_h:.1f} h old")
+    yield from _check_lesson(node)
+    shift_px, turn_deg = _figure(node, "camera_shift_px"), _figure(node, "camera_turn_deg")
+    if shift_px is None or turn_deg is None:
+        return
+    text = f"its picture is shifted by {shift_px:.1f} px and turned by {turn_deg:.2f} degrees since its background"
+    if node.values.get("camera_moved") == MovementState.MOVED.value:
+        yield warning("moved", text, PUT_BACK)
+    else:
+        yield ok("moved", text)
+
+
+def _check_lesson(node: NodeFacts) -> Iterator[Finding]:
+    """What came of learning the background, if it was learned since the node's start."""
+    try:
+        lesson = json.loads(node.values["background_training"])
+        grade, findings = lesson["grade"], lesson["findings"]
+        why = "; ".join(f"{finding['what']} ({finding['remedy']})" for finding in findings)
+    except (KeyError, TypeError, ValueError):  # none was learned, or not by this version
+        return
+    if grade == REDO:
+        yield warning("background", f"the last lesson failed: {why}", LEARN)
+    elif grade == USABLE:
+        yield note("background", f"usable, not good: {why}", LEARN)
+
+
+def check_standing(hull: NodeFacts, camera: str) -> Iterator[Finding]:
+    """Whether this camera stands as its calibration says, by the silhouettes of the others (hull server)."""
+    push_deg = _figure(hull, f"calibration_rotation_error_deg_{camera}")
+    if push_deg is None:
+        return
+    sd_deg, share = (
+        _figure(hull, f"calibration_rotation_error_sd_deg_{camera}"),
+        _figure(hull, f"calibration_consistency_{camera}"),
+    )
+    known = "" if sd_deg is None else f" (sd {sd_deg:.2f})"
+    agrees = "" if share is None else f"; agrees with them in {100 * share:.0f} %"
+    text = f"by the others' silhouettes it is {push_deg:.2f} degrees{known} off its calibration{agrees}"
+    if camera in hull.values.get("calibration_suspects", "").split(","):
+        yield warning("calibration", text, PUT_BACK)
+    else:
+        yield ok("calibration", text)
+
+
+def _figure(node: NodeFacts, key: str) -> float | None:
+    """The number under ``key``; None where there is none, or the node cannot tell."""
+    try:
+        return float(node.values[key])
+    except (KeyError, ValueError):
+        return None

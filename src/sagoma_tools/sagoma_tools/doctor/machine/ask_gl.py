@@ -13,7 +13,7 @@ from dataclasses import asdict
 
 from hull_server.opengl.egl import GlContext, NoGraphics
 
-from .facts import GraphicsFacts
+from ..facts import GraphicsFacts
 
 ANSWER_S = 30.0
 GL_VERSION = 0x1F02

@@ -9,17 +9,20 @@ import resource
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 
 import hull_server
 
-from ...processes import owned_shared_memory
+from ...graph.processes import owned_shared_memory
 from ..collect import collect_host
+from ..facts import DiskFacts, KernelFacts, LimitFacts, MachineFacts, SharedMemoryFacts, SoftwareFacts
+from ..findings import Finding, on
 from .ask_gl import collect_graphics
-from .collect_network import collect_network
-from .facts import DiskFacts, KernelFacts, LimitFacts, MachineFacts, SharedMemoryFacts, SoftwareFacts
+from .checks import check_machine
+from .network import collect_network
 
 SHARED_MEMORY = Path("/dev/shm")
 FINGERPRINT = ".sagoma-kernels"  # of the sources that the set-up compiled, in the virtual environment
@@ -134,3 +137,13 @@ def _write_speed(folder: Path) -> float | None:
             return WRITE_BYTES / (time.perf_counter() - began)
     except OSError:
         return None
+
+
+# --- The examination of this machine: collect, judge.
+
+SUBJECT = "this machine"
+
+
+def examine_machine(bags: Path) -> Iterator[Finding]:
+    """Findings on this machine; ``bags`` is where recordings go."""
+    yield from on(SUBJECT, check_machine(collect_machine(bags)))

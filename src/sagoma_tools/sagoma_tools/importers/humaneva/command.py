@@ -10,8 +10,7 @@ from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedC
 
 from capture_rig.errors import InputError
 
-from .importer import Request, Summary, import_trial
-from .layout import CAMERAS, Trial
+from .importer import CAMERAS, Request, Summary, Trial, import_trial
 
 HELP = "a trial of HumanEva-I (Sigal, Balan & Black 2010) that you have from its owners"
 

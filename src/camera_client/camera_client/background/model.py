@@ -1,0 +1,257 @@
+"""The background of a fixed camera: one Gaussian a pixel and channel (thesis 6.2), and who does not fit it (6.3)."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+import zlib
+from dataclasses import MISSING, asdict, dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from statistics import NormalDist
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig.errors import InputError
+
+from .. import __version__
+from ..frame_source import Image, UndecodableFrame
+from ..settings import BackgroundSettings
+from ..sources.footage_reader import FootageReader, open_footage
+
+FORMAT = "sagoma background 1"
+MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise ...
+MOVING_MIN_SIGMA = 3.0  # ... and by this many grey levels
+NOISE_MAX_SIGMA = 12.0  # no camera is as noisy as this: it moved, even when most other pixels did, too
+SQRT_2_PI = math.sqrt(2 * math.pi)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a background model comes from.
+
+    ``mean_noise`` is the mean standard deviation, grey levels; ``verdict`` what was thought of it when it was learned.
+    ``created`` is the time in ISO 8601. ``calibration`` names the camera's calibrated place, and ``camera_turn_rad``
+    tells how far the camera had turned since then (see camera_moved_history). What the camera did not tell, or nobody
+    asked, is "".
+    """
+
+    source: str
+    frames: int
+    mean_noise: float
+    software: str = ""
+    created: str = ""
+    camera_serial: str = ""
+    camera_model: str = ""
+    exposure_us: str = ""
+    gain: str = ""
+    pixel_format: str = ""
+    temperature_c: str = ""
+    verdict: str = ""
+    calibration: str = ""
+    camera_turn_rad: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundModel:
+    """Mean and standard deviation of every pixel of the empty scene, grey levels, (H, W) or (H, W, 3) float32."""
+
+    mean: npt.NDArray[np.float32]
+    sigma: npt.NDArray[np.float32]
+    provenance: Provenance
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.mean.shape
+
+    @property
+    def moving_pixels(self) -> npt.NDArray[np.bool_]:
+        """(H, W) pixels that varied much more than the rest: something moved while the background was learned."""
+        spread = self.sigma if self.sigma.ndim == 2 else self.sigma.max(axis=2)
+        limit = np.clip(MOVING_SIGMAS * float(np.median(spread)), MOVING_MIN_SIGMA, NOISE_MAX_SIGMA)
+        return np.asarray(spread > limit)
+
+    @cached_property
+    def moving_share(self) -> float:
+        """Share of the :attr:`moving_pixels`."""
+        return float(self.moving_pixels.mean())
+
+    def limits(self, settings: BackgroundSettings) -> BackgroundLimits:
+        """The grey levels that count as background.
+
+        Thesis 6.3, corrected: a pixel is *foreground* when it is improbable under its background (as printed, the
+        sentence calls almost every background pixel foreground). Both rules ask for |g - mu| <= half width, and so
+        collapse exactly to two images of whole grey levels, lo = ceil(mu - half) and hi = floor(mu + half).
+        """
+        mean, sigma = self.mean.astype(float), np.maximum(self.sigma.astype(float), settings.sigma_floor)
+        half = half_width(sigma, settings.rule, settings.risk)
+        lo, hi = np.ceil(mean - half), np.floor(mean + half)
+        never = ~(half >= 0) | (lo > hi)
+        lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
+        return BackgroundLimits(lo.astype(np.uint8), hi.astype(np.uint8))
+
+    def save(self, path: str | Path) -> None:
+        """Write an .npz with the arrays and the provenance. Raises InputError when the file cannot be written."""
+        path = Path(path)
+        about = json.dumps({"format": FORMAT, "image": shape_text(self.shape), **asdict(self.provenance)})
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("wb") as file:
+                np.savez_compressed(file, mean=self.mean, sigma=self.sigma, about=np.array(about))
+        except OSError as error:
+            raise InputError(
+                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another background_file."
+            ) from None
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundLimits:
+    """Lowest and highest grey level of the background, uint8, shaped as the image; lo > hi: never background."""
+
+    lo: Image
+    hi: Image
+
+    def subtract(self, image: Image) -> Image:
+        """(H, W) uint8: 255 where any channel leaves its limits, else 0."""
+        return cv2.bitwise_not(cv2.inRange(image, self.lo, self.hi))
+
+
+class BackgroundLearner:
+    """Accumulates frames of the empty scene (thesis 6.2) with sums in float64, exact for whole grey levels."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._sum: npt.NDArray[np.float64] | None = None
+        self._sum_of_squares: npt.NDArray[np.float64] | None = None
+
+    def add(self, image: Image) -> None:
+        """Take one more frame. Raises InputError when its shape differs from the first one's."""
+        if self._sum is None or self._sum_of_squares is None:
+            self._sum, self._sum_of_squares = np.zeros(image.shape), np.zeros(image.shape)
+        if image.shape != self._sum.shape:
+            raise InputError(
+                f"frame {self.frames} is {shape_text(image.shape)}, the first one was {shape_text(self._sum.shape)}",
+                remedy="Learn from frames of one size.",
+            )
+        cv2.accumulate(image, self._sum)
+        cv2.accumulateSquare(image, self._sum_of_squares)
+        self.frames += 1
+
+    def model(self, source: str, **about: str) -> BackgroundModel:
+        """The model of the frames so far (two at least); ``about`` fills further fields of the provenance."""
+        if self._sum is None or self._sum_of_squares is None or self.frames < 2:
+            raise InputError(
+                f"{self.frames} frames are too few to learn a background",
+                where=source,
+                remedy="Give at least 2; 50 to 200 are good.",
+            )
+        n = self.frames
+        mean = self._sum / n
+        variance = np.maximum(self._sum_of_squares - n * mean * mean, 0) / (n - 1)
+        sigma = np.sqrt(variance).astype(np.float32)
+        return BackgroundModel(mean.astype(np.float32), sigma, Provenance(source, n, float(sigma.mean()), **about))
+
+
+def background_from_still(image: Image, sigma: float, source: str, **about: str) -> BackgroundModel:
+    """A model from one picture of the empty scene: its noise is not measured but assumed to be ``sigma``."""
+    mean = image.astype(np.float32)
+    return BackgroundModel(mean, np.full_like(mean, sigma), Provenance(source, 1, sigma, **about))
+
+
+def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.NDArray[np.float64]:
+    """How far a grey level may lie from the mean; negative where no grey level is background.
+
+    "tail": P(|g - mu| > half) = risk, the same number of sigmas everywhere. "pdf": the density at the limit equals
+    ``risk`` per grey level (thesis 6.3, as in the HumanEva code), so that a noisier pixel gets fewer sigmas, and one
+    with sigma > 1 / (risk sqrt(2 pi)) none at all.
+    """
+    if rule == "tail":
+        return sigma * -NormalDist().inv_cdf(risk / 2)
+    log_ratio = np.log(risk * sigma * SQRT_2_PI)
+    return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
+
+
+def load_background(path: str | Path) -> BackgroundModel:
+    """Read a model that :meth:`BackgroundModel.save` wrote. Raises InputError for anything else."""
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            mean, sigma, about = file["mean"], file["sigma"], json.loads(str(file["about"]))
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror or error})",
+            where=str(path),
+            remedy="Give the path of a saved background model.",
+        ) from None
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise InputError("is not a background model", where=str(path), remedy="Learn and save it again.") from None
+    known = {field.name for field in fields(Provenance)}
+    needed = {field.name for field in fields(Provenance) if field.default is MISSING}
+    if isinstance(about, dict):
+        about.pop("image", None)  # the arrays say it; written for people who look into the file
+    if not isinstance(about, dict) or about.pop("format", None) != FORMAT or not needed <= set(about) <= known:
+        raise InputError("was written by another version", where=str(path), remedy="Learn and save it again.")
+    sound = mean.shape == sigma.shape and mean.dtype == sigma.dtype == np.float32
+    if not sound or not np.isfinite(mean).all() or not (np.isfinite(sigma).all() and (sigma >= 0).all()):
+        raise InputError("holds damaged arrays", where=str(path), remedy="Learn and save it again.")
+    return BackgroundModel(mean, sigma, Provenance(**about))
+
+
+def check_shape(model: BackgroundModel, shape: tuple[int, ...], where: str) -> None:
+    """Raises InputError when the model was learned at another size or number of channels than ``shape``."""
+    if model.shape != tuple(shape):
+        raise InputError(
+            f"the background is {shape_text(model.shape)}, the camera's images are {shape_text(shape)}",
+            where=where,
+            remedy="Learn the background again with this camera and setting, or set the parameter 'channels'.",
+        )
+
+
+def shape_text(shape: tuple[int, ...]) -> str:
+    """ "640 x 480 mono" for (480, 640)."""
+    kind = "mono" if len(shape) == 2 else "colour"
+    return f"{shape[1]} x {shape[0]} {kind}"
+
+
+# --- A background model from whatever the user has: a saved model, one still, a video or stills of the empty scene.
+
+SOFTWARE = f"sagoma camera_client {__version__}"
+
+
+def read_background(path: str | Path, shape: tuple[int, ...], settings: BackgroundSettings) -> BackgroundModel:
+    """The background at ``path`` for images of ``shape``. Raises InputError naming the file.
+
+    A ``.npz`` is loaded; several images are learned from; a single one is taken as the mean, with the noise that
+    ``settings.still_sigma`` assumes.
+    """
+    path = Path(path)
+    if path.suffix == ".npz":
+        model = load_background(path)
+    else:
+        reader = open_footage(path, "mono" if len(shape) == 2 else "colour")
+        try:
+            model = _learned(reader, settings)
+        finally:
+            reader.close()
+    check_shape(model, shape, str(path))
+    return model
+
+
+def _learned(reader: FootageReader, settings: BackgroundSettings) -> BackgroundModel:
+    reader.probe()
+    learner, last = BackgroundLearner(), None
+    while True:
+        try:
+            image = reader.read()
+        except UndecodableFrame:
+            continue
+        if image is None:
+            break
+        last = image
+        learner.add(image)
+    if last is not None and learner.frames == 1:
+        return background_from_still(last, settings.still_sigma, str(reader.path), software=SOFTWARE)
+    return learner.model(str(reader.path), software=SOFTWARE)

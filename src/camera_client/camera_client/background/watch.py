@@ -1,0 +1,203 @@
+"""Does the background still fit the room? Watched on a sparse grid of pixels, twice a second by the frames' stamps."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ..frame_source import Image
+from ..settings import BackgroundWatchSettings
+from ..sources.frame_checks import MIN_LIT_LEVEL, grid_step
+from .model import BackgroundLimits, BackgroundModel, Provenance
+from .verdict import ImageRegion, describe_regions, find_regions
+
+LOOK_S = 0.5
+DRIFT_TIME_S = 10.0  # the drift is the mean over about so long; a person passes faster
+MAX_STEP_S = 2.0  # a gap between frames counts as this
+NEAR_RATIO = 0.3  # a pixel that is brighter or darker by more shows something else than the background
+LEAST_SEEN = 0.5  # of the lit pixels have to show the background, or the light is not measured
+ALWAYS = 0.9  # of the time a pixel that is called static was foreground of one and the same grey level
+FADE_TIME_S = 60.0  # that grey level may change with the light over about so long
+SMALLEST_STATIC_PLACE = 2e-3  # of the grid's pixels: four or five of them
+
+
+@dataclass(frozen=True)
+class BackgroundFit:
+    """What the watch has found so far.
+
+    gain_drift : by which share the typical pixel is brighter than it was learned, on top of the drift that is followed;
+        None until it was measured long enough.
+    tolerance : the drift, as a share, at which half of all pixels would be foreground.
+    static_share : share of the pixels that have been the same foreground for ``static_s`` at least.
+    static_places : where those are.
+    """
+
+    gain_drift: float | None = None
+    tolerance: float = math.inf
+    static_share: float = 0.0
+    static_places: tuple[ImageRegion, ...] = ()
+
+
+class BackgroundWatch:
+    """Follows how well the frames of an active camera still fit its background.
+
+    Two figures are taken. The drift of the light is the median ratio, frame to background, of all lit pixels that may
+    be background: somebody in the room covers the smaller part. Foreground that never moves is a pixel's share of the
+    time in which it was foreground of one grey level, an exponential mean: a walking person covers no pixel for long,
+    and whoever dances on the spot changes the pixels that they cover. Nothing is known of the wall clock: the same
+    footage gives the same figures at every speed.
+    """
+
+    def __init__(
+        self, background: BackgroundModel, limits: BackgroundLimits, settings: BackgroundWatchSettings | None = None
+    ) -> None:
+        """``limits``: the grey levels of the background in use; they may be moved in place by whoever follows drift."""
+        settings = settings or BackgroundWatchSettings()
+        self._step = grid_step(background.shape)
+        self._grid = (slice(self._step // 2, None, self._step),) * 2
+        self._limits = limits
+        self._mean = background.mean[self._grid]
+        self._lit = self._mean >= MIN_LIT_LEVEL
+        self._half = (limits.hi[self._grid].astype(np.float32) - limits.lo[self._grid]) / 2
+        relative = self._half[self._lit] / self._mean[self._lit]
+        self._tolerance = float(np.median(relative)) if len(relative) else math.inf
+        self._static_time_s = settings.static_s / -math.log(1 - ALWAYS)
+        self._always = np.zeros(self._mean.shape[:2], np.float32)
+        self._stays = self._mean.copy()  # the grey level that a pixel has had for some time
+        self._drift, self._drift_s, self._last_ns = 0.0, 0.0, 0
+        self.found = BackgroundFit(tolerance=self._tolerance)
+
+    def look(self, image: Image, stamp_ns: int, gain: float = 1.0) -> None:
+        """Take a frame (H, W) or (H, W, 3) of ``stamp_ns``; most are not looked at.
+
+        gain : how much brighter than learned the scene is already taken to be.
+        """
+        if not self._last_ns or stamp_ns < self._last_ns:
+            self._last_ns = stamp_ns
+            return
+        step_s = (stamp_ns - self._last_ns) * 1e-9
+        if step_s < LOOK_S or image.shape != self._limits.lo.shape:
+            return
+        self._last_ns = stamp_ns
+        step_s, seen = min(step_s, MAX_STEP_S), np.ascontiguousarray(image[self._grid])
+        self._follow_light(seen, gain, step_s)
+        self._follow_foreground(seen, step_s)
+        self.found = self._summary()
+
+    def _follow_light(self, seen: Image, gain: float, step_s: float) -> None:
+        ratio = seen[self._lit] / (self._mean[self._lit] * np.float32(gain))
+        near = np.abs(ratio - 1) < NEAR_RATIO
+        if not len(ratio) or near.mean() < LEAST_SEEN:
+            return
+        self._drift_s += step_s
+        weight = max(step_s / DRIFT_TIME_S, step_s / self._drift_s)  # a plain mean at first
+        self._drift += min(weight, 1.0) * (float(np.median(ratio[near])) - 1 - self._drift)
+
+    def _follow_foreground(self, seen: Image, step_s: float) -> None:
+        lo, hi = (np.ascontiguousarray(limit[self._grid]) for limit in (self._limits.lo, self._limits.hi))
+        change = seen - self._stays
+        other = np.abs(change) > self._half
+        self._stays += np.where(other, 1.0, min(step_s / FADE_TIME_S, 1.0)).astype(np.float32) * change
+        changed = other if other.ndim == 2 else other.any(axis=2)
+        same = (cv2.inRange(seen, lo, hi) == 0) & ~changed
+        self._always += np.float32(-math.expm1(-step_s / self._static_time_s)) * (same - self._always)
+
+    def _summary(self) -> BackgroundFit:
+        static = self._always > ALWAYS
+        places = find_regions(static, SMALLEST_STATIC_PLACE, self._step) if static.any() else []
+        known = self._drift_s >= DRIFT_TIME_S
+        return BackgroundFit(self._drift if known else None, self._tolerance, float(static.mean()), tuple(places))
+
+
+# --- What is wrong with a background that was good once: it is old, of another camera or setting, or the light changed.
+
+REMEDY = "clear the room and run sagoma background"
+SAME_NUMBER = 0.01  # cameras give back what was set with so much error, relative
+UNITS = {"exposure_us": "us", "gain": ""}
+
+
+def age_h(provenance: Provenance, now_s: float) -> float | None:
+    """Hours since a background was learned, None where it does not tell; ``now_s`` is the system's clock."""
+    try:
+        created = datetime.datetime.fromisoformat(provenance.created)
+    except ValueError:
+        return None
+    return max(now_s - created.timestamp(), 0.0) / 3600
+
+
+def concerns(
+    provenance: Provenance,
+    camera: Mapping[str, str],
+    watched: BackgroundFit,
+    settings: BackgroundWatchSettings,
+    shape: tuple[int, ...],
+    now_s: float | None = None,
+    followed: bool = False,
+) -> tuple[str, ...]:
+    """What speaks against the background in use, the gravest first, each with its remedy; () when nothing does.
+
+    camera : what the connected camera tells of itself. shape : of its images.
+    now_s : the system's clock, s; None for footage, whose background is as old as itself.
+    followed : slow drift is followed already, so that what is left is more than that.
+    """
+    found = [
+        *other_camera(provenance, camera),
+        *_drifted(watched, settings, followed),
+        *_static(watched, settings, shape),
+    ]
+    age = None if now_s is None else age_h(provenance, now_s)
+    if age is not None and 0 < settings.age_h < age:
+        found.append(f"the background is {age:.0f} h old: {REMEDY}")
+    return tuple(found)
+
+
+def other_camera(learned: Provenance, camera: Mapping[str, str]) -> list[str]:
+    """A camera or setting that the background was not learned with; what either does not tell is not compared."""
+    serial = camera.get("camera_serial", "")
+    if learned.camera_serial and serial and serial != learned.camera_serial:
+        return [f"the background was learned with camera {learned.camera_serial}, this is {serial}: {REMEDY}"]
+    found = []
+    for key, unit in UNITS.items():
+        then, now = getattr(learned, key), camera.get(key, "")
+        if then and now and not _same(then, now):
+            name, unit = key.partition("_")[0], f" {unit}".rstrip()
+            found.append(
+                f"the {name} is {now}{unit}, the background was learned at {then}{unit}: {REMEDY}, "
+                f"or set the {name} back"
+            )
+    return found
+
+
+def _drifted(watched: BackgroundFit, settings: BackgroundWatchSettings, followed: bool) -> list[str]:
+    drift, limit = watched.gain_drift, settings.drift * watched.tolerance
+    if drift is None or not settings.drift or abs(drift) <= limit:
+        return []
+    slow = "" if followed else ", or let it follow slow changes (background_model.drift.mode: slow)"
+    beyond = " beyond what is followed" if followed else ""
+    return [
+        f"the light changed by {100 * drift:+.1f} %{beyond}, the background bears "
+        f"{100 * watched.tolerance:.1f} %: {REMEDY}{slow}"
+    ]
+
+
+def _static(watched: BackgroundFit, settings: BackgroundWatchSettings, shape: tuple[int, ...]) -> list[str]:
+    if watched.static_share <= settings.static_share or not watched.static_places:
+        return []
+    where = describe_regions(watched.static_places, shape)
+    return [
+        f"something has been in the picture for {settings.static_s / 60:.0f} minutes without moving: {where}; "
+        f"take it away, or {REMEDY}"
+    ]
+
+
+def _same(then: str, now: str) -> bool:
+    try:
+        a, b = float(then), float(now)
+    except ValueError:
+        return then == now
+    return abs(a - b) <= SAME_NUMBER * max(abs(a), abs(b), 1.0)

@@ -1,0 +1,105 @@
+"""What one camera publishes of its frames: silhouettes with their camera_info, pictures on request, or while it is
+not calibrated yet the images themselves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from capture_rig.camera import CameraModel
+from capture_rig.camera_info_file import with_intrinsics
+from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
+from sagoma_ros.messages import to_stamp
+from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
+
+from .background.model import BackgroundModel
+from .camera_chain import FrameResult
+from .frame_source import Frame
+from .settings import CameraClientSettings
+from .silhouettes.pipeline import Silhouette, outline
+
+# --- sensor_msgs/CameraInfo: as the calibration of one of our cameras, and of one that has none yet.
+
+
+def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
+    """``camera`` with the intrinsics of ``info``; its pose stays. Raises InputError naming the field and the value."""
+    K, R = np.reshape(info.k, (3, 3)), np.reshape(info.r, (3, 3))
+    if not R.any():  # a message that nobody filled in leaves it at zero
+        R = np.eye(3)
+    return with_intrinsics(
+        camera, info.width, info.height, K.tolist(), info.distortion_model, list(info.d), R.tolist(), "set_camera_info"
+    )
+
+
+def uncalibrated_message(shape: tuple[int, ...], stamp_ns: int, frame_id: str) -> CameraInfo:
+    """The camera_info of raw images of ``shape`` (H, W[, 3]) whose lens is unknown: K[0] = 0 says so (REP-104)."""
+    info = CameraInfo(height=shape[0], width=shape[1])
+    info.header.stamp, info.header.frame_id = to_stamp(stamp_ns), frame_id
+    return info
+
+
+class CameraTopics:
+    """The publishers of one camera client, made by ``create(message type, topic, QoS)``."""
+
+    def __init__(
+        self,
+        create: Callable[[type, str, Any], Any],
+        frame_id: str,
+        settings: CameraClientSettings,
+        to_calibrate: bool = False,
+    ) -> None:
+        """``to_calibrate``: images are offered to whoever calibrates the camera, and sent while somebody listens."""
+        self._frame_id, self._raw_always = frame_id, settings.publish_raw
+        self._silhouettes = create(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
+        self._infos = create(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
+        self._means = create(Image, "background/mean", LATCHED)
+        offered = settings.publish_raw or to_calibrate
+        self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if offered else None
+        self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
+        self._info: tuple[CameraModel, CameraInfo] | None = None
+        self._preview_period_s, self._last_preview_s = 1 / settings.preview_rate, -np.inf
+
+    @property
+    def has_listener(self) -> bool:
+        """Does anybody listen to the silhouettes, or to images that are sent only then?"""
+        return self._silhouettes.get_subscription_count() > 0 or (not self._raw_always and self._raw_has_listener)
+
+    @property
+    def _raw_has_listener(self) -> bool:
+        return self._raws is not None and self._raws.get_subscription_count() > 0
+
+    def publish_image(self, frame: Frame) -> None:
+        """The frame as it came, when that was asked for, or somebody listens who calibrates the camera."""
+        if self._raws is not None and (self._raw_always or self._raw_has_listener):
+            self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
+
+    def publish_uncalibrated(self, frame: Frame) -> None:
+        """The camera_info of a frame whose lens is unknown."""
+        self._infos.publish(uncalibrated_message(frame.image.shape, frame.stamp_ns, self._frame_id))
+
+    def publish_silhouette(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
+        """The silhouette and its camera_info under one stamp; now and then a preview."""
+        assert seen.canvas is not None
+        self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
+        self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
+        now_s = time.monotonic()
+        if self._previews is not None and now_s - self._last_preview_s >= self._preview_period_s:
+            self._last_preview_s = now_s
+            outlined = outline(frame.image, silhouette.image_mask)
+            self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
+
+    def _info_of(self, canvas: CameraModel, stamp_ns: int) -> CameraInfo:
+        """Made once a canvas: setting its arrays costs more than publishing it."""
+        if self._info is None or self._info[0] is not canvas:
+            self._info = (canvas, camera_info_message(canvas, stamp_ns, self._frame_id))
+        message = self._info[1]
+        message.header.stamp = to_stamp(stamp_ns)
+        return message
+
+    def publish_background(self, model: BackgroundModel) -> None:
+        """The mean of the background in use."""
+        self._means.publish(image_message(np.rint(model.mean).astype(np.uint8), 0, self._frame_id))

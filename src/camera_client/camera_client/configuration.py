@@ -1,0 +1,151 @@
+"""From settings to the parts of a camera client: which camera of the rig, which source; all or nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.camera_info_file import load_camera_info, read_camera_info
+from capture_rig.errors import InputError
+from capture_rig.rig import Volume, load_rig
+
+from .frame_source import FrameSource
+from .settings import CameraClientSettings
+from .sources.aravis_source import AravisSource
+from .sources.footage_source import FootageSource
+from .sources.supervised_source import SupervisedSource
+
+# --- How much is known of a camera: nothing, its lens, or its lens and its place in the room.
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What is known of the camera ``name``.
+
+    ``camera`` is None while the lens is unknown: silhouettes cannot be undistorted then. ``volume`` is the rig's
+    capture volume, metres, map frame; it is None while the camera's place is unknown, and ``camera``'s pose then means
+    nothing.
+    """
+
+    name: str
+    camera: CameraModel | None = None
+    volume: Volume | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Is the camera's place in the room known?"""
+        return self.volume is not None
+
+
+def unplaced_camera(name: str, width: int, height: int) -> CameraModel:
+    """A camera of which only name and image size, px, are known, to be given its intrinsics."""
+    return CameraModel(name, width, height, np.eye(3), "plumb_bob", np.zeros(5), np.eye(4))
+
+
+Accept = Callable[[FrameSource], None]
+
+STALL_PERIODS = 5  # a camera that is slow has not stalled
+
+
+def load_calibration(settings: CameraClientSettings, name: str) -> Calibration:
+    """What the settings tell of the camera ``name``: all with a rig, else the intrinsics of camera_info_file, if any.
+
+    Raises InputError naming the file: one that cannot be read, or does not know this camera.
+    """
+    if settings.rig_file:
+        return Calibration(name, *load_camera(settings, name))
+    path = settings.camera_info_file
+    if not path or not Path(path).exists():
+        return Calibration(name)
+    camera = read_camera_info(path)
+    if camera.name != name:
+        raise InputError(
+            f"camera_name = {camera.name!r} is not this camera, '{name}'",
+            where=path,
+            remedy="Name the file of this camera.",
+        )
+    return Calibration(name, camera)
+
+
+def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel, Volume]:
+    """The calibrated camera ``name`` of the rig, with camera_info_file's intrinsics if there is one, and the volume.
+
+    Raises InputError naming the file.
+    """
+    if not settings.rig_file:
+        raise InputError("is empty", where="parameter rig_file", remedy="Give the path of the rig YAML.")
+    try:
+        rig = load_rig(settings.rig_file)
+        camera = rig.camera(name)
+    except InputError as error:
+        raise InputError(error.what, where=error.where or settings.rig_file, remedy=error.remedy) from None
+    if settings.camera_info_file and Path(settings.camera_info_file).exists():
+        return load_camera_info(settings.camera_info_file, camera), rig.volume
+    return camera, rig.volume
+
+
+def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSource:
+    """The source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
+
+    A live camera that is not there is no error: it is awaited once the source runs, and looked at when it comes.
+    """
+    if settings.source == "aravis":
+        source: FrameSource = live_source(settings, accept)
+        source.connect()
+        return source
+    if not settings.footage.path:
+        raise InputError(
+            "is empty", where="parameter footage.path", remedy="Give a video or stills, or set source: aravis."
+        )
+    source = FootageSource(settings.footage, settings.channels)
+    source.connect()
+    try:
+        accept(source)
+    except BaseException:
+        source.close()
+        raise
+    return source
+
+
+def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSource:
+    """The GigE Vision camera of ``settings`` under supervision, not connected yet."""
+    return SupervisedSource(
+        lambda: AravisSource(settings.aravis, settings.channels),
+        settings.supervision,
+        accept,
+        lambda source: stall_timeout_s(settings, source),
+    )
+
+
+def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
+    """How long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
+    supervision = settings.supervision
+    if settings.aravis.sync == "line":  # nobody here knows when somebody pulses the line
+        return supervision.triggered_stall_timeout_s or math.inf
+    rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
+    return max(supervision.stall_timeout_s, STALL_PERIODS / rate_hz if rate_hz else 0.0)
+
+
+def _rate_hz(details: Mapping[str, str]) -> float:
+    """The rate that the camera told, 0 when it did not."""
+    try:
+        return max(float(details.get("frame_rate", 0.0)), 0.0)
+    except ValueError:
+        return 0.0
+
+
+def check_size(source: FrameSource, camera: CameraModel) -> None:
+    """Raises InputError when the source's images are not as large as the camera was calibrated for."""
+    height, width = source.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"gives images of {width} x {height} pixels, camera {camera.name} was calibrated at "
+            f"{camera.width} x {camera.height}",
+            where=source.description,
+            remedy="Set the camera's region, or use the rig file that belongs to this footage.",
+        )

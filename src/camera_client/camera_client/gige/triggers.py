@@ -1,0 +1,296 @@
+"""What starts an exposure, so that several cameras expose at one instant; best first.
+
+ptp: cameras in step by PTP run freely, but from a common beginning. line: a cable. action: each camera is told ahead of
+time, by an action command of GigE Vision 2.x, when to expose in PTP time. software: a trigger command at an instant of
+this host's clock, as late as the network makes it.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from fractions import Fraction
+
+from capture_rig.errors import InputError
+from gige_vision.gvcp import PORT, AcknowledgePacket, Action, Command, MalformedPacket, Status
+
+from ..settings import AravisSettings
+from .capture_time import PTP_IN_STEP
+from .features import Features
+
+# --- When to trigger: at whole multiples of the period of a common clock, so that nobody has to coordinate.
+
+SECOND = 1_000_000_000
+FINEST_RATE = 10**6  # the rate is taken as a fraction with at most this denominator: 59.94 is 2997/50
+JOIN_TIMEOUT_S = 3.0
+
+
+class TriggerSchedule:
+    """The instants k / rate of a clock that counts from its epoch (ns), each due ``lead_ns`` before it comes.
+
+    Every computer that knows the rate finds the same instants, to the nanosecond. An instant that is over by half a
+    period before anybody asked is skipped and counted in ``missed``.
+    """
+
+    def __init__(self, rate_hz: float, lead_ns: int = 0) -> None:
+        self._rate = Fraction(rate_hz).limit_denominator(FINEST_RATE)
+        self._lead_ns = lead_ns
+        self._next: int | None = None
+        self.missed = 0
+
+    def instant_ns(self, index: int) -> int:
+        """Instant number ``index`` since the clock's epoch."""
+        return index * SECOND * self._rate.denominator // self._rate.numerator
+
+    def first_after(self, now_ns: int) -> int:
+        """Number of the first instant that is not over at ``now_ns``."""
+        index = -(-now_ns * self._rate.numerator // (SECOND * self._rate.denominator))
+        return index if self.instant_ns(index) >= now_ns else index + 1
+
+    def due(self, now_ns: int) -> list[int]:
+        """Instants (ns) to act on now, each given once; the first call begins with the first one still ahead."""
+        if self._next is None:
+            self._next = self.first_after(now_ns + self._lead_ns)
+        self._skip_past(now_ns)
+        instants = []
+        while self.instant_ns(self._next) - self._lead_ns <= now_ns:
+            instants.append(self.instant_ns(self._next))
+            self._next += 1
+        return instants
+
+    def wait_ns(self, now_ns: int) -> int:
+        """Time until the next instant is due."""
+        index = self.first_after(now_ns + self._lead_ns) if self._next is None else self._next
+        return max(self.instant_ns(index) - self._lead_ns - now_ns, 0)
+
+    def _skip_past(self, now_ns: int) -> None:
+        assert self._next is not None
+        half_ns = self.instant_ns(1) // 2
+        if self.instant_ns(self._next) + half_ns < now_ns:
+            ahead = self.first_after(now_ns)
+            self.missed += ahead - self._next
+            self._next = ahead
+        elif self.instant_ns(self._next) - self._lead_ns - now_ns > SECOND:  # the clock was set back
+            self._next = self.first_after(now_ns + self._lead_ns)
+
+
+class TriggerThread:
+    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own.
+
+    clock : ns, of the clock that the schedule counts on.
+    """
+
+    def __init__(self, schedule: TriggerSchedule, clock: Callable[[], int], fire: Callable[[int], None]) -> None:
+        self._schedule, self._clock, self._fire = schedule, clock, fire
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="trigger", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; waits for a trigger that is on its way."""
+        self._stopping.set()
+        self._thread.join(JOIN_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while not self._stopping.wait(self._schedule.wait_ns(self._clock()) / SECOND):
+            for instant_ns in self._schedule.due(self._clock()):
+                self._fire(instant_ns)
+
+
+FRAME_TRIGGER = "FrameStart"
+PTP_POLL_S = 0.05
+TIMER_LEAD_NS = SECOND // 5  # from arming a free-run timer to its first exposure
+PERIODIC_SIGNAL = "PeriodicSignal1"
+
+
+def switch_triggers_off(features: Features) -> None:
+    """Let the camera run freely: no trigger of any kind starts or holds up a frame."""
+    if (mode := features.find("TriggerMode")) is None:
+        return
+    selector = features.find("TriggerSelector")
+    for name in features.access.choices(selector) if selector else ("",):
+        if selector:
+            features.ensure(selector, name, "aravis.sync")
+        features.ensure(mode, "Off", "aravis.sync")
+    timer = features.find("SyncFreeRunTimerEnable")
+    if timer is not None and features.read(timer) not in (False, 0, "Off"):
+        features.switch(timer, False, "aravis.sync")
+
+
+def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
+    """Set up the triggers for ``settings.sync``; returns a warning, "" when there is none.
+
+    ptp_now_ns : the camera's clock, only asked for where PTP is in use.
+    Raises InputError when the camera lacks what the mode needs.
+    """
+    if settings.sync in ("action", "software", "ptp"):
+        require_rate(settings, features.where)
+    if settings.sync == "ptp":
+        return _free_run_in_step(features, settings, ptp_now_ns)
+    if settings.sync == "line":
+        _trigger_by(features, settings, settings.trigger_line)
+        features.set("TriggerActivation", settings.trigger_activation, "aravis.trigger_activation")
+    elif settings.sync == "action":
+        _listen_to_actions(features, settings)
+        _trigger_by(features, settings, _action_source(features))
+    elif settings.sync == "software":
+        features.require("TriggerSoftware", "aravis.sync")
+        _trigger_by(features, settings, "Software")
+    return ""
+
+
+def require_rate(settings: AravisSettings, where: str) -> None:
+    """Raises InputError when no frame rate is given."""
+    if settings.frame_rate <= 0:
+        raise InputError(
+            f"sync {settings.sync} needs a frame rate",
+            where=where,
+            remedy="Set aravis.frame_rate, to the same for all cameras.",
+        )
+
+
+def enable_ptp(
+    features: Features,
+    wait_s: float,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> str | None:
+    """Switch PTP on and wait until the camera is in step; returns its status, None for a camera without PTP."""
+    if features.find("PtpEnable") is None:
+        return None
+    features.switch("PtpEnable", True, "aravis.sync and aravis.stamp_source")
+    deadline_s = clock() + wait_s
+    while (status := ptp_status(features)) not in PTP_IN_STEP and clock() < deadline_s:
+        sleep(PTP_POLL_S)
+    return status
+
+
+def ptp_status(features: Features) -> str | None:
+    """The camera's PTP status, such as Slave; None for a camera without PTP, or when it is switched off."""
+    latch = features.find("PtpDataSetLatch")
+    if latch is not None:
+        features.run(latch, "aravis.sync")
+    status = features.read("PtpStatus")
+    if status is None or str(status) in ("Disabled", "Off"):
+        return None
+    return str(status)
+
+
+def _trigger_by(features: Features, settings: AravisSettings, source: str) -> None:
+    if (selector := features.find("TriggerSelector")) is not None:
+        features.set(selector, FRAME_TRIGGER, "aravis.sync")
+    features.set("TriggerSource", source, "aravis.trigger_line" if settings.sync == "line" else "aravis.sync")
+    if settings.trigger_delay_us >= 0:
+        features.set("TriggerDelay", settings.trigger_delay_us, "aravis.trigger_delay_us")
+    features.set("TriggerMode", "On", "aravis.sync")
+
+
+def _action_source(features: Features) -> str:
+    """The camera's first action signal: Action1, or Action0 where it counts from 0."""
+    offered = features.access.choices(features.require("TriggerSource", "aravis.sync"))
+    return next((name for name in sorted(offered) if name.startswith("Action")), "Action1")
+
+
+def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
+    if (selector := features.find("ActionSelector")) is not None:
+        lowest = features.access.limits(selector)
+        features.set(selector, int(lowest[0]) if lowest else 1, "aravis.sync")
+    features.require("ActionDeviceKey", "aravis.sync")
+    for name, value, key in (
+        ("ActionDeviceKey", settings.action_device_key, "aravis.action_device_key"),
+        ("ActionGroupKey", settings.action_group_key, "aravis.action_group_key"),
+        ("ActionGroupMask", settings.action_group_mask, "aravis.action_group_mask"),
+    ):
+        features.set(name, value, key)
+
+
+def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
+    """Exposures at whole multiples of the period of the PTP clock, whoever arms the cameras and when."""
+    if features.find("SyncFreeRunTimerEnable") is not None:
+        _arm_timer(features, settings.frame_rate, ptp_now_ns())
+        return ""
+    if features.find("BslPeriodicSignalPeriod") is not None:  # counts from the epoch of PTP by itself
+        features.set("BslPeriodicSignalPeriod", 1e6 / settings.frame_rate, "aravis.frame_rate")
+        if features.find("BslPeriodicSignalDelay") is not None:
+            features.set("BslPeriodicSignalDelay", 0.0, "aravis.sync")
+        _trigger_by(features, settings, PERIODIC_SIGNAL)
+        return ""
+    return (
+        "the camera can be in step by PTP, but not begin at a given time: cameras run at one rate, each in a phase of "
+        "its own; aravis.sync action or line would bring them together"
+    )
+
+
+def _arm_timer(features: Features, rate_hz: float, ptp_now_ns: int) -> None:
+    schedule = TriggerSchedule(rate_hz)
+    start_ns = schedule.instant_ns(schedule.first_after(ptp_now_ns + TIMER_LEAD_NS))
+    features.set("SyncFreeRunTimerTriggerRateAbs", rate_hz, "aravis.frame_rate")
+    features.set("SyncFreeRunTimerStartTimeLow", start_ns & 0xFFFF_FFFF, "aravis.sync")
+    features.set("SyncFreeRunTimerStartTimeHigh", start_ns >> 32, "aravis.sync")
+    features.run("SyncFreeRunTimerUpdate", "aravis.sync")
+    features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
+
+
+# --- Scheduled action commands to one camera: "expose at this time of your clock". Unicast; nothing is broadcast.
+
+MOST_PENDING = 64
+LAST_REQUEST_ID = 0xFFFF
+
+
+class ActionSender:
+    """Sends actions to the camera at ``address`` from ``host`` and takes in its acknowledges, without ever waiting.
+
+    ``counts``: actions (acknowledged), actions_late (came after their time), actions_refused (anything else, such as no
+    room for another one or no PTP time), actions_unanswered.
+    """
+
+    def __init__(self, address: str, host: str, device_key: int, group_key: int, group_mask: int) -> None:
+        self._keys = (device_key, group_key, group_mask)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, 0))
+            self._socket.connect((address, PORT))
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.setblocking(False)
+        self._request_id = 0
+        self._pending: dict[int, None] = {}  # request ids, in the order they were sent
+        self.counts = {"actions": 0, "actions_late": 0, "actions_refused": 0, "actions_unanswered": 0}
+
+    def send(self, time_ns: int) -> None:
+        """Ask for one action at ``time_ns`` of the camera's clock."""
+        self.collect()
+        self._request_id = self._request_id % LAST_REQUEST_ID + 1
+        try:
+            self._socket.send(Action(*self._keys, time_ns).command(self._request_id).encode())
+        except OSError:  # the camera's host answered that nobody listens there, or the link is down
+            self.counts["actions_unanswered"] += 1
+            return
+        self._pending[self._request_id] = None
+        if len(self._pending) > MOST_PENDING:
+            del self._pending[next(iter(self._pending))]
+            self.counts["actions_unanswered"] += 1
+
+    def collect(self) -> None:
+        """Take in the acknowledges that have come."""
+        while True:
+            try:
+                answer = AcknowledgePacket.decode(self._socket.recv(2048))
+            except (BlockingIOError, ConnectionError):
+                return
+            except MalformedPacket:
+                continue
+            if answer.acknowledge == Command.ACTION.acknowledge and answer.request_id in self._pending:
+                del self._pending[answer.request_id]
+                self.counts[_RESULTS.get(answer.status, "actions_refused")] += 1
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+_RESULTS = {int(Status.SUCCESS): "actions", int(Status.ACTION_LATE): "actions_late"}

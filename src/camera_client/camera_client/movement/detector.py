@@ -1,0 +1,239 @@
+"""Was the camera moved since it was calibrated? Its own picture is asked, twice a second by the frames' stamps.
+
+Silhouettes cannot tell: when the camera is bumped, every edge of the room becomes foreground. The whole picture can,
+with somebody in it, other lights, and a chair that was moved; only a room without any edges cannot.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from capture_rig.camera import CameraModel
+
+from ..background.model import BackgroundModel, Provenance
+from ..frame_source import Image
+from ..settings import CameraMovedSettings
+from .alignment import Alignment, Array, PictureAlignment, rotation_matrix, rotation_vector
+
+LOOKS = 3  # their median counts: something that springs back, or one bad picture, is no movement
+MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
+MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
+LOST = 0.1  # when fewer agree on anything, the picture is another one ...
+LOST_S = 3.0  # ... and that is said when it lasts
+SEARCH_S = 3.0  # a search costs as much as ten looks
+SIGMAS = 4.0
+SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
+
+
+class MovementState(Enum):
+    """What the picture says about the camera."""
+
+    UNKNOWN = "cannot tell"
+    STILL = "has not moved"
+    MOVED = "was moved"
+    LOST = "shows something else"
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """Where the camera stands, compared with the time of its calibration.
+
+    turn_rad (3,) : rotation vector of the camera in its own frame (x right, y down, z forward), radians; a push aside
+    shows as the turn that does most of the same. shift_px (2,) : how far the middle of the picture moved, right and
+    down. agreeing : share of the background's edges that confirm it, beyond chance. severe : the silhouettes are wrong
+    by more than they can bear.
+    """
+
+    state: MovementState = MovementState.UNKNOWN
+    turn_rad: Array = field(default_factory=lambda: np.zeros(3))
+    shift_px: Array = field(default_factory=lambda: np.zeros(2))
+    agreeing: float = 0.0
+    severe: bool = False
+
+    @property
+    def turned_deg(self) -> float:
+        """By how much the picture is turned about its middle, clockwise where positive."""
+        return float(np.degrees(self.turn_rad[2]))
+
+    @property
+    def swing_deg(self) -> float:
+        """By how much the camera looks to another side, or up or down."""
+        return float(np.degrees(np.hypot(*self.turn_rad[:2])))
+
+    def describe(self, camera: str) -> str:
+        """What is wrong, and what to do; "" when nothing is known to be."""
+        if self.state is MovementState.LOST:
+            return (
+                f"{camera} shows something else than its background does: was it moved far, or is something before "
+                "its lens? Put it back, or calibrate it and learn its background again"
+            )
+        if self.state is not MovementState.MOVED:
+            return ""
+        shift_px = float(np.hypot(*self.shift_px))
+        return (
+            f"{camera} was moved: its picture is shifted by {shift_px:.1f} px ({self.swing_deg:.1f} degrees), "
+            f"turned by {abs(self.turned_deg):.1f} degrees: put it back, or calibrate it and learn its background "
+            "again"
+        )
+
+    def values(self) -> dict[str, object]:
+        """The figures, by the keys of the diagnostics; only what was measured."""
+        values: dict[str, object] = {"camera_moved": self.state.value}
+        if self.state in (MovementState.STILL, MovementState.MOVED):
+            values |= {
+                "camera_shift_px": round(float(np.hypot(*self.shift_px)), 2),
+                "camera_shift_deg": round(self.swing_deg, 3),
+                "camera_turn_deg": round(self.turned_deg, 3),
+                "camera_edges_agreeing": round(self.agreeing, 3),
+            }
+        return values
+
+
+class CameraMovedDetector:
+    """Compares frames of one camera with its background. The same frames give the same results at every speed.
+
+    ``since_rad`` (3,) : the turn that the camera had made already when the background was learned.
+    Frames come on one thread; ``movement`` may be read on another.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        background: BackgroundModel,
+        settings: CameraMovedSettings | None = None,
+        since_rad: Array | None = None,
+    ) -> None:
+        self._camera, self._settings = camera, settings or CameraMovedSettings()
+        self._alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
+        self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
+        self._looks: deque[Alignment] = deque(maxlen=LOOKS)
+        self._last_ns: int | None = None
+        self._searched_ns, self._unlike_s = -(10**18), 0.0
+        self.movement = Movement()
+
+    @property
+    def enabled(self) -> bool:
+        return self._settings.limit_deg > 0 and self._alignment.has_enough_edges
+
+    def look(self, image: Image, stamp_ns: int) -> Movement:
+        """Take a frame (H, W) or (H, W, 3) of ``stamp_ns``; most are not looked at."""
+        step_s = self._step_s(stamp_ns)
+        if step_s == 0.0 or not self.enabled:
+            return self.movement
+        search = stamp_ns - self._searched_ns >= SEARCH_S * 1e9 or not self._looks
+        start_rad = self._looks[-1].turn_rad if self._looks else np.zeros(3)
+        found = self._alignment.align(image, start_rad, search)
+        if found is not None and found.agreeing >= MIN_AGREEMENT:
+            self._looks.append(found)
+            self._unlike_s = 0.0
+            self.movement = self._measured()
+            return self.movement
+        if search:
+            self._searched_ns = stamp_ns
+        self._unlike_s = self._unlike_s + step_s if found is None or found.agreeing < LOST else 0.0
+        if self._unlike_s >= LOST_S:
+            self._looks.clear()
+            self.movement = Movement(MovementState.LOST, severe=True)
+        return self.movement
+
+    def _step_s(self, stamp_ns: int) -> float:
+        """Time since the last look; 0 when it is too early for another."""
+        if self._last_ns is None or stamp_ns < self._last_ns:
+            self._last_ns = stamp_ns
+            return self._settings.period_s
+        step_s = (stamp_ns - self._last_ns) * 1e-9
+        if step_s < self._settings.period_s:
+            return 0.0
+        self._last_ns = stamp_ns
+        return min(step_s, 2 * self._settings.period_s)
+
+    def _measured(self) -> Movement:
+        """The median of the last looks; moved when that is certain, and more than the limit."""
+        if len(self._looks) < LOOKS:
+            return self.movement
+        turn_rad = np.median([look.turn_rad for look in self._looks], axis=0)
+        sd_rad = float(np.median([np.linalg.norm(look.sd_rad) for look in self._looks]))
+        gained = float(np.median([look.agreeing - look.agreeing_unmoved for look in self._looks]))
+        R = rotation_matrix(turn_rad) @ self._since
+        total_rad = rotation_vector(R)
+        limit_rad = np.radians(self._settings.limit_deg)
+        beyond = np.linalg.norm(total_rad) - SIGMAS * sd_rad > limit_rad
+        if np.linalg.norm(turn_rad) > limit_rad and gained < MIN_AGREEMENT_GAIN:
+            return Movement()
+        return Movement(
+            state=MovementState.MOVED if beyond else MovementState.STILL,
+            turn_rad=total_rad,
+            shift_px=self._shift_px(R),
+            agreeing=float(np.median([look.agreeing for look in self._looks])),
+            severe=bool(np.linalg.norm(total_rad) > SEVERE_FACTOR * limit_rad),
+        )
+
+    def _shift_px(self, R: Array) -> Array:
+        """(2,) from where to where a turn moves what is in the middle of the picture."""
+        K = self._camera.K
+        middle = np.array([self._camera.width - 1, self._camera.height - 1]) / 2
+        u, v, w = K @ R @ np.linalg.inv(K) @ np.append(middle, 1.0)
+        return np.array([u / w, v / w]) - middle if w > 0 else np.full(2, np.inf)
+
+
+# --- How far the camera had turned when a background was learned: a new background must not make that forgotten.
+#
+# Learning the background of a bumped camera again repairs its silhouettes, but not its calibration. So each background is
+# compared with the one before, and tells how far the camera had turned since the first that was learned with the same
+# calibration. Another calibration of the camera's place begins anew.
+
+REPORTED_TURN_DEG = 0.2
+
+
+def pose_checksum(camera: CameraModel) -> str:
+    """A short name of where a calibration puts the camera."""
+    return f"{zlib.crc32((np.round(camera.T_camera_world, 6) + 0.0).tobytes()):08x}"
+
+
+def turn_when_learned(about: Provenance, camera: CameraModel) -> Array:
+    """(3,) rotation vector, radians, of the camera when this background was learned, from when it was calibrated; zero
+    where the background tells of none, or of another calibration."""
+    return _turn(about) if about.calibration == pose_checksum(camera) else np.zeros(3)
+
+
+def _turn(about: Provenance) -> Array:
+    try:
+        turn_rad = np.array([float(part) for part in about.camera_turn_rad.split()])
+    except ValueError:
+        return np.zeros(3)
+    return turn_rad if turn_rad.shape == (3,) and np.isfinite(turn_rad).all() else np.zeros(3)
+
+
+def describe_turn(about: Provenance) -> str:
+    """A clause for people about a background of a camera that was moved after its calibration; else ""."""
+    turn_deg = float(np.degrees(np.linalg.norm(_turn(about))))
+    if turn_deg < REPORTED_TURN_DEG:
+        return ""
+    return f"; since it was calibrated the camera has turned by {turn_deg:.1f} degrees: calibrate it again"
+
+
+def carry_turn_over(model: BackgroundModel, before: BackgroundModel | None, camera: CameraModel) -> BackgroundModel:
+    """``model``, and how far the camera had turned when it was learned, as the background ``before`` it shows."""
+    place, turn_rad = pose_checksum(camera), np.zeros(3)
+    if before is not None and before.shape == model.shape and before.provenance.calibration in ("", place):
+        turn_rad = turn_when_learned(before.provenance, camera)
+        step_rad = turn_between(before, model, camera)
+        if step_rad is not None:
+            turn_rad = rotation_vector(rotation_matrix(step_rad) @ rotation_matrix(turn_rad))
+    text = " ".join(f"{angle:.6f}" for angle in turn_rad)
+    return replace(model, provenance=replace(model.provenance, calibration=place, camera_turn_rad=text))
+
+
+def turn_between(before: BackgroundModel, model: BackgroundModel, camera: CameraModel) -> Array | None:
+    """(3,) rotation vector by which the camera turned between two backgrounds; None when they do not tell."""
+    sigma = float(np.median(before.sigma))
+    found = PictureAlignment(camera, before.mean, sigma).align(model.mean)
+    if found is None or found.agreeing < MIN_AGREEMENT:
+        return None
+    unmoved = found.agreeing - found.agreeing_unmoved < MIN_AGREEMENT_GAIN
+    return np.zeros(3) if unmoved and np.linalg.norm(found.turn_rad) < 1e-3 else found.turn_rad

@@ -1,0 +1,264 @@
+"""Boxes of pixels: a person fills a tenth of the image, and the rest need not be worked on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from capture_rig.camera import UndistortedView
+
+from ..frame_source import Image, Mask
+
+BLOCK_PX = 8
+MOST_IN_BLOCK_PX = 8
+_PIXEL_OF_BLOCK = 4  # what one pixel of 255 adds to the mean of its block, halved three times
+
+
+class Box(NamedTuple):
+    """Pixels of rows top to bottom and columns left to right, ends excluded; empty when it has none."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    @classmethod
+    def whole(cls, shape: tuple[int, ...]) -> Box:
+        """All of an image of that shape."""
+        return cls(0, 0, shape[0], shape[1])
+
+    @classmethod
+    def around(cls, mask: Mask) -> Box:
+        """What holds every pixel of ``mask`` that is not 0."""
+        x, y, width, height = cv2.boundingRect(mask)
+        return cls(y, x, y + height, x + width)
+
+    @property
+    def empty(self) -> bool:
+        return self.bottom <= self.top or self.right <= self.left
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """To index an image with."""
+        return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    def grown(self, by_px: int, shape: tuple[int, ...], multiple: int = 1) -> Box:
+        """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, but within an image of ``shape``."""
+        top, left = (max(start - by_px, 0) // multiple * multiple for start in self[:2])
+        bottom, right = (-(-(end + by_px) // multiple) * multiple for end in self[2:])
+        return Box(top, left, min(bottom, shape[0]), min(right, shape[1]))
+
+    def within(self, outer: Box) -> Box:
+        """The same box, counted from the corner of ``outer``."""
+        return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)
+
+    def outside(self, outer: Box) -> Box:
+        """The inverse of :meth:`within`."""
+        return Box(self.top + outer.top, self.left + outer.left, self.bottom + outer.top, self.right + outer.left)
+
+
+class ForegroundLocator:
+    """Finds, fast, a box that holds everything in an image that may be a part of a person.
+
+    Foreground is counted in blocks of 8 x 8 pixels by halving the image three times. Noise, at one pixel in a hundred,
+    fills no block, so that it does not widen the box as it would widen a bounding box.
+    """
+
+    def __init__(self, shape: tuple[int, ...], min_area_px: float, least_in_block_px: int) -> None:
+        """Parts below ``min_area_px`` may be missed; a block counts from ``least_in_block_px`` (or a sixth of the
+        smallest part, if that is more, up to 8) pixels on."""
+        self._shape, self._min_area_px = shape[:2], min_area_px
+        least_px = max(least_in_block_px, min(int(min_area_px / 6), MOST_IN_BLOCK_PX))
+        self._sparse = 255 - _PIXEL_OF_BLOCK * least_px + 1
+        height, width = (-(-n // BLOCK_PX) * BLOCK_PX for n in shape[:2])
+        self._padded = np.full((height, width), 255, np.uint8)
+        self.busy = np.zeros((height // BLOCK_PX, width // BLOCK_PX), np.uint8)
+        """Blocks (of the last call of :meth:`box`) that the box was made for are 1, the others 0."""
+
+    @property
+    def buffer(self) -> Mask:
+        """(H, W) to write the mask of the *background* into, 255 or 0, before :meth:`box`."""
+        return self._padded[: self._shape[0], : self._shape[1]]
+
+    def box(self) -> Box:
+        """A box of whole blocks around all neighbouring dense blocks that hold the smallest part, together."""
+        blocks: np.ndarray = self._padded
+        for _ in range(3):
+            blocks = cv2.resize(blocks, (blocks.shape[1] // 2, blocks.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        dense = cv2.threshold(blocks, self._sparse, 255, cv2.THRESH_BINARY_INV)[1]
+        count, labels = cv2.connectedComponents(dense, connectivity=8)
+        pixels = np.bincount(labels.reshape(-1), (255 - blocks).reshape(-1), count) / _PIXEL_OF_BLOCK
+        large = (pixels >= self._min_area_px).astype(np.uint8)
+        large[0] = 0  # what is not dense
+        self.busy = large[labels]
+        top, left, bottom, right = (BLOCK_PX * side for side in Box.around(self.busy))
+        return Box(top, left, min(bottom, self._shape[0]), min(right, self._shape[1]))
+
+
+# --- Which parts of a raw mask belong to the person: the largest one and its neighbours, never the largest alone.
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """An outer contour with its area in pixels and its bounding box (x, y, w, h)."""
+
+    contour: np.ndarray
+    area_px: float
+    box: tuple[int, int, int, int]
+
+
+def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float) -> Mask:
+    """Mask (H, W) without specks, far components and small holes.
+
+    A component counts from ``min_area_px`` on. Kept are the largest, and every one whose bounding box lies within
+    ``near_px`` of a kept one: dark clothes on a dark floor cut legs from the trunk, and they must survive. Holes
+    below ``max_hole_px`` are filled; larger ones stay, or the gap between the legs would be lost.
+    """
+    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return np.zeros_like(mask)
+    is_outer = hierarchy.reshape(-1, 4)[:, 3] < 0
+    parts = _parts([c for c, outer in zip(contours, is_outer, strict=True) if outer], min_area_px)
+    kept = np.zeros_like(mask)
+    cv2.drawContours(kept, [part.contour for part in _near_the_largest(parts, near_px)], -1, 255, cv2.FILLED)
+    cv2.bitwise_and(kept, mask, dst=kept)
+    holes = [c for c, outer in zip(contours, is_outer, strict=True) if not outer and _hole_area_px(c) < max_hole_px]
+    holes = [hole for hole in holes if kept[hole.reshape(-1, 2)[0, 1], hole.reshape(-1, 2)[0, 0]]]
+    cv2.drawContours(kept, holes, -1, 255, cv2.FILLED)
+    return kept
+
+
+def majority(mask: Mask, side_px: int) -> Mask:
+    """The median filter of a mask of 0 and 255, as a box filter: several times faster, and equal for odd sides."""
+    if side_px <= 1:
+        return mask
+    mean = cv2.blur(mask, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
+    return cv2.threshold(mean, 127, 255, cv2.THRESH_BINARY)[1]
+
+
+def majority_count(side_px: int) -> int:
+    """A pixel that survives the filter has so many pixels of foreground in one 8 x 8 block that its window meets.
+
+    The window lies in four blocks at most, which leaves (side^2 + 1) / 8 for one of them; fewer at the image's border,
+    where a pixel also stands for its neighbours outside: in the corner, (side + 1) / 2 of them outvote all others.
+    """
+    return side_px // 2 + 1
+
+
+def _parts(outers: list[np.ndarray], min_area_px: float) -> list[_Part]:
+    """Components of at least ``min_area_px``, the largest first (ties: in the order found, so deterministic)."""
+    large = [(_outer_area_px(c), c) for c in outers]
+    large = [(area, contour) for area, contour in large if area >= min_area_px]
+    parts = [_Part(contour, area, tuple(cv2.boundingRect(contour))) for area, contour in large]  # type: ignore[arg-type]
+    return sorted(parts, key=lambda part: -part.area_px)
+
+
+def _near_the_largest(parts: list[_Part], near_px: float) -> list[_Part]:
+    kept, waiting = parts[:1], parts[1:]
+    frontier = kept
+    while frontier and waiting:
+        frontier = [part for part in waiting if any(_gap_px(part.box, other.box) <= near_px for other in frontier)]
+        waiting = [part for part in waiting if part not in frontier]
+        kept = kept + frontier
+    return kept
+
+
+def _gap_px(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> float:
+    """Distance between two boxes (x, y, w, h), 0 where they touch or overlap."""
+    dx = max(a[0] - (b[0] + b[2]), b[0] - (a[0] + a[2]), 0)
+    dy = max(a[1] - (b[1] + b[3]), b[1] - (a[1] + a[3]), 0)
+    return float(np.hypot(dx, dy))
+
+
+def _outer_area_px(contour: np.ndarray) -> float:
+    """Pixels within an outer contour, border included: Pick's theorem, A + B / 2 + 1."""
+    return cv2.contourArea(contour) + len(contour) / 2 + 1
+
+
+def _hole_area_px(contour: np.ndarray) -> float:
+    """Pixels of a hole, whose contour runs on the foreground around it: Pick's theorem, A - B / 2 + 1."""
+    return cv2.contourArea(contour) - len(contour) / 2 + 1
+
+
+# --- Where the person's outline runs: at half contrast, not where the background ends.
+
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+
+
+def trim_outline(person: Mask, image: Image, mean: Image, least_share: float) -> Mask:
+    """``person`` (h, w) without pixels of its rim that are mostly background.
+
+    A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
+    that notices a few grey levels calls all of it foreground, and everybody gets a pixel wider all around. So a pixel
+    that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
+    ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
+    """
+    difference = cv2.absdiff(image, mean)
+    if difference.ndim == 3:
+        blue, green, red = cv2.split(difference)
+        difference = cv2.max(cv2.max(blue, green), red)
+    difference = cv2.bitwise_and(difference, person)
+    inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    wanted = cv2.convertScaleAbs(cv2.dilate(difference, _CROSS), alpha=least_share)
+    return cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
+
+
+# --- Undistorts what lies in a part of the image, without looking at the rest of the canvas.
+
+CELL_PX = 16
+BAND_PX = 4 * CELL_PX  # arms make a person wide, but only in few rows
+
+
+class BoxUndistorter:
+    """Gives exactly what ``view.undistort_mask`` gives for a mask that is 0 outside a box, and faster.
+
+    For each cell of the image it knows which rows and columns of the canvas look into it.
+    """
+
+    def __init__(self, view: UndistortedView) -> None:
+        rows, columns = np.indices(view.image_shape, np.int16)
+        nearest = np.stack([view.undistort_mask(columns), view.undistort_mask(rows)], axis=2)
+        nearest[~view.seen] = -1
+        self._nearest = nearest
+        self._low, self._high = _canvas_of_cells(nearest, view.image_shape)
+
+    def undistort(self, mask: Mask, box: Box) -> Mask:
+        """``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
+        canvas = np.zeros(self._nearest.shape[:2], np.uint8)
+        for top in range(box.top // BAND_PX * BAND_PX, box.bottom, BAND_PX):
+            band = Box(max(top, box.top), box.left, min(top + BAND_PX, box.bottom), box.right)
+            marked = Box.around(mask[band.slices])
+            if not marked.empty:
+                self._look_up(mask, marked.outside(band), canvas)
+        return canvas
+
+    def _look_up(self, mask: Mask, box: Box, canvas: Mask) -> None:
+        """Fill that part of the canvas which looks into ``box``."""
+        cells = tuple(slice(s.start // CELL_PX, -(-s.stop // CELL_PX)) for s in box.slices)
+        (top, left), (bottom, right) = self._low[cells].min(axis=(0, 1)), self._high[cells].max(axis=(0, 1))
+        if top < bottom:
+            part = slice(top, bottom), slice(left, right)
+            canvas[part] = cv2.remap(
+                mask,
+                self._nearest[part],
+                np.empty(0, np.uint16),
+                cv2.INTER_NEAREST,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=0,
+            )
+
+
+def _canvas_of_cells(nearest: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """For each image cell (r, c) the lowest and highest + 1 canvas (row, column) that looks into it, both (r, c, 2)."""
+    grid = tuple(-(-n // CELL_PX) for n in shape)
+    low = np.full((*grid, 2), np.iinfo(np.int32).max, np.int32)
+    high = np.zeros((*grid, 2), np.int32)
+    row, column = np.nonzero(nearest[..., 0] >= 0)
+    cell = nearest[row, column, 1] // CELL_PX, nearest[row, column, 0] // CELL_PX
+    for axis, place in enumerate((row, column)):
+        np.minimum.at(low[..., axis], cell, place.astype(np.int32))
+        np.maximum.at(high[..., axis], cell, place.astype(np.int32) + 1)
+    return low, high

@@ -1,0 +1,219 @@
+"""From a frame to the silhouette of the person, on the undistorted canvas (thesis 6.1, 6.3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.rig import Volume
+
+from ..background.light_drift import LightDrift
+from ..background.model import BackgroundLimits, BackgroundModel, check_shape, shape_text
+from ..frame_source import Image, Mask
+from ..settings import BackgroundSettings, SilhouetteSettings
+from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
+from .shadows import ALIGNMENT_PX, AttenuationMarker, ColourShadow, FloorShadow
+
+EMPTY, FULL = "empty", "full"
+LEAST_GAIN = 0.005  # shadow tests need it no finer
+
+
+class ShadowTest(Protocol):
+    """Tells which foreground pixels show only the background in shadow."""
+
+    alignment_px: int
+    """Boxes that begin at multiples of this give what the whole image gives."""
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        """255 at pixels of ``mask`` that are shadow, else 0; ``mask`` covers ``box`` of ``image``, or all of it."""
+
+
+class NoShadow:
+    """Finds no shadow anywhere."""
+
+    alignment_px = 1
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        return np.zeros_like(mask)
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouette:
+    """What a camera sees of the person.
+
+    ``mask`` (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, up to 127 most likely a shadow, between
+    them person or shadow (see ``capture_rig.mask_levels``); ``image_mask`` (H, W) in the camera's own pixels, of 255, 0
+    and 127 only; ``foreground_fraction`` and ``candidate_fraction`` the shares of the image that are 255 and 127 there;
+    ``flags`` may hold "empty" or "full": such a mask is what was seen, and probably not a person.
+    """
+
+    mask: Mask
+    image_mask: Mask
+    foreground_fraction: float
+    flags: tuple[str, ...]
+    candidate_fraction: float = 0.0
+
+    @property
+    def person(self) -> Mask:
+        """``mask`` with 0 or 255 only: candidates are taken for shadow."""
+        return cv2.threshold(self.mask, SHADOW_CANDIDATE, FOREGROUND, cv2.THRESH_BINARY)[1]
+
+
+class SilhouettePipeline:
+    """The chain subtract, filter, look for shadow, keep the person, undistort, for one camera and background.
+
+    After the subtraction all work happens in a box around the places where foreground is dense. But for noise too thin
+    to be a part of anybody, the result is that of the whole image.
+    Raises InputError when background and camera differ in image size.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        background: BackgroundModel,
+        settings: SilhouetteSettings | None = None,
+        background_settings: BackgroundSettings | None = None,
+        volume: Volume | None = None,
+    ) -> None:
+        """``volume``: the capture volume; floor far from it need not be doubted."""
+        settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
+        check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
+        self._settings, self._shape = settings, background.shape
+        self._limits = background.limits(background_settings)
+        self._drift: LightDrift | None = None
+        if background_settings.drift.mode == "slow":
+            self._drift = LightDrift(background, self._limits, background_settings)
+        self._shadow = _shadow_test(camera, background, settings, background_settings.sigma_floor)
+        self._darkness = AttenuationMarker(camera, background, volume) if settings.shadow == "mark" else None
+        self._mean = np.rint(background.mean).clip(0, 255).astype(np.uint8)
+        self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
+        min_area_px = settings.min_area * camera.height**2
+        self._surroundings = ForegroundLocator(self._shape, min_area_px, majority_count(settings.median_px))
+        self._undistorter = BoxUndistorter(camera.undistorted_view())
+        self._levels = np.zeros(self._shape[:2], np.uint8)
+        side = 2 * round(settings.closing * camera.height / 2) + 1
+        self._closing = np.ones((side, side), np.uint8)
+        self._margin_px = 2 * (side // 2) + 2  # what closing looks at
+
+    @property
+    def limits(self) -> BackgroundLimits:
+        """The grey levels that count as background now; moved in place where drift is followed."""
+        return self._limits
+
+    @property
+    def gain(self) -> float:
+        """How much brighter than learned the scene is now, as far as slow drift was followed; 1 without."""
+        return 1.0 if self._drift is None else self._drift.gain
+
+    def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
+        """The silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
+
+        Slow drift of the light is followed (when the settings ask for it) by the frames' ``stamp_ns``, so that the same
+        footage gives the same silhouettes at every speed.
+        """
+        self._check(image)
+        box, raw = self._subtract(image)
+        if self._drift is not None and stamp_ns is not None:
+            self._drift.follow(image, self._surroundings.buffer, self._surroundings.busy, stamp_ns)
+        if box.empty:
+            return self._silhouette(np.zeros((0, 0), np.uint8), box)
+        image = self._as_learned(image)
+        shadow = self._shadow.shadow(image, raw, box)
+        person = self._keep_person(cv2.subtract(raw, shadow))
+        if self._settings.rim > 0:
+            person = trim_outline(person, image[box.slices], self._mean[box.slices], self._settings.rim)
+        if self._darkness is None:
+            return self._silhouette(person, box)
+        levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
+        return self._silhouette(levels, box, self._darkness.mark(image, person, shadow, box))
+
+    def _as_learned(self, image: Image) -> Image:
+        """As bright as it would be under the light that the background was learned in."""
+        if abs(self.gain - 1) < LEAST_GAIN:
+            return image
+        return cv2.convertScaleAbs(image, alpha=1 / self.gain)
+
+    def _check(self, image: Image) -> None:
+        if image.shape != self._shape or image.dtype != np.uint8:
+            raise InputError(
+                f"an image of {shape_text(image.shape)} {image.dtype} came, expected {shape_text(self._shape)} uint8",
+                remedy="The camera's region or pixel format has changed; configure again.",
+            )
+
+    def _subtract(self, image: Image) -> tuple[Box, Mask]:
+        """A box of the image that holds all foreground which survives the majority filter, and that foreground."""
+        within, side = self._surroundings.buffer, self._settings.median_px
+        cv2.inRange(image, self._limits.lo, self._limits.hi, dst=within)
+        busy = self._surroundings.box()
+        if busy.empty:
+            return Box(0, 0, 0, 0), np.zeros((0, 0), np.uint8)
+        survivors = busy.grown(BLOCK_PX, self._shape)
+        seen = survivors.grown(side // 2, self._shape)
+        filtered = majority(cv2.bitwise_not(within[seen.slices]), side)
+        box = survivors.grown(self._margin_px, self._shape, self._alignment_px)
+        mask = np.zeros((box.bottom - box.top, box.right - box.left), np.uint8)
+        mask[survivors.within(box).slices] = filtered[survivors.within(seen).slices]
+        return box, mask
+
+    def _keep_person(self, mask: Mask) -> Mask:
+        s, height = self._settings, self._shape[0]
+        mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
+        area = height * height
+        return keep_person(mask, s.min_area * area, s.near * height, s.max_hole * area)
+
+    def _silhouette(self, levels: Mask, box: Box, canvas_levels: Mask | None = None) -> Silhouette:
+        """Back to the whole image, and onto the canvas, there with ``canvas_levels`` if any."""
+        image_mask = np.zeros(self._shape[:2], np.uint8)
+        image_mask[box.slices] = levels
+        source = image_mask
+        if canvas_levels is not None:
+            source = self._levels
+            source[box.slices] = canvas_levels
+        anything, person = int(np.count_nonzero(levels)), int(np.count_nonzero(levels == FOREGROUND))
+        fraction = person / image_mask.size
+        canvas = self._undistorter.undistort(source, box)
+        self._levels[box.slices] = 0  # as it was
+        return Silhouette(canvas, image_mask, fraction, self._flags(fraction), (anything - person) / image_mask.size)
+
+    def _flags(self, fraction: float) -> tuple[str, ...]:
+        if fraction < self._settings.empty_below:
+            return (EMPTY,)
+        return (FULL,) if fraction > self._settings.full_above else ()
+
+
+def _shadow_test(
+    camera: CameraModel, background: BackgroundModel, settings: SilhouetteSettings, sigma_floor: float
+) -> ShadowTest:
+    colour = len(background.shape) == 3
+    if settings.shadow == "keep":
+        return NoShadow()
+    if colour and settings.colour_shadow.enabled:
+        return ColourShadow(background, sigma_floor, settings.colour_shadow)
+    if not colour and settings.floor_shadow.enabled:
+        return FloorShadow(camera, background, sigma_floor, settings.floor_shadow)
+    return NoShadow()
+
+
+# --- The picture to look at: what the camera sees, with the outline of what it took for the person.
+
+PERSON_BGR, CANDIDATE_BGR = (0, 255, 0), (0, 140, 255)
+LINE_PX = 2
+
+
+def outline(image: Image, mask: Mask) -> Image:
+    """The image (H, W[, 3]) at half size, BGR: the person's outline green, that of shadow candidates orange.
+
+    ``mask`` (H, W) is :attr:`camera_client.silhouettes.pipeline.Silhouette.image_mask`, of two or three levels.
+    """
+    shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    for level, colour in ((SHADOW_CANDIDATE, CANDIDATE_BGR), (FOREGROUND, PERSON_BGR)):
+        contours, _ = cv2.findContours(cv2.inRange(mask, level, level), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+        cv2.drawContours(shown, contours, -1, colour, LINE_PX)
+    return np.asarray(cv2.resize(shown, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))

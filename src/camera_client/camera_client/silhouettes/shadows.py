@@ -1,0 +1,314 @@
+"""Shadows in mono images: floor that is darker by a locally constant factor and keeps its texture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.mask_levels import (
+    ATTENUATED_LEVELS,
+    CANDIDATE_LEVELS,
+    FLOOR_REACH_M,
+    FOREGROUND,
+    SHADOW_CANDIDATE,
+    attenuation_step,
+)
+from capture_rig.rig import Volume
+
+from ..background.model import BackgroundModel
+from ..frame_source import Image, Mask
+from ..settings import ColourShadowSettings, FloorShadowSettings
+from .masks import Box
+
+GRID_PX = 8  # the floor's outline in the image needs no finer grid
+MAX_FLOOR_DISTANCE_M = 20.0
+MIN_WINDOW_PX = 5  # 3 x 3 pixels hold too little texture to tell anything apart
+BLOCK_OF_HEIGHT = 1 / 120  # sums are formed over square blocks of this share of the image height
+TEXTURE_BLOCKS = 7  # a square of so many blocks decides whether texture persists
+PATCH_PERSISTENCE = 0.4, 1.5  # the whole patch keeps a share of it between these, ...
+MIN_EVIDENCE_SIGMAS = 10.0  # ... and not by chance: a floor so plain that its texture could not be seen proves nothing
+MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
+_THREE = np.ones((3, 3), np.uint8)
+
+
+class FloorShadow:
+    """Tells which foreground pixels only show the floor in shadow.
+
+    Around each pixel, in a small window, image x and background mu have means X and M; a = X / M is how much darker it
+    is here. A shadow keeps the floor's texture, x - X = a (mu - M) + noise; a body covers it and brings its own. Two
+    numbers tell them apart, summed over the neighbourhood where x is darker at all and the pixel's ray meets the floor
+    (bodies above the horizon are never touched):
+
+    - what is left, the mean square of (x - X) - a (mu - M), is noise in a shadow, and more on edges and textures;
+    - the persistence, the regression of x - X on a (mu - M), is 1 in a shadow and 0 on smooth clothes.
+
+    Both also hold for each connected patch as a whole, or the patch is none: by chance they hold in small ones. The
+    rim of a shadow, where windows reach out of it, is thin, and goes with the patch it borders.
+    """
+
+    def __init__(
+        self, camera: CameraModel, background: BackgroundModel, sigma_floor: float, settings: FloorShadowSettings
+    ) -> None:
+        """``sigma_floor``: smallest sigma that a pixel is taken to have, grey levels."""
+        side = max(2 * round((settings.window * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
+        self._settings, self._window = settings, (side, side)
+        self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
+        self._rim = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
+        self._mean = _thinned(background.mean)
+        mean_window = cv2.blur(background.mean, self._window)
+        self._per_mean_window = _thinned(1 / np.maximum(mean_window, np.float32(1e-3)))
+        self._sigma = max(float(np.median(background.sigma)), sigma_floor)
+        self._floor = floor_pixels(camera)
+        self._min_area_px = max(settings.min_area * camera.height**2, MIN_PATCH_WINDOWS * side**2)
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        """255 at pixels of ``mask`` where ``image`` (H, W) fits the shadowed floor, else 0.
+
+        ``mask`` covers ``box`` of the image, or all of it.
+        """
+        box = box or Box.whole(image.shape)
+        found = np.zeros_like(mask)
+        inner = Box.around(cv2.bitwise_and(mask, self._floor[box.slices]))
+        if not inner.empty:
+            inner = inner.grown(self._block, mask.shape, self._block)
+            at = inner.outside(box).slices
+            found[inner.slices] = self._patches(image[at], mask[inner.slices], at)
+        return found
+
+    def _patches(self, image: Image, mask: Mask, at: tuple[slice, slice]) -> Mask:
+        looked_at = cv2.bitwise_and(mask, self._floor[at])
+        dark, detail, expected = self._details(image, _thinned(looked_at), at)
+        blocks = self._large_patches(*self._sums(dark, detail, expected))
+        if not blocks.any():
+            return np.zeros_like(mask)
+        candidates = cv2.bitwise_and(_enlarged(dark, 2, mask.shape), looked_at)
+        patches = cv2.bitwise_and(_enlarged(blocks, self._block, mask.shape), candidates)
+        patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
+        return cv2.bitwise_or(patches, self._rims(patches, candidates, mask))
+
+    def _details(self, image: Image, mask: Mask, at: tuple[slice, slice]) -> tuple[Mask, np.ndarray, np.ndarray]:
+        """Of every second row and column: pixels that may be shadow; x - X and a (mu - M) there, else 0 (float32)."""
+        x, X = _thinned(image).astype(np.float32), _thinned(cv2.boxFilter(image, cv2.CV_32F, self._window))
+        half = tuple(slice(s.start // 2, s.start // 2 + n) for s, n in zip(at, x.shape, strict=True))
+        a = cv2.multiply(X, self._per_mean_window[half])
+        dark = cv2.bitwise_and(cv2.inRange(a, self._settings.darkest, self._settings.lightest), mask)
+        detail = cv2.copyTo(cv2.subtract(x, X), dark)
+        expected = cv2.copyTo(cv2.subtract(cv2.multiply(a, self._mean[half]), X), dark)
+        return dark, detail, expected
+
+    def _sums(self, dark: Mask, detail: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Block by block (float32): pixels that may be shadow; what is left, squared; texture shared; texture there."""
+        rest = cv2.subtract(detail, expected)
+        products = (rest, rest), (detail, expected), (expected, expected)
+        count = self._blocks(dark) * np.float32(self._block**2 / 255)
+        return count, *(self._blocks(cv2.multiply(*pair)) * np.float32(self._block**2) for pair in products)
+
+    def _blocks(self, values: np.ndarray) -> np.ndarray:
+        """Means of blocks (float32) of thinned values; what is missing to whole blocks counts as 0."""
+        side = self._block // 2
+        down, right = (-n % side for n in values.shape)
+        if down or right:
+            values = cv2.copyMakeBorder(values, 0, down, 0, right, cv2.BORDER_CONSTANT, value=0)
+        size = values.shape[1] // side, values.shape[0] // side
+        return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float32, copy=False)
+
+    def _large_patches(self, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray) -> Mask:
+        """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond doubt."""
+        s = self._settings
+        quiet = _near(rest) <= _near(count) * np.float32((s.residual * self._sigma) ** 2)
+        fits = quiet & (_around(shared) >= np.float32(s.persistence) * _around(power)) & (2 * count > self._block**2)
+        patches, labels = cv2.connectedComponents(fits.astype(np.uint8), connectivity=4)
+        sums = (np.bincount(labels.reshape(-1), v.reshape(-1), patches) for v in (count, rest, shared, power))
+        area_px, left, kept, there = sums
+        least, most = PATCH_PERSISTENCE
+        chance = np.sqrt(there * left / np.maximum(area_px, 1))  # standard deviation of `kept` if nothing were shared
+        large = (area_px >= self._min_area_px) & (kept >= least * there) & (kept <= most * there)
+        large &= kept >= MIN_EVIDENCE_SIGMAS * chance
+        large[0] = False  # what does not fit
+        return np.where(large, np.uint8(255), np.uint8(0))[labels]
+
+    def _rims(self, patches: Mask, candidates: Mask, mask: Mask) -> Mask:
+        """Candidates beside a patch that are too thin to be a part of a body."""
+        reach = len(self._rim)
+        at = Box.around(patches).grown(reach, mask.shape).slices
+        rest = cv2.subtract(mask[at], patches[at])
+        thin = cv2.subtract(rest, cv2.morphologyEx(rest, cv2.MORPH_OPEN, self._rim))
+        rims = np.zeros_like(mask)
+        rims[at] = cv2.bitwise_and(cv2.bitwise_and(thin, candidates[at]), cv2.dilate(patches[at], self._rim))
+        return rims
+
+
+def _thinned(values: np.ndarray) -> np.ndarray:
+    """Every second row and column."""
+    return np.ascontiguousarray(values[::2, ::2])
+
+
+def _enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
+    """Each pixel repeated both ways, cut to ``shape``."""
+    full = cv2.resize(small, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
+    return np.ascontiguousarray(full[: shape[0], : shape[1]])
+
+
+def _near(blocks: np.ndarray) -> np.ndarray:
+    return cv2.GaussianBlur(blocks, (3, 3), 0, borderType=cv2.BORDER_CONSTANT)
+
+
+def _around(blocks: np.ndarray) -> np.ndarray:
+    return cv2.blur(blocks, (TEXTURE_BLOCKS, TEXTURE_BLOCKS), borderType=cv2.BORDER_CONSTANT)
+
+
+def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: float = 0.0) -> Mask:
+    """(H, W) uint8: 255 where a pixel's ray meets the floor z = 0 within 20 m, else 0.
+
+    With a ``volume``, only where it does so inside it or not farther than ``reach_m`` (and a pixel or two) around it.
+    """
+    u, v = np.meshgrid(np.arange(0, camera.width, GRID_PX), np.arange(0, camera.height, GRID_PX))
+    rays = camera.rays_world(np.stack([u.ravel(), v.ravel()], axis=1)).reshape(*u.shape, 3)
+    height_m = camera.centre_world[2]
+    meets = (height_m > 0) & (-rays[..., 2] * MAX_FLOOR_DISTANCE_M > height_m)
+    if volume is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            floor_world = camera.centre_world[:2] - rays[..., :2] * (height_m / rays[..., 2:])
+        low, high = volume.low[:2] - reach_m, volume.high[:2] + reach_m
+        meets &= ((low <= floor_world) & (floor_world <= high)).all(axis=-1)
+    grid = np.where(meets, np.uint8(255), np.uint8(0))
+    if volume is not None:
+        grid = cv2.dilate(grid, _THREE)  # the grid is coarse: rather a pixel too many
+    full = cv2.resize(grid, (u.shape[1] * GRID_PX, u.shape[0] * GRID_PX), interpolation=cv2.INTER_NEAREST)
+    return np.ascontiguousarray(full[: camera.height, : camera.width])
+
+
+# --- Shadows in colour images: darker than the background by one factor in all channels (Horprasert et al. 1999).
+
+_THREE_BY_THREE = np.ones((3, 3), np.uint8)
+
+
+class ColourShadow:
+    """Tells which foreground pixels only show the background in shadow.
+
+    With x the pixel, mu and s its background's mean and sigma, the brightness factor is the a that minimises
+    sum ((x - a mu) / s)^2 over the channels, and the chromaticity distance is the root of that minimum (Horprasert,
+    Harwood and Davis 1999, eq. 4-6). Where the background is nearly black, every dark colour passes this test, so
+    that dark clothes would be lost: no shadow is looked for there.
+
+    The test runs at half resolution, on means of 2 x 2 pixels: Bayer sensors and 4:2:0 video hold no finer colour.
+    A pixel within distance k of a shadow keeps every channel within k s of a mu, so that two images of limits rule
+    out nearly all pixels before the exact test.
+    """
+
+    alignment_px = 2
+
+    def __init__(self, background: BackgroundModel, sigma_floor: float, settings: ColourShadowSettings) -> None:
+        mean, sigma = halve(background.mean), np.maximum(halve(background.sigma), np.float32(sigma_floor))
+        self._settings = settings
+        self._inverse_sigma = 1 / sigma
+        self._mean_sigmas = mean * self._inverse_sigma
+        slack = settings.chromaticity * sigma
+        bright = mean.mean(axis=2, keepdims=True) >= settings.min_brightness
+        lo = np.where(bright, np.clip(np.floor(settings.darkest * mean - slack), 0, 255), 255)
+        hi = np.where(bright, np.clip(np.ceil(settings.lightest * mean + slack), 0, 255), 0)
+        self._lo, self._hi = lo.astype(np.uint8), hi.astype(np.uint8)
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        """255 where ``image`` (H, W, 3) fits the shadowed background, else 0; looks only where ``mask`` is.
+
+        ``mask`` covers ``box`` of the image, or all of it; the box begins at even pixels.
+        """
+        box = box or Box.whole(image.shape)
+        small = halve(image[box.slices])
+        rows, columns = (slice(s.start // 2, -(-s.stop // 2)) for s in box.slices)
+        found = cv2.inRange(small, self._lo[rows, columns], self._hi[rows, columns])
+        row, column = np.nonzero(cv2.bitwise_and(found, halve(mask)))
+        fits = self._fits(small[row, column], row + rows.start, column + columns.start)
+        found[:] = 0
+        found[row[fits], column[fits]] = 255
+        found = cv2.morphologyEx(
+            found, cv2.MORPH_OPEN, _THREE_BY_THREE
+        )  # the person's rim is a blend that can look like shadow
+        full = cv2.resize(found, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+        return np.ascontiguousarray(full[: mask.shape[0], : mask.shape[1]])
+
+    def _fits(self, x: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Which pixels x (n, 3), at ``row`` and ``column`` (n,) of the half-size image, are a darkened background."""
+        s, mu = self._settings, self._mean_sigmas[row, column]
+        x_sigmas = x * self._inverse_sigma[row, column]
+        power = np.einsum("ij,ij->i", mu, mu)
+        factor = np.einsum("ij,ij->i", x_sigmas, mu) / np.maximum(power, 1e-9)
+        departure = x_sigmas - factor[:, None] * mu
+        distance2 = np.einsum("ij,ij->i", departure, departure)
+        return (factor >= s.darkest) & (factor <= s.lightest) & (distance2 <= s.chromaticity**2)
+
+
+def halve(image: np.ndarray) -> np.ndarray:
+    """The image at half its size (rounded up), each pixel the mean of the four it covers; odd sides are continued."""
+    down, right = image.shape[0] % 2, image.shape[1] % 2
+    if down or right:
+        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
+    return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+
+
+# --- How much darker than the floor behind them the person's pixels are: what the hull server needs to doubt them.
+
+RATIO_SCALE = 200.0  # grey levels that stand for an unchanged brightness: steps of half a percent
+ALIGNMENT_PX = 2
+
+
+class AttenuationMarker:
+    """Replaces what may be floor in shadow by its degree of darkness (``capture_rig.mask_levels``).
+
+    A single camera cannot tell a dark sock from the shadow beside it. Several can: shadow lies on the floor, where all
+    cameras see the same place equally dark. So every shadow candidate, and every pixel of the person whose ray meets
+    the floor, tells how bright it is, as a share of what the background was, in few steps. Brightness is the mean
+    of 2 x 2 pixels and of the channels: wider windows would mix legs with the shadow beside them.
+    """
+
+    def __init__(self, camera: CameraModel, background: BackgroundModel, volume: Volume | None = None) -> None:
+        """``volume``: where floor matters; pixels whose ray meets it farther away are not doubted."""
+        self._scale = np.float32(RATIO_SCALE) / np.maximum(_halved_grey(background.mean), np.float32(1.0))
+        self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
+        degrees = [attenuation_step(step / RATIO_SCALE) for step in range(256)]
+        self._dark = np.array([FOREGROUND if d is None else ATTENUATED_LEVELS[d] for d in degrees], np.uint8)
+        self._candidate = np.array(
+            [SHADOW_CANDIDATE if d is None else CANDIDATE_LEVELS[d // 2] for d in degrees], np.uint8
+        )
+
+    def mark(self, image: Image, person: Mask, candidates: Mask, box: Box) -> Mask:
+        """The levels (h, w) of ``person`` and ``candidates``, both 0 or 255, which cover ``box`` of ``image``.
+
+        The box begins and ends at even pixels, or at the image's end. What is both is the person.
+        """
+        doubted = cv2.bitwise_and(person, self._floor[box.slices])
+        levels = person.copy()
+        inner = Box.around(cv2.bitwise_or(doubted, candidates))
+        if inner.empty:
+            return levels
+        inner = inner.grown(2 * ALIGNMENT_PX, person.shape, ALIGNMENT_PX)
+        part = inner.slices
+        ratio = self._ratio(image, inner.outside(box))
+        cv2.copyTo(_doubled(cv2.LUT(ratio, self._candidate), levels[part].shape), candidates[part], levels[part])
+        levels = cv2.max(levels, person)
+        cv2.copyTo(_doubled(cv2.LUT(ratio, self._dark), levels[part].shape), doubted[part], levels[part])
+        return levels
+
+    def _ratio(self, image: Image, at: Box) -> np.ndarray:
+        """Brightness of halved pixels (uint8): RATIO_SCALE times what it was when the room was empty."""
+        rows, columns = (slice(s.start // 2, -(-s.stop // 2)) for s in at.slices)
+        return cv2.convertScaleAbs(cv2.multiply(_halved_grey(image[at.slices]), self._scale[rows, columns]))
+
+
+def _doubled(small: Mask, shape: tuple[int, ...]) -> Mask:
+    """Each pixel repeated both ways, cut to ``shape``."""
+    full = cv2.resize(small, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+    return full[: shape[0], : shape[1]]
+
+
+def _halved_grey(image: np.ndarray) -> np.ndarray:
+    """(ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels; odd sides are continued."""
+    down, right = image.shape[0] % 2, image.shape[1] % 2
+    if down or right:
+        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
+    half = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    if half.ndim == 3:
+        half = cv2.transform(half, np.full((1, 3), 1 / 3, np.float32))
+    return half.astype(np.float32)

@@ -1,0 +1,373 @@
+"""The stream of one camera through Aravis: its socket, its buffers, and what becomes of every frame."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from capture_rig.errors import InputError
+from gige_vision import bootstrap
+
+from ..frame_source import FrameStatistics, Image
+from ..gige.camera_clock import NS_PER_S
+from ..gige.camera_setup import CameraSetup
+from ..gige.discovery import enlarge_receive_buffer
+from ..gige.features import DeviceRefusal, DeviceSilence, Kind, Value, spellings
+from ..gige.pixel_formats import image_bytes, to_image
+from ..settings import AravisSettings
+
+# --- A device of Aravis as plain features and registers: its GObject types and errors end here.
+
+ERROR_DOMAIN = "arv-device-error-quark"
+
+
+class AravisFeatures:
+    """FeatureAccess and RegisterAccess of an Aravis.Device; ``Aravis`` and ``GLib`` are the modules.
+
+    Bounds and increments that a device does not describe are None.
+    """
+
+    def __init__(self, device: Any, Aravis: Any, GLib: Any) -> None:
+        self._device, self._Aravis, self._GLib = device, Aravis, GLib
+        self._kinds: dict[str, Kind | None] = {}
+        self._types = (
+            (Aravis.GcCommand, Kind.COMMAND),
+            (Aravis.GcBoolean, Kind.BOOLEAN),
+            (Aravis.GcEnumeration, Kind.ENUMERATION),
+            (Aravis.GcFloat, Kind.FLOAT),
+            (Aravis.GcInteger, Kind.INTEGER),
+            (Aravis.GcString, Kind.STRING),
+        )
+
+    def kind(self, name: str) -> Kind | None:
+        if name not in self._kinds:
+            node = self._device.get_feature(name)
+            self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
+        if self._kinds[name] is None:
+            return None
+        with self._errors():
+            return self._kinds[name] if self._device.is_feature_available(name) else None
+
+    def read(self, name: str) -> Value:
+        d, kind = self._device, self.kind(name)
+        readers: dict[Kind | None, Callable[[str], Value]] = {
+            Kind.BOOLEAN: d.get_boolean_feature_value,
+            Kind.INTEGER: d.get_integer_feature_value,
+            Kind.FLOAT: d.get_float_feature_value,
+            Kind.ENUMERATION: d.get_string_feature_value,
+            Kind.STRING: d.get_string_feature_value,
+        }
+        if kind not in readers:
+            raise DeviceRefusal(f"{name} cannot be read")
+        with self._errors():
+            return readers[kind](name)
+
+    def code(self, name: str) -> int:
+        """The number behind an enumeration's entry."""
+        with self._errors():
+            return self._device.get_integer_feature_value(name)
+
+    def write(self, name: str, value: Value) -> None:
+        d, kind = self._device, self.kind(name)
+        writers: dict[Kind | None, Callable[[str, Any], None]] = {
+            Kind.BOOLEAN: d.set_boolean_feature_value,
+            Kind.INTEGER: d.set_integer_feature_value,
+            Kind.FLOAT: d.set_float_feature_value,
+            Kind.ENUMERATION: d.set_string_feature_value,
+            Kind.STRING: d.set_string_feature_value,
+        }
+        if kind not in writers:
+            raise DeviceRefusal(f"{name} cannot be written")
+        with self._errors():
+            writers[kind](name, value)
+
+    def execute(self, name: str) -> None:
+        with self._errors():
+            self._device.execute_command(name)
+
+    def limits(self, name: str) -> tuple[float, float] | None:
+        d, kind = self._device, self.kind(name)
+        bounds: Any = {Kind.INTEGER: d.get_integer_feature_bounds, Kind.FLOAT: d.get_float_feature_bounds}.get(
+            kind or Kind.COMMAND
+        )
+        return None if bounds is None else self._described(lambda: tuple(bounds(name)))
+
+    def step(self, name: str) -> float | None:
+        d, kind = self._device, self.kind(name)
+        step: Any = {Kind.INTEGER: d.get_integer_feature_increment, Kind.FLOAT: d.get_float_feature_increment}.get(
+            kind or Kind.COMMAND
+        )
+        value = None if step is None else self._described(lambda: step(name))
+        return value if value is not None and 0 < value < 1e12 else None  # Aravis gives the least double for "none"
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        with self._errors():
+            return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
+
+    def read_register(self, address: int) -> int:
+        with self._errors():
+            return self._device.read_register(address) & 0xFFFFFFFF
+
+    def write_register(self, address: int, value: int) -> None:
+        with self._errors():
+            self._device.write_register(address, value)
+
+    def _described(self, ask: Callable[[], Any]) -> Any:
+        """What ``ask`` gives; None where the device's description has no such thing."""
+        try:
+            with self._errors():
+                return ask()
+        except DeviceRefusal:
+            return None
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except self._GLib.Error as error:
+            if is_silence(error, self._Aravis):
+                raise DeviceSilence(error.message) from None
+            raise DeviceRefusal(error.message) from None
+
+
+def is_silence(error: Any, Aravis: Any) -> bool:
+    """True for a GLib.Error that says that the device did not answer."""
+    silent = (Aravis.DeviceError.TIMEOUT, Aravis.DeviceError.NOT_CONNECTED)
+    return error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}
+
+
+# --- With which id did a run of frames begin, so that frames lost before the first that arrived can be counted?
+
+FIRST_ID = 1  # GigE Vision: block ids begin at 1, 0 is reserved
+
+
+def first_of_run(arrived: int, last_of_former_run: int | None) -> int:
+    """The id of the first frame that the camera sent, given the first that arrived.
+
+    Cameras begin at 1 with each stream, and most of them also with each start of acquisition; others go on counting
+    where they stopped. ``last_of_former_run``: None for a stream's first run.
+    """
+    if last_of_former_run is not None and arrived > last_of_former_run:
+        return arrived  # it goes on; how many it took after we stopped to look does not matter
+    return FIRST_ID
+
+
+COUNTER_PERIOD_S = 0.25
+US_TO_NS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class GrabbedFrame:
+    """A whole frame: image, id, the camera's stamp on its own clock, arrival of the first packet (UTC), exposure."""
+
+    image: Image
+    frame_id: int
+    camera_ns: int
+    arrival_ns: int
+    exposure_ns: int
+
+
+class AravisStream:
+    """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
+
+    account : told of every frame, whole or not. ``warnings`` of the set-up.
+    Raises InputError when the camera does not keep the packet size or delay that was set.
+    """
+
+    STATUSES = ("TIMEOUT", "MISSING_PACKETS", "WRONG_PACKET_ID", "SIZE_MISMATCH", "ABORTED")
+    INFOS: ClassVar = {
+        "n_resend_requests": "resend_requests",
+        "n_resent_packets": "resent_packets",
+        "n_missing_packets": "missing_packets",
+        "n_underruns": "underruns",
+        "n_error_packets": "error_packets",
+        "n_resend_ratio_reached": "resend_limit_reached",
+    }
+    COUNTERS = (
+        *(f"incomplete_{status.lower()}" for status in STATUSES),
+        "incomplete_other",
+        "wrong_format",
+        "chunk_errors",
+        *INFOS.values(),
+    )
+
+    def __init__(
+        self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, account: FrameStatistics
+    ) -> None:
+        self._Aravis, self._camera, self._settings = Aravis, camera, settings
+        self._setup, self._account = setup, account
+        self._device = camera.get_device()
+        self._format_code = camera.get_pixel_format()
+        self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
+        self._image_bytes = image_bytes(setup.pixel_format, setup.width, setup.height)
+        self._chunks = camera.create_chunk_parser() if setup.chunks else None
+        self._ticks_per_second = self._device.get_timestamp_tick_frequency() or NS_PER_S
+        self._exposure_chunk = self._chunk_name("ExposureTime")
+        self._set_packets()
+        self._stream = self._open()
+        self.warnings = self._set_up()
+        self._counts = dict.fromkeys(self.COUNTERS, 0)
+        told = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}  # depends on the version
+        self._infos = {info: name for info, name in self.INFOS.items() if info in told}
+        self._next_update_s = 0.0
+        self._run_begun, self._has_run = False, False
+        self._last_id: int | None = None
+
+    def restart(self) -> None:
+        """Forget what a former run left behind; the next frame is the first of a new run."""
+        if self._has_run:  # Aravis would take the ids of a new run, which begin at 1 again, for late packets
+            self._stream.stop_thread(False)
+            while (buffer := self._stream.try_pop_buffer()) is not None:
+                self._give_back(buffer)
+            self._stream.start_thread()
+        self._has_run, self._run_begun = True, False
+
+    def grab(self, timeout_s: float) -> GrabbedFrame | None:
+        """The next frame; None when it was not whole, or none came in time. Waits without the GIL."""
+        buffer = self._stream.timeout_pop_buffer(int(timeout_s * 1e6))
+        if buffer is None:
+            return None
+        try:
+            return self._take(buffer)
+        finally:
+            self._give_back(buffer)
+
+    def update_counters(self, counters: dict[str, int], now: bool = False) -> None:
+        """Write all counts into ``counters``; four times a second at most, unless ``now``."""
+        now_s = time.monotonic()
+        if not now and now_s < self._next_update_s:
+            return
+        self._next_update_s = now_s + COUNTER_PERIOD_S
+        for info, name in self._infos.items():
+            self._counts[name] = self._stream.get_info_uint64_by_name(info)
+        counters.update(self._counts)
+
+    # --- one frame -----------------------------------------------------------------------------------------------
+
+    def _take(self, buffer: Any) -> GrabbedFrame | None:
+        frame_id = self._id_of(buffer)
+        status = buffer.get_status()
+        image = None
+        if status != self._Aravis.BufferStatus.SUCCESS:
+            self._count_failure(status)
+        elif not self._is_as_agreed(buffer):
+            self._counts["wrong_format"] += 1
+        else:
+            setup = self._setup
+            image = to_image(buffer.memory[: self._image_bytes], setup.pixel_format, setup.width, setup.height)
+        self._account.add(frame_id, complete=image is not None)
+        if image is None:
+            return None
+        camera_ns, exposure_ns = self._times(buffer)
+        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
+        return GrabbedFrame(image, frame_id, camera_ns, arrival_ns, exposure_ns)
+
+    def _id_of(self, buffer: Any) -> int:
+        """The frame's id; without its leader packet it has none, and then it is the one after the last."""
+        frame_id = buffer.get_frame_id() or (1 if self._last_id is None else self._last_id + 1)
+        if not self._run_begun:
+            self._account.restart(first_of_run(frame_id, self._last_id))
+            self._run_begun = True
+        self._last_id = frame_id
+        return frame_id
+
+    def _is_as_agreed(self, buffer: Any) -> bool:
+        kinds = self._Aravis.BufferPayloadType
+        if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
+            return False
+        padding = buffer.get_image_padding()
+        return (
+            buffer.get_image_pixel_format() == self._format_code
+            and (buffer.get_image_width(), buffer.get_image_height()) == (self._setup.width, self._setup.height)
+            and padding[0] == 0
+        )
+
+    def _times(self, buffer: Any) -> tuple[int, int]:
+        """The camera's stamp and the exposure, ns: of the frame itself where it carries them."""
+        camera_ns, exposure_ns = buffer.get_timestamp(), self._exposure_ns
+        if self._chunks is None:
+            return camera_ns, exposure_ns
+        try:
+            if "Timestamp" in self._setup.chunks:
+                ticks = self._chunks.get_integer_value(buffer, "ChunkTimestamp")
+                camera_ns = ticks * NS_PER_S // self._ticks_per_second
+            if self._exposure_chunk:
+                exposure_ns = round(self._chunks.get_float_value(buffer, self._exposure_chunk) * US_TO_NS)
+        except Exception:  # GLib.Error, whatever the parser met
+            self._counts["chunk_errors"] += 1
+        return camera_ns, exposure_ns
+
+    def _count_failure(self, status: Any) -> None:
+        name = str(status.value_nick).replace("-", "_")
+        key = f"incomplete_{name}"
+        self._counts[key if key in self._counts else "incomplete_other"] += 1
+
+    def _give_back(self, buffer: Any) -> None:
+        buffer.set_frame_id(0)  # or a frame without leader would keep the id of the last one in this buffer
+        self._stream.push_buffer(buffer)
+
+    # --- setting up ----------------------------------------------------------------------------------------------
+
+    def _set_packets(self) -> None:
+        s, camera = self._settings, self._camera
+        adjustment = self._Aravis.GvPacketSizeAdjustment
+        camera.gv_set_packet_size_adjustment(adjustment.NEVER if s.packet_size else adjustment.ALWAYS)
+        if s.packet_size:
+            camera.gv_set_packet_size(s.packet_size)
+            self._compare("packet_size", s.packet_size, camera.gv_get_packet_size())
+        if s.packet_delay_ns >= 0:
+            camera.gv_set_packet_delay(s.packet_delay_ns)
+            tick_ns = NS_PER_S // self._ticks_per_second
+            self._compare("packet_delay_ns", s.packet_delay_ns, camera.gv_get_packet_delay(), tick_ns)
+
+    def _open(self) -> Any:
+        # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
+        self._camera.gv_set_stream_options(self._Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        return self._camera.create_stream(None, None)
+
+    def _set_up(self) -> tuple[str, ...]:
+        Aravis, s, stream = self._Aravis, self._settings, self._stream
+        warnings = []
+        able = self._device.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.PACKET_RESEND
+        resend = Aravis.GvStreamPacketResend.ALWAYS if s.packet_resend and able else Aravis.GvStreamPacketResend.NEVER
+        if s.packet_resend and not able:
+            warnings.append("the camera cannot send lost packets again: every lost packet costs a frame")
+        stream.set_property("packet-resend", resend)
+        stream.set_property("packet-request-ratio", s.resend_share)
+        stream.set_property("initial-packet-timeout", round(s.first_packet_timeout_ms * 1000))
+        stream.set_property("packet-timeout", round(s.packet_timeout_ms * 1000))
+        stream.set_property("frame-retention", round(s.frame_retention_ms * 1000))
+        # FIXED, or Aravis would shrink the buffer that we enlarge here to one frame when the first one comes
+        stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
+        stream.set_property("socket-buffer-size", s.socket_buffer_bytes)
+        warnings.append(enlarge_receive_buffer(stream.get_port(), s.socket_buffer_bytes))
+        payload = max(self._camera.get_payload(), self._image_bytes)
+        for _ in range(s.buffers):
+            stream.push_buffer(self._new_buffer(payload))
+        return tuple(warning for warning in warnings if warning)
+
+    def _new_buffer(self, size: int) -> Any:
+        """A buffer of Aravis over memory of NumPy, which lives as long as the buffer does: PyGObject keeps it."""
+        memory = np.empty(size, np.uint8)
+        buffer = self._Aravis.Buffer.new_full(size, memory.ctypes.data, None, None)
+        buffer.memory = memory
+        return buffer
+
+    def _compare(self, key: str, wanted: int, got: int, tolerance: int = 0) -> None:
+        if abs(got - wanted) > tolerance:
+            raise InputError(
+                f"took {key} = {got} instead of {wanted}",
+                where=f"aravis.{key}",
+                remedy="Give a value that the camera keeps, or leave it out.",
+            )
+
+    def _chunk_name(self, chunk: str) -> str:
+        """How this camera spells the feature that holds a chunk; "" when it sends no such chunk."""
+        if chunk not in self._setup.chunks:
+            return ""
+        return next((n for n in spellings(f"Chunk{chunk}") if self._device.get_feature(n) is not None), "")

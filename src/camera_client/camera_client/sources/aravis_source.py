@@ -1,0 +1,330 @@
+"""A GigE Vision camera through Aravis. The only file that imports gi.
+
+Nothing is broadcast unless a serial number or name is searched for, and then only on the interface that was named:
+Aravis's own ways to open a camera fall back to a broadcast on every interface when they find nothing, so that the
+device is constructed here from the two addresses of the link instead.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from capture_rig.errors import InputError
+from gige_vision import bootstrap
+
+from ..frame_source import Frame, FrameSource, SourceUnavailable
+from ..gige.camera_clock import ClockReading, read_clock
+from ..gige.camera_setup import CameraSetup, set_up_camera
+from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, choose_time_source
+from ..gige.discovery import CameraSelector, FoundCamera, find_camera
+from ..gige.features import DeviceRefusal, DeviceSilence, Features
+from ..gige.pixel_formats import image_shape
+from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
+from ..settings import AravisSettings
+from .aravis_device import AravisFeatures, AravisStream, is_silence
+
+INSTALL = "Install it: sudo apt install python3-gi gir1.2-aravis-0.8 (in a venv made with --system-site-packages)."
+TRIGGER_COUNTERS = ("triggers", "triggers_missed", "triggers_refused")
+ACTION_COUNTERS = ("actions", "actions_late", "actions_refused", "actions_unanswered")
+
+
+def import_aravis() -> tuple[Any, Any, Any]:
+    """The modules Aravis, Gio and GLib. Raises InputError with the remedy where they are not installed."""
+    try:
+        import gi
+
+        gi.require_version("Aravis", "0.8")
+        from gi.repository import Aravis, Gio, GLib
+    except (ImportError, ValueError) as error:
+        raise InputError(f"Aravis is not available ({error})", where="source: aravis", remedy=INSTALL) from None
+    return Aravis, Gio, GLib
+
+
+class AravisSource(FrameSource):
+    """Frames of one GigE Vision camera that this process controls; see :class:`FrameSource`.
+
+    Of a camera that is dead, every access waits for its time-out (2.5 s with Aravis 0.8): stop() and close() may take
+    so long, without holding the GIL, and are best called on a thread of their own then. A camera whose control was lost
+    is not spoken to any more.
+
+    ``counters``: stamp_jumps, wrong_format, incomplete frames by cause, the stream's packets, triggers and actions.
+    """
+
+    def __init__(self, settings: AravisSettings, channels: str = "auto") -> None:
+        super().__init__()
+        self._settings, self._channels = settings, channels
+        self._wanted = CameraSelector(settings.address, settings.serial, settings.user_id, settings.interface)
+        self._found: FoundCamera | None = None
+        self._camera: Any = None
+        self._device: Any = None
+        self._features: Features | None = None
+        self._registers: Any = None
+        self._warnings: list[str] = []
+        self._stream: AravisStream | None = None
+        self._trigger: TriggerThread | None = None
+        self._actions: ActionSender | None = None
+        self._schedule: TriggerSchedule | None = None
+        self._setup: CameraSetup | None = None
+        self._time: TimeSource | None = None
+        self._streaming = False
+        self._lost = False
+        self._details: dict[str, str] = {}
+        # all names at once, so that the dictionary can be read on other threads
+        own = {"software": TRIGGER_COUNTERS, "action": (*ACTION_COUNTERS, "triggers_missed")}.get(settings.sync, ())
+        self.counters.update(dict.fromkeys((*AravisStream.COUNTERS, "stamp_jumps", *own), 0))
+
+    # --- the source's contract -----------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        self._Aravis, self._Gio, self._GLib = import_aravis()
+        try:
+            self._found = find_camera(self._wanted)
+            with self._device_errors("while it was set up"):
+                self._open(self._found)
+                assert self._features is not None
+                self._setup = set_up_camera(self._features, self._settings, self._channels)
+                self._prepare_time_and_triggers(self._features)
+                self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.account)
+                self._details = self._read_details(self._features)
+        except BaseException:
+            self.close()
+            raise
+        self.warnings = (*self._setup.warnings, *self._warnings, *self._stream.warnings)
+
+    def start(self) -> None:
+        if self._stream is None or self._features is None:
+            raise self._error("is not connected", "Call connect() first.")
+        if self._streaming:
+            return
+        with self._device_errors("when it was started"):
+            reading = read_clock(self._registers, time.time_ns)
+            self._time = self._time_source(self._features, reading)
+            self._stream.restart()
+            self._camera.start_acquisition()
+        self._streaming = True
+        self._start_triggers(reading)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        stream, time_source = self._stream, self._time
+        if not self._streaming or stream is None or time_source is None:
+            raise self._error("is not started", "Call start() first.")
+        grabbed = stream.grab(timeout_s)
+        self._update_counters(stream)
+        if grabbed is None:
+            return None
+        stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, grabbed.arrival_ns, grabbed.exposure_ns))
+        self.counters["stamp_jumps"] = time_source.jumps
+        return Frame(grabbed.image, stamp.ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
+
+    def stop(self) -> None:
+        if not self._streaming:
+            return
+        self._streaming = False
+        self._stop_triggers()
+        if not self.lost:
+            try:
+                self._camera.stop_acquisition()
+            except self._GLib.Error as error:  # a dead camera cannot be told; nothing else is asked of it then
+                self._lost |= is_silence(error, self._Aravis)
+        if self._stream is not None:
+            self._update_counters(self._stream, now=True)
+
+    def close(self) -> None:
+        self.stop()
+        if self._actions is not None:
+            self._actions.close()
+        gone, device, self._device = self.lost, self._device, None
+        self._actions = self._stream = self._camera = self._features = self._registers = None
+        if device is not None and not gone and device.is_controller():
+            with contextlib.suppress(self._GLib.Error):
+                device.leave_control()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        if self._setup is None:
+            raise self._error("is not connected", "Call connect() first.")
+        return image_shape(self._setup.pixel_format, self._setup.width, self._setup.height)
+
+    @property
+    def description(self) -> str:
+        return str(self._wanted)
+
+    @property
+    def details(self) -> dict[str, str]:
+        return dict(self._details)
+
+    @property
+    def lost(self) -> bool:
+        # asked for, not signalled: a handler of control-lost runs on Aravis's heartbeat thread and may come to hold the
+        # last reference to the device, whose end then waits for that very thread
+        device = self._device
+        if device is not None and self._features is not None and not device.is_controller():
+            self._lost = True
+        return self._lost
+
+    # --- connecting ----------------------------------------------------------------------------------------------
+
+    def _open(self, found: FoundCamera) -> None:
+        address = self._Gio.InetAddress.new_from_string
+        self._device = self._Aravis.GvDevice.new(address(found.host), address(found.device.address))
+        access = self._registers = AravisFeatures(self._device, self._Aravis, self._GLib)
+        if not self._device.is_controller():
+            raise SourceUnavailable(
+                f"is controlled by another program{_controller(access)}",
+                where=self.description,
+                remedy="Stop that program, or wait until it lets go.",
+            )
+        self._lost = False
+        self._camera = self._Aravis.Camera.new_with_device(self._device)
+        self._features = Features(access, self.description)
+
+    def _prepare_time_and_triggers(self, features: Features) -> None:
+        """PTP first, for everything else counts on the clock; then the triggers; then whose time stamps frames."""
+        s = self._settings
+        if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
+            self._await_ptp(features)
+        reading = read_clock(self._registers, time.time_ns)
+        if s.sync in ("ptp", "action") and reading is None:
+            raise self._error(f"has no clock that can be read; sync {s.sync} needs one", "Choose another aravis.sync.")
+        self._warnings = [
+            synchronise(features, s, lambda: time.time_ns() - (reading.offset_ns if reading is not None else 0))
+        ]
+        if s.sync == "action":
+            found = self._found
+            assert found is not None
+            self._check_scheduled_actions()
+            self._actions = ActionSender(
+                found.device.address, found.host, s.action_device_key, s.action_group_key, s.action_group_mask
+            )
+        self._time = self._time_source(features, reading)
+        self._warnings = [warning for warning in self._warnings if warning]
+
+    def _await_ptp(self, features: Features) -> None:
+        s = self._settings
+        status = enable_ptp(features, s.ptp_wait_s)
+        needed_by = f"sync {s.sync}" if s.sync in ("ptp", "action") else "stamp_source ptp"
+        if status is None:
+            raise self._error(f"has no PTP, which {needed_by} needs", "Choose another aravis.sync or stamp_source.")
+        if status not in PTP_IN_STEP:
+            raise SourceUnavailable(
+                f"is not in step by PTP after {s.ptp_wait_s:g} s (status {status}), which {needed_by} needs",
+                where=self.description,
+                remedy="Is a PTP grandmaster on the network? Or raise aravis.ptp_wait_s.",
+            )
+
+    def _check_scheduled_actions(self) -> None:
+        able = self._registers.read_register(bootstrap.GVCP_CAPABILITY)
+        if not able & bootstrap.Capability.SCHEDULED_ACTION:
+            raise self._error(
+                "takes no scheduled action commands, which sync action needs",
+                "Set aravis.sync to ptp, line or software.",
+            )
+
+    def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
+        s = self._settings
+        status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
+        source, warning = choose_time_source(
+            s.stamp_source, reading, status, s.tai_utc_offset_s, s.camera_stamps, self.description
+        )
+        if warning and warning not in self._warnings:
+            self._warnings.append(warning)
+        return source
+
+    def _read_details(self, features: Features) -> dict[str, str]:
+        assert self._found is not None and self._setup is not None and self._time is not None
+        device, setup = self._found.device, self._setup
+        details = {
+            "camera_serial": device.serial,
+            "camera_user_id": device.user_id,
+            "camera_address": device.address,
+            "camera_model": f"{device.manufacturer} {device.model}".strip(),
+            "pixel_format": setup.pixel_format,
+            "exposure_us": _number_text(setup.exposure_us),
+            "frame_rate": _number_text(setup.frame_rate),
+            "gain": _number_text(features.number("Gain")),
+            "temperature_c": _number_text(features.number("DeviceTemperature")),
+            "sync": self._settings.sync,
+            "stamps": self._time.name,
+            "packet_size": str(self._device.get_packet_size()),
+        }
+        return {name: text for name, text in details.items() if text}
+
+    # --- while it runs -------------------------------------------------------------------------------------------
+
+    def _start_triggers(self, reading: ClockReading | None) -> None:
+        s = self._settings
+        if s.sync == "software":
+            self._schedule = TriggerSchedule(s.frame_rate)
+            self._trigger = TriggerThread(self._schedule, time.time_ns, self._software_trigger)
+        elif s.sync == "action":
+            assert self._actions is not None and reading is not None
+            self._schedule = TriggerSchedule(s.frame_rate, lead_ns=round(s.action_lead_ms * 1e6))
+            ahead_ns = -reading.offset_ns
+            self._trigger = TriggerThread(self._schedule, lambda: time.time_ns() + ahead_ns, self._actions.send)
+        if self._trigger is not None:
+            self._trigger.start()
+
+    def _stop_triggers(self) -> None:
+        trigger, self._trigger = self._trigger, None
+        if trigger is not None:
+            trigger.stop()
+
+    def _software_trigger(self, instant_ns: int) -> None:
+        camera = self._camera
+        if camera is None or self.lost:
+            return
+        try:
+            camera.software_trigger()
+            self.counters["triggers"] += 1
+        except self._GLib.Error:
+            self.counters["triggers_refused"] += 1
+
+    def _update_counters(self, stream: AravisStream, now: bool = False) -> None:
+        stream.update_counters(self.counters, now)
+        if self._schedule is not None:
+            self.counters["triggers_missed"] = self._schedule.missed
+        if self._actions is not None:
+            self.counters.update(self._actions.counts)
+
+    def _error(self, what: str, remedy: str) -> InputError:
+        return InputError(what, where=self.description, remedy=remedy)
+
+    @contextlib.contextmanager
+    def _device_errors(self, when: str) -> Iterator[None]:
+        """What the device or Aravis answers as an error that names the camera."""
+        remedy = "Power-cycle the camera if this stays."
+        try:
+            yield
+        except DeviceSilence as silence:
+            self._lost = True  # so that close() does not wait for it either
+            raise SourceUnavailable(f"went silent {when} ({silence})", where=self.description, remedy=remedy) from None
+        except DeviceRefusal as refusal:
+            raise self._error(f"refuses {when} ({refusal})", remedy) from None
+        except self._GLib.Error as error:
+            silent = is_silence(error, self._Aravis)
+            self._lost |= silent
+            kind = SourceUnavailable if silent or self._features is None else InputError
+            raise kind(
+                f"{'went silent' if silent else 'refuses'} {when} ({error.message})",
+                where=self.description,
+                remedy=remedy,
+            ) from None
+
+
+def _number_text(number: float | None) -> str:
+    """A number as text; "" where the camera did not tell it."""
+    return "" if number is None else f"{number:g}"
+
+
+def _controller(registers: AravisFeatures) -> str:
+    """at 10.0.0.7:50123, where the camera tells who controls it; else nothing."""
+    try:
+        address = registers.read_register(bootstrap.PRIMARY_ADDRESS)
+        port = registers.read_register(bootstrap.PRIMARY_PORT) & 0xFFFF
+    except (DeviceRefusal, DeviceSilence):
+        return ""
+    return f" at {ipaddress.IPv4Address(address)}:{port}" if address else ""

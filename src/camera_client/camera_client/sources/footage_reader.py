@@ -1,0 +1,156 @@
+"""Decodes footage image by image: a video file, one still, a folder of stills or a pattern of them."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from capture_rig.errors import InputError
+from capture_rig.session import STILL_SUFFIXES
+
+from ..frame_source import Image, UndecodableFrame
+
+MONO_TOLERANCE = 3  # grey levels between the channels of a monochrome picture stored as colour (JPEG rounding)
+
+
+class FootageReader(ABC):
+    """Images of one piece of footage in order. ``fps`` is the footage's own rate, 0 when it has none."""
+
+    def __init__(self, path: str | Path, channels: str) -> None:
+        self.path = Path(path)
+        self._channels = channels
+        self.fps = 0.0
+        self.frame_count = 0
+
+    @abstractmethod
+    def rewind(self) -> None:
+        """Start again before the first image."""
+
+    @abstractmethod
+    def _next(self) -> Image | None:
+        """The next raw image, None after the last. Raises UndecodableFrame."""
+
+    def close(self) -> None:  # noqa: B027 (stills are closed already)
+        """Release the file."""
+
+    def read(self) -> Image | None:
+        """The next image, (H, W) or (H, W, 3) as ``shape`` says; None after the last. Raises UndecodableFrame."""
+        image = self._next()
+        return None if image is None else convert_channels(image, self._channels)
+
+    def probe(self) -> tuple[int, ...]:
+        """The images' shape, from the first one; settles whether they are mono or colour, and rewinds."""
+        try:
+            image = self._next()
+        except UndecodableFrame as error:
+            raise InputError(str(error), where=str(self.path), remedy="Check the first image.") from None
+        if image is None:
+            raise InputError(
+                "holds no image that can be decoded", where=str(self.path), remedy="Check the file with a video player."
+            )
+        if self._channels == "auto":
+            self._channels = "mono" if is_mono(image) else "colour"
+        self.rewind()
+        return convert_channels(image, self._channels).shape
+
+
+class VideoReader(FootageReader):
+    """A video file through OpenCV's FFmpeg, with one decoding thread (each further one holds several images)."""
+
+    def __init__(self, path: str | Path, channels: str) -> None:
+        super().__init__(path, channels)
+        self._capture = self._open()
+        self.frame_count = max(int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+        fps = self._capture.get(cv2.CAP_PROP_FPS)
+        self.fps = fps if math.isfinite(fps) and fps > 0 else 0.0
+
+    def rewind(self) -> None:
+        self._capture.release()
+        self._capture = self._open()
+
+    def close(self) -> None:
+        self._capture.release()
+
+    def _next(self) -> Image | None:
+        ok, image = self._capture.read()
+        return image if ok else None
+
+    def _open(self) -> cv2.VideoCapture:
+        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        if not capture.isOpened():
+            raise InputError(
+                "cannot be opened as a video", where=str(self.path), remedy="Check the file with a video player."
+            )
+        return capture
+
+
+class StillsReader(FootageReader):
+    """Stills in the order of their names."""
+
+    def __init__(self, path: str | Path, files: list[Path], channels: str) -> None:
+        super().__init__(path, channels)
+        self._files, self.frame_count, self._index = files, len(files), 0
+
+    def rewind(self) -> None:
+        self._index = 0
+
+    def _next(self) -> Image | None:
+        if self._index >= len(self._files):
+            return None
+        file = self._files[self._index]
+        self._index += 1
+        image = cv2.imread(str(file), cv2.IMREAD_ANYCOLOR)
+        if image is None:
+            raise UndecodableFrame(f"{file} cannot be decoded as an image")
+        return image
+
+
+def open_footage(path: str | Path, channels: str = "auto") -> FootageReader:
+    """The reader that fits ``path``: a video file, a still, a folder of stills, or a pattern such as ``f_*.png``.
+
+    ``channels``: "mono", "colour", or "auto" (mono when the first image has no colour). Raises InputError.
+    """
+    path = Path(path)
+    if any(mark in path.name for mark in "*?["):
+        return StillsReader(path, _stills(path, sorted(path.parent.glob(path.name))), channels)
+    if path.is_dir():
+        return StillsReader(path, _stills(path, sorted(path.iterdir())), channels)
+    if not path.is_file():
+        raise InputError(
+            "does not exist",
+            where=str(path),
+            remedy="Give a video, a folder of stills, or a pattern such as frames/*.png.",
+        )
+    if path.suffix.lower() in STILL_SUFFIXES:
+        return StillsReader(path, [path], channels)
+    return VideoReader(path, channels)
+
+
+def is_mono(image: Image) -> bool:
+    """True for (H, W), and for (H, W, 3) whose channels are equal but for rounding."""
+    if image.ndim == 2:
+        return True
+    blue, green, red = cv2.split(image)
+    return max(cv2.norm(blue, green, cv2.NORM_INF), cv2.norm(red, green, cv2.NORM_INF)) <= MONO_TOLERANCE
+
+
+def convert_channels(image: Image, channels: str) -> Image:
+    """The image as "mono" (H, W) or "colour" (H, W, 3) BGR; "auto" leaves it."""
+    if channels == "mono" and image.ndim == 3:
+        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    if channels == "colour" and image.ndim == 2:
+        return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    return np.ascontiguousarray(image)
+
+
+def _stills(path: Path, candidates: list[Path]) -> list[Path]:
+    files = [file for file in candidates if file.suffix.lower() in STILL_SUFFIXES]
+    if not files:
+        raise InputError(
+            "holds no still image", where=str(path), remedy=f"Put files with {', '.join(STILL_SUFFIXES)} there."
+        )
+    return files

@@ -1,0 +1,113 @@
+"""Is this frame a picture of the scene at all? Cheap looks at a sparse grid of its pixels.
+
+The node asks once a frame, before the silhouette:
+
+    checks = FrameChecks(settings.frame_checks, background.mean)    # without a background yet: FrameChecks(settings)
+    flags = checks.look(frame.image, frame.stamp_ns, pipeline.gain)    # () for a sound frame
+    for flag in flags: WARN with REMEDIES[flag]
+
+A flag says what the frame looks like now; it is gone as soon as the frames are sound again.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+
+import numpy as np
+import numpy.typing as npt
+
+from ..frame_source import Image
+from ..settings import FrameCheckSettings
+
+DARK, LIGHTS, FROZEN, SATURATED = "dark", "lights", "frozen", "saturated"
+REMEDIES = {
+    DARK: "the image is black: take the lens cap off, switch the light on, or lengthen the exposure",
+    LIGHTS: "the whole scene changed its brightness: switch the lights back, or learn the background again",
+    FROZEN: "the camera sends the same picture again and again: power it off and on",
+    SATURATED: "much of the image is white: shorten the exposure, lower the gain, or open less of the iris",
+}
+NO_PICTURE_FLAGS = frozenset({DARK, FROZEN, SATURATED})  # such a frame says nothing about where the camera stands
+SAMPLES = 2500
+WHITE_LEVEL = 250
+DARK_SHARE = 0.99  # so much of the sample must be black
+MIN_REPEATS = 5  # two equal frames and a jump of the clock are no frozen camera
+MIN_LIT_LEVEL = 24  # darker backgrounds tell nothing about the lights
+
+
+class FrameChecks:
+    """Looks at every frame of one camera and remembers what it needs to notice a frozen image.
+
+    ``background_mean`` (H, W) or (H, W, 3) grey levels of the empty scene; without it only what needs no comparison is
+    found. Nothing here knows the time: stamps are the frames' own, so replayed footage gives the same flags.
+    """
+
+    def __init__(self, settings: FrameCheckSettings | None = None, background_mean: np.ndarray | None = None) -> None:
+        self._settings = settings or FrameCheckSettings()
+        self._sampled, self._black_share, self._white_share = 0, 0.0, 0.0  # of the background
+        self._lit: npt.NDArray[np.intp] | None = None
+        if background_mean is not None:
+            self._remember(grid_sample(background_mean).astype(np.float32))
+        self._checksum: int | None = None
+        self._same_since_ns, self._repeats = 0, 0
+
+    def _remember(self, background: npt.NDArray[np.float32]) -> None:
+        self._sampled = len(background)
+        self._black_share = float((background <= 1.5 * self._settings.dark_level).mean())
+        self._white_share = float((background >= WHITE_LEVEL).mean())
+        lit = np.flatnonzero(background >= MIN_LIT_LEVEL)
+        if len(lit):
+            self._lit, self._lit_mean = lit, background[lit]
+
+    def look(self, image: Image, stamp_ns: int, gain: float = 1.0) -> tuple[str, ...]:
+        """Flags of ``image`` (H, W) or (H, W, 3) uint8, taken at ``stamp_ns``: some of the keys of REMEDIES.
+
+        ``gain`` is how much brighter than the background as learned the scene is known to be (slow drift that is
+        followed); only what comes on top of it counts as changed lights.
+        """
+        sample = grid_sample(image)
+        frozen = self._is_frozen(sample, stamp_ns)
+        if self._is_dark(sample):
+            return (DARK,)  # a black image has no noise: whether it is frozen cannot be told
+        saturated = self._is_saturated(sample)  # nor has a white one
+        lights = self._lights_changed(sample, gain)
+        found = ((LIGHTS, lights), (SATURATED, saturated), (FROZEN, frozen and not saturated))
+        return tuple(flag for flag, yes in found if yes)
+
+    def _is_dark(self, sample: npt.NDArray[np.uint8]) -> bool:
+        black = int(np.count_nonzero(sample <= self._settings.dark_level))
+        return black >= DARK_SHARE * len(sample) and self._black_share < DARK_SHARE
+
+    def _lights_changed(self, sample: npt.NDArray[np.uint8], gain: float) -> bool:
+        """Whether most pixels changed by more than the limit: neither a person nor a shadow covers half the image."""
+        if self._lit is None or len(sample) != self._sampled:
+            return False
+        values, factor = sample[self._lit], 1 + self._settings.lights_change
+        brighter = int(np.count_nonzero(values > self._lit_mean * np.float32(gain * factor)))
+        darker = int(np.count_nonzero(values < self._lit_mean * np.float32(gain / factor)))
+        return 2 * max(brighter, darker) > len(values)
+
+    def _is_saturated(self, sample: npt.NDArray[np.uint8]) -> bool:
+        white = int(np.count_nonzero(sample >= WHITE_LEVEL))
+        return white > (self._white_share + self._settings.saturated_share) * len(sample)
+
+    def _is_frozen(self, sample: npt.NDArray[np.uint8], stamp_ns: int) -> bool:
+        """Sensor noise makes every frame differ somewhere: equal ones are one frame sent again."""
+        checksum = zlib.crc32(sample.data)
+        if checksum != self._checksum or stamp_ns < self._same_since_ns:
+            self._checksum, self._same_since_ns, self._repeats = checksum, stamp_ns, 0
+            return False
+        self._repeats += 1
+        long_s = (stamp_ns - self._same_since_ns) * 1e-9
+        return self._repeats >= MIN_REPEATS and 0 < self._settings.frozen_s <= long_s
+
+
+def grid_sample(image: np.ndarray) -> np.ndarray:
+    """About SAMPLES pixels of the image (n,), or all channels of them, on a regular grid."""
+    step = grid_step(image.shape)
+    return np.ascontiguousarray(image[step // 2 :: step, step // 2 :: step]).reshape(-1)
+
+
+def grid_step(shape: tuple[int, ...]) -> int:
+    """Every how many rows and columns that grid has a pixel."""
+    return max(1, math.isqrt(shape[0] * shape[1] // SAMPLES))

@@ -1,0 +1,158 @@
+"""What a camera client says of itself: the gravest trouble first, and figures that add up."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from camera_client.camera_chain import FrameResult
+from camera_client.diagnostics import (
+    CameraState,
+    Level,
+    RecentStatistics,
+    connection_values,
+    frame_values,
+    judge,
+    source_values,
+)
+from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics, Outage
+from camera_client.silhouettes.pipeline import Silhouette
+from camera_client.sources.frame_checks import REMEDIES
+from camera_client.sources.grab_loop import GrabState
+
+STREAMING = Connection(ConnectionState.STREAMING)
+RUNNING = {"grab": GrabState.RUNNING, "link": STREAMING}
+
+
+def mask(*flags):
+    return Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, flags, 0.125)
+
+
+@pytest.mark.parametrize(
+    "state, level, text",
+    [
+        ({}, Level.OK, "active"),
+        ({"grab": GrabState.WAITING}, Level.OK, "waiting for a consumer"),
+        ({"grab": GrabState.ENDED, "frames": 7}, Level.OK, "end of footage after 7 frames"),
+        ({"grab": GrabState.FAILED, "failure": "file: gone."}, Level.ERROR, "file: gone."),
+        ({"link": Connection(ConnectionState.CONNECTING)}, Level.ERROR, "no camera: not connected yet (connecting)"),
+        (
+            {"link": Connection(ConnectionState.WAITING, "off", next_try_s=1.5, down_s=9.6)},
+            Level.ERROR,
+            "no camera: off (next attempt in 1.5 s, nothing for 10 s)",
+        ),
+        (
+            {"link": Connection(ConnectionState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)},
+            Level.ERROR,
+            "the camera cannot be used as it is set: lacks Mono12",
+        ),
+        (
+            {"link": Connection(ConnectionState.STALLED, "nothing came for 0.5 s")},
+            Level.ERROR,
+            "stalled: nothing came for 0.5 s",
+        ),
+        (
+            {"link": Connection(ConnectionState.CONTROL_LOST, "taken")},
+            Level.ERROR,
+            "control lost: taken; connecting anew",
+        ),
+        ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
+        ({"recent": FrameStatistics(100, 97, 1, 2)}, Level.WARN, "3 of the last 100 frames were lost or incomplete"),
+        ({"has_background": False}, Level.WARN, "no background: run sagoma background"),
+        ({"calibrated": False}, Level.WARN, "uncalibrated: no silhouettes; run sagoma calibrate"),
+        ({"placed": False}, Level.WARN, "the camera's place is unknown"),
+        ({"concerns": ("old", "dark")}, Level.WARN, "old"),
+        ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
+    ],
+)
+def test_level_and_text_follow_the_state(state, level, text):
+    got = judge(CameraState(**{**RUNNING, **state}))
+    assert got[0] is level and got[1].startswith(text)
+
+
+def test_gravest_trouble_is_told_alone():
+    everything = {
+        "frame_flags": ("dark",),
+        "recent": FrameStatistics(9, 1, 8),
+        "has_background": False,
+        "mask_flags": ("full",),
+    }
+    away = Connection(ConnectionState.WAITING, "off")
+    assert judge(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
+    assert judge(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
+
+
+def test_setting_that_changed_explains_why_the_scene_looks_brighter():
+    changed = {"mismatch": "the exposure is 8000 us", "concerns": ("the exposure is 8000 us",)}
+    assert judge(CameraState(**RUNNING, frame_flags=("lights",), **changed))[1] == "the exposure is 8000 us"
+    assert judge(CameraState(**RUNNING, frame_flags=("dark",), **changed))[1].startswith("dark: ")
+    assert judge(CameraState(**RUNNING, has_background=False, concerns=("old",)))[1].startswith("no background")
+
+
+def test_frames_missing_in_footage_do_not_blame_the_network():
+    assert judge(CameraState(GrabState.RUNNING, link=None, recent=FrameStatistics(9, 8, 1)))[0] is Level.OK
+
+
+def test_flags_of_the_newest_frame_and_mask_are_taken_over():
+    seen = FrameResult(canvas=None, flags=("lights",), silhouette=mask("full"))
+    state = CameraState(GrabState.RUNNING).with_result(seen)
+    assert (state.frame_flags, state.mask_flags) == (("lights",), ("full",))
+
+
+def test_recent_losses_are_forgotten_after_the_window():
+    recent, total = RecentStatistics(window_s=3.0), FrameStatistics()
+    lost = []
+    for second in range(10):
+        for k in range(10):
+            if not (second == 2 and k in (3, 4)):
+                total.add(second * 10 + k)
+        lost.append(recent.look(float(second), total).lost)
+    assert lost == [0, 0, 2, 2, 2, 0, 0, 0, 0, 0]
+    window = recent.look(9.5, total)
+    assert window.expected == window.delivered + window.incomplete + window.lost
+
+
+def source(link=None):
+    account = FrameStatistics(10, 7, 1, 2, 3)
+    return SimpleNamespace(link=link, account=account, counters={"stalls": 4}, details={"camera_serial": "S"})
+
+
+def test_figures_of_a_live_source_are_there_before_anything_happened():
+    values = source_values(source(Connection(ConnectionState.STREAMING, downtime_s=1.234)))
+    assert values["expected"] == values["delivered"] + values["incomplete"] + values["lost"] == 10
+    assert (values["repeated"], values["stalls"], values["reconnects"], values["downtime_s"]) == (3, 4, 0, 1.23)
+    assert values["camera_serial"] == "S" and values["link"] == "streaming"
+
+
+def test_figures_of_footage_tell_nothing_of_a_connection():
+    assert not {"reconnects", "link", "downtime_s"} & set(source_values(source()))
+
+
+def test_last_outage_is_told_in_seconds():
+    values = connection_values(Connection(ConnectionState.STREAMING, last_outage=Outage(0.51, 3.25, 0.14)))
+    assert (values["last_outage_noticed_s"], values["last_outage_s"], values["last_restart_s"]) == (0.51, 3.25, 0.14)
+
+
+def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
+    frame = Frame(np.zeros((2, 2), np.uint8), 5, 1, "ptp", uncertainty_ns=1500)
+    values = frame_values(frame, FrameResult(None, (), mask(), gain=1.2))
+    assert values == {
+        "stamp_source": "ptp",
+        "stamp_uncertainty_us": 1.5,
+        "mask_fraction": 0.25,
+        "candidate_fraction": 0.125,
+        "light_gain": 1.2,
+    }
+
+
+def test_downtime_adds_up_outages_and_counts_the_present_one():
+    downtime = Downtime()
+    downtime.begin(since_s=10.0, now_s=10.5)
+    downtime.begin(since_s=11.0, now_s=11.5)  # goes on
+    assert downtime.present_s(12.0) == 2.0
+    downtime.end(13.0, attempted_s=12.75)
+    assert downtime.last == Outage(noticed_s=0.5, length_s=3.0, restart_s=0.25)
+    downtime.begin(20.0, 20.5)
+    assert downtime.sum_s(21.0) == 4.0
+    downtime.end(22.0)  # suspended: nobody waits any more
+    assert downtime.sum_s(99.0) == 5.0 and downtime.last.length_s == 3.0

@@ -1,0 +1,112 @@
+"""The account of frames: expected = delivered + incomplete + lost, whatever a device and a network do."""
+
+import threading
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from camera_client.frame_source import WRAP_16_BIT, FrameStatistics
+
+WHOLE, HALF, LOST, TWICE = "whole", "half", "lost", "twice"
+FATES = st.lists(st.sampled_from([WHOLE, WHOLE, HALF, LOST, TWICE]), max_size=60)
+
+
+def ids_from(first):
+    """GVSP block ids of 16 bits: ... 65534, 65535, 1, 2 ..."""
+    value = first
+    while True:
+        yield value
+        value = value % WRAP_16_BIT + 1
+
+
+def play(account, fates, first, says_first=True):
+    """One run of acquisition; what a bystander who knows every frame's fate expects of the account."""
+    account.restart(first if says_first else None)
+    known, arrived = 0, []
+    for place, (frame_id, fate) in enumerate(zip(ids_from(first), fates, strict=False)):
+        if fate != LOST:
+            arrived.append(place)
+            account.add(frame_id, complete=fate != HALF)
+        if fate == TWICE:
+            account.add(frame_id)
+    if arrived:
+        known = arrived[-1] + 1 - (0 if says_first else arrived[0])
+    kept = [fates[place] for place in arrived]
+    return known, kept.count(WHOLE) + kept.count(TWICE), kept.count(HALF), known - len(kept), kept.count(TWICE)
+
+
+def counts(account):
+    return account.expected, account.delivered, account.incomplete, account.lost, account.repeated
+
+
+@given(st.lists(st.tuples(FATES, st.integers(1, WRAP_16_BIT), st.booleans()), max_size=5))
+def test_account_agrees_with_the_fate_of_every_frame_over_wraps_and_restarts(runs):
+    account, totals = FrameStatistics(), (0, 0, 0, 0, 0)
+    for fates, first, says_first in runs:
+        totals = tuple(a + b for a, b in zip(totals, play(account, fates, first, says_first), strict=True))
+    assert counts(account) == totals
+    assert account.expected == account.delivered + account.incomplete + account.lost
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**40), st.booleans()), max_size=40))
+def test_sum_rule_holds_for_any_ids_at_all(arrivals):
+    account = FrameStatistics()
+    for frame_id, complete in arrivals:
+        account.add(frame_id, complete)
+        assert account.expected == account.delivered + account.incomplete + account.lost
+        assert min(counts(account)) >= 0
+    assert account.arrived == len(arrivals)
+
+
+@given(FATES, FATES)
+def test_accounts_of_two_connections_add_up(first, second):
+    a, b, both = FrameStatistics(), FrameStatistics(), FrameStatistics()
+    play(a, first, 1), play(b, second, 1)
+    play(both, first, 1), play(both, second, 1)
+    assert counts(a + b) == counts(both)
+
+
+def test_ids_skipped_before_a_frame_are_told_when_it_comes():
+    account = FrameStatistics()
+    assert [account.add(i) for i in (65533, 65534, 65535, 1, 2, 5, 6)] == [0, 0, 0, 0, 0, 2, 0]
+    assert counts(account) == (9, 7, 0, 2, 0)
+
+
+def test_first_frames_are_known_to_be_lost_when_the_device_says_where_it_begins():
+    account = FrameStatistics()
+    account.restart(first_id=1)
+    assert account.add(4) == 3
+    assert counts(account) == (4, 1, 0, 3, 0)
+
+
+def test_frame_repeated_from_before_the_wrap_is_no_loss():
+    account = FrameStatistics()
+    for frame_id in (65535, 1, 65535, 2):
+        account.add(frame_id)
+    assert counts(account) == (3, 3, 0, 0, 1)
+
+
+def test_ids_of_64_bits_do_not_wrap():
+    account = FrameStatistics()
+    account.add(70_000)
+    assert account.add(170_000) == 99_999
+    assert account.add(100_000) == 0 and account.repeated == 1
+
+
+def test_snapshot_keeps_the_rule_while_another_thread_adds():
+    account, finished = FrameStatistics(), threading.Event()
+
+    def add():
+        for frame_id in range(1, 60_000, 3):
+            account.add(frame_id, complete=frame_id % 2 == 0)
+        finished.set()
+
+    thread = threading.Thread(target=add)
+    thread.start()
+    looks = 0
+    while not finished.is_set() or looks == 0:
+        seen = account.snapshot()
+        assert seen.expected == seen.delivered + seen.incomplete + seen.lost
+        looks += 1
+    thread.join()
+    assert account.snapshot() == account and account.expected == 59_998

@@ -1,0 +1,245 @@
+"""Boxes, the search for dense foreground, and undistortion of a box: the same result as for the whole image."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance
+from camera_client.settings import SilhouetteSettings
+from camera_client.silhouettes.masks import (
+    BLOCK_PX,
+    Box,
+    BoxUndistorter,
+    ForegroundLocator,
+    keep_person,
+    majority,
+    majority_count,
+    trim_outline,
+)
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from capture_rig.camera import CameraModel
+from capture_rig.mask_levels import SHADOW_CANDIDATE
+
+
+def holds(box, mask):
+    outside = mask.copy()
+    outside[box.slices] = 0
+    return not outside.any()
+
+
+def test_box_grows_to_multiples_within_the_image():
+    assert Box(10, 20, 30, 40).grown(3, (100, 100), 8) == Box(0, 16, 40, 48)
+    assert Box(2, 2, 98, 99).grown(3, (100, 100)) == Box(0, 0, 100, 100)
+    assert Box(1, 2, 3, 4).outside(Box(10, 20, 30, 40)) == Box(11, 22, 13, 24)
+    assert Box(11, 22, 13, 24).within(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
+
+
+def test_box_around_holds_every_pixel_and_nothing_is_empty():
+    mask = np.zeros((50, 60), np.uint8)
+    assert Box.around(mask).empty
+    mask[7, 9] = mask[40, 20] = 255
+    assert Box.around(mask) == Box(7, 9, 41, 21)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]), st.sampled_from([(61, 83), (64, 80), (40, 97)]))
+@settings(max_examples=60, deadline=None)
+def test_everything_that_survives_the_majority_filter_lies_in_the_box(seed, side, shape):
+    rng = np.random.default_rng(seed)
+    mask = np.where(rng.random(shape) < rng.choice([0.0, 0.002, 0.05, 0.3]), np.uint8(255), np.uint8(0))
+    x, y = rng.integers(0, shape[1]), rng.integers(0, shape[0])
+    cv2.ellipse(mask, (int(x), int(y)), (int(rng.integers(1, 15)), int(rng.integers(1, 15))), 0, 0, 360, 255, -1)
+    search = ForegroundLocator(shape, 0, majority_count(side))
+    search.buffer[:] = 255 - mask
+    box = search.box()
+    grown = Box(0, 0, 0, 0) if box.empty else box.grown(side // 2, shape)
+    assert holds(grown, majority(mask, side))
+
+
+def test_scattered_noise_does_not_widen_the_box():
+    rng = np.random.default_rng(0)
+    mask = np.where(rng.random((480, 640)) < 0.01, np.uint8(255), np.uint8(0))
+    mask[200:400, 300:360] = 255
+    search = ForegroundLocator(mask.shape, 46, majority_count(5))
+    search.buffer[:] = 255 - mask
+    box = search.box()
+    assert holds(box, np.where(cv2.erode(mask, np.ones((9, 9))) > 0, 255, 0))
+    assert (box.bottom - box.top) <= 200 + 4 * BLOCK_PX and (box.right - box.left) <= 60 + 4 * BLOCK_PX
+
+
+@pytest.mark.parametrize("distortion", [(0.0, 0.0, 0.0, 0.0, 0.0), (-0.35, 0.12, 0.001, -0.002, 0.0)])
+def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
+    view = scene.camera(distortion=distortion).undistorted_view()
+    undistorter, rng = BoxUndistorter(view), np.random.default_rng(1)
+    for _ in range(40):
+        rows, columns = np.sort(rng.integers(0, 121, 2)), np.sort(rng.integers(0, 161, 2))
+        box, mask = Box(rows[0], columns[0], rows[1], columns[1]), np.zeros((120, 160), np.uint8)
+        mask[box.slices] = rng.choice(np.array([0, 127, 255], np.uint8), mask[box.slices].shape)
+        assert np.array_equal(undistorter.undistort(mask, box), view.undistort_mask(mask))
+
+
+def whole_image(pipeline, image, settings):
+    """The chain step by step on the whole image: slow, and plain enough to be believed."""
+    raw = majority(cv2.bitwise_not(cv2.inRange(image, pipeline._limits.lo, pipeline._limits.hi)), settings.median_px)
+    shadow = pipeline._shadow.shadow(image, raw)
+    person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, pipeline._closing)
+    height = len(image)
+    area = height**2
+    person = keep_person(person, settings.min_area * area, settings.near * height, settings.max_hole * area)
+    person = trim_outline(person, image, pipeline._mean, settings.rim)
+    return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
+
+
+def larger(camera, factor):
+    K = camera.K * [[factor], [factor], [1]]
+    return CameraModel(
+        camera.name,
+        camera.width * factor,
+        camera.height * factor,
+        K,
+        camera.distortion_model,
+        camera.D,
+        camera.T_camera_world,
+    )
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour):
+    settings, rng = SilhouetteSettings(), np.random.default_rng(3)
+    learner = BackgroundLearner()
+    for image in scene.empty(40, colour=colour):
+        learner.add(cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST))
+    model = learner.model("test")
+    pipeline = SilhouettePipeline(larger(scene.camera(distortion=(-0.2, 0.05, 0, 0, 0)), 3), model)
+    for k in range(12):
+        shift = int(rng.integers(-90, 90))  # over the border, too
+        person = np.roll(scene.person_mask(), shift, axis=1)
+        image = scene.empty(1, seed=50 + k, colour=colour)[0]
+        image[90:112, 20:75] = np.rint(image[90:112, 20:75] * 0.7)
+        image = cv2.resize(scene.with_person(image, person), None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
+        silhouette = pipeline.run(image)
+        expected = whole_image(pipeline, image, settings)
+        assert np.array_equal(silhouette.image_mask, expected)
+        assert (expected == 255).any() and (expected == SHADOW_CANDIDATE).any()
+        assert silhouette.foreground_fraction == pytest.approx((expected == 255).mean())
+        assert silhouette.candidate_fraction == pytest.approx((expected == SHADOW_CANDIDATE).mean())
+
+
+def test_image_full_of_foreground_and_one_without_any_are_taken(scene):
+    flat = np.full((120, 160), 100, np.float32)
+    model = BackgroundModel(flat, np.full_like(flat, 2.0), Provenance("test", 10, 2.0))
+    pipeline = SilhouettePipeline(scene.camera(), model)
+    assert (pipeline.run(np.full((120, 160), 255, np.uint8)).image_mask == 255).all()
+    assert not pipeline.run(np.full((120, 160), 100, np.uint8)).mask.any()
+
+
+# --- Which parts of a raw mask are kept.
+
+
+def blank():
+    return np.zeros((240, 320), np.uint8)
+
+
+def keep(mask, min_area_px=20, near_px=20, max_hole_px=30):
+    return keep_person(mask, min_area_px, near_px, max_hole_px)
+
+
+def test_limb_cut_from_the_trunk_survives():
+    mask = blank()
+    mask[40:120, 100:140] = 255  # trunk
+    mask[135:200, 105:117] = 255  # legs, 15 px below: dark shorts on a dark floor
+    mask[135:200, 123:135] = 255
+    assert np.array_equal(keep(mask), mask)
+
+
+def test_chain_of_pieces_survives_link_by_link():
+    mask = blank()
+    for x in (50, 80, 110, 140):  # each 18 px from the next, the last far from the largest
+        mask[100:112, x : x + 12] = 255
+    mask[90:130, 10:40] = 255
+    assert np.array_equal(keep(mask), mask)
+
+
+def test_piece_far_from_everything_is_dropped():
+    mask = blank()
+    mask[40:120, 100:140] = 255
+    expected = mask.copy()
+    mask[40:60, 161:190] = 255  # 21 px off
+    assert np.array_equal(keep(mask), expected)
+
+
+def test_noise_speck_is_dropped_even_beside_the_person():
+    mask = blank()
+    mask[40:120, 100:140] = 255
+    expected = mask.copy()
+    mask[60:64, 145:149] = 255  # 16 px of area
+    assert np.array_equal(keep(mask), expected)
+
+
+def test_smallest_kept_component_has_exactly_the_minimal_area():
+    mask = blank()
+    mask[10:14, 10:15] = 255
+    assert keep(mask, min_area_px=20).any()
+    assert not keep(mask, min_area_px=21).any()
+
+
+def test_small_hole_is_filled_and_large_one_kept():
+    mask = blank()
+    mask[40:200, 100:180] = 255
+    mask[60:65, 110:116] = 0  # 30 px
+    mask[150:190, 130:150] = 0  # between the legs
+    kept = keep(mask, max_hole_px=31)
+    assert kept[62, 113] == 255
+    assert np.array_equal(kept[150:190, 130:150], mask[150:190, 130:150])
+    assert not keep(mask, max_hole_px=30)[60:65, 110:116].any()
+
+
+def test_hole_of_a_dropped_component_stays_empty():
+    mask = blank()
+    mask[40:120, 10:60] = 255
+    mask[40:70, 200:230] = 255
+    mask[50:55, 210:215] = 0
+    assert not keep(mask)[:, 190:].any()
+
+
+def test_empty_mask_stays_empty():
+    assert not keep(blank()).any()
+
+
+def person():
+    """Head, trunk, an arm held out with its hand, two legs with feet, as a camera 3 m away would see them."""
+    mask = blank()
+    cv2.circle(mask, (120, 30), 12, 255, -1)
+    mask[42:120, 100:140] = 255
+    mask[50:60, 140:200] = 255
+    mask[120:215, 102:115] = mask[120:215, 125:138] = 255
+    mask[215:222, 92:115] = mask[215:222, 125:148] = 255
+    return mask
+
+
+LIMBS = {
+    "hand cut off by a thin strip in the background's colour": (slice(48, 62), slice(182, 187)),
+    "head separated by a bright collar": (slice(40, 49), slice(95, 145)),
+    "forearm hidden behind a pole": (slice(48, 62), slice(155, 170)),
+    "foot beyond the shadow that was taken off the shin": (slice(188, 214), slice(95, 145)),
+    "legs below shorts as dark as the floor": (slice(115, 142), slice(95, 145)),
+}
+
+
+@pytest.mark.parametrize("cut", LIMBS.values(), ids=LIMBS)
+def test_limb_survives_that_is_cut_off_as(cut):
+    mask = person()
+    mask[cut] = 0
+    settings = SilhouetteSettings()
+    area = mask.shape[0] ** 2
+    kept = keep_person(mask, settings.min_area * area, settings.near * mask.shape[0], settings.max_hole * area)
+    assert cv2.connectedComponents(mask)[0] > 2  # it is cut off
+    assert np.array_equal(kept, mask)
+
+
+@pytest.mark.parametrize("side", [1, 3, 5, 7])
+def test_majority_equals_the_median_of_a_mask(side):
+    rng = np.random.default_rng(side)
+    mask = np.where(rng.random((97, 131)) < 0.45, np.uint8(255), np.uint8(0))
+    assert np.array_equal(majority(mask, side), mask if side == 1 else cv2.medianBlur(mask, side))

@@ -1,0 +1,98 @@
+"""What a camera says about dark pixels, and where it draws the outline."""
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_client.background.model import BackgroundModel, Provenance
+from camera_client.settings import SilhouetteSettings
+from camera_client.silhouettes.masks import Box, trim_outline
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.silhouettes.shadows import AttenuationMarker
+from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, CANDIDATE_LEVELS, attenuation_step
+
+ALL = Box(0, 0, 120, 160)
+
+
+def background(scene, colour=False):
+    mean = np.mean(scene.empty(20, colour=colour), axis=0, dtype=np.float32)
+    return BackgroundModel(mean, np.full_like(mean, 1.5), Provenance("test", 20, 1.5))
+
+
+def darkened(model, ratio):
+    return np.rint(model.mean * ratio).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("degree", range(len(ATTENUATED_LEVELS)))
+def test_dark_floor_gets_the_degree_of_its_brightness(scene, colour, degree):
+    model = background(scene, colour)
+    ratio = (ATTENUATION_EDGES[degree] + ATTENUATION_EDGES[degree + 1]) / 2
+    person = np.zeros((120, 160), np.uint8)
+    person[70:120, 20:140] = 255
+    levels = AttenuationMarker(scene.camera(), model).mark(darkened(model, ratio), person, np.zeros_like(person), ALL)
+    inside = levels[82:118, 22:138]
+    assert (inside == ATTENUATED_LEVELS[degree]).mean() > 0.95
+    candidates = AttenuationMarker(scene.camera(), model).mark(
+        darkened(model, ratio), np.zeros_like(person), person, ALL
+    )
+    assert (candidates[82:118, 22:138] == CANDIDATE_LEVELS[degree // 2]).mean() > 0.95
+    assert not levels[person == 0].any() and not candidates[person == 0].any()
+
+
+def test_what_no_shadow_can_be_stays_the_person(scene):
+    model, person = background(scene), np.full((120, 160), 255, np.uint8)
+    test, nothing = AttenuationMarker(scene.camera(), model), np.zeros((120, 160), np.uint8)
+    for ratio in (0.2, 1.1, 1.6):
+        assert (test.mark(darkened(model, ratio), person, nothing, ALL)[82:] == 255).mean() > 0.95
+    assert (test.mark(darkened(model, 0.6), person, nothing, ALL)[:60] == 255).all()  # above the horizon
+
+
+def test_a_box_of_the_image_gives_what_the_whole_image_gives(scene):
+    model, rng = background(scene), np.random.default_rng(2)
+    test, image = AttenuationMarker(scene.camera(), model), np.rint(model.mean * rng.uniform(0.3, 1.2, (120, 160)))
+    person = np.where(cv2.blur(rng.random((120, 160)), (9, 9)) > 0.52, np.uint8(255), np.uint8(0))
+    candidates = cv2.bitwise_and(np.roll(person, 7), cv2.bitwise_not(person))
+    whole = test.mark(image.astype(np.uint8), person, candidates, ALL)
+    for box in (Box(60, 30, 120, 160), Box(0, 0, 100, 76), Box(88, 4, 98, 22)):
+        part = test.mark(image.astype(np.uint8), person[box.slices], candidates[box.slices], box)
+        assert np.array_equal(part, whole[box.slices])
+
+
+def test_every_ratio_has_the_degree_between_its_edges():
+    for ratio in np.linspace(0.0, 1.3, 400):
+        degree = attenuation_step(ratio)
+        assert (degree is None) == (ratio < ATTENUATION_EDGES[0] or ratio >= ATTENUATION_EDGES[-1])
+        assert degree is None or ATTENUATION_EDGES[degree] <= ratio < ATTENUATION_EDGES[degree + 1]
+
+
+def test_only_marking_sends_degrees_and_the_person_is_the_same_in_all_modes(scene):
+    frame = scene.with_person(scene.empty(1, seed=7)[0])
+    frame[(scene.person_mask() > 0) & (np.arange(160) >= 80)] = 70  # dark trousers
+    found = {
+        how: SilhouettePipeline(scene.camera(), background(scene), SilhouetteSettings(shadow=how)).run(frame)
+        for how in ("mark", "remove", "keep")
+    }
+    assert set(np.unique(found["mark"].mask)) & set(ATTENUATED_LEVELS)
+    assert set(np.unique(found["remove"].mask)) == set(np.unique(found["keep"].mask)) == {0, 255}
+    assert np.array_equal(found["mark"].person, found["remove"].mask)
+
+
+@pytest.mark.parametrize("blur_px", [0.8, 1.2])
+def test_blurred_edge_is_drawn_nearer_to_where_it_is(blur_px):
+    mean, truth = np.full((80, 80), 120, np.uint8), np.zeros((80, 80), np.uint8)
+    cv2.rectangle(truth, (25, 20), (54, 59), 255, -1)
+    image = np.rint(120 - 80 * cv2.GaussianBlur(truth / 255.0, (0, 0), blur_px)).astype(np.uint8)
+    fat = np.where(cv2.absdiff(image, mean) > 4, np.uint8(255), np.uint8(0))
+    trimmed = trim_outline(fat, image, mean, 0.5)
+    assert np.count_nonzero(trimmed != truth) < 0.65 * np.count_nonzero(fat != truth)
+    assert not (trimmed & ~fat).any() and trimmed[truth > 0].all()
+
+
+def test_untrimmed_outline_is_left_alone_and_thin_limbs_survive():
+    mean, image = np.full((40, 40), 120, np.uint8), np.full((40, 40), 120, np.uint8)
+    image[10:30, 20] = 60  # one pixel wide
+    mask = np.where(image < 100, np.uint8(255), np.uint8(0))
+    assert np.array_equal(trim_outline(mask, image, mean, 0.3), mask)
+    colour = cv2.merge([mean, mean, image])
+    assert np.array_equal(trim_outline(mask, colour, cv2.merge([mean] * 3), 0.3), mask)

@@ -1,0 +1,119 @@
+"""The filter's results as ROS messages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from sagoma_ros.clouds import reference_points_array, to_cloud
+from sagoma_ros.messages import to_stamp
+from stick_figure.body import Body
+from stick_figure.kernels import rotation_log
+from stick_figure.kinematics import sticks
+
+from .state import EkfState, NoState, Tracking
+
+LEVELS = {
+    Tracking.ACQUIRING: DiagnosticStatus.WARN,
+    Tracking.TRACKING: DiagnosticStatus.OK,
+    Tracking.DOUBTFUL: DiagnosticStatus.WARN,
+    Tracking.LOST: DiagnosticStatus.ERROR,
+}
+STICK_WIDTH_M = 0.03
+JOINT_DIAMETER_M = 0.06
+SIGMAS = 2.0
+"""Half axes of the published ellipsoids in standard deviations."""
+_COLOURS = {
+    Tracking.TRACKING: ColorRGBA(r=0.2, g=0.8, b=0.3, a=1.0),
+    Tracking.DOUBTFUL: ColorRGBA(r=0.95, g=0.7, b=0.1, a=1.0),
+    Tracking.LOST: ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0),
+}
+_ELLIPSOID_COLOUR = ColorRGBA(r=0.4, g=0.6, b=1.0, a=0.3)
+
+
+def torso_message(state: EkfState, frame_id: str) -> PoseWithCovarianceStamped:
+    """Pose of the torso's frame, with the 6x6 covariance in ROS's order x y z rx ry rz about the fixed axes."""
+    message = PoseWithCovarianceStamped(header=_header(state.stamp_ns, frame_id))
+    message.pose.pose.position = _point(state.pose.position_world)
+    message.pose.pose.orientation = quaternion(state.pose.R_world_torso)
+    message.pose.covariance = state.covariance[:6, :6].ravel()
+    return message
+
+
+def reference_points_message(state: EkfState, frame_id: str) -> PointCloud2:
+    """The 15 filtered points; a point is visible when its own measurement was used in this set."""
+    array = reference_points_array(state.points_world, state.point_covariance, state.accepted)
+    return to_cloud(array, state.stamp_ns, frame_id)
+
+
+def state_message(state: EkfState | NoState, node_name: str) -> DiagnosticStatus:
+    """What the tracker thinks of itself: message = state, values = reason and the innovation."""
+    values = {"reason": state.reason, "stamp_ns": str(state.stamp_ns)}
+    if isinstance(state, EkfState):
+        values["points_used"] = str(int(state.accepted.sum()))
+        values["points_left_out"] = str(int(state.gated.sum()))
+        values["normalised_innovation"] = f"{state.normalised_innovation:.3f}"
+    return DiagnosticStatus(
+        level=LEVELS[state.tracking],
+        name=node_name,
+        message=str(state.tracking),
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def skeleton_markers(state: EkfState, body: Body, frame_id: str, with_ellipsoids: bool) -> MarkerArray:
+    """Sticks as one line list, joints as one sphere list, and if wanted one ellipsoid of covariance a point.
+
+    Namespaces and ids stay the same from set to set, so a viewer replaces what it shows.
+    """
+    header = _header(state.stamp_ns, frame_id)
+    lines = _marker(header, "sticks", 0, Marker.LINE_LIST, _COLOURS[state.tracking])
+    lines.scale.x = STICK_WIDTH_M
+    lines.points = [_point(end) for end in sticks(body, state.pose).reshape(20, 3)]
+    joints = _marker(header, "joints", 0, Marker.SPHERE_LIST, _COLOURS[state.tracking])
+    joints.scale.x = joints.scale.y = joints.scale.z = JOINT_DIAMETER_M
+    joints.points = [_point(point) for point in state.points_world]
+    ellipsoids = _ellipsoids(header, state) if with_ellipsoids else []
+    return MarkerArray(markers=[lines, joints, *ellipsoids])
+
+
+def quaternion(R: np.ndarray) -> Quaternion:
+    """Rotation matrix to quaternion with w >= 0."""
+    vector = np.empty(3)
+    rotation_log(np.ascontiguousarray(R), vector)
+    angle = math.sqrt(vector @ vector)
+    x, y, z = (vector * (0.5 * np.sinc(angle / (2.0 * np.pi)))).tolist()  # sin(angle / 2) / angle
+    return Quaternion(x=x, y=y, z=z, w=math.cos(angle / 2.0))
+
+
+def _ellipsoids(header: Header, state: EkfState) -> list[Marker]:
+    markers = []
+    variances, axes = np.linalg.eigh(state.point_covariance)
+    for i, (point, variance, axis) in enumerate(zip(state.points_world, variances, axes, strict=True)):
+        marker = _marker(header, "covariance", i, Marker.SPHERE, _ELLIPSOID_COLOUR)
+        marker.pose.position = _point(point)
+        marker.pose.orientation = quaternion(axis * [1.0, 1.0, np.linalg.det(axis)])  # eigh may return a reflection
+        marker.scale.x, marker.scale.y, marker.scale.z = 2.0 * SIGMAS * np.sqrt(variance)
+        markers.append(marker)
+    return markers
+
+
+def _marker(header: Header, namespace: str, number: int, kind: int, colour: ColorRGBA) -> Marker:
+    marker = Marker(header=header, ns=namespace, id=number, type=kind, action=Marker.ADD, color=colour)
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _header(stamp_ns: int, frame_id: str) -> Header:
+    return Header(stamp=to_stamp(stamp_ns), frame_id=frame_id)
+
+
+def _point(xyz: np.ndarray) -> Point:
+    x, y, z = xyz.tolist()
+    return Point(x=x, y=y, z=z)

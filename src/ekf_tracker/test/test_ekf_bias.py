@@ -1,0 +1,113 @@
+"""Covariances that include errors which last: against simulated biases, and against the gain that must not change."""
+
+import numpy as np
+import pytest
+from ekf_person import ALL, NO_BIAS, NONE, Person, ellipsoid_distances, run, stamp
+from scipy.stats import chi2
+
+from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.settings import EkfSettings, MeasurementBiasSettings
+from stick_figure.kinematics import forward
+from stick_figure.skeleton import POINT_NAMES
+
+SETTLED = 30
+HAND, HIP = POINT_NAMES.index("left_hand"), POINT_NAMES.index("left_hip")
+WHOLE = MeasurementBiasSettings(1.0, *np.zeros(9).tolist())
+
+
+def run_with_biased_pose(body, seed, lasting, tau_s=0.5, sd=0.03, frames=240):
+    """Points of a pose that strays from the true one (Gauss-Markov over tau) plus 3 mm of noise; R is their sum.
+
+    The stray pose is scaled so that the measured points err by about ``sd`` on each axis. Returns the states, the true
+    points and the true poses.
+    """
+    rng, person = np.random.default_rng(seed), Person(body, seed, speed=0.7)
+    ekf, decay = ArticulatedEkf(body, EkfSettings(measurement_bias=lasting)), np.exp(-1 / (60 * tau_s))
+    slots = np.full(24, 0.06)
+    slots[:3] = 0.02
+    stray, states, truth, poses = slots * rng.standard_normal(24), [], [], []
+    at = [forward(body, person.pose(0).retract(slots * rng.standard_normal(24))) for _ in range(200)]
+    R = np.array([np.cov((np.array(at)[:, i] - person.points(0)[i]).T) for i in range(15)]) + 0.003**2 * np.eye(3)
+    for k in range(frames):
+        pose = person.pose(k / 60)
+        points = forward(body, pose.retract(stray)) + 0.003 * rng.standard_normal((15, 3))
+        states.append(ekf.step(stamp(k), points, R, ALL))
+        truth.append(forward(body, pose))
+        poses.append(pose)
+        stray = decay * stray + np.sqrt(1 - decay**2) * slots * rng.standard_normal(24)
+    return states[SETTLED:], np.array(truth[SETTLED:]), poses[SETTLED:]
+
+
+def share_inside(states, truth):
+    errors = np.array([s.points_world for s in states]) - truth
+    covariances = np.array([s.point_covariance for s in states])
+    return (ellipsoid_distances(errors, covariances) < chi2.ppf(0.95, 3)).mean()
+
+
+def test_points_whose_errors_last_are_inside_their_ellipsoids_as_often_as_claimed(body):
+    shares = {
+        name: np.mean([share_inside(*run_with_biased_pose(body, seed, lasting)[:2]) for seed in range(4)])
+        for name, lasting in (("whole", WHOLE), ("none", NO_BIAS))
+    }
+    assert 0.88 < shares["whole"] < 0.99
+    assert shares["none"] < 0.75
+
+
+def test_joints_whose_errors_last_fit_their_covariance(body):
+    """Mean squared error of each tangent slot over the variance that is claimed."""
+    ratios = []
+    for seed in range(4):
+        states, _, poses = run_with_biased_pose(body, seed, WHOLE)
+        errors = np.array([pose.minus(state.pose) for pose, state in zip(poses, states, strict=True)])
+        ratios.append(errors**2 / np.array([np.diag(state.covariance)[:24] for state in states]))
+    assert 0.3 < np.mean(ratios) < 1.2
+
+
+def test_estimate_itself_does_not_depend_on_what_lasts(body, person):
+    rng = [np.random.default_rng(3) for _ in range(2)]
+    lasting, _ = run(ArticulatedEkf(body), person, 60, rng=rng[0])
+    fleeting, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS)), person, 60, rng=rng[1])
+    for a, b in zip(lasting, fleeting, strict=True):
+        np.testing.assert_array_equal(a.points_world, b.points_world)
+        np.testing.assert_array_equal(a.velocity, b.velocity)
+        assert (np.linalg.eigvalsh(a.point_covariance - b.point_covariance)[:, 0] > 0.0).all()
+        assert np.linalg.eigvalsh((a.covariance - b.covariance)[:24, :24])[0] > -1e-9
+
+
+@pytest.mark.parametrize("sets", [10, 200])
+def test_no_number_of_sets_brings_a_point_below_what_lasts(body, person, sets):
+    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(0.0, *np.full(9, 0.02).tolist()))
+    states, _ = run(ArticulatedEkf(body, settings), person, sets, noise=0.005)
+    assert np.sqrt(np.linalg.eigvalsh(states[-1].point_covariance)[:, 0]).min() > 0.02
+
+
+def test_each_kind_of_point_has_its_own_lasting_error(body, person):
+    zeros = dict.fromkeys(
+        ("torso_m", "head_m", "neck_m", "shoulders_m", "elbows_m", "knees_m", "hands_m", "feet_m"), 0.0
+    )
+    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, hips_m=0.05, **zeros))
+    with_hips, _ = run(ArticulatedEkf(body, settings), person, 40)
+    without, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS)), person, 40)
+    added = with_hips[-1].point_covariance - without[-1].point_covariance
+    np.testing.assert_allclose(added[HIP], 0.05**2 * np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(added[HAND], 0.0, atol=1e-12)
+
+
+def test_points_that_went_unseen_keep_what_lasted_and_grow_beyond_it(body, person):
+    states, _ = run(ArticulatedEkf(body), person, 60, visible=lambda k: ALL if k < 40 else NONE)
+    variances = np.array([np.trace(s.point_covariance[HAND]) for s in states])
+    assert (np.diff(variances[39:]) > 0.0).all()
+
+
+def test_slots_that_no_point_bears_on_are_not_widened(body, person):
+    """The arm was never seen: its joints' prior is all there is to say."""
+    visible = ALL.copy()
+    visible[[HAND, POINT_NAMES.index("left_elbow")]] = False
+    states, _ = run(ArticulatedEkf(body), person, 20, visible=lambda k: visible)
+    fleeting, _ = run(
+        ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS)), person, 20, visible=lambda k: visible
+    )
+    shoulder = [8, 12, 10, 14]
+    np.testing.assert_allclose(
+        np.diag(states[-1].covariance)[shoulder], np.diag(fleeting[-1].covariance)[shoulder], rtol=1e-6
+    )

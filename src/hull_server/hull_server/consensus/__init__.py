@@ -1,1 +1,0 @@
-"""What the cameras say together before anything is carved: shadows, and cameras that contradict all others."""

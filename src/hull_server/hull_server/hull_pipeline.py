@@ -1,0 +1,183 @@
+"""Silhouettes of one instant in, hull, centerline, voxel samples and rims out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig import FrameSet, Rig
+
+from .carve_backends import make_backend
+from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults
+from .consistency.extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
+from .contour_rays.contour_tracer import ContourRays, ContourTracer
+from .grid import BrickVolume, VoxelGrid
+from .settings import HullSettings
+from .shadows import ShadowResolver
+from .slicing.bodies import Bodies, BodyTracker
+from .slicing.skeletonisation import Centerline, find_centerline, slice_hull
+from .slicing.voxel_samples import VoxelSamples, sample_runs
+from .views import RigViews, min_seeing
+
+Mask = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class HullResult:
+    """The hull of one frame set.
+
+    stamp_ns : capture stamp of the set. cameras, missing : cameras that had a say, and those that delivered nothing.
+    blank : cameras whose silhouette is empty; they empty the hull wherever they see. verdict : cameras that contradict
+    the others; those left out had no say. calibration : how well all cameras stand. bodies : the parts of the hull
+    large enough to be somebody, numbered.
+    rims : rays along the silhouettes' rims, which touch the body. min_seeing : how many cameras had to see a voxel.
+    stage_ms : time spent in each stage.
+    """
+
+    stamp_ns: int
+    volume: BrickVolume
+    centerline: Centerline
+    voxels: VoxelSamples
+    contour_rays: ContourRays
+    bodies: Bodies
+    cameras: tuple[str, ...]
+    missing: tuple[str, ...]
+    blank: tuple[str, ...]
+    verdict: CameraFaults
+    calibration: ExtrinsicErrors
+    min_seeing: int
+    backend: str
+    stage_ms: dict[str, float]
+
+    @property
+    def empty(self) -> bool:
+        return len(self.volume.index) == 0
+
+
+@dataclass(frozen=True, eq=False)
+class SetUnderWay:
+    """A frame set whose carve has begun: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
+
+    frame_set: FrameSet[Mask]
+    masks: dict[str, Mask]
+    blank: tuple[str, ...]
+    verdict: CameraFaults
+    calibration: ExtrinsicErrors
+    min_seeing: int
+    ticket: Any
+    stage_ms: dict[str, float]
+
+
+class HullPipeline:
+    """The hull server's core (thesis chapter 3), in two halves, so that two threads can overlap two frame sets.
+
+    ``begin`` is for one thread at a time, ``finish`` for one (other or same) thread at a time, in the same order.
+    """
+
+    def __init__(self, rig: Rig, settings: HullSettings) -> None:
+        """Compute what depends on the calibration only; InputError for a rig or a setting that cannot be used."""
+        self.settings = settings
+        self.views = RigViews.from_rig(rig)
+        self.grid = VoxelGrid.covering(rig.volume, settings.voxel_size_m)
+        choice = make_backend(settings.backend, self.views, self.grid)
+        self.backend, self.backend_reason = choice.backend, choice.reason
+        self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
+        self._calibration = ExtrinsicMonitor(rig, self.views, settings.calibration)
+        self._shadows = ShadowResolver(self.views, rig.volume, settings.shadow)
+        self._bodies = BodyTracker(settings.body)
+        self._contour = ContourTracer(self.views, self.grid, settings.contour)
+
+    def run(self, frame_set: FrameSet[Mask]) -> HullResult:
+        """The hull of the frame set's canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, 0 where unseen.
+
+        An empty silhouette, or too few cameras, gives an empty hull. InputError for a mask of the wrong size.
+        """
+        return self.finish(self.begin(frame_set))
+
+    def begin(self, frame_set: FrameSet[Mask]) -> SetUnderWay:
+        """What needs all silhouettes: whom to believe, what is shadow; then the carve is sent on its way."""
+        watch, frames = _StageWatch(), frame_set.frames
+        # cameras that contradict all others have no say
+        verdict = self._faults.update(frames, frame_set.stamp_ns)
+        believed = {name: mask for name, mask in frames.items() if name not in verdict.left_out}
+        # cameras that do not stand where their calibration says
+        calibration = self._calibration.update(frames, frame_set.stamp_ns)
+        seeing = min_seeing(len(believed), self.settings.min_seeing)
+        watch.lap("consistency")
+        # dark pixels become person, or floor in shadow
+        masks = self._shadows.resolve(believed, seeing).masks
+        watch.lap("shadows")
+        # voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
+        ticket = self.backend.submit(masks, seeing)
+        watch.lap("carve")
+        blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
+        return SetUnderWay(frame_set, masks, blank, verdict, calibration, seeing, ticket, watch.laps_ms)
+
+    def finish(self, under_way: SetUnderWay) -> HullResult:
+        """Wait for the carve, then slice, filter, sample, and trace the rims."""
+        frame_set, blob, watch = under_way.frame_set, self.settings.blob, _StageWatch()
+        volume = self.backend.collect(under_way.ticket)
+        watch.lap("collect")
+        # connected components of all slices along x, y and z (3.2)
+        slices = slice_hull(volume, blob.erosion_voxels, blob.growth_step_m)
+        watch.lap("slice")
+        # centroids of the blobs that look like a limb or trunk cut across (3.2)
+        centerline = find_centerline(slices.blobs, self.grid, blob)
+        watch.lap("filter")
+        bodies = self._bodies.step(frame_set.stamp_ns, slices.runs, self.grid)
+        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels)
+        watch.lap("sample")
+        # rays along the silhouettes' rims: wherever the hull is too fat, they still touch the body
+        contour_rays = self._contour.trace(under_way.masks, slices.runs, frame_set.frames)
+        watch.lap("contour_rays")
+        return HullResult(
+            stamp_ns=frame_set.stamp_ns,
+            volume=volume,
+            centerline=centerline,
+            voxels=voxels,
+            contour_rays=contour_rays,
+            bodies=bodies,
+            cameras=tuple(under_way.masks),
+            missing=frame_set.missing,
+            blank=under_way.blank,
+            verdict=under_way.verdict,
+            calibration=under_way.calibration,
+            min_seeing=under_way.min_seeing,
+            backend=self.backend.name,
+            stage_ms=under_way.stage_ms | watch.laps_ms,
+        )
+
+    def warm_up(self) -> None:
+        """Carve a small made-up body once, so that the first real frame set does not wait for compilers."""
+        centre_world = np.append(self.grid.centres_world(np.array(self.grid.shape) / 2.0 - 0.5), 1.0)
+        masks = {}
+        for name, P, (width, height) in zip(self.views.names, self.views.P, self.views.sizes, strict=True):
+            u, v, w = P @ centre_world
+            mask = np.zeros((height, width), np.uint8)
+            if w > 0:
+                radius = min(width, height) // 8
+                cv2.circle(mask, (round(u / w), round(v / w)), radius, 255, -1)
+            masks[name] = mask
+        self.run(FrameSet(0, masks, dict.fromkeys(masks, 0), ()))
+
+    def close(self) -> None:
+        """Release the backend."""
+        self.backend.close()
+
+
+class _StageWatch:
+    """Milliseconds between laps."""
+
+    def __init__(self) -> None:
+        self.laps_ms: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.laps_ms[stage] = (now - self._last) * 1e3
+        self._last = now

@@ -1,0 +1,199 @@
+"""What the hull node publishes: the result of one frame set as messages."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import rclpy.task
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_srvs.srv import Trigger
+
+from capture_rig import InputError
+from capture_rig.camera import CameraModel
+from sagoma_ros.clouds import CENTERLINE, CONTOUR_RAYS, VOXELS, to_cloud
+from sagoma_ros.messages import to_stamp
+
+from .hull_pipeline import HullResult
+from .settings import MeshSettings
+
+INTRINSICS_TOLERANCE_PX = 1e-3
+
+
+def centerline_cloud(result: HullResult, frame_id: str) -> PointCloud2:
+    """The centerline points with sigma, axis, area, elongation, fill, and the number of the body they belong to."""
+    line = result.centerline
+    body = result.bodies.number_of_part[line.part]
+    columns = (*line.points_world.T, line.sigma, line.axis, line.area_m2, line.elongation, line.fill, body)
+    return _cloud(columns, CENTERLINE, result.stamp_ns, frame_id)
+
+
+def voxel_cloud(result: HullResult, frame_id: str) -> PointCloud2:
+    """The decimated voxels; surface is 1 on the hull's surface, 0 inside; body is a number."""
+    samples = result.voxels
+    body = result.bodies.number_of_part[samples.part]
+    return _cloud((*samples.points_world.T, samples.surface, body), VOXELS, result.stamp_ns, frame_id)
+
+
+def contour_ray_cloud(result: HullResult, frame_id: str) -> PointCloud2:
+    """The rays along the silhouettes' rims; camera is a place in the rig, body a number."""
+    contour_rays = result.contour_rays
+    body = result.bodies.number_of_part[contour_rays.part]
+    columns = (
+        contour_rays.point_world,
+        contour_rays.direction,
+        contour_rays.normal,
+        contour_rays.half_length,
+        contour_rays.sigma,
+        contour_rays.camera,
+        body,
+    )
+    return _cloud(columns, CONTOUR_RAYS, result.stamp_ns, frame_id)
+
+
+def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
+    """Which cameras made this set, and what each stage cost; ``times_ms`` are further times, by key."""
+    texts = {
+        "cameras": ",".join(result.cameras),
+        "missing": ",".join(result.missing),
+        "blank": ",".join(result.blank),
+        "min_seeing": str(result.min_seeing),
+        "backend": result.backend,
+        "voxels": str(result.volume.count),
+        "litres": f"{result.volume.litres:.2f}",
+        "points": str(len(result.centerline)),
+        "contour_rays": str(len(result.contour_rays)),
+        "bodies": str(len(result.bodies)),
+        "bodies_numbers": _row(result.bodies.number, "d"),
+        "bodies_litres": _row(result.bodies.litres, ".1f"),
+        "bodies_at": "; ".join(_row(place, ".2f") for place in result.bodies.centroid_world),
+        "left_out": ",".join(result.verdict.left_out),
+        "suspects": ",".join(result.verdict.suspects),
+    } | calibration_values(result)
+    stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
+    texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
+    level, message = summarise(result)
+    status = DiagnosticStatus(level=level, name="hull/frame_set", message=message, hardware_id="hull_server")
+    status.values = [KeyValue(key=key, value=value) for key, value in texts.items()]
+    array = DiagnosticArray(status=[status])
+    array.header.stamp = to_stamp(result.stamp_ns)
+    return array
+
+
+def calibration_values(result: HullResult) -> dict[str, str]:
+    """Camera by camera: by how many degrees it stands off its calibration, and how well it agrees with the others."""
+    calibration = result.calibration
+    texts = {"calibration_suspects": ",".join(calibration.suspects)}
+    angles = {
+        "rotation_error": calibration.rotation_error_rad,
+        "rotation_error_sd": calibration.sd_rad,
+        "roll": calibration.roll_rad,
+    }
+    for name, angle_rad in angles.items():
+        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for camera, rad in angle_rad.items()}
+    for camera, share in result.verdict.consistency.items():
+        texts[f"calibration_consistency_{camera}"] = f"{share:.3f}"
+    return texts
+
+
+def summarise(result: HullResult) -> tuple[bytes, str]:
+    """Level and one line of text: is anything wrong with this frame set?"""
+    troubles = []
+    if result.missing:
+        troubles.append(f"nothing in time from {', '.join(result.missing)}")
+    if result.blank:
+        troubles.append(f"empty silhouette from {', '.join(result.blank)}")
+    troubles += [result.verdict.reasons[camera] for camera in (*result.verdict.left_out, *result.verdict.suspects)]
+    accused = {*result.verdict.left_out, *result.verdict.suspects}
+    troubles += [why for camera, why in result.calibration.suspects.items() if camera not in accused]
+    if result.verdict.warning:
+        troubles.append(result.verdict.warning)
+    if len(result.cameras) < result.min_seeing:
+        troubles.append(f"a hull needs {result.min_seeing} cameras")
+    if result.empty:
+        troubles.append("the hull is empty")
+    return (DiagnosticStatus.WARN, "; ".join(troubles)) if troubles else (DiagnosticStatus.OK, "complete")
+
+
+def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
+    """How a camera_info differs from the undistorted canvas that the rig gives its camera; empty when it does not."""
+    if info.k[0] == 0:  # as CameraInfo says it
+        return "K = 0: its client is not calibrated"
+    if (info.width, info.height) != (canvas.width, canvas.height):
+        size = f"{canvas.width} x {canvas.height}"
+        return f"size {info.width} x {info.height}, but the rig's undistorted canvas is {size}"
+    if any(info.d):
+        return f"distortion {list(info.d)}, but silhouettes must be undistorted"
+    K = np.asarray(info.k).reshape(3, 3)
+    if not np.allclose(K, canvas.K, rtol=0, atol=INTRINSICS_TOLERANCE_PX):
+        given, wanted = (f"fx {M[0, 0]:.3f} fy {M[1, 1]:.3f} cx {M[0, 2]:.3f} cy {M[1, 2]:.3f}" for M in (K, canvas.K))
+        return f"K with {given}, but the rig says {wanted}"
+    return ""
+
+
+def _row(values: np.ndarray, spec: str) -> str:
+    return ",".join(format(value, spec) for value in values.tolist())
+
+
+def _cloud(columns: tuple, layout: np.dtype, stamp_ns: int, frame_id: str) -> PointCloud2:
+    table = np.column_stack(columns).astype(np.float32)
+    return to_cloud(np.ascontiguousarray(table).view(layout).reshape(-1), stamp_ns, frame_id)
+
+
+# --- The service that writes the hull's mesh: on a thread of its own, so that the node goes on taking silhouettes.
+
+
+class SaveMeshService:
+    """Answers ``~/save_mesh``: writes the newest hull to ``FOLDER/hull_STAMP.ply``, STAMP in ns, and says so."""
+
+    def __init__(self, node: Node, settings: MeshSettings) -> None:
+        self._node, self._settings = node, settings
+        self._newest: HullResult | None = None
+        self._thread = ThreadPoolExecutor(1, "mesh")
+        self._service = node.create_service(Trigger, "~/save_mesh", self._on_save)
+
+    def keep(self, result: HullResult) -> None:
+        """Remember the newest hull; any thread."""
+        self._newest = result
+
+    def close(self) -> None:
+        """Take the service back; a mesh in the making is finished first."""
+        self._node.destroy_service(self._service)
+        self._thread.shutdown(wait=True)
+
+    async def _on_save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        result = self._newest
+        try:
+            if result is None:
+                raise InputError("no frame set has been carved yet", remedy="Start the cameras, then ask again.")
+            response.message = await self._in_background(result)
+            response.success = True
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        self._node.get_logger().info(f"save_mesh: {response.message}")
+        return response
+
+    def _in_background(self, result: HullResult) -> rclpy.task.Future:
+        """Resolved in the node's executor once the file is written."""
+        answer = rclpy.task.Future(executor=self._node.executor)
+
+        def hand_over(work: Future[str]) -> None:
+            error = work.exception()
+            if error is None:
+                answer.set_result(work.result())
+            else:
+                answer.set_exception(error)
+
+        self._thread.submit(self._write, result).add_done_callback(hand_over)
+        return answer
+
+    def _write(self, result: HullResult) -> str:
+        from .mesh import surface_mesh, write_ply  # imports scikit-image: 50 MB that most nodes never need
+
+        mesh = surface_mesh(result.volume, self._settings.smoothing_voxels)
+        path = Path(self._settings.folder).expanduser().resolve() / f"hull_{result.stamp_ns}.ply"
+        write_ply(mesh, path)
+        return f"{path}: {len(mesh.faces)} triangles, {mesh.litres:.1f} litres"

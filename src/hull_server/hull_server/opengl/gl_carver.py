@@ -1,0 +1,230 @@
+"""The OpenGL backend: the hierarchical carve in compute shaders (OpenGL 4.3), as exact as the CPU's.
+
+A frame set is one upload, five dispatches and one read-back of the bricks found. There are two sets of buffers: while
+the device carves one frame set, the host prepares the next and takes home the last (double buffering of uploads and
+read-backs, which the thesis leaves as future work).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig import InputError
+
+from ..carving.pixel_boxes import UNSEEN, block_boxes, pixel_projections, summed_area
+from ..grid import BRICK_EDGE, BrickVolume, VoxelGrid
+from ..views import Masks, RigViews
+from .carve_shaders import HEADER, KERNELS
+from .egl import GlContext, NoGraphics
+from .gl_buffers import GL, LIST_BYTES, MAX_GL_CAMERAS, BufferSet, FrameUpload, StorageBuffer, make_program
+
+# --- Projection in single precision, and how far it can be trusted.
+#
+# Consumer GPUs compute in double precision 32 to 64 times slower than in single. Single precision will do wherever a
+# voxel lands farther from the nearest border between two pixels than its rounding can carry it. Origins in the middle
+# of the grid and of the canvas keep the numbers, and so the rounding, small.
+
+UNIT = 2.0**-24  # relative rounding of one operation
+IN_SUMS = 8  # roundings on the way to a row's value: the entry's own, a product, three sums, three steps in a block
+IN_QUOTIENT = 8  # and from there: a reciprocal that may be five units off, a product, canvas's centre and margin added
+
+
+class SinglePrecision(NamedTuple):
+    """rows : (N, 3, 4) float32, voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w.
+
+    centre : (3,) the voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less
+    than ``border / w`` away from the true one; pixels times the unit of w, which is metres.
+    """
+
+    rows: npt.NDArray[np.float32]
+    centre: npt.NDArray[np.int64]
+    border: float
+
+
+def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
+    """The rows for a rig and a grid, with a bound for the sum of all their roundings (Higham 2002, 3.1)."""
+    _, height, width = views.seen.shape
+    centre = np.array(grid.shape, np.int64) // 2
+    P = pixel_projections(views, grid)
+    P[..., 3] += P[..., :3] @ centre
+    P[:, :2] -= 0.5 * np.array([width, height])[:, None] * P[:, 2:]
+    largest = np.abs(P) @ np.append(centre + 1.0, 1.0)  # (N, 3) sums of absolute terms, anywhere in the grid
+    sums = IN_SUMS * largest[:, :2].max(axis=1)
+    depth = (IN_SUMS + IN_QUOTIENT) * 0.5 * max(width, height) * largest[:, 2]
+    return SinglePrecision(P.astype(np.float32), centre, float(UNIT * (sums + depth).max()))
+
+
+SETS = 2  # frame sets that may be under way at once
+GROUP = 64  # invocations of a work group
+GROUPS_IN_ROW = 32768  # work groups along x; every driver allows 65535
+COARSE_EDGE = 32
+BLOCKS_PER_BRICK = 8
+COARSE_BYTES, BLOCK_BYTES, DOUBT_BYTES = 16, 16, 8  # of the lists' entries; doubts are listed per half of a block
+BOX_BYTES = 8
+
+
+class Ticket:
+    """A frame set under way: exchange it for its hull with :meth:`GlCarver.collect`."""
+
+    def __init__(self, buffers: BufferSet) -> None:
+        self.buffers = buffers
+        self.volume: BrickVolume | None = None
+
+
+class GlCarver:
+    """Carves in compute shaders. Any thread may call any method: the context serves one at a time, the others wait.
+
+    Raises NoGraphics when there is no such context, InputError when the rig or the grid is beyond its limits.
+    """
+
+    name = "gl"
+
+    def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
+        if len(views.names) > MAX_GL_CAMERAS:
+            raise InputError(
+                f"{len(views.names)} cameras are too many for the GL backend",
+                where="backend",
+                remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.",
+            )
+        self.views, self.grid = views, grid
+        self._upload, self._filling = FrameUpload(views), threading.Lock()
+        self._context = GlContext(hardware)
+        self.device = self._context.renderer
+        try:
+            with self._context.current():
+                self._compile()
+                self._allocate()
+        except (NoGraphics, InputError):
+            self.close()
+            raise
+
+    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
+        """As :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
+        return self.collect(self.submit(masks, min_seeing))
+
+    def submit(self, masks: Masks, min_seeing: int) -> Ticket:
+        """Send the silhouettes of one frame set to the device; do not wait. The masks may be reused at once.
+
+        Tickets may be collected in any order, or never. A third frame set first waits for the oldest of the two
+        under way, whose hull its ticket then holds. Raises InputError as :meth:`carve` does.
+        """
+        present = self.views.present(masks)
+        with self._filling:  # meanwhile others may collect
+            words = self._upload.fill(masks, present, min_seeing)
+            with self._context.current():
+                buffers = self._sets.pop(0)
+                self._sets.append(buffers)
+                if buffers in self._under_way:
+                    self._bring_home(self._under_way[buffers])
+                buffers.frame.write(words)
+                for _ in self._carve_step_by_step(buffers):
+                    pass
+                buffers.send_home()
+                ticket = self._under_way[buffers] = Ticket(buffers)
+                if buffers.has_arrived():  # a software renderer: its collector need not wait for the context
+                    self._bring_home(ticket)
+        return ticket
+
+    def collect(self, ticket: Ticket) -> BrickVolume:
+        """The hull of a submitted frame set, when the device has finished it."""
+        if ticket.volume is None:
+            with self._context.current():
+                if ticket.volume is None:  # no other thread has brought it home in the meantime
+                    self._bring_home(ticket)
+        assert ticket.volume is not None
+        return ticket.volume
+
+    def close(self) -> None:
+        """Release the context and everything in it."""
+        self._context.close()
+
+    def _compile(self) -> None:
+        cameras, height, width = self.views.seen.shape
+        nx, ny, nz = (-(-count // COARSE_EDGE) for count in self.grid.shape)
+        self._coarse_blocks = nx * ny * nz
+        rows, centre, border = single_precision(self.views, self.grid)
+        header = HEADER.format(
+            cameras=cameras,
+            width=width,
+            height=height,
+            labels=self._upload.labels_start,
+            grid=self.grid.shape,
+            bricks=self.grid.brick_shape,
+            coarse=(nx, ny, nz),
+            centre=tuple(map(int, centre)),
+            border=border,
+            groups=GROUPS_IN_ROW,
+        )
+        self._programs = {name: make_program(compute=header + kernel) for name, kernel in KERNELS.items()}
+        for program in self._programs.values():
+            GL.glUseProgram(program)
+            GL.glUniform4fv(GL.glGetUniformLocation(program, "projection"), 3 * cameras, rows)
+
+    def _allocate(self) -> None:
+        blocks = BLOCKS_PER_BRICK * self.grid.brick_count
+        self._check_limits(max(BLOCK_BYTES * blocks, BOX_BYTES * len(self.views.names) * self.grid.brick_count))
+        contents: dict[int, np.ndarray | int] = {
+            0: pixel_projections(self.views, self.grid),
+            1: np.concatenate([self._boxes(COARSE_EDGE), self._boxes(BRICK_EDGE)], axis=None),
+            4: COARSE_BYTES * self._coarse_blocks,
+            6: BLOCK_BYTES * blocks,
+            7: DOUBT_BYTES * blocks,
+        }
+        for binding, content in contents.items():
+            StorageBuffer(content).bind(binding)
+        self._sets = [BufferSet(self._upload.words.nbytes, self.grid.brick_count) for _ in range(SETS)]
+        self._under_way: dict[BufferSet, Ticket] = {}
+
+    def _check_limits(self, table_bytes: int) -> None:
+        """Raise InputError when the largest table or the upload is beyond what the driver can address."""
+        shape, words = " x ".join(map(str, self.grid.shape)), self._upload.words.size
+        most_bytes = int(GL.glGetIntegerv(GL.GL_MAX_SHADER_STORAGE_BLOCK_SIZE))
+        most_words = int(GL.glGetIntegerv(GL.GL_MAX_TEXTURE_BUFFER_SIZE))
+        if table_bytes > most_bytes:
+            raise InputError(
+                f"{shape} voxels need tables of {table_bytes} bytes; {self.device} allows {most_bytes}",
+                where="voxel_size_m",
+                remedy="Use larger voxels or a smaller volume, or choose backend 'cpu'.",
+            )
+        if words > most_words:
+            raise InputError(
+                f"all silhouettes together need {words} words; {self.device} allows {most_words}",
+                where="backend",
+                remedy="Scale the images down, or choose backend 'cpu'.",
+            )
+
+    def _boxes(self, edge: int) -> np.ndarray:
+        """(N, blocks, 2) uint32: u, v from, in 15 bits each, and sight in the two bits above; u, v to."""
+        boxes = block_boxes(self.views, self.grid, edge, summed_area(self.views.seen))
+        pixels = boxes.pixels.astype(np.uint32)
+        pixels[boxes.sight == UNSEEN] = 0
+        words = pixels[..., 0::2] | pixels[..., 1::2] << 15
+        words[..., 0] |= boxes.sight.astype(np.uint32) << 30
+        return words
+
+    def _carve_step_by_step(self, buffers: BufferSet) -> Iterator[str]:
+        """Queue one kernel after the other, each to do what the list of the one before holds; yields their names."""
+        buffers.bind(lists=2, frame=3, bricks=5)
+        for number, (name, program) in enumerate(self._programs.items()):
+            GL.glUseProgram(program)
+            if number == 0:
+                GL.glDispatchCompute(-(-self._coarse_blocks // GROUP), 1, 1)
+            else:
+                GL.glDispatchComputeIndirect(LIST_BYTES * (number - 1))
+            GL.glMemoryBarrier(GL.GL_SHADER_STORAGE_BARRIER_BIT | GL.GL_COMMAND_BARRIER_BIT)
+            yield name
+        GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
+
+    def _bring_home(self, ticket: Ticket) -> None:
+        """Give a ticket its volume: in brick order, without the bricks in which no voxel survived."""
+        bricks = ticket.buffers.arrived()
+        del self._under_way[ticket.buffers]
+        order = np.argsort(bricks["index"])
+        leaves = bricks["leaves"][order]
+        kept = leaves.any(axis=1)
+        ticket.volume = BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])

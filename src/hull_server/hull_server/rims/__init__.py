@@ -1,1 +1,0 @@
-"""Silhouettes' rims as rays that touch the body."""

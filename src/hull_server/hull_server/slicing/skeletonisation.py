@@ -1,0 +1,361 @@
+"""Skeletonisation, first half (thesis 3.2): the blobs of all slices along x, y and z at once.
+
+A blob is a connected component (8 neighbours) of one slice. Slices are never drawn: each row of voxels becomes a few
+runs of consecutive voxels, runs that touch in neighbouring rows join, and the area, centroid and second moments of a
+blob are sums of closed forms over its runs. Rows along x serve the slices across z and y, rows along y those across x.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from ..grid import Array, BrickVolume, VoxelGrid
+from ..settings import BlobSettings
+from .voxel_runs import brick_box, erode, find_runs, join_in_slices, join_in_space, pack_rows, run_at
+
+# --- The blobs of the slices across one axis: areas, centroids, second moments, and how they go on in the next slices.
+
+
+@njit(cache=True, nogil=True)
+def sum_blobs(runs, joined, layers, rows, across_layers, step):  # type: ignore[no-untyped-def]
+    """Slice (n,), sums of 1, u, v, 6 uu, vv, uv (n, 6), growth (n,) and first voxel as (u, row, layer) (n, 3) of the
+    blobs, ordered by slice and first voxel; u counts along the runs, v across them inside the slice.
+
+    runs : as :func:`hull_server.slicing.voxel_runs.find_runs` gives them. joined : as ``join_in_slices`` does.
+    The sums are whole numbers far below 2**53, so float64 holds them exactly.
+    """
+    starts, ends, first, filled = runs
+    labels, forest = joined
+    sums, voxel = _sum_labels(starts, ends, first, filled, rows, across_layers, labels, forest.size)
+    for label in range(forest.size - 1, -1, -1):
+        if forest[label] != label:
+            for k in range(6):
+                sums[forest[label], k] += sums[label, k]
+    blob_of_label, count = _order(forest, voxel, 1 if across_layers else 2, rows if across_layers else layers)
+    slices, ordered, corner = np.empty(count, np.int32), np.empty((count, 6)), np.empty((count, 3), np.int32)
+    for label in range(forest.size):
+        blob = blob_of_label[label]
+        if forest[label] == label:
+            slices[blob] = voxel[label, 1 if across_layers else 2]
+            for k in range(6):
+                ordered[blob, k] = sums[label, k]
+            for k in range(3):
+                corner[blob, k] = voxel[label, k]
+        else:
+            blob_of_label[label] = blob_of_label[forest[label]]
+    growth = _growth(runs, layers, rows, across_layers, step, slices, ordered, labels, blob_of_label)
+    return slices, ordered, growth, corner
+
+
+@njit(cache=True, nogil=True)
+def _sum_labels(starts, ends, first, filled, rows, across_layers, labels, count):  # type: ignore[no-untyped-def]
+    """Sums (count, 6) over the runs of each label, and its first voxel (count, 3)."""
+    sums, voxel = np.zeros((count, 6)), np.empty((count, 3), np.int32)
+    s, row_zero = 0, 0
+    for line in filled:
+        while line >= row_zero + rows:
+            s, row_zero = s + 1, row_zero + rows
+        r = line - row_zero
+        v = float(s if across_layers else r)
+        for run in range(first[line], first[line + 1]):
+            label = labels[run]
+            a, b = float(starts[run]), float(ends[run]) - 1.0
+            n = b - a + 1.0
+            u = (a + b) * n * 0.5
+            if sums[label, 0] == 0:
+                voxel[label, 0], voxel[label, 1], voxel[label, 2] = starts[run], r, s
+            sums[label, 0] += n
+            sums[label, 1] += u
+            sums[label, 2] += v * n
+            sums[label, 3] += b * (b + 1.0) * (2.0 * b + 1.0) - (a - 1.0) * a * (2.0 * a - 1.0)
+            sums[label, 4] += v * v * n
+            sums[label, 5] += v * u
+    return sums, voxel
+
+
+@njit(cache=True, nogil=True)
+def _order(forest, voxel, slice_column, slices):  # type: ignore[no-untyped-def]
+    """Place (n,) of each root when roots are sorted by slice, first voxels in order; and the number of roots."""
+    place = np.zeros(slices + 1, np.int32)
+    for label in range(forest.size):
+        if forest[label] == label:
+            place[voxel[label, slice_column] + 1] += 1
+    for number in range(slices):
+        place[number + 1] += place[number]
+    order = np.full(forest.size, -1, np.int32)
+    for label in range(forest.size):
+        if forest[label] == label:
+            order[label] = place[voxel[label, slice_column]]
+            place[voxel[label, slice_column]] += 1
+    return order, place[slices]
+
+
+@njit(cache=True, nogil=True)
+def _growth(runs, layers, rows, across_layers, step, slices, sums, labels, blob_of_label):  # type: ignore[no-untyped-def]
+    """(n,) the larger of the areas beyond the centroid, ``step`` slices to either side, over the blob's own."""
+    starts, ends, first, _ = runs
+    growth = np.empty(slices.size)
+    depth = rows if across_layers else layers
+    for blob in range(slices.size):
+        u, v = int(sums[blob, 1] / sums[blob, 0] + 0.5), int(sums[blob, 2] / sums[blob, 0] + 0.5)
+        largest = 0.0
+        for beyond in (slices[blob] - step, slices[blob] + step):
+            run = -1
+            if 0 <= beyond < depth:
+                line = v * rows + beyond if across_layers else beyond * rows + v
+                run = run_at(starts, ends, first, line, u)
+            largest = max(largest, np.inf if run < 0 else sums[blob_of_label[labels[run]], 0])
+        growth[blob] = largest / sums[blob, 0]
+    return growth
+
+
+@njit(cache=True, nogil=True)
+def join_tables(across_x, across_y, across_z):  # type: ignore[no-untyped-def]
+    """Axis, area, centroid, covariance, growth, and first voxel (i, j, k) of all blobs; see BlobTable."""
+    count = across_x[0].size + across_y[0].size + across_z[0].size
+    axis, area, growth = np.empty(count, np.uint8), np.empty(count), np.empty(count)
+    centroid, covariance, voxel = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3), np.int32)
+    row = 0
+    for number, along, across, table in ((0, 1, 2, across_x), (1, 0, 2, across_y), (2, 0, 1, across_z)):
+        slices, sums, grown, corner = table
+        for blob in range(slices.size):
+            axis[row], area[row], growth[row] = number, sums[blob, 0], grown[blob]
+            u, v = sums[blob, 1] / area[row], sums[blob, 2] / area[row]
+            centroid[row, number], centroid[row, along], centroid[row, across] = slices[blob], u, v
+            covariance[row, 0] = sums[blob, 3] / 6.0 / area[row] - u * u
+            covariance[row, 1] = sums[blob, 4] / area[row] - v * v
+            covariance[row, 2] = sums[blob, 5] / area[row] - u * v
+            voxel[row, 0], voxel[row, 1], voxel[row, 2] = corner[blob, 0], corner[blob, 1], corner[blob, 2]
+            if number == 0:  # runs along y lie in rows of one x
+                voxel[row, 0], voxel[row, 1] = corner[blob, 1], corner[blob, 0]
+            row += 1
+    return axis, area, centroid, covariance, growth, voxel
+
+
+GROWTH_STEP_M = 0.02
+VOXEL_VARIANCE = 1.0 / 12.0  # of a unit interval: what a blob of a single voxel has along each side
+
+
+@dataclass(frozen=True, eq=False)
+class BlobTable:
+    """The n blobs of all slices, ordered by axis, slice, and position of their first voxel. Lengths in voxels.
+
+    axis : (n,) uint8, the axis that the slice is perpendicular to: 0 = x, 1 = y, 2 = z.
+    area : (n,) voxels in the blob.
+    centroid : (n, 3) voxel indices (i, j, k), fractional; the index of the slice along ``axis``.
+    covariance : (n, 3) central second moments uu, vv, uv of the voxel centres; u, v are the slice's two axes in
+        ascending order.
+    growth : (n,) area of the blob found straight above or below the centroid, a step along ``axis``, over the blob's
+        own; the larger of the two, inf where there is none.
+    part : (n,) int32, the part of the hull that the blob belongs to; see :class:`hull_server.slicing.bodies.Parts`.
+    """
+
+    axis: npt.NDArray[np.uint8]
+    area: Array
+    centroid: Array
+    covariance: Array
+    growth: Array
+    part: npt.NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.axis)
+
+    def elongation(self) -> Array:
+        """(n,) ratio of the principal axes, at least 1 (thesis fig. 3.4)."""
+        return blob_shapes(self.area, self.covariance)[0]
+
+    def fill(self) -> Array:
+        """(n,) area over that of the ellipse with the same second moments: 1 for an ellipse, 0.95 for a rectangle.
+
+        Low for a blob that is not convex, or that merges two: its centroid may lie outside of it (thesis 3.2).
+        """
+        return blob_shapes(self.area, self.covariance)[1]
+
+
+@dataclass(frozen=True, eq=False)
+class HullRuns:
+    """The occupied voxels as m runs along x, in rows ordered by z, then y, counted from the box's low voxel.
+
+    words : (layers, rows, words) uint64, bit b of word w is the voxel 64 w + b along x.
+    low : (3,) voxel (i, j, k) at the box's corner.
+    starts, ends : (m,) int32 along x, ends exclusive. first : (layers * rows + 1,) int32, the first run of each row.
+    part : (m,) int32, the part of the hull that a run belongs to; parts are numbered by their first voxel.
+    """
+
+    words: npt.NDArray[np.uint64]
+    low: npt.NDArray[np.int64]
+    starts: npt.NDArray[np.int32]
+    ends: npt.NDArray[np.int32]
+    first: npt.NDArray[np.int32]
+    part: npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Slices:
+    """A hull seen as blobs of its slices and as runs of voxels."""
+
+    blobs: BlobTable
+    runs: HullRuns
+
+
+def slice_blobs(volume: BrickVolume, erosion_voxels: int = 0, step_m: float = GROWTH_STEP_M) -> BlobTable:
+    """The blobs alone; see :func:`slice_hull`."""
+    return slice_hull(volume, erosion_voxels, step_m).blobs
+
+
+def slice_hull(volume: BrickVolume, erosion_voxels: int = 0, step_m: float = GROWTH_STEP_M) -> Slices:
+    """All blobs of all slices across x, y and z, and the parts of the hull that they belong to.
+
+    erosion_voxels : times each slice is eroded (4 neighbours) before its blobs are found; parts are not eroded.
+    step_m : least distance of the slices that ``growth`` compares; at least a voxel.
+    """
+    step_voxels = max(1, math.ceil(step_m / volume.grid.voxel_size - 1e-6))
+    bricks_x, bricks_y, _ = volume.grid.brick_shape
+    index, leaves = np.ascontiguousarray(volume.index), np.ascontiguousarray(volume.leaves)
+    columns, runs = _slice(index, leaves, bricks_x, bricks_y, erosion_voxels, step_voxels)
+    return Slices(BlobTable(*columns), HullRuns(*runs))
+
+
+@njit(cache=True, nogil=True)
+def _slice(index, leaves, bricks_x, bricks_y, erosions, step):  # type: ignore[no-untyped-def]
+    """Columns of the blob table, and of the runs."""
+    box = brick_box(index, bricks_x, bricks_y)
+    low = 8 * np.array([box[0], box[1], box[2]])
+    along_x, along_y = pack_rows(index, leaves, bricks_x, bricks_y, box)
+    layers, rows, columns = along_x.shape[0], along_x.shape[1], along_y.shape[1]
+    runs = find_runs(along_x)
+    starts, ends, first, _ = runs
+    joined_z, joined_y = join_in_slices(runs, rows, False), join_in_slices(runs, rows, True)
+    part = join_in_space(joined_z, joined_y)
+    eroded, joined = _eroded(along_x, runs, joined_z, erosions, False)
+    across_z = sum_blobs(eroded, joined, layers, rows, False, step)
+    eroded, joined = _eroded(along_x, runs, joined_y, erosions, True)
+    across_y = sum_blobs(eroded, joined, layers, rows, True, step)
+    runs_y = find_runs(along_y)
+    eroded, joined = _eroded(along_y, runs_y, join_in_slices(runs_y, columns, True), erosions, True)
+    across_x = sum_blobs(eroded, joined, layers, columns, True, step)
+
+    axis, area, centroid, covariance, growth, voxel = join_tables(across_x, across_y, across_z)
+    part_of_blob = np.empty(axis.size, np.int32)
+    for blob in range(axis.size):
+        line = voxel[blob, 2] * rows + voxel[blob, 1]
+        part_of_blob[blob] = part[run_at(starts, ends, first, line, voxel[blob, 0])]
+        for k in range(3):
+            centroid[blob, k] += low[k]
+    return (axis, area, centroid, covariance, growth, part_of_blob), (along_x, low, starts, ends, first, part)
+
+
+@njit(cache=True, nogil=True)
+def _eroded(words, runs, joined, erosions, across_layers):  # type: ignore[no-untyped-def]
+    """Runs and joined labels of the eroded rows; those given where there is nothing to erode."""
+    if erosions == 0:
+        return runs, joined
+    for _ in range(erosions):
+        words = erode(words, across_layers)
+    runs = find_runs(words)
+    return runs, join_in_slices(runs, words.shape[1], across_layers)
+
+
+@njit(cache=True, nogil=True)
+def blob_shapes(area, covariance):  # type: ignore[no-untyped-def]
+    """Elongation (n,) and fill (n,) of blobs."""
+    elongation, fill = np.empty(area.size), np.empty(area.size)
+    for n in range(area.size):
+        elongation[n], fill[n] = shape_of(area[n], covariance[n, 0], covariance[n, 1], covariance[n, 2])
+    return elongation, fill
+
+
+@njit(cache=True, nogil=True)
+def shape_of(area, uu, vv, uv):  # type: ignore[no-untyped-def]
+    """Elongation and fill of one blob, from the principal variances of its voxels as squares, not points."""
+    middle = (uu + vv) / 2 + VOXEL_VARIANCE
+    radius = np.sqrt(((uu - vv) / 2) ** 2 + uv**2)
+    larger, smaller = middle + radius, max(middle - radius, VOXEL_VARIANCE / 2)
+    return np.sqrt(larger / smaller), area / (4 * np.pi * np.sqrt(larger * smaller))
+
+
+# --- Skeletonisation, second half (thesis 3.2): the blobs that look like a limb cut across, as centerline points.
+
+# fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py measures how honest it is)
+SIGMA_BASE_M = 0.001
+SIGMA_PER_RADIUS = 0.050
+SIGMA_PER_MISSING_FILL_M = 0.050
+SIGMA_PER_GROWTH_M = 0.005
+FULL = 0.97
+
+
+@dataclass(frozen=True, eq=False)
+class Centerline:
+    """Centerline points of one hull, in the order of the blob table.
+
+    points_world : (n, 3) metres, map frame. sigma : (n,) metres, standard deviation of the point from the limb's axis
+    in each direction across it, see :func:`point_sigma`. axis : (n,) 0 = x, 1 = y, 2 = z, the axis the slice was
+    perpendicular to.
+    area_m2, elongation, fill : (n,) of the blob; see :class:`hull_server.slicing.skeletonisation.BlobTable`.
+    part : (n,) int32, the part of the hull the point belongs to; see :class:`hull_server.slicing.bodies.Bodies`.
+    """
+
+    points_world: Array
+    sigma: Array
+    axis: npt.NDArray[np.uint8]
+    area_m2: Array
+    elongation: Array
+    fill: Array
+    part: npt.NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.axis)
+
+
+def find_centerline(blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings) -> Centerline:
+    """The centroids of the blobs that are large, round and convex enough to be a limb or trunk cut across.
+
+    Beyond the thesis: where a limb is cut across, the next slices show nearly the same blob. The tip of a limb, a slice
+    off a head, a shoulder cut at its rim are as round, but end on one side and grow on the other (``max_growth``).
+    """
+    limits = (
+        filters.min_area_m2 / grid.voxel_size**2 * (1 - 1e-9),  # a whole number of voxels may equal the limit
+        filters.max_elongation,
+        filters.min_fill,
+        filters.max_growth or float("inf"),
+    )
+    columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
+    return Centerline(*_select(*columns, limits, grid.origin, grid.voxel_size))
+
+
+@njit(cache=True, nogil=True)
+def _select(axis, area, centroid, covariance, growth, part, limits, origin, voxel_m):  # type: ignore[no-untyped-def]
+    """The columns of the centerline."""
+    min_area, max_elongation, min_fill, max_growth = limits
+    kept, shape, count = np.empty(area.size, np.int64), np.empty((area.size, 2)), 0
+    for n in range(area.size):
+        if area[n] >= min_area and growth[n] <= max_growth:
+            elongation, fill = shape_of(area[n], covariance[n, 0], covariance[n, 1], covariance[n, 2])
+            if elongation <= max_elongation and fill >= min_fill:
+                kept[count], shape[count, 0], shape[count, 1] = n, elongation, fill
+                count += 1
+    kept, points, sigma = kept[:count], np.empty((count, 3)), np.empty(count)
+    area_m2 = area[kept] * voxel_m**2
+    for row, n in enumerate(kept):
+        sigma[row] = point_sigma(area_m2[row], shape[row, 1], growth[n])
+        for k in range(3):
+            points[row, k] = origin[k] + (centroid[n, k] + 0.5) * voxel_m
+    return points, sigma, axis[kept], area_m2, shape[:count, 0].copy(), shape[:count, 1].copy(), part[kept]
+
+
+@njit(cache=True, nogil=True)
+def point_sigma(area_m2, fill, growth):  # type: ignore[no-untyped-def]
+    """Metres: standard deviation of a blob's centroid from the limb's axis, in each direction across it.
+
+    Hulls err in proportion to the limb's radius; dents and a change of girth add to it; elongation says nothing more.
+    Where a bone lies inside the flesh is not part of it.
+    """
+    radius = np.sqrt(area_m2 / np.pi)
+    missing, change = max(0.0, FULL - fill), min(max(0.0, growth - 1.0), 2.0)
+    sigma = SIGMA_BASE_M + SIGMA_PER_RADIUS * radius
+    return sigma + SIGMA_PER_MISSING_FILL_M * missing + SIGMA_PER_GROWTH_M * change

@@ -1,0 +1,230 @@
+"""Rim rays against bodies whose surface is known: how near they pass to it, which way they face, what is left out."""
+
+import cv2
+import numpy as np
+import pytest
+from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
+
+from capture_rig import FrameSet, InputError, Rig
+from hull_server.contour_rays.contour_tracer import ContourTracer, trace_hull_contours
+from hull_server.grid import BrickVolume
+from hull_server.hull_pipeline import HullPipeline
+from hull_server.settings import ContourSettings, HullSettings
+from hull_server.slicing.skeletonisation import slice_hull
+from hull_server.views import RigViews
+
+STAMP_NS = 1_000_000_000
+BALL = [(np.array([0.1, -0.1, 1.0]), np.array([0.1, -0.1, 1.0001]), 0.15)]
+LIMB = [(np.array([0.0, -0.3, 1.0]), np.array([0.1, 0.3, 1.2]), 0.05)]
+
+
+def frame_set(masks):
+    return FrameSet(STAMP_NS, masks, dict.fromkeys(masks, STAMP_NS), ())
+
+
+def hull_of(rig, masks, **settings):
+    return HullPipeline(rig, HullSettings(backend="cpu", **settings)).run(frame_set(masks))
+
+
+def centres_of(rig, rims):
+    """(n, 3) the camera that each ray comes from."""
+    return np.stack([camera.centre_world for camera in rig.cameras])[rims.camera]
+
+
+def clearance(centres, directions, body):
+    """Signed distance (n,) of rays from a body of capsules, negative through it; the outward direction (n, 3) there and
+    the place (n, 3): closest points of a line and a segment, in closed form, nearest capsule."""
+    best, outward, place = np.full(len(centres), np.inf), np.zeros_like(centres), np.zeros_like(centres)
+    for start, end, radius in body:
+        axis, between = end - start, centres - start
+        b, c, d, f = directions @ axis, axis @ axis, np.sum(directions * between, axis=1), between @ axis
+        s = np.clip((f - b * d) / np.maximum(c - b * b, 1e-12), 0, 1)
+        nearest = centres + (s * b - d)[:, None] * directions
+        gap = nearest - start - s[:, None] * axis
+        distance = np.linalg.norm(gap, axis=1)
+        nearer = distance - radius < best
+        best[nearer] = (distance - radius)[nearer]
+        outward[nearer] = gap[nearer] / distance[nearer, None]
+        place[nearer] = nearest[nearer]
+    return best, outward, place
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return ring_rig(6, size=(640, 480), focal_px=470.0)  # a pixel is 6 to 8 mm on the body
+
+
+@pytest.fixture(scope="module")
+def person(rig):
+    body = capsule_person(0.3, 0.1, -0.2)
+    masks = silhouettes(rig, body)
+    return body, masks, hull_of(rig, masks)
+
+
+@pytest.mark.parametrize("body", [BALL, LIMB, None], ids=["ball", "limb", "person"])
+def test_every_ray_touches_the_true_surface_and_faces_outward(rig, person, body):
+    rims = hull_of(rig, silhouettes(rig, body)).contour_rays if body else person[2].contour_rays
+    body = body or person[0]
+    assert len(rims) > 200 and set(rims.camera) == set(range(6))
+    distance, outward, _ = clearance(centres_of(rig, rims), rims.direction, body)
+    assert abs(distance.mean()) < 0.0005 and np.sqrt(np.mean(distance**2)) < 0.003 and np.abs(distance).max() < 0.008
+    turn = np.degrees(np.arccos(np.clip(np.sum(outward * rims.normal, axis=1), -1, 1)))
+    assert np.median(turn) < 5.0 and np.percentile(turn, 95) < 20.0
+    for unit in (rims.direction, rims.normal):
+        np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(rims.direction * rims.normal, axis=1), 0.0, atol=1e-9)
+
+
+def test_rays_leave_their_camera_and_their_points_lie_on_them(rig, person):
+    rims = person[2].contour_rays
+    from_camera = rims.point_world - centres_of(rig, rims)
+    along = np.sum(from_camera * rims.direction, axis=1)
+    assert along.min() > 1.0
+    np.testing.assert_allclose(from_camera, along[:, None] * rims.direction, atol=1e-9)
+
+
+def test_the_place_of_touch_lies_within_the_stretch(rig, person):
+    body, _, result = person
+    rims = result.contour_rays
+    _, _, place = clearance(centres_of(rig, rims), rims.direction, body)
+    away = np.abs(np.sum((place - rims.point_world) * rims.direction, axis=1))
+    assert np.mean(away <= rims.half_length + 0.02) > 0.97
+    assert np.median(rims.half_length) < 0.15 and rims.half_length.min() > 0
+
+
+def test_sigma_is_the_width_of_a_half_pixel_there(rig, person):
+    rims = person[2].contour_rays
+    for index, camera in enumerate(rig.cameras):
+        mine = rims.camera == index
+        depth = rims.point_world[mine] @ camera.R_camera_world[2] + camera.t_camera_world[2]
+        ideal = 0.5 * depth / camera.undistorted_view().camera.K[0, 0]
+        np.testing.assert_allclose(rims.sigma[mine], ideal, rtol=0.15)  # rays beside the middle are slanted
+
+
+def test_errors_are_within_their_sigma(rig, person):
+    body, _, result = person
+    distance, _, _ = clearance(centres_of(rig, result.contour_rays), result.contour_rays.direction, body)
+    assert np.mean(np.abs(distance) < 2 * result.contour_rays.sigma) > 0.99
+
+
+def test_doubtful_rims_have_a_larger_sigma(rig, person):
+    """Half of what one camera sends is doubtful, and decided as if it had been sure."""
+    _, masks, _ = person
+    sent = masks["cam02"].copy()
+    middle = int(np.median(np.flatnonzero(sent.any(axis=1))))
+    sent[middle:][sent[middle:] > 0] = 177
+    settings = HullSettings(backend="cpu")
+    rims = HullPipeline(rig, settings).run(frame_set(masks | {"cam02": sent})).contour_rays
+    P = rig.camera("cam02").undistorted_view().camera.P
+    mine = rims.camera == 1
+    homogeneous = np.column_stack([rims.point_world[mine], np.ones(mine.sum())]) @ P.T
+    row = homogeneous[:, 1] / homogeneous[:, 2]
+    sigma_px = rims.sigma[mine] / homogeneous[:, 2] * P[2, :3].dot(P[2, :3]) ** 0.5 * 470
+    assert np.median(sigma_px[row > middle + 5]) > 3 * np.median(sigma_px[row < middle - 5])
+    assert np.median(sigma_px[row < middle - 5]) == pytest.approx(0.5, rel=0.2)
+
+
+def test_a_body_cut_off_by_the_view_has_no_rims_at_the_border():
+    body = capsule_person(0.3, 0.1, -0.2)
+    narrow = ring_rig(4, size=(480, 360), focal_px=700.0)
+    masks = silhouettes(narrow, body)
+    views = {camera.name: camera.undistorted_view() for camera in narrow.cameras}
+    edges = {
+        name: view.seen & ~(cv2.erode(view.seen.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)
+        for name, view in views.items()
+    }
+    assert sum((masks[name] > 0)[edges[name]].sum() for name in masks) > 100
+    rims = hull_of(narrow, masks).contour_rays
+    assert len(rims) > 200
+    distance, _, _ = clearance(centres_of(narrow, rims), rims.direction, body)
+    assert np.abs(distance).max() < 0.008
+
+
+def test_silhouettes_of_what_no_other_camera_sees_have_no_rims(rig, person):
+    body, masks, result = person
+    disturbed = {name: mask.copy() for name, mask in masks.items()}
+    free = rig.camera("cam03").undistorted_view().seen & (masks["cam03"] == 0)
+    windows = np.lib.stride_tricks.sliding_window_view(free, (60, 60))[::10, ::10]
+    v, u = 10 * np.argwhere(windows.all(axis=(2, 3)))[0]
+    disturbed["cam03"][v + 10 : v + 50, u + 10 : u + 50] = 255
+    rims = hull_of(rig, disturbed).contour_rays
+    distance, _, _ = clearance(centres_of(rig, rims), rims.direction, body)
+    assert (rims.camera == 2).sum() > 100 and np.abs(distance).max() < 0.04
+    assert len(rims) >= len(result.contour_rays) - 60
+
+
+def test_rays_of_two_people_belong_to_the_right_one():
+    places = ((-0.45, -0.4), (0.5, 0.45))
+    people = [capsule_person(0.3, *place) for place in places]
+    rig = ring_rig(7)  # a pixel is 12 to 16 mm
+    result = hull_of(rig, silhouettes(rig, [limb for person in people for limb in person]), voxel_size_m=0.03)
+    assert len(result.bodies) == 2
+    rims, number = result.contour_rays, result.bodies.number_of_part[result.contour_rays.part]
+    for centroid, body_number in zip(result.bodies.centroid_world, result.bodies.number, strict=True):
+        person = people[int(np.argmin([np.hypot(*(centroid[:2] - place)) for place in places]))]
+        mine = number == body_number
+        assert mine.sum() > 200
+        distance, _, _ = clearance(centres_of(rig, rims)[mine], rims.direction[mine], person)
+        assert np.mean(np.abs(distance) < 0.016) > 0.97
+
+
+def test_settings_limit_the_rays_and_zero_switches_them_off(rig, person):
+    _, masks, result = person
+    few = hull_of(rig, masks, contour=ContourSettings(per_camera=20)).contour_rays
+    assert 60 < len(few) <= 120 and np.bincount(few.camera).max() <= 20
+    wide = hull_of(rig, masks, contour=ContourSettings(spacing_px=25.0)).contour_rays
+    assert 100 < len(wide) < len(result.contour_rays) / 2
+    off = hull_of(rig, masks, contour=ContourSettings(per_camera=0)).contour_rays
+    assert len(off) == 0 and off.point_world.shape == off.normal.shape == (0, 3) and off.sigma.shape == (0,)
+
+
+def test_a_missing_camera_has_no_rays_and_the_others_keep_theirs(rig, person):
+    body, masks, _ = person
+    rims = hull_of(rig, {name: mask for name, mask in masks.items() if name != "cam04"}).contour_rays
+    assert set(rims.camera) == {0, 1, 2, 4, 5}
+    distance, _, _ = clearance(centres_of(rig, rims), rims.direction, body)
+    assert np.sqrt(np.mean(distance**2)) < 0.003
+
+
+def test_an_empty_silhouette_and_an_empty_hull_have_no_rims(rig, person):
+    _, masks, _ = person
+    assert len(hull_of(rig, {name: np.zeros_like(mask) for name, mask in masks.items()}).contour_rays) == 0
+    pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
+    volume = pipeline.run(frame_set(masks)).volume
+    blank = masks | {"cam01": np.zeros_like(masks["cam01"])}
+    rims = trace_hull_contours(blank, pipeline.views, volume, pipeline.grid, ContourSettings())
+    assert set(rims.camera) == {1, 2, 3, 4, 5}
+    empty = BrickVolume.empty(pipeline.grid)
+    assert len(trace_hull_contours(masks, pipeline.views, empty, pipeline.grid, ContourSettings())) == 0
+
+
+def test_rims_refuse_a_mask_of_another_size(rig, person):
+    pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
+    masks = {**person[1], "cam02": np.zeros((10, 10), np.uint8)}
+    with pytest.raises(InputError, match=r"cam02: the mask is \(10, 10\) uint8"):
+        trace_hull_contours(masks, pipeline.views, person[2].volume, pipeline.grid, ContourSettings())
+
+
+def test_rims_are_the_same_bytes_every_time_and_whatever_came_before(rig, person):
+    _, masks, result = person
+    views, grid = RigViews.from_rig(rig), result.volume.grid
+    tracer, runs = ContourTracer(views, grid, ContourSettings()), slice_hull(result.volume).runs
+    mirrored = {name: np.ascontiguousarray(mask[:, ::-1]) for name, mask in masks.items()}
+    for _ in range(50):  # 300 silhouettes: more than the scratch memory's marks
+        tracer.trace(mirrored, runs)
+    again = tracer.trace(masks, runs)
+    assert again.table.tobytes() == result.contour_rays.table.tobytes()
+    assert again.camera.tobytes() == result.contour_rays.camera.tobytes()
+
+
+def test_rims_of_a_camera_inside_the_hulls_box_are_found_too():
+    """A camera so near that the hull's box is around and behind it."""
+    body = LIMB
+    far = ring_rig(3, size=(640, 480), focal_px=470.0)
+    near = look_at("cam09", np.array([0.3, 0.05, 1.5]), np.array([0.05, 0.0, 1.1]), 300.0, (640, 480))
+    rig = Rig((*far.cameras, near), VOLUME)
+    tall = [*body, (np.array([0.6, 0.6, 0.3]), np.array([0.6, 0.6, 1.9]), 0.06)]
+    rims = hull_of(rig, silhouettes(rig, tall)).contour_rays
+    mine = rims.camera == 3
+    distance, _, _ = clearance(centres_of(rig, rims)[mine], rims.direction[mine], tall)
+    assert mine.sum() > 50 and np.sqrt(np.mean(distance**2)) < 0.003

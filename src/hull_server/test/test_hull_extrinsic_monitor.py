@@ -1,0 +1,216 @@
+"""A camera that stands badly is told by the planes that touch the body; silhouettes and neighbours that err are not."""
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from hull_scenes import capsule_person, ring_rig, silhouettes
+
+from capture_rig import FrameSet, Rig
+from hull_server.consistency.camera_fault_detector import CameraFaultDetector
+from hull_server.consistency.epipolar_tangents import EpipolarTangentFinder
+from hull_server.consistency.extrinsic_monitor import ExtrinsicMonitor, estimate_extrinsic_errors
+from hull_server.hull_pipeline import HullPipeline
+from hull_server.hull_ros import frame_set_message, summarise
+from hull_server.settings import CalibrationSettings, CameraFaultSettings, HullSettings
+from hull_server.views import RigViews
+
+SETS, SET_NS = 24, 200_000_000
+FOCAL_PX = 235.0
+
+
+@cache
+def rig_of(cameras=6):
+    six = ring_rig(6, focal_px=FOCAL_PX)
+    return Rig(six.cameras[:cameras], six.volume)
+
+
+def body(frame):
+    """A person who walks in a circle of half a metre and turns."""
+    angle = 2 * np.pi * frame / SETS
+    return capsule_person(angle, 0.5 * np.cos(angle), 0.5 * np.sin(angle))
+
+
+@cache
+def walking():
+    return [silhouettes(rig_of(), body(frame)) for frame in range(SETS)]
+
+
+@cache
+def turn_of(name, turn_deg):
+    """What a turn of the camera about its own axes (x right, y down, z forward) does to its undistorted picture."""
+    K = rig_of().camera(name).undistorted_view().camera.K
+    return K @ cv2.Rodrigues(np.radians(np.array(turn_deg, float)))[0] @ np.linalg.inv(K)
+
+
+def turned(masks, name, turn_deg):
+    """The picture of a camera after it was turned; its outlines are as sharp as before."""
+    smooth = cv2.warpPerspective(masks[name], turn_of(name, turn_deg), masks[name].shape[::-1], flags=cv2.INTER_LINEAR)
+    return masks | {name: np.where(smooth > 127, np.uint8(255), np.uint8(0))}
+
+
+def watch_of(rig, **settings):
+    return ExtrinsicMonitor(rig, RigViews.from_rig(rig), CalibrationSettings(**settings))
+
+
+def watched(watch, change=lambda masks: masks, sets=SETS, start=0):
+    for frame in range(start, start + sets):
+        result = watch.update(change(walking()[frame % SETS]), frame * SET_NS)
+    return result
+
+
+def test_both_cameras_see_the_body_between_the_same_planes():
+    finder = EpipolarTangentFinder(rig_of(), RigViews.from_rig(rig_of()))
+    differences = np.concatenate([finder.find(masks).difference_px for masks in walking()[::4]])
+    assert len(differences) > 60
+    assert np.median(np.abs(differences)) < 0.5 and np.percentile(np.abs(differences), 90) < 1.5
+
+
+def test_derivatives_of_the_differences_are_those_of_cameras_that_are_turned():
+    """Finite differences: the same pictures, read with the calibration of a camera that stands elsewhere."""
+    rig, masks, step_rad = rig_of(), walking()[5], 1e-4
+    before = EpipolarTangentFinder(rig, RigViews.from_rig(rig)).find(masks)
+    for axis in range(3):
+        T = np.eye(4)
+        T[:3, :3] = cv2.Rodrigues(step_rad * np.eye(3)[axis])[0]
+        camera = rig.cameras[2]
+        other = Rig(
+            tuple(c if c is not camera else replace(c, T_camera_world=T @ c.T_camera_world) for c in rig.cameras),
+            rig.volume,
+        )
+        after = EpipolarTangentFinder(other, RigViews.from_rig(other)).find(masks)
+        assert np.array_equal(before.first, after.first) and np.array_equal(before.second, after.second)
+        change = (before.difference_px - after.difference_px) / step_rad  # the reading moves against the camera
+        for which, part in ((before.first, before.first_part), (before.second, before.second_part)):
+            assert change[which == 2] == pytest.approx(part[which == 2, axis], rel=0.02, abs=2.0)
+        assert change[(before.first != 2) & (before.second != 2)] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("turn_deg", [(1.5, 0, 0), (0, -1.5, 0), (0, 0, 2.5)])
+def test_turned_camera_is_named_with_the_size_of_the_turn_and_no_other_is(turn_deg):
+    result = watched(watch_of(rig_of()), lambda masks: turned(masks, "cam03", turn_deg))
+    assert list(result.suspects) == ["cam03"]
+    size_deg = np.linalg.norm(turn_deg)
+    assert np.degrees(result.rotation_error_rad["cam03"]) == pytest.approx(size_deg, rel=0.25)
+    assert np.degrees(result.roll_rad["cam03"]) == pytest.approx(turn_deg[2], abs=0.3)
+    assert "cam03 stands" in result.suspects["cam03"] and "calibrate it again" in result.suspects["cam03"]
+
+
+def test_turn_that_is_found_lies_within_its_own_errors_of_the_truth():
+    rig, turn_deg = rig_of(), (0.6, -0.7, 0.4)
+    finder = EpipolarTangentFinder(rig, RigViews.from_rig(rig))
+    found = [finder.find(turned(masks, "cam02", turn_deg)) for masks in walking()[::2]]
+    standings = estimate_extrinsic_errors(found, 6, 0.4)
+    mine = standings[1]
+    assert mine.gain == max(standing.gain for standing in standings) and mine.gain > mine.gain_growth
+    assert np.linalg.norm(np.degrees(mine.turn_rad) - turn_deg) < 0.35
+    assert 0.02 < np.degrees(mine.sd_rad) < 0.3 and mine.fitting > 0.7
+
+
+def test_honest_cameras_are_not_named():
+    result = watched(watch_of(rig_of()), sets=2 * SETS)
+    assert result.suspects == {}
+    assert np.degrees(max(result.rotation_error_rad.values())) < 0.3
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_cameras_that_all_err_by_a_fifth_of_a_degree_are_not_named(seed):
+    rng, errors = np.random.default_rng(seed), {}
+    for name in rig_of().names:
+        axis = rng.normal(size=3)
+        errors[name] = tuple(0.2 * axis / np.linalg.norm(axis))
+
+    def change(masks):
+        for name, turn_deg in errors.items():
+            masks = turned(masks, name, turn_deg)
+        return masks
+
+    assert watched(watch_of(rig_of()), change).suspects == {}
+
+
+@pytest.mark.parametrize("grow", [cv2.dilate, cv2.erode])
+def test_silhouettes_that_are_two_pixels_too_large_or_small_all_around_are_no_push(grow):
+    kernel = np.ones((5, 5), np.uint8)
+    result = watched(watch_of(rig_of()), lambda masks: masks | {"cam04": grow(masks["cam04"], kernel)})
+    assert (
+        result.suspects == {} and np.degrees(result.rotation_error_rad["cam04"]) < 0.5
+    )  # two pixels are half a degree
+
+
+def test_body_that_stands_still_tells_the_same_again_and_again_and_counts_once():
+    watch, masks = watch_of(rig_of()), turned(walking()[0], "cam01", (0, 3.0, 0))
+    for number in range(30):
+        result = watch.update(masks, number * SET_NS)
+    assert result.suspects == {} and len(watch._recent) == 1
+
+
+def test_camera_that_is_put_back_is_no_suspect_any_more():
+    watch = watch_of(rig_of())
+    assert "cam05" in watched(watch, lambda masks: turned(masks, "cam05", (0, 2.0, 0))).suspects
+    assert watched(watch, sets=2 * SETS, start=SETS).suspects == {}
+
+
+def test_two_cameras_are_never_told_apart_and_nobody_is_named():
+    rig = rig_of(2)
+    assert watched(watch_of(rig), lambda masks: turned(masks, "cam01", (2.0, 0, 0))).suspects == {}
+
+
+def test_empty_room_and_flooded_pictures_tell_nothing():
+    watch = watch_of(rig_of())
+    for number in range(12):
+        watch.update({name: np.zeros_like(mask) for name, mask in walking()[0].items()}, number * SET_NS)
+    assert watch.calibration.rotation_error_rad == {}
+    result = watched(watch, lambda masks: masks | {"cam02": np.full_like(masks["cam02"], 255)}, start=20)
+    assert result.suspects == {} and "cam02" not in result.rotation_error_rad
+
+
+def test_rims_that_may_be_shadow_and_rims_that_are_cut_off_are_not_asked():
+    rig, masks = rig_of(), walking()[3]
+    finder = EpipolarTangentFinder(rig, RigViews.from_rig(rig))
+    shadowed = masks["cam01"].copy()
+    low = np.flatnonzero(shadowed.any(1))[-1]
+    shadowed[low - 2 : low + 8, 20:300][shadowed[low - 2 : low + 8, 20:300] == 0] = 85  # on either side of the feet
+    whole, doubted = finder.find(masks), finder.find(masks | {"cam01": shadowed})
+    mine = (whole.first == 0) | (whole.second == 0)
+    assert mine.sum() > ((doubted.first == 0) | (doubted.second == 0)).sum()
+    assert np.abs(doubted.difference_px).max() < 3.0
+    view = rig.cameras[0].undistorted_view()
+    cut = np.where(view.seen, np.uint8(255), np.uint8(0))
+    filled = finder.find(masks | {"cam01": cut})
+    assert not ((filled.first == 0) | (filled.second == 0)).any()
+
+
+def test_same_sets_give_the_same_results_when_they_are_looked_at_again():
+    def run():
+        result = watched(watch_of(rig_of()), lambda masks: turned(masks, "cam06", (0, 1.2, 0)))
+        return dict(result.rotation_error_rad), dict(result.suspects)
+
+    assert run() == run()
+
+
+def test_consistency_is_near_one_for_honest_cameras_and_low_for_one_that_denies_or_shows_what_is_not_there():
+    rig = rig_of()
+    watch = CameraFaultDetector(rig, RigViews.from_rig(rig), CameraFaultSettings(period_s=0.2))
+    for frame in range(SETS):
+        verdict = watch.update(walking()[frame], frame * SET_NS)
+    assert min(verdict.consistency.values()) > 0.9
+    for frame in range(SETS, 2 * SETS):
+        masks = walking()[frame % SETS]
+        verdict = watch.update(masks | {"cam03": np.ascontiguousarray(masks["cam03"][:, ::-1])}, frame * SET_NS)
+    assert verdict.consistency["cam03"] < 0.6 < min(v for name, v in verdict.consistency.items() if name != "cam03")
+
+
+def test_messages_of_a_frame_set_tell_degrees_consistency_and_the_remedy():
+    pipeline = HullPipeline(rig_of(), HullSettings(voxel_size_m=0.04, backend="cpu"))
+    for frame in range(SETS):
+        masks = turned(walking()[frame], "cam02", (0, 1.5, 0))
+        result = pipeline.run(FrameSet(frame * SET_NS, masks, dict.fromkeys(masks, 0), ()))
+    values = {pair.key: pair.value for pair in frame_set_message(result, {}).status[0].values}
+    assert float(values["calibration_rotation_error_deg_cam02"]) == pytest.approx(1.5, rel=0.25)
+    assert 0.0 < float(values["calibration_rotation_error_sd_deg_cam02"]) < 0.3
+    assert 0.5 < float(values["calibration_consistency_cam02"]) <= 1.0
+    assert values["calibration_suspects"] == "cam02"
+    assert "cam02" in summarise(result)[1]
+    pipeline.close()

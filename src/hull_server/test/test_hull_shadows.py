@@ -1,0 +1,245 @@
+"""Floor in shadow told from legs by all cameras: rendered scenes, and the rule pixel by pixel in float64."""
+
+from collections import Counter
+
+import cv2
+import numpy as np
+import pytest
+from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
+
+from capture_rig import InputError, Rig
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS
+from hull_server.settings import ShadowSettings
+from hull_server.shadows import RAY_STEP_M, STRIDE, ShadowResolver, Verdicts, binary_mask, judge
+from hull_server.views import RigViews, min_seeing
+
+SHADOW = [(-0.15, -0.1), (0.75, -0.25), (0.95, 0.25), (0.6, 0.45), (-0.05, 0.3)]  # on the floor, under the feet too
+SETTINGS = ShadowSettings()
+
+
+def resolver(rig: Rig, settings: ShadowSettings = SETTINGS) -> ShadowResolver:
+    return ShadowResolver(RigViews.from_rig(rig), rig.volume, settings)
+
+
+def floor_patch(rig: Rig, outline=SHADOW) -> dict[str, np.ndarray]:
+    """Where each camera's canvas shows a patch of the floor, as if nobody stood before it: bool (h, w)."""
+    masks = {}
+    for camera in rig.cameras:
+        view = camera.undistorted_view()
+        pixels = view.camera.project(np.column_stack([outline, np.zeros(len(outline))]))
+        mask = np.zeros(view.seen.shape, np.uint8)
+        cv2.fillPoly(mask, [np.rint(pixels).astype(np.int32)], 255)
+        masks[camera.name] = (mask > 0) & view.seen
+    return masks
+
+
+def body_and_shadow(rig: Rig, body_level: int = 255, shadow_level: int = ATTENUATED_LEVELS[4]):
+    """Levels, exact body and exact visible shadow of a person who stands in a shadow."""
+    body, patch = silhouettes(rig, capsule_person(0.4)), floor_patch(rig)
+    levels = {n: np.where(body[n] > 0, body_level, np.where(patch[n], shadow_level, 0)).astype(np.uint8) for n in body}
+    return levels, {n: m > 0 for n, m in body.items()}, {n: patch[n] & (body[n] == 0) for n in body}
+
+
+def share(masks: dict[str, np.ndarray], where: dict[str, np.ndarray]) -> float:
+    """How much of the places is foreground, over all cameras."""
+    return sum(np.count_nonzero(masks[n][where[n]]) for n in where) / sum(np.count_nonzero(w) for w in where.values())
+
+
+def test_masks_without_doubt_are_passed_on_as_they_are():
+    rig = ring_rig(4)
+    masks = silhouettes(rig, capsule_person())
+    resolved = resolver(rig).resolve(masks, 3)
+    assert all(resolved.masks[name] is masks[name] for name in masks)
+    assert resolved.shadow_px == resolved.body_px == 0
+
+
+def test_mask_of_another_size_is_refused_by_name():
+    rig = ring_rig(3)
+    levels, _, _ = body_and_shadow(rig)
+    levels["cam02"] = levels["cam02"][:-1]
+    with pytest.raises(InputError, match="cam02"):
+        resolver(rig).resolve(levels, 3)
+
+
+@pytest.mark.parametrize("cameras, least", [(3, 0.5), (5, 0.55), (8, 0.58)])
+def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras, least):
+    rig = ring_rig(cameras, seed=2)
+    levels, body, shadow = body_and_shadow(rig)
+    before = {name: mask.copy() for name, mask in levels.items()}
+    resolved = resolver(rig).resolve(levels, min_seeing(cameras))
+    assert share({n: binary_mask(m) for n, m in levels.items()}, shadow) == 1.0
+    assert share(resolved.masks, shadow) < 1 - least  # the rest is seen through the legs' hull
+    assert share(resolved.masks, body) == 1.0
+    assert all(np.array_equal(levels[n], before[n]) for n in levels)
+    assert set(np.unique(np.concatenate([m.ravel() for m in resolved.masks.values()]))) == {0, 255}
+
+
+def test_clothes_exactly_as_dark_as_the_shadow_lose_at_most_the_soles():
+    rig = ring_rig(6, seed=3)
+    levels, body, shadow = body_and_shadow(rig, body_level=ATTENUATED_LEVELS[4])
+    masks = resolver(rig).resolve(levels, min_seeing(6)).masks
+    assert share(masks, shadow) < 0.4
+    assert share(masks, body) > 0.97
+    above = silhouettes(rig, [(a, b, r) for a, b, r in capsule_person(0.4) if min(a[2], b[2]) > 0.3])
+    assert share(masks, {n: m > 0 for n, m in above.items()}) > 0.995
+
+
+def test_dark_clothes_on_a_bright_floor_are_the_person():
+    rig = ring_rig(5, seed=4)
+    body = silhouettes(rig, capsule_person(1.0))
+    levels = {n: np.where(m > 0, ATTENUATED_LEVELS[k % 9], 0).astype(np.uint8) for k, (n, m) in enumerate(body.items())}
+    masks = resolver(rig).resolve(levels, min_seeing(5)).masks
+    assert share(masks, {n: m > 0 for n, m in body.items()}) > 0.999
+
+
+def test_a_place_that_is_bright_for_most_cameras_is_not_in_shadow():
+    rig = ring_rig(5, seed=2)
+    levels, _, shadow = body_and_shadow(rig)
+    for name in list(levels)[2:]:
+        levels[name][shadow[name]] = 0
+    first = list(levels)[:2]
+    masks = resolver(rig).resolve(levels, 3).masks
+    assert share({n: masks[n] for n in first}, {n: shadow[n] for n in first}) > 0.85
+
+
+def test_places_of_another_darkness_in_every_camera_are_no_shadow():
+    rig = ring_rig(4, seed=2)
+    levels, _, shadow = body_and_shadow(rig)
+    for k, name in enumerate(levels):
+        levels[name][shadow[name]] = ATTENUATED_LEVELS[2 * k]
+    assert share(resolver(rig).resolve(levels, 3).masks, shadow) == 1.0
+
+
+def test_candidates_of_other_cameras_are_witnesses_and_their_own_pixels_background():
+    rig = ring_rig(5, seed=2)
+    levels, body, shadow = body_and_shadow(rig)
+    for name in list(levels)[1:]:
+        levels[name][shadow[name]] = CANDIDATE_LEVELS[2]  # of the degrees 4 and 5
+    masks = resolver(rig).resolve(levels, 3).masks
+    assert share(masks, shadow) < 0.05 and share(masks, body) == 1.0
+    for name in list(levels)[1:]:
+        levels[name][shadow[name]] = CANDIDATE_LEVELS[0]  # of the degrees 0 and 1: shadow, but of something else
+    first = next(iter(levels))
+    masks = resolver(rig).resolve(levels, 3).masks
+    assert share({first: masks[first]}, {first: shadow[first]}) == 1.0
+
+
+def test_disabled_it_takes_candidates_for_background_and_dark_pixels_for_the_person():
+    rig = ring_rig(3)
+    levels, body, shadow = body_and_shadow(rig)
+    levels["cam01"][shadow["cam01"]] = CANDIDATE_LEVELS[1]
+    masks = resolver(rig, ShadowSettings(enabled=False)).resolve(levels, 3).masks
+    assert np.array_equal(masks["cam01"] > 0, body["cam01"])
+    assert np.array_equal(masks["cam02"] > 0, body["cam02"] | shadow["cam02"])
+
+
+def test_a_camera_alone_or_one_under_the_floor_removes_nothing():
+    rig = ring_rig(4, seed=2)
+    levels, body, shadow = body_and_shadow(rig)
+    alone = resolver(rig).resolve({"cam02": levels["cam02"]}, 2).masks["cam02"]
+    assert np.array_equal(alone > 0, body["cam02"] | shadow["cam02"])
+    low = look_at("cam05", np.array([3.0, 0.5, -0.3]), np.array([0.0, 0, 1]), 235.0, (320, 240))
+    more = Rig((*rig.cameras, low), VOLUME)
+    levels["cam05"] = np.full(low.undistorted_view().seen.shape, ATTENUATED_LEVELS[4], np.uint8)
+    assert resolver(more).resolve(levels, 3).masks["cam05"].all()
+
+
+def test_the_same_masks_give_the_same_bytes_whatever_came_between():
+    rig = ring_rig(5, seed=2)
+    levels, _, _ = body_and_shadow(rig)
+    worker = resolver(rig)
+    first = worker.resolve(levels, 3)
+    worker.resolve({n: np.full_like(m, ATTENUATED_LEVELS[4]) for n, m in list(levels.items())[:3]}, 3)
+    again = worker.resolve(dict(reversed(levels.items())), 3)
+    assert all(np.array_equal(first.masks[n], again.masks[n]) for n in levels)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_kernel_follows_the_rule_pixel_by_pixel(seed):
+    rig = ring_rig(4, size=(96, 72), focal_px=70.0, seed=seed)
+    rng = np.random.default_rng(seed)
+    levels, _, _ = body_and_shadow(rig)
+    for name, mask in levels.items():  # every kind of level, in patches
+        small = rng.choice(np.array([0, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, 255], np.uint8), (9, 12))
+        patches = cv2.resize(small, mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        if rng.random() < 0.5:
+            mask[mask == 0] = patches[mask == 0]
+        mask[~rig.camera(name).undistorted_view().seen] = 0
+    worker = resolver(rig)
+    worker._stack(levels)
+    compared = Counter({"shadow": 0, "body": 0, "": 0})
+    for index, name in enumerate(rig.names):
+        h, w = levels[name].shape
+        found = Verdicts(*(np.zeros((-(-h // STRIDE), -(-w // STRIDE)), np.uint8) for _ in Verdicts._fields))
+        judge(worker._scene, worker._levels, index, (0, 0, w, h), 3, 1, 0.1, 0.5, np.empty((4, 3)), found)
+        for v in range(0, h, STRIDE):
+            for u in range(0, w, STRIDE):
+                at, expected = (v // STRIDE, u // STRIDE), verdict(rig, levels, name, u, v)
+                assert bool(found.there[at]) == (levels[name][v, u] > 127)
+                assert bool(found.doubted[at]) == (0 < levels[name][v, u] <= 127)
+                assert bool(found.shadow[at]) == (expected == "shadow")
+                assert bool(found.body[at]) == (expected == "body")
+                compared[expected] += 1
+    assert compared["shadow"] > 20 and compared["body"] > 0 and compared[""] > 20
+
+
+def degrees(level: int) -> tuple[int, int]:
+    """Lowest and highest degree of darkness that a dark level, or a candidate's, stands for."""
+    if level in ATTENUATED_LEVELS:
+        return (ATTENUATED_LEVELS.index(level),) * 2
+    pair = CANDIDATE_LEVELS.index(level)
+    return 2 * pair, min(2 * pair + 1, 8)
+
+
+def verdict(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> str:
+    """The rule for one pixel, with the camera model's own rays and projection."""
+    camera, own = rig.camera(name).undistorted_view().camera, int(levels[name][v, u])
+    if own in (0, 255):
+        return ""
+    centre, ray = camera.centre_world, camera.rays_world([[u, v]])[0]
+    if ray[2] >= 0:
+        return ""
+    floor = centre - ray * centre[2] / ray[2]
+    if (floor[:2] <= VOLUME.low[:2] - 0.5).any() or (floor[:2] >= VOLUME.high[:2] + 0.5).any():
+        return ""
+    others = [n for n in rig.names if n != name]
+    seen = [level_at(rig, levels, n, [floor[0], floor[1], 0.0]) for n in others]
+    seen = [level for level in seen if level is not None and level != 255]
+    gaps = [9 if s == 0 else max(degrees(s)[0] - degrees(own)[1], degrees(own)[0] - degrees(s)[1]) for s in seen]
+    agree = sum(gap <= 1 for gap in gaps)
+    contradict = len(gaps) - agree
+    if (
+        own in ATTENUATED_LEVELS
+        and agree
+        and agree >= contradict
+        and not meets_hull(rig, levels, others, floor, centre)
+    ):
+        return "shadow"
+    if own in CANDIDATE_LEVELS and contradict > agree and meets_hull(rig, levels, others, floor, centre):
+        return "body"
+    return ""
+
+
+def meets_hull(rig: Rig, levels: dict[str, np.ndarray], others: list[str], floor, centre) -> bool:
+    """Whether the others have foreground between a floor place and a camera, 0.1 m up or more, within the volume."""
+    along = centre - floor
+    entry_exit = np.sort([(VOLUME.low - floor) / along, (VOLUME.high - floor) / along], axis=0)
+    start, end = max(0.1 / centre[2], *entry_exit[0, :2]), min(1.0, *entry_exit[1])
+    for t in np.arange(start, end, RAY_STEP_M / np.linalg.norm(along)):
+        there = [level_at(rig, levels, n, floor + t * along) for n in others]
+        if all(s is None or s > 127 for s in there) and sum(s is not None for s in there) >= 2:
+            return True
+    return False
+
+
+def level_at(rig: Rig, levels: dict[str, np.ndarray], name: str, point_world) -> int | None:
+    """The level where a camera has a point; None where it does not see it."""
+    view = rig.camera(name).undistorted_view()
+    pixel = view.camera.project(np.asarray(point_world))
+    if not np.isfinite(pixel).all():
+        return None
+    u, v = np.floor(pixel + 0.5).astype(int)
+    h, w = view.seen.shape
+    if not (0 <= u < w and 0 <= v < h and view.seen[v, u]):
+        return None
+    return int(levels[name][v, u])

@@ -1,0 +1,282 @@
+"""What is known of a person's sizes before measuring them: segment lengths over the stature, and how people differ.
+
+Means lie between Drillis & Contini 1966 (in Winter, fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870,
+shoulder .818; upper arm .186, forearm and hand .254) and the joint centres of de Leva 1996 (men, women: vertex to
+cervicale .140, .140; cervicale to mid-hips .347, .354; upper arm .162, .159; forearm and hand .264, .251; thigh .243,
+.212; shank .253, .253). Shoulder joints lie medial of the acromia (biacromial breadth .259 by Drillis & Contini,
+about .23 in recent surveys) and hip joints 14 % of the pelvic breadth medial of its ends (Bell et al. 1990), of which
+the surveys' values are smaller too. The spreads hold what people differ by and what those sources do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stick_figure.body import Body
+from stick_figure.body_surface import TORSO_CAPSULES, BodySurface
+from stick_figure.skeleton import (
+    HEAD,
+    L_CALF,
+    L_FOREARM,
+    L_THIGH,
+    L_UPPER_ARM,
+    R_CALF,
+    R_FOREARM,
+    R_THIGH,
+    R_UPPER_ARM,
+    STICK_AXIS,
+)
+
+from .body_parts import Arm
+from .t_pose_measures import TPose
+
+SIZES = (
+    "head",
+    "torso",
+    "shoulder_rise",
+    "half_shoulder_width",
+    "upper_arm",
+    "forearm",
+    "half_hip_width",
+    "thigh",
+    "calf",
+    "ankle_height",
+)
+"""Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
+height above the hips, half the joints' distances, and the ankles' height above the floor."""
+HEAD_, TORSO_, RISE, SHOULDER, UPPER_ARM, FOREARM, HIP, THIGH, CALF, ANKLE = range(len(SIZES))
+MEAN_OVER_STATURE = np.array([0.138, 0.332, 0.281, 0.110, 0.167, 0.259, 0.064, 0.245, 0.247, 0.039])
+SD_OVER_STATURE = np.array([0.009, 0.012, 0.014, 0.011, 0.011, 0.009, 0.008, 0.009, 0.007, 0.004])
+
+
+def body_of_sizes(sizes_m: np.ndarray) -> Body:
+    """The stick figure of a vector of sizes (10,), metres; left and right are equal."""
+    half_lengths = np.empty(10)
+    half_lengths[[0, HEAD]] = sizes_m[[TORSO_, HEAD_]]
+    half_lengths[[L_UPPER_ARM, R_UPPER_ARM]] = sizes_m[UPPER_ARM]
+    half_lengths[[L_FOREARM, R_FOREARM]] = sizes_m[FOREARM]
+    half_lengths[[L_THIGH, R_THIGH]] = sizes_m[THIGH]
+    half_lengths[[L_CALF, R_CALF]] = sizes_m[CALF]
+    half_torso = 0.5 * sizes_m[TORSO_]
+    return Body(
+        0.5 * half_lengths, sizes_m[SHOULDER], sizes_m[RISE] / half_torso - 1.0, sizes_m[HIP] / sizes_m[SHOULDER]
+    )
+
+
+def sizes_of_body(body: Body) -> np.ndarray:
+    """The vector of sizes (10,) of a stick figure, metres: the reverse of :func:`body_of_sizes`, sides averaged."""
+    sizes, lengths = np.empty(len(SIZES)), body.lengths
+    sizes[[TORSO_, HEAD_]] = lengths[[0, HEAD]]
+    sizes[UPPER_ARM] = lengths[[L_UPPER_ARM, R_UPPER_ARM]].mean()
+    sizes[FOREARM] = lengths[[L_FOREARM, R_FOREARM]].mean()
+    sizes[THIGH], sizes[CALF] = lengths[[L_THIGH, R_THIGH]].mean(), lengths[[L_CALF, R_CALF]].mean()
+    sizes[RISE] = (1.0 + body.shoulder_height_ratio) * body.half_lengths[0]
+    sizes[SHOULDER] = body.half_shoulder_width
+    sizes[HIP] = body.hip_width_ratio * body.half_shoulder_width
+    sizes[ANKLE] = MEAN_OVER_STATURE[ANKLE] * body.stature
+    return sizes
+
+
+# --- The sizes of a body from the hull of its T-pose: what the hull shows, joined with what is known of people.
+#
+# The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. How a sum splits at
+# a joint inside straight flesh (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so the estimate is
+# one linear update of the prior and comes with its covariance.
+
+HIP_HEIGHT = float(MEAN_OVER_STATURE[[THIGH, CALF, ANKLE]].sum())
+FINGERS_LOST_M = 0.015  # fingers are thinner than a voxel: a hull's arms end before the tips
+SHOULDER_BEYOND_CHEST = 0.015  # over the stature: shoulder joints lie outside the trunk's sides at the armpits
+# what hulls err by, over the stature
+STATURE_SD, ARM_SD, ARM_HEIGHT_SD, CHEST_SD, LEGS_SD = 0.006, 0.009, 0.009, 0.009, 0.010
+
+
+@dataclass(frozen=True, eq=False)
+class BodyEstimate:
+    """Sizes of one body with their uncertainty.
+
+    sizes : (10,) m, in the order of :data:`.proportions.SIZES`. covariance : (10, 10) m^2.
+    """
+
+    sizes: np.ndarray
+    covariance: np.ndarray
+
+    @cached_property
+    def body(self) -> Body:
+        """The stick figure of these sizes."""
+        return body_of_sizes(self.sizes)
+
+    @property
+    def sd(self) -> np.ndarray:
+        """(10,) standard deviations of the sizes, metres."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def prior_sizes(stature_m: float) -> BodyEstimate:
+    """A person of whom only the stature is known."""
+    return BodyEstimate(MEAN_OVER_STATURE * stature_m, np.diag((SD_OVER_STATURE * stature_m) ** 2))
+
+
+def estimate_body(measured: list[TPose]) -> BodyEstimate:
+    """The body that several frame sets of one held T-pose show; medians over the sets."""
+    stature = float(np.median([m.stature for m in measured]))
+    estimate = prior_sizes(stature)
+    for row, value, sd in _observations(measured, stature):
+        estimate = _update(estimate, row, value, sd * stature)
+    return estimate
+
+
+def _observations(measured: list[TPose], H: float) -> list[tuple[np.ndarray, float, float]]:
+    """What the hull says of the sizes: row (10,), value in metres, standard deviation over the stature."""
+    upright = float(np.median([np.cos(m.legs.spread) for m in measured]))
+    legs = {THIGH: upright, CALF: upright, ANKLE: 1.0}
+    half_width = MEAN_OVER_STATURE[SHOULDER] * H
+    stretch, tips, heights = np.median([_arms(m, half_width) for m in measured], axis=0)
+    found = [
+        # floor to crown
+        (_row({HEAD_: 1.0, TORSO_: 1.0, **legs}), H, STATURE_SD),
+        # spine to finger tips, along the arm from the shoulder on
+        (_row({UPPER_ARM: 1.0, FOREARM: 1.0, SHOULDER: stretch}), stretch * tips + FINGERS_LOST_M, ARM_SD),
+        # floor to the arms where they leave the shoulders
+        (_row({RISE: 1.0, **legs}), heights, ARM_HEIGHT_SD),
+        # the legs' lines at the hips
+        (_row({HIP: 1.0}), float(np.median([m.legs.apart_at(HIP_HEIGHT * H) for m in measured])), LEGS_SD),
+    ]
+    chest = float(np.median([m.chest_half_width for m in measured]))
+    if np.isfinite(chest):
+        found.append((_row({SHOULDER: 1.0}), chest + SHOULDER_BEYOND_CHEST * H, CHEST_SD))
+    return found
+
+
+def _arms(measured: TPose, half_width: float) -> tuple[float, float, float]:
+    """Of both arms on average: length over its share across, distance of the tip from the spine, height at the
+    shoulder; metres."""
+    arms = measured.arms
+    stretch = np.mean([arm.length_from(0.0) / arm.tip for arm in arms])
+    heights = np.mean([arm.at(half_width, measured.stature)[1] for arm in arms])
+    return float(stretch), float(np.mean([arm.tip for arm in arms])), float(heights)
+
+
+def _row(entries: dict[int, float]) -> np.ndarray:
+    row = np.zeros(len(SIZES))
+    for index, value in entries.items():
+        row[index] = value
+    return row
+
+
+def _update(estimate: BodyEstimate, row: np.ndarray, value: float, sd: float) -> BodyEstimate:
+    """The estimate after observing row @ sizes = value, metres; Joseph form, which stays symmetric."""
+    P = estimate.covariance
+    gain = P @ row / (row @ P @ row + sd**2)
+    rest = np.eye(len(row)) - np.outer(gain, row)
+    return BodyEstimate(
+        estimate.sizes + gain * (value - row @ estimate.sizes), rest @ P @ rest.T + sd**2 * np.outer(gain, gain)
+    )
+
+
+# --- How thick a person's limbs are, measured on the hull of the T-pose: factors on the flesh of an average build.
+#
+# Arms are measured by their vertical thickness and legs by their width, which cameras around the body see from the side;
+# a hull's depth is not believed. A factor that no person has is refused, limb by limb.
+
+THINNEST, THICKEST = 0.65, 1.6  # factors beyond these are nobody's
+FEWEST_PIECES = 2
+UPPER_ARM_PART, FOREARM_PART, CALF_PART, THIGH_PART = (0.3, 0.9), (0.1, 0.6), (0.3, 0.85), (0.25, 0.9)
+# the sparse samples of a thin arm seldom hold both its top and its bottom: take a large one of the pieces
+ARM_QUANTILE, LEG_QUANTILE = 75.0, 50.0
+
+
+@dataclass(frozen=True)
+class LimbGirths:
+    """Thickness over that of an average build; 1 where the hull did not tell. ``measured`` names what it told."""
+
+    upper_arm: float = 1.0
+    forearm: float = 1.0
+    thigh: float = 1.0
+    calf: float = 1.0
+    trunk: float = 1.0
+    measured: tuple[str, ...] = ()
+
+    def by_name(self) -> dict[str, float]:
+        """What the hull told, as a body file keeps it."""
+        return {name: float(getattr(self, name)) for name in self.measured}
+
+    @classmethod
+    def of(cls, thickness: Mapping[str, float]) -> LimbGirths:
+        """From a body file's thickness."""
+        return cls(**thickness, measured=tuple(thickness))
+
+    def on(self, capsules: BodySurface) -> BodySurface:
+        """The flesh with these thicknesses; the trunk grows to the sides too."""
+        factor = np.ones(10)
+        factor[[L_UPPER_ARM, R_UPPER_ARM]], factor[[L_FOREARM, R_FOREARM]] = self.upper_arm, self.forearm
+        factor[[L_THIGH, R_THIGH]], factor[[L_CALF, R_CALF]] = self.thigh, self.calf
+        factor[0] = self.trunk
+        start, end = capsules.start.copy(), capsules.end.copy()
+        start[:TORSO_CAPSULES, 1] *= self.trunk
+        end[:TORSO_CAPSULES, 1] *= self.trunk
+        return capsules._replace(start=start, end=end, radii=capsules.radii * factor[capsules.stick][:, None])
+
+
+def measure_girths(measured: list[TPose], body: Body) -> LimbGirths:
+    """The thickness of the limbs of ``body``, whose T-pose several frame sets show."""
+    capsules = BodySurface.of(body)
+    arm = np.concatenate([_along_arm(side, body) for m in measured for side in m.arms])
+    leg = np.concatenate([m.legs.slices for m in measured])
+    knee = MEAN_OVER_STATURE[ANKLE] * body.stature + body.lengths[L_CALF]
+    leg = np.column_stack([knee - leg[:, 0], leg[:, 1]])
+    limbs = {  # pieces, where the stick starts on their scale, the stick, the part of it, the quantile
+        "upper_arm": (arm, 0.0, L_UPPER_ARM, UPPER_ARM_PART, ARM_QUANTILE),
+        "forearm": (arm, body.lengths[L_UPPER_ARM], L_FOREARM, FOREARM_PART, ARM_QUANTILE),
+        "calf": (leg, 0.0, L_CALF, CALF_PART, LEG_QUANTILE),
+        "thigh": (leg, -body.lengths[L_THIGH], L_THIGH, THIGH_PART, LEG_QUANTILE),
+    }
+    found = {
+        name: _factor(pieces, start, body.lengths[stick], part, capsules, (stick, quantile))
+        for name, (pieces, start, stick, part, quantile) in limbs.items()
+    }
+    found["trunk"] = _trunk(measured, capsules)
+    return LimbGirths.of({name: float(value) for name, value in found.items() if THINNEST <= value <= THICKEST})
+
+
+def _along_arm(arm: Arm, body: Body) -> np.ndarray:
+    """(k, 2) of one arm: distance from the shoulder along the arm, and thickness; metres."""
+    stretch = arm.length_from(0.0) / arm.tip
+    return np.column_stack([(arm.thickness[:, 0] - body.half_shoulder_width) * stretch, arm.thickness[:, 1]])
+
+
+def _factor(
+    pieces: np.ndarray,
+    start: float,
+    length: float,
+    part: tuple[float, float],
+    capsules: BodySurface,
+    limb: tuple[int, float],
+) -> float:
+    """A quantile of the thickness of pieces (k, 2) over the flesh's, NaN with too few of them.
+
+    start : where the stick starts on the pieces' scale, metres. part : of the stick, which of them count. limb : the
+    stick and the quantile, per cent.
+    """
+    (stick, quantile), along = limb, (pieces[:, 0] - start) / length
+    here = (along > part[0]) & (along < part[1])
+    if np.count_nonzero(here) < FEWEST_PIECES:
+        return float("nan")
+    radius = _radii_along(capsules, stick, along[here] * length)
+    return float(np.percentile(0.5 * pieces[here, 1] / radius, quantile))
+
+
+def _radii_along(capsules: BodySurface, stick: int, places: np.ndarray) -> np.ndarray:
+    """Radius (k,) of the flesh at places (k,) along a stick, metres: between the ends of its capsules, linear."""
+    mine, axis = capsules.stick == stick, STICK_AXIS[stick]
+    ends = np.abs(np.concatenate([capsules.start[mine, axis], capsules.end[mine, axis]]))
+    order = np.argsort(ends)
+    return np.interp(places, ends[order], capsules.radii[mine].T.ravel()[order])
+
+
+def _trunk(measured: list[TPose], capsules: BodySurface) -> float:
+    """The chest's width below the armpits over the flesh's; NaN where it was not seen."""
+    return float(np.median([m.chest_half_width for m in measured])) / (capsules.start[0, 1] + capsules.radii[0, 0])

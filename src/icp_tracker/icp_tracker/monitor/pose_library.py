@@ -1,0 +1,197 @@
+"""Other poses of the whole body: turned round, sides exchanged, or found anew from the hull's place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from stick_figure.body import Body
+from stick_figure.kinematics import forward, inverse
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.rotations import rotation_matrix
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, mirror_angles
+
+from .evidence import LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG
+
+HEADINGS = 8
+_WITH_SIDES = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left and right of every reference point
+_WITH_ARMS = [0, 1, 2, 3, 4, 5, 6, 8, 7, 9, 10, 12, 11, 13, 14]  # elbows and hands exchanged
+_WITH_LEGS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 9, 11, 12, 14, 13]
+# what a person may be found doing, as angles of the left side (rad); the right side mirrors them
+STANCES: dict[str, dict[str, float]] = {
+    "arms down": {"shoulder_x": -1.35},
+    "T-pose": {},
+    "arms forward": {"shoulder_z": -1.35},
+    "hands up": {"shoulder_x": 1.2},
+    "arms bent": {"shoulder_x": -1.2, "elbow": -1.5},
+    "squat": {"shoulder_x": -1.2, "hip_y": -1.6, "knee": 1.8},
+}
+
+
+def sides_exchanged(body: Body, pose: Pose) -> Pose:
+    """Left and right change names, limbs and trunk stay where they are: the body faces the other way."""
+    return inverse(body, forward(body, pose)[_WITH_SIDES], pose)
+
+
+def turned_around(pose: Pose) -> Pose:
+    """Every limb where it is on the body, the body facing the other way."""
+    return replace(pose, R_world_torso=rotation_matrix(np.pi * pose.R_world_torso[:, 2]) @ pose.R_world_torso)
+
+
+def arms_exchanged(body: Body, pose: Pose) -> Pose:
+    """Left elbow and hand where the right ones are, and the other way round."""
+    return inverse(body, forward(body, pose)[_WITH_ARMS], pose)
+
+
+def legs_exchanged(body: Body, pose: Pose) -> Pose:
+    """Left knee and foot where the right ones are, and the other way round."""
+    return inverse(body, forward(body, pose)[_WITH_LEGS], pose)
+
+
+def moved_to(pose: Pose, hull_world: np.ndarray) -> Pose:
+    """The pose above the middle of the hull's samples (m, 3)."""
+    x, y = np.median(hull_world[:, :2], axis=0)
+    return replace(pose, position_world=np.array([x, y, pose.position_world[2]]))
+
+
+def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
+    """Every stance at every heading, above the middle of the hull (m, 3), its head at the hull's crown."""
+    x, y = np.median(hull_world[:, :2], axis=0)
+    crown = float(np.percentile(hull_world[:, 2], 99.5))
+    height = crown - body.half_lengths[0] - body.lengths[1]
+    return [
+        Pose.from_angles(np.array([x, y, height]), rotation_matrix(np.array([0.0, 0.0, heading])), angles)
+        for heading in np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
+        for angles in STANCE_ANGLES
+    ]
+
+
+def _angles(left: dict[str, float]) -> np.ndarray:
+    """Both sides' angles (18,) of a stance."""
+    angles = T_POSE_ANGLES.copy()
+    for name, value in left.items():
+        angles[ANGLE_NAMES.index(f"left_{name}")] = value
+    mirrored = mirror_angles(angles)
+    for index, name in enumerate(ANGLE_NAMES):
+        if name.startswith("right"):
+            angles[index] = mirrored[index]
+    return angles
+
+
+STANCE_ANGLES = tuple(_angles(left) for left in STANCES.values())
+
+
+# --- Where arms and legs can be: directions of the upper limb times flexions of the hinge, within the joints' ranges.
+
+ARM_DIRECTIONS, LEG_DIRECTIONS = 72, 60  # evenly over the sphere, before those out of range are dropped
+ARM_FLEXIONS, LEG_FLEXIONS = (0.2, 1.1, 2.0), (0.2, 1.0, 1.8)  # rad
+ARM_TURNS, LEG_TURNS = 6, 8  # directions into which a hinge bends, around the upper limb
+BACK_MOST, ACROSS_MOST = -0.75, -0.75  # arms: of the unit direction, backward and to the other side
+LEG_UP_MOST, LEG_BACK_MOST, LEG_ACROSS_MOST = 0.3, -0.6, -0.5
+STRAIGHT = 0.3  # rad below which all turns are the same limb
+RANGE_SLACK = 0.2  # rad beyond a joint's range that is still tried
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """part : of evidence.PART_NAMES; ball, hinge : its joints' numbers; upper, lower : its sticks; slots (4,) of the
+    pose's tangent that move it."""
+
+    part: int
+    ball: int
+    hinge: int
+    upper: int
+    lower: int
+    slots: tuple[int, ...]
+
+    @property
+    def is_arm(self) -> bool:
+        return self.part in (LEFT_ARM, RIGHT_ARM)
+
+    @property
+    def side(self) -> float:
+        """+1 left, -1 right."""
+        return 1.0 if self.part in (LEFT_ARM, LEFT_LEG) else -1.0
+
+
+LIMBS = (
+    Limb(LEFT_ARM, 1, 0, 2, 6, (8, 10, 12, 14)),
+    Limb(RIGHT_ARM, 2, 1, 3, 7, (9, 11, 13, 15)),
+    Limb(LEFT_LEG, 3, 2, 4, 8, (16, 18, 20, 22)),
+    Limb(RIGHT_LEG, 4, 3, 5, 9, (17, 19, 21, 23)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LimbPoses:
+    """R (h, 3, 3) upper limb to torso; flexion (h,) rad, signed as the pose's hinges are."""
+
+    R: np.ndarray
+    flexion: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.flexion)
+
+    def part(self, number: int, parts: int) -> LimbPoses:
+        """Every ``parts``-th pose: together the parts are the whole."""
+        return LimbPoses(
+            np.ascontiguousarray(self.R[number % parts :: parts]),
+            np.ascontiguousarray(self.flexion[number % parts :: parts]),
+        )
+
+
+@lru_cache(maxsize=8)
+def limb_poses(limb: Limb) -> LimbPoses:
+    """The library of one limb; the same every time."""
+    count, flexions, turns = (
+        (ARM_DIRECTIONS, ARM_FLEXIONS, ARM_TURNS) if limb.is_arm else (LEG_DIRECTIONS, LEG_FLEXIONS, LEG_TURNS)
+    )
+    rotations, bends = [], []
+    for direction in even_directions(count):
+        if not _reachable(limb, direction):
+            continue
+        for flexion in flexions:
+            for turn in range(turns if flexion > STRAIGHT else 1):
+                R, bend = _frame(limb, direction, 2.0 * np.pi * turn / turns), -flexion if limb.is_arm else flexion
+                if _in_range(limb, R, bend):
+                    rotations.append(R)
+                    bends.append(bend)
+    return LimbPoses(np.array(rotations), np.array(bends))
+
+
+def even_directions(count: int) -> np.ndarray:
+    """(count, 3) unit vectors evenly over the sphere (golden spiral)."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    r = np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+
+
+def _reachable(limb: Limb, direction: np.ndarray) -> bool:
+    ahead, out, up = direction[0], limb.side * direction[1], direction[2]
+    if limb.is_arm:
+        return ahead > BACK_MOST and out > ACROSS_MOST
+    return up < LEG_UP_MOST and ahead > LEG_BACK_MOST and out > LEG_ACROSS_MOST
+
+
+def _frame(limb: Limb, direction: np.ndarray, turn: float) -> np.ndarray:
+    """Rotation of an upper limb along ``direction`` (torso frame) whose hinge bends toward the angle ``turn``."""
+    helper = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.8 else np.array([0.0, 0.0, 1.0])
+    first = np.cross(direction, helper)
+    first /= np.linalg.norm(first)
+    bend = np.cos(turn) * first + np.sin(turn) * np.cross(direction, first)
+    if limb.is_arm:  # along +y of its own frame; the elbow bends toward its x
+        return np.stack([bend, direction, np.cross(bend, direction)], axis=1)
+    return np.stack([-bend, np.cross(direction, bend), -direction], axis=1)  # along -z; the knee bends toward its -x
+
+
+def _in_range(limb: Limb, R: np.ndarray, flexion: float) -> bool:
+    """Whether the ball joint allows it. The twist of a straight limb may be any."""
+    rest = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
+    R_joints, hinges = rest.R_joints.copy(), rest.hinges.copy()
+    R_joints[limb.ball], hinges[limb.hinge] = R, flexion
+    slots = BALL_ANGLES[limb.ball][: 3 if abs(flexion) > STRAIGHT else 2]
+    angles = Pose(np.zeros(3), np.eye(3), R_joints, hinges).angles()[slots]
+    return bool(((angles >= ANGLE_LOW[slots] - RANGE_SLACK) & (angles <= ANGLE_HIGH[slots] + RANGE_SLACK)).all())

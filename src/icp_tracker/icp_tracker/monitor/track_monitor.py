@@ -1,0 +1,229 @@
+"""The watch over a track: judges every fitted pose, looks for better ones, and says when to change over.
+
+A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a fat hull, a body
+that faces backward, both are local optima that no prior leaves. So other poses are tried, a few every frame set: places
+of one limb, the body turned round, and when all is lost, stances anywhere in the hull. A pose that explains the
+silhouettes' outlines better becomes the challenger, is followed beside the first for some frame sets, and takes over
+once its lead is clear: a single set is not enough, chance leads do not last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from capture_rig.settings import setting
+from stick_figure.body import Body
+from stick_figure.body_surface import BodySurface
+from stick_figure.kinematics import forward
+from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.pose import Pose
+
+from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
+from .evidence import PART_NAMES, Evidence, evidence_of
+from .limb_search import HullMap, other_place
+from .pose_library import (
+    LIMBS,
+    arms_exchanged,
+    legs_exchanged,
+    limb_poses,
+    moved_to,
+    sides_exchanged,
+    stances,
+    turned_around,
+)
+from .track_quality import GOOD, LOST, UNKNOWN, Baseline, Hypothesis, TrackQuality, contested, judge_track
+
+# --- Settings of the watch over the track.
+
+
+@dataclass(frozen=True)
+class RecoverySettings:
+    """How a lost track, or a lost limb, is noticed and found again."""
+
+    search: bool = setting(True, "look for better poses of limbs and body; off: the track is judged, not repaired")
+    limb_parts: int = setting(
+        4, "a limb's library is searched in so many parts, one a frame set (a doubtful limb's at once)", low=1, high=64
+    )
+    turned_every: int = setting(16, "frame sets between two looks at the body turned round", low=1, high=100000)
+    margin_rays: float = setting(
+        2.0, "lead in rays that another pose must have, on average over the sets it is compared in", low=0.0, high=1e4
+    )
+    margin_sets: int = setting(6, "frame sets that it must be compared in", low=1, high=1000)
+    clear_rays: float = setting(20.0, "lead in rays with which two frame sets are enough", low=0.0, high=1e4)
+    patient_sets: int = setting(30, "frame sets after which another pose without that lead is forgotten", low=1)
+
+
+SAME_M = 0.10  # poses whose 15 points are so near to each other are one
+FAR_M = 0.4  # a pose so far from the followed one, or farther, needs twice the evidence: tracks slip, they seldom leap
+FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
+FREE_ITERATIONS = 12
+STANCES_A_SET = 6
+SLIGHT_DROP, SLIGHT_DROP_EVERY = 0.03, 4  # so little less explained than usual is a reason to look at the body turned
+BEHIND_MOST = 3.0  # rays that another pose may be behind when it is first looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes."""
+
+    quality: TrackQuality
+    better: Pose | None = None
+    change: str = ""
+    hypothesis: Pose | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedSet:
+    """One frame set as the watch looks at it."""
+
+    body: Body
+    capsules: BodySurface
+    data: Data
+    settings: ArticulatedSettings
+
+    def evidence_of(self, pose: Pose) -> Evidence:
+        """The evidence about a pose."""
+        return evidence_of(self.body, self.capsules, pose, self.data.contour_rays, self.data.hull)
+
+    def fitted(self, pose: Pose, free: bool = False) -> Pose:
+        """The pose that the fit reaches from another one, more freely if it is only a guess."""
+        settings = replace(self.settings, prior=FREE, max_iterations=FREE_ITERATIONS) if free else self.settings
+        return minimise(self.body, pose, self.data, settings)[0]
+
+    def apart_m(self, pose: Pose, other: Pose) -> float:
+        """How far apart (m) two poses' reference points are at most."""
+        return float(np.linalg.norm(forward(self.body, pose) - forward(self.body, other), axis=1).max())
+
+
+class TrackMonitor:
+    """Judges and repairs the track of one body. Deterministic; its work is bounded at every frame set."""
+
+    def __init__(self, settings: RecoverySettings) -> None:
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what is usual for the body, and the challenger."""
+        self._baseline = Baseline()
+        self._hypothesis: Hypothesis | None = None
+        self._sets = self._looks = self._limb_looks = 0
+        self._last_good: Pose | None = None
+
+    def examine(self, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Examination:
+        """Judge a pose that was fitted to the data, and look for a better one."""
+        if len(data.contour_rays.information) == 0 or len(data.hull) == 0:
+            return Examination(UNKNOWN)
+        observed = ObservedSet(body, _capsules(body), data, settings)
+        evidence = observed.evidence_of(pose)
+        quality = judge_track(evidence, self._baseline.share)
+        self._sets += 1
+        if quality.state == GOOD:
+            self._baseline.add(evidence.share)
+            self._last_good = pose
+        if not self._settings.search:
+            return Examination(quality)
+        self._follow(observed, pose, evidence)
+        self._look_for_another(observed, pose, evidence, quality)
+        return self._decide(observed, pose, quality)
+
+    # --- the challenger ----------------------------------------------------------------------------------------------
+
+    def _follow(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> None:
+        """Fit the challenger to this set too, and compare."""
+        hypothesis = self._hypothesis
+        if hypothesis is None:
+            return
+        fitted = observed.fitted(hypothesis.pose)
+        if observed.apart_m(fitted, pose) < SAME_M:
+            self._hypothesis = None
+            return
+        self._hypothesis = hypothesis.compared(fitted, observed.evidence_of(fitted), evidence)
+
+    def _decide(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Examination:
+        hypothesis, s = self._hypothesis, self._settings
+        if hypothesis is None:
+            return Examination(quality)
+        sets = s.margin_sets * (1.0 + min(observed.apart_m(hypothesis.pose, pose) / FAR_M, 1.0))
+        enough = hypothesis.sets >= s.margin_sets and hypothesis.margin >= s.margin_rays * max(
+            1.0, sets / hypothesis.sets
+        )
+        if enough or (hypothesis.sets >= 2 and hypothesis.margin >= s.clear_rays):
+            self._hypothesis = None
+            known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline.share)
+            return Examination(known, hypothesis.pose, hypothesis.why)
+        if hypothesis.sets >= s.patient_sets or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
+            self._hypothesis = None
+            return Examination(quality)
+        return Examination(contested(quality, hypothesis, s.margin_rays), hypothesis=hypothesis.pose)
+
+    def _look_for_another(self, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality) -> None:
+        """Try one other pose; if it explains more than pose and challenger, it is the challenger."""
+        if self._hypothesis is not None and quality.state != LOST and self._sets % 2:
+            return  # following one takes as long as trying one
+        guess = self._guess(observed, pose, quality)
+        if guess is None:
+            return
+        fitted = observed.fitted(guess.pose, free=guess.part is None)
+        margin = evidence.margin_of(observed.evidence_of(fitted))
+        behind = BEHIND_MOST if guess.part is None else 0.0  # only a limb's place is fitted to the end at once
+        least = -behind if self._hypothesis is None else max(self._hypothesis.margin + 1.0, 0.0)
+        known = [pose] if self._hypothesis is None else [pose, self._hypothesis.pose]
+        if margin > least and all(observed.apart_m(fitted, other) > SAME_M for other in known):
+            self._hypothesis = replace(guess, pose=fitted)
+
+    # --- where to look -----------------------------------------------------------------------------------------------
+
+    def _guess(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
+        """What to try at this set: a lost body's stances, the whole body turned, or one limb elsewhere."""
+        turn, every = self._sets, self._settings.turned_every
+        if quality.state == LOST and turn % 2 == 0:
+            return self._stance(observed, turn // 2)
+        if quality.state != GOOD:
+            every = 1 if quality.state == LOST else 2
+        elif self._baseline.share is not None and quality.explained < self._baseline.share - SLIGHT_DROP:
+            every = min(every, SLIGHT_DROP_EVERY)
+        if turn % every == 0:
+            return self._whole_body(observed, pose)
+        return self._limb(observed, pose, quality)
+
+    def _whole_body(self, observed: ObservedSet, pose: Pose) -> Hypothesis:
+        """The body turned or exchanged, one way after another; the most likely errors come most often."""
+        body, turn = observed.body, self._looks % 6
+        self._looks += 1
+        if turn in (0, 2):
+            return Hypothesis(sides_exchanged(body, pose), "left and right exchanged", None)
+        if turn in (1, 4):
+            return Hypothesis(turned_around(pose), "the body facing the other way", None)
+        if turn == 5 and self._last_good is not None:
+            return Hypothesis(moved_to(self._last_good, observed.data.hull), "the last good pose", None)
+        if (self._looks // 6) % 2:
+            return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged", None)
+        return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged", None)
+
+    def _stance(self, observed: ObservedSet, turn: int) -> Hypothesis:
+        """The best of a few stances; others at the next set."""
+        every = stances(observed.body, observed.data.hull)
+        parts = len(every) // STANCES_A_SET
+        best = min(every[turn % parts :: parts], key=lambda pose: observed.evidence_of(pose).cost)
+        return Hypothesis(best, "the body found anew", None)
+
+    def _limb(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
+        """One limb elsewhere: limb after limb, a part of each one's library at a time; all of it for a doubtful one."""
+        doubtful = [limb for limb in LIMBS if quality.parts[limb.part] != GOOD]
+        limbs, look = doubtful or LIMBS, self._limb_looks
+        self._limb_looks += 1
+        limb = limbs[look % len(limbs)]
+        library, parts = limb_poses(limb), self._settings.limb_parts
+        if not doubtful:
+            library = library.part(look // len(limbs), parts)
+        hull = HullMap.of(observed.data.hull)
+        other = other_place(observed.body, observed.capsules, pose, limb, library, observed.data.contour_rays, hull)
+        return None if other is None else Hypothesis(other, f"{PART_NAMES[limb.part]} elsewhere", limb.part)
+
+
+@lru_cache(maxsize=4)
+def _capsules(body: Body) -> BodySurface:
+    return BodySurface.of(body)

@@ -1,0 +1,148 @@
+"""Whether the track is good, doubtful or lost, of the whole body and of each limb, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stick_figure.pose import Pose
+
+from .evidence import LEFT_ARM, PART_NAMES, PART_POINTS, TRUNK, Evidence
+
+# --- A second opinion about the pose, followed beside the first until the evidence of several frame sets decides.
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Another pose, and what speaks for it.
+
+    why : in words, what differs. part : of evidence.PART_NAMES if one limb alone differs, else None. evidence : about
+    the pose at the last set. sets : frame sets it has been compared in; lead : mean over them of its lead over
+    the followed pose, in rays (Evidence.margin_of).
+    """
+
+    pose: Pose
+    why: str
+    part: int | None
+    evidence: Evidence | None = None
+    sets: int = 0
+    margin: float = 0.0
+
+    def compared(self, pose: Pose, evidence: Evidence, followed: Evidence) -> Hypothesis:
+        """One more frame set: its pose there, the evidence about it, and about the followed pose."""
+        sets = self.sets + 1
+        margin = self.margin + (followed.margin_of(evidence) - self.margin) / sets
+        return Hypothesis(pose, self.why, self.part, evidence, sets, margin)
+
+
+GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
+
+LOST_SHARE = 0.35  # of the outline: what hardly any wrong pose explains less of
+LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains
+OUTSIDE_LIMB = 2  # of a limb's six points: so many outside the hull are no accident
+CONTESTED_SETS = 3  # sets in which another pose must have led before it is a reason for doubt
+BASELINE_SETS = 300.0  # the usual share is the mean over about so many good sets
+
+
+@dataclass(frozen=True)
+class TrackQuality:
+    """state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
+
+    parts (5,) states of trunk, arms and legs; explained : share of the outline's rays that the pose explains;
+    hypothesis_margin : rays that the best other pose explains more, over several sets; None without a rival.
+    """
+
+    state: str
+    reason: str
+    parts: tuple[str, ...]
+    explained: float
+    hypothesis_margin: float | None = None
+
+
+UNKNOWN = TrackQuality(GOOD, "", (GOOD,) * 5, 1.0)
+"""Of a fit that was not examined."""
+
+
+class Baseline:
+    """The share of the outline that this body explains when it is tracked well: cameras and shadows differ."""
+
+    def __init__(self) -> None:
+        self.share: float | None = None
+        self._sets = 0.0
+
+    def add(self, share: float) -> None:
+        """One more good set."""
+        self._sets = min(self._sets + 1.0, BASELINE_SETS)
+        self.share = share if self.share is None else self.share + (share - self.share) / self._sets
+
+
+def judge_track(evidence: Evidence, baseline: float | None) -> TrackQuality:
+    """The state of a pose, from its evidence and the share of rays that is usual for this body."""
+    share = evidence.share
+    drop = 0.0 if baseline is None else baseline - share
+    parts, reasons = _parts(evidence)
+    explains = f"the body explains {100 * share:.0f} % of the outlines"
+    if baseline is not None:
+        explains += f", {100 * baseline:.0f} % is usual"
+    if share < LOST_SHARE or drop > LOST_DROP:
+        return TrackQuality(LOST, explains, (LOST,) * len(PART_NAMES), share)
+    if drop > DOUBTFUL_DROP:
+        reasons.insert(0, explains)
+        parts[TRUNK] = DOUBTFUL
+    return TrackQuality(DOUBTFUL if reasons else GOOD, "; ".join(reasons), tuple(parts), share)
+
+
+def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float) -> TrackQuality:
+    """The quality with a rival pose beside it: doubtful where they differ once the rival leads for a few sets."""
+    if hypothesis.sets == 0:
+        return quality
+    quality = replace(quality, hypothesis_margin=hypothesis.margin)
+    if hypothesis.sets < CONTESTED_SETS or hypothesis.margin < margin_rays or quality.state == LOST:
+        return quality
+    parts = list(quality.parts)
+    for part in range(len(PART_NAMES)) if hypothesis.part is None else [hypothesis.part]:
+        parts[part] = DOUBTFUL
+    reason = f"{hypothesis.why} would explain {hypothesis.margin:.0f} rays more"
+    return replace(
+        quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(filter(None, (quality.reason, reason)))
+    )
+
+
+def _parts(evidence: Evidence) -> tuple[list[str], list[str]]:
+    parts, reasons = [GOOD] * len(PART_NAMES), []
+    for part in range(LEFT_ARM, len(PART_NAMES)):
+        outside = int(evidence.outside[part])
+        if outside >= OUTSIDE_LIMB:
+            parts[part] = DOUBTFUL
+            reasons.append(
+                f"{PART_NAMES[part]}: {outside} of 6 points outside the hull, "
+                f"{evidence.unexplained[part]} rays unexplained near it"
+            )
+    return parts, reasons
+
+
+# --- Doubts about a pose as covariance of its points, so that whoever filters them is not misled.
+
+OUTSIDE_SD_M = 0.15  # a limb that leaves the hull may be anywhere about its place
+EVEN_RAYS = 3.0  # lead at which the other pose is believed about three times as much
+
+
+def widened_covariance(
+    covariance: np.ndarray, quality: TrackQuality, points_world: np.ndarray, hypothesis_points_world: np.ndarray | None
+) -> np.ndarray:
+    """The covariance (15, 3, 3) m^2 of points (15, 3) with what is doubtful about them.
+
+    With a rival pose that is a reason for doubt, a point is in one of two places: covariance
+    p (1 - p) d d^T, d the way to the other one, p the belief in it. Without one, points of a doubtful part are
+    uncertain by OUTSIDE_SD_M.
+    """
+    widened = covariance.copy()
+    for points, state in zip(PART_POINTS, quality.parts, strict=True):
+        if state != GOOD and hypothesis_points_world is None:
+            widened[list(points)] += OUTSIDE_SD_M**2 * np.eye(3)
+    if hypothesis_points_world is not None and quality.hypothesis_margin is not None and quality.state != GOOD:
+        p = 1.0 / (1.0 + np.exp(-quality.hypothesis_margin / EVEN_RAYS))
+        d = hypothesis_points_world - points_world
+        widened += p * (1.0 - p) * d[:, :, None] * d[:, None, :]
+    return widened

@@ -1,0 +1,231 @@
+"""Hierarchical articulated ICP (thesis 4.3, Algorithm 2), corrected.
+
+The torso first, then every limb from its root to its end: each stick is aligned by ICP to the points nearest to it,
+helped by the points of its descendants with a small weight (they fix the rotation about the stick's own axis), and
+carries its descendants along. Corrections to the text: model points are moved onto data points (not the reverse); a
+lone stick takes the smallest rotation (its Procrustes problem leaves the twist open); X84 is one-sided, per group; and
+a stick is done when its increment is small, since with noisy data the mean distance never falls below a threshold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from capture_rig.settings import setting
+from stick_figure import kernels
+from stick_figure.body import Body
+from stick_figure.kinematics import inverse
+from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.point_factor import STICKS, columns, place_feet, prefer_stick, x84_keep
+from stick_figure.pose import Pose
+from stick_figure.skeleton import PARENT, PREORDER
+
+from .procrustes import weighted_extended_procrustes, weighted_procrustes_about, weighted_swing_about
+
+OWN, DESCENDANT, OTHER = 0, 1, 2
+
+
+def _descendants() -> np.ndarray:
+    below = np.zeros((STICKS, STICKS), dtype=np.bool_)
+    for stick in range(STICKS):
+        ancestor = PARENT[stick]
+        while ancestor >= 0:
+            below[ancestor, stick] = True
+            ancestor = PARENT[ancestor]
+    return below
+
+
+DESCENDANTS = _descendants()
+"""(10, 10) bool: [j, k] is true when stick k hangs below stick j."""
+_ORDER = np.array(PREORDER)
+_PARENT = np.array(PARENT)
+_LEAF = np.array([not below.any() for below in DESCENDANTS])
+
+
+@dataclass(frozen=True)
+class HierarchicalSettings:
+    """Settings of the hierarchical articulated ICP."""
+
+    weighting: str = setting(
+        "descendants",
+        "which points below a stick help to turn it: all 'descendants' with one weight (thesis), or 'proximal', the "
+        "direct children's with a weight (1-u)^2 that falls along the child (good on clean points, diverges on hulls)",
+        choices=("descendants", "proximal"),
+    )
+    descendant_weight: float = setting(
+        0.2, "weight of a descendant's point against one of the stick's own (the thesis's epsilon)", low=0.0, high=1.0
+    )
+    max_iterations: int = setting(30, "ICP iterations a stick at most", low=1, high=1000)
+    sweeps: int = setting(1, "passes over the whole figure (1: the thesis's)", low=1, high=20)
+    min_own_points: int = setting(3, "a stick with fewer points of its own stays where it is", low=1, high=1000)
+    rejection_floor_m: float = setting(0.005, "least scale of the X84 rejection", unit="m", low=0.0, high=1.0)
+    rotation_tolerance: float = setting(1e-3, "a stick is done below this increment", unit="rad", low=0.0, high=1.0)
+    shift_tolerance_m: float = setting(1e-4, "the torso is done below this increment", unit="m", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class HierarchicalFit:
+    """Result of the hierarchical ICP: pose, whether every stick converged, and the total of its iterations."""
+
+    pose: Pose
+    converged: bool
+    iterations: int
+
+
+def fit_hierarchical(
+    body: Body, start: Pose, points_world: np.ndarray, settings: HierarchicalSettings | None = None
+) -> HierarchicalFit:
+    """Fit the stick figure to ``points_world`` (n, 3) m, starting from ``start``."""
+    settings = settings or HierarchicalSettings()
+    state, figure = State.of(start), Figure.of(body)
+    G = np.empty((STICKS, 3, 3))
+    kernels.stick_frames(state.R0, state.RJ, state.hinges, G, np.empty((18, 3)))
+    iterations, converged = align_sticks(
+        np.ascontiguousarray(points_world, dtype=np.float64),
+        G,
+        state.t0,
+        figure.lengths,
+        figure.origins,
+        settings.weighting == "proximal",
+        settings.descendant_weight,
+        settings.max_iterations,
+        settings.sweeps,
+        settings.min_own_points,
+        settings.rejection_floor_m,
+        settings.rotation_tolerance,
+        settings.shift_tolerance_m,
+    )
+    # every joint was free to turn in all directions; the nearest pose with hinges at elbows and knees has these points
+    return HierarchicalFit(inverse(body, _reference_points(G, state.t0, figure), start), converged, iterations)
+
+
+def _reference_points(G: np.ndarray, t0: np.ndarray, figure: Figure) -> np.ndarray:
+    A, B, P = np.empty((STICKS, 3)), np.empty((STICKS, 3)), np.empty((15, 3))
+    kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
+    kernels.reference_points(A, B, t0, P)
+    return P
+
+
+@njit(cache=True)
+def align_sticks(
+    points, G, t0, lengths, origins, proximal, epsilon, max_iterations, sweeps, min_own, floor, tol_r, tol_t
+):
+    """Algorithm 2 on the sticks' world frames ``G`` (10, 3, 3) and the torso centre ``t0``, in place.
+
+    Returns the iterations spent and whether every stick that had points met the tolerance.
+    """
+    n = points.shape[0]
+    xyz = columns(points)
+    A, B = np.empty((STICKS, 3)), np.empty((STICKS, 3))
+    match = (np.empty(n, np.int64), np.empty(n), np.empty((n, 3)), np.empty(n))
+    fixed = (np.empty(n, np.int64), np.empty(n), np.empty(n))
+    keep, weight = np.empty(n, np.bool_), np.empty(n)
+    spent, converged = 0, True
+    for _ in range(sweeps):
+        for j in _ORDER:  # step 1: preorder; step 2: the current stick
+            kernels.stick_ends(G, t0, lengths, origins, A, B)
+            match_fixed_sticks(j, xyz, A, B, fixed)
+            done = False
+            for _ in range(max_iterations):
+                spent += 1
+                match_moving_sticks(j, xyz, A, B, fixed, match)  # step 3
+                if weight_points(j, match, proximal, epsilon, floor, keep, weight) < min_own:  # steps 4 and 5
+                    done = True
+                    break
+                angle, shift = move_stick(j, points, match[2], weight, A, B, G, t0)  # steps 6 and 7
+                kernels.stick_ends(G, t0, lengths, origins, A, B)
+                if angle < tol_r and shift < tol_t:  # step 8
+                    done = True
+                    break
+            converged = converged and done
+    return spent, converged
+
+
+@njit(cache=True)
+def match_fixed_sticks(j, xyz, A, B, fixed):
+    """The nearest of the sticks that stay while stick j is aligned, for every point."""
+    stick, along, squared = fixed
+    stick[:] = -1
+    along[:] = 0.0
+    squared[:] = np.inf
+    for k in range(STICKS):
+        if k != j and not DESCENDANTS[j, k]:
+            prefer_stick(k, xyz[0], xyz[1], xyz[2], A[k], B[k], stick, along, squared)
+
+
+@njit(cache=True)
+def match_moving_sticks(j, xyz, A, B, fixed, match):
+    """Foot points on all sticks: the fixed ones' from ``fixed``, stick j's and its descendants' computed anew."""
+    stick, along, feet, squared = match
+    stick[:] = fixed[0]
+    along[:] = fixed[1]
+    squared[:] = fixed[2]
+    for k in range(STICKS):
+        if k == j or DESCENDANTS[j, k]:
+            prefer_stick(k, xyz[0], xyz[1], xyz[2], A[k], B[k], stick, along, squared)
+    place_feet(A, B, stick, along, feet)
+
+
+@njit(cache=True)
+def move_stick(j, points, feet, weight, A, B, G, t0):
+    """Step 6: WEOPP for the torso, WOPP for limbs, the smallest rotation for lone sticks; step 7: apply it."""
+    R, t = np.empty((3, 3)), np.zeros(3)
+    if j == 0:
+        angle = weighted_extended_procrustes(feet, points, weight, R, t)
+    elif _LEAF[j]:
+        angle = weighted_swing_about(A[j], B[j] - A[j], feet, points, weight, R)
+    else:
+        angle = weighted_procrustes_about(A[j], feet, points, weight, R)
+    return angle, apply_motion(j, R, t, G, t0)
+
+
+@njit(cache=True)
+def weight_points(j, match, proximal, epsilon, floor, keep, weight):
+    """Weights (n,): own points 1, descendants' below, rejected (X84 in either group) and foreign points 0.
+
+    Returns the number of stick j's own points before rejection.
+    """
+    stick, along, _, squared = match
+    n = stick.shape[0]
+    distances, group = np.empty(n), np.empty(n, np.int64)
+    own = 0
+    for i in range(n):
+        group[i] = OWN if stick[i] == j else (DESCENDANT if DESCENDANTS[j, stick[i]] else OTHER)
+        distances[i] = np.sqrt(squared[i])
+        own += group[i] == OWN
+    x84_keep(distances, group, 2, floor, keep)
+    for i in range(n):
+        weight[i] = 0.0
+        if not keep[i]:
+            continue
+        if group[i] == OWN:
+            weight[i] = 1.0
+        elif not proximal:
+            weight[i] = epsilon
+        elif _PARENT[stick[i]] == j:
+            weight[i] = (1.0 - along[i]) ** 2
+    return own
+
+
+@njit(cache=True)
+def apply_motion(j, R, t, G, t0):
+    """Turn stick j and everything below it; the torso also moves. Returns the length of its shift (m)."""
+    shift = 0.0
+    if j == 0:
+        x, y, z = t0[0], t0[1], t0[2]
+        for p in range(3):
+            moved = R[p, 0] * x + R[p, 1] * y + R[p, 2] * z + t[p]
+            shift += (moved - t0[p]) ** 2
+            t0[p] = moved
+    column = np.empty(3)
+    for k in range(STICKS):
+        if k != j and not DESCENDANTS[j, k]:
+            continue
+        for q in range(3):
+            column[0], column[1], column[2] = G[k, 0, q], G[k, 1, q], G[k, 2, q]
+            for p in range(3):
+                G[k, p, q] = R[p, 0] * column[0] + R[p, 1] * column[1] + R[p, 2] * column[2]
+    return np.sqrt(shift)

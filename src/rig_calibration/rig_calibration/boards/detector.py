@@ -1,0 +1,323 @@
+"""Finds a calibration board in one image."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .board import Board, CharucoBoard, Checkerboard, TargetDetection, opencv_board
+from .corner_grid import (
+    CornerGrid,
+    cut_to,
+    discontinuities,
+    empty_grid,
+    fitted,
+    grown,
+    is_black_first,
+    predict,
+    steps,
+    turned,
+    without_ragged_rim,
+)
+from .lattice import Variant, find_lattices, variants_for
+
+# --- Finds a checkerboard in an image: a lattice of corners, refined, completed, and put into the board's order.
+
+MIN_FOUND = 0.7  # of a board's corners
+MIN_CORNERS = 6
+GROWTH_ROUNDS = 30
+
+
+def find_checkerboard(
+    image: npt.NDArray[np.uint8], board: Checkerboard, variants: tuple[Variant, ...], marker_margin: float = 1.0
+) -> CornerGrid | None:
+    """The board's corners in its own order, or None. ``image`` (H, W) grey; ``marker_margin``: see fit_x_corners."""
+    limit = max(board.columns, board.rows)
+    for grid in checkerboard_patterns(image, variants, limit, marker_margin):
+        ordered = in_board_order(grid, board)
+        if ordered is not None and ordered.count >= MIN_FOUND * ordered.found.size:
+            return ordered
+    return None
+
+
+def checkerboard_patterns(
+    image: npt.NDArray[np.uint8], variants: tuple[Variant, ...], limit: int = 60, marker_margin: float = 1.0
+) -> Iterator[CornerGrid]:
+    """Every checkerboard pattern of any size, the one that covers most of the image first; a pattern may come again
+    from another variant of the image. None grows far beyond ``limit`` corners in both directions."""
+    for variant in variants:
+        for lattice in find_lattices(variant.make(image), variant.smoothing_px):
+            grid = complete(image, variant.to_raw(lattice.pixels), limit, marker_margin)
+            if grid is not None:
+                yield grid
+
+
+def complete(
+    image: npt.NDArray[np.uint8], pixels: npt.NDArray[np.float64], limit: int = 60, marker_margin: float = 1.0
+) -> CornerGrid | None:
+    """Refine a lattice (rows, columns, 2) in the raw image, fill its holes and let it grow as far as the pattern goes.
+
+    None when little of it is a checkerboard.
+    """
+    pixels = np.where(discontinuities(pixels)[:, :, None], np.nan, pixels)
+    grid = without_ragged_rim(fitted(image, pixels, empty_grid(*pixels.shape[:2]), marker_margin))
+    for _ in range(GROWTH_ROUNDS):
+        before = grid.count
+        if before < 4 or min(grid.pixels.shape[:2]) > limit:
+            break
+        grid = grown(image, grid, marker_margin)
+        if grid.count <= before:
+            break
+    return grid if grid.count >= MIN_CORNERS and not discontinuities(grid.pixels).any() else None
+
+
+def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:
+    """The grid as (board.rows, board.columns) with the first corner first; None when its size is another.
+
+    A board whose half turn is visible is laid so that the field up-left of the first corner is black; the others so
+    that their rows run to the right in the image (which half turn is meant, one view does not tell).
+    """
+    return max(possible_orders(grid, board), key=_runs_right, default=None)
+
+
+def possible_orders(grid: CornerGrid, board: Checkerboard) -> list[CornerGrid]:
+    """The grid read from those of its four sides that give the board's size and, where they tell, its colours."""
+    cut = (cut_to(turned(grid, turn), board.rows, board.columns) for turn in range(4))
+    choices = [choice for choice in cut if choice is not None]
+    if board.half_turn_is_visible or board.rows == board.columns:
+        choices = [choice for choice in choices if is_black_first(choice)]
+    return choices
+
+
+def _runs_right(grid: CornerGrid) -> tuple[float, float]:
+    along, down = (np.nanmean(step, axis=(0, 1)) for step in steps(grid.pixels))
+    return float(np.round(along[0] / np.hypot(*along), 6)), float(down[1])
+
+
+# --- Finds a ChArUco board, or the part of it that the image shows: markers say which corners, fits say where they are.
+
+Array = npt.NDArray[np.float64]
+
+MIN_CHARUCO_CORNERS = 6
+MAX_FROM_PLANE = 0.4  # of a field: further from where a flat board would have it, a corner is another board's
+ROUNDS = 4
+SMALLEST_MARKER = 0.01  # perimeter over the image's longer side
+
+
+def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
+    """The board's corners as a grid (rows - 1, columns - 1), NaN where none was seen; None when there is no board."""
+    detector = charuco_detector(board)
+    for variant in variants:
+        corners, ids, *_ = detector.detectBoard(variant.make(image))
+        if ids is not None and len(ids) >= MIN_CHARUCO_CORNERS:
+            grid = _refined(image, board, variant.to_raw(np.reshape(corners, (-1, 2)).astype(float)), np.ravel(ids))
+            if grid is not None:
+                return grid
+    return _by_colours(image, board, variants)
+
+
+def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
+    """The whole board where its markers are too small or too blurred to be read, but its fields are seen; only of
+    boards that look different when they are turned by half."""
+    plain = Checkerboard(board.columns - 1, board.rows - 1, (board.square_m, board.square_m))
+    if not plain.half_turn_is_visible:
+        return None
+    grid = find_checkerboard(image, plain, variants, marker_margin(board))
+    return turned(grid, 2) if grid is not None and not _starts_black(board) else grid
+
+
+def _starts_black(board: CharucoBoard) -> bool:
+    return not (board.legacy and board.rows % 2 == 0)
+
+
+def charuco_detector(board: CharucoBoard) -> cv2.aruco.CharucoDetector:
+    """OpenCV's detector, for small markers too."""
+    charuco, marker = cv2.aruco.CharucoParameters(), cv2.aruco.DetectorParameters()
+    marker.minMarkerPerimeterRate = SMALLEST_MARKER
+    return cv2.aruco.CharucoDetector(opencv_board(board), charuco, marker)
+
+
+def marker_margin(board: CharucoBoard) -> float:
+    """Width of the rim of a white field that its marker leaves free, over the field's side."""
+    return 0.5 * (1 - board.marker_m / board.square_m)
+
+
+def _refined(image: npt.NDArray[np.uint8], board: CharucoBoard, corners: Array, ids: npt.NDArray) -> CornerGrid | None:
+    """Fit the corners that the markers gave, then their neighbours, as far as the image shows them."""
+    shape = board.rows - 1, board.columns - 1
+    margin = marker_margin(board)
+    expected = _on_plane(board, corners, ids)
+    if expected is None:
+        return None
+    expected.reshape(-1, 2)[ids] = corners
+    grid = fitted(image, expected, empty_grid(*shape), margin)
+    for _ in range(ROUNDS):
+        before = grid.count
+        grid = fitted(image, predict(grid.pixels), grid, margin)
+        if grid.count <= before:
+            break
+    return grid if _is_plausible(grid, board) else None
+
+
+def _on_plane(board: CharucoBoard, corners: Array, ids: npt.NDArray) -> Array | None:
+    """Where a flat board's corners lie (rows - 1, columns - 1, 2) if those with ``ids`` lie at ``corners``; None when
+    these do not fit one plane (markers of another board)."""
+    places = board.corners_board[:, :2]
+    homography, _ = cv2.findHomography(places[ids], corners, cv2.LMEDS)
+    if homography is None:
+        return None
+    flat = cv2.perspectiveTransform(places[:, None], homography).astype(float)
+    all_corners: Array = flat.reshape(board.rows - 1, board.columns - 1, 2)
+    side = np.nanmedian(np.linalg.norm(np.diff(all_corners, axis=1), axis=2))
+    off = np.linalg.norm(all_corners.reshape(-1, 2)[ids] - corners, axis=1)
+    return all_corners if np.mean(off < MAX_FROM_PLANE * side) > 0.7 else None
+
+
+def _is_plausible(grid: CornerGrid, board: CharucoBoard) -> bool:
+    """Enough corners, not all in one line, and the colours where this board has them."""
+    rows, columns = np.nonzero(grid.found)
+    spread = grid.count >= MIN_CHARUCO_CORNERS and np.ptp(rows) >= 1 and np.ptp(columns) >= 1
+    return bool(spread) and is_black_first(grid) == _starts_black(board)
+
+
+def find_board(
+    image: npt.NDArray[np.uint8],
+    board: Board,
+    *,
+    camera: str = "",
+    frame_index: int = 0,
+    target: str = "",
+    thorough: bool = False,
+) -> TargetDetection | None:
+    """The board's corners in an image (H, W) or (H, W, 3) BGR uint8; None when they are not found.
+
+    Of a checkerboard the whole width and height must be seen (a hand may cover some corners); of a ChArUco board any
+    part. ``thorough`` looks longer: for small, dim and blurred boards, and for boards on the floor at a grazing angle.
+    The order of the ids follows the board's colours or markers; where a half turn is not visible (see
+    ``Checkerboard.half_turn_is_visible``), rows are taken to run to the right in the image.
+    """
+    grey = as_grey(image)
+    variants = variants_for(grey.shape, thorough)
+    if isinstance(board, CharucoBoard):
+        grid = find_charuco(grey, board, variants)
+    else:
+        grid = find_checkerboard(grey, board, variants)
+    return (
+        None if grid is None else detection_of(grid, grey.shape, camera=camera, frame_index=frame_index, target=target)
+    )
+
+
+def as_grey(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """(H, W) uint8 of a grey or BGR image."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+
+
+def detection_of(
+    grid: CornerGrid, shape: tuple[int, ...], *, camera: str, frame_index: int, target: str
+) -> TargetDetection:
+    """The grid, which is in the board's order, as a detection."""
+    found = grid.found.ravel()
+    return TargetDetection(
+        camera=camera,
+        frame_index=frame_index,
+        target=target,
+        ids=np.flatnonzero(found),
+        pixels=grid.pixels.reshape(-1, 2)[found].copy(),
+        image_size=(shape[1], shape[0]),
+        sigma_px=grid.sigma_px,
+    )
+
+
+# --- Says what is seen instead, when a board is not found in an image.
+
+MIN_PATTERN_CORNERS = 9  # of a pattern worth mentioning
+MIN_MARKERS = 3
+LITTLE_CONTRAST, DARK, BRIGHT = 25, 25, 230  # grey levels
+
+
+def diagnose_board(image: npt.NDArray[np.uint8], board: Board) -> str | None:
+    """One clause about what an image (H, W[, 3]) shows instead of the board: one of another size or kind, a part of it,
+    markers of another dictionary, too little light; None when the board is found, or there is nothing to say."""
+    grey = as_grey(image)
+    variants = variants_for(grey.shape, thorough=False)
+    if isinstance(board, CharucoBoard):
+        found = find_charuco(grey, board, variants)
+        return None if found is not None else _about_markers(grey, board) or _about_light(grey)
+    if find_checkerboard(grey, board, variants) is not None:
+        return None
+    if dictionary := _dictionary_seen(grey):
+        return f"a board with markers of {dictionary} was seen instead of a plain checkerboard"
+    patterns = [grid for grid in checkerboard_patterns(grey, variants) if grid.count >= MIN_PATTERN_CORNERS]
+    if patterns:
+        return _about_pattern(max(patterns, key=lambda grid: grid.count), board, grey.shape)
+    return _about_light(grey)
+
+
+def _about_pattern(grid: CornerGrid, board: Checkerboard, shape: tuple[int, ...]) -> str:
+    columns, rows = sorted(grid.pixels.shape[:2], reverse=True)
+    wanted_columns, wanted_rows = sorted((board.columns, board.rows), reverse=True)
+    wanted = f"{board.columns} x {board.rows}"
+    if possible_orders(grid, board):
+        return f"only {grid.count} of the board's {columns * rows} corners were seen: something hides the others"
+    if (columns + 1, rows + 1) == (wanted_columns, wanted_rows):
+        seen = f"a checkerboard of {columns} x {rows} inner corners was seen"
+        return f"{seen}: {wanted} is its number of fields, but the inner corners count"
+    if columns <= wanted_columns and rows <= wanted_rows and _ends_at_border(grid, shape):
+        return f"only {columns} x {rows} of the board's {wanted} corners were seen: the others lie outside the image"
+    return f"a checkerboard of {columns} x {rows} inner corners was seen instead of {wanted}"
+
+
+def _ends_at_border(grid: CornerGrid, shape: tuple[int, ...]) -> bool:
+    """Would the line after the next one, on some side, lie outside the image?"""
+    along, down = steps(grid.pixels)
+    before, after = grid.pixels - 2 * along, grid.pixels + 2 * along
+    above, below = grid.pixels - 2 * down, grid.pixels + 2 * down
+    beyond = [before[:, 0], after[:, -1], above[0], below[-1]]
+    outside = [(line < 0) | (line > [shape[1] - 1, shape[0] - 1]) for line in beyond]
+    return any(side.any(axis=1).mean() > 0.5 for side in outside)
+
+
+def _about_markers(grey: npt.NDArray[np.uint8], board: CharucoBoard) -> str | None:
+    detector = charuco_detector(board)
+    *_, ids = detector.detectBoard(grey)
+    own = 0 if ids is None else len(ids)
+    if own >= MIN_MARKERS:
+        size = f"{board.columns} x {board.rows} fields"
+        return f"{own} markers of {board.dictionary} were seen, not as on a board of {size} (another size, or legacy?)"
+    if (dictionary := _dictionary_seen(grey)) and dictionary != board.dictionary:
+        return f"markers of {dictionary} were seen instead of {board.dictionary}"
+    variants = variants_for(grey.shape, thorough=False)
+    if any(grid.count >= MIN_PATTERN_CORNERS for grid in checkerboard_patterns(grey, variants)):
+        return "a checkerboard was seen, but no markers on it that can be read: too small, too blurred, or none"
+    return f"only {own} markers were seen" if own else None
+
+
+def _dictionary_seen(grey: npt.NDArray[np.uint8]) -> str:
+    """OpenCV's dictionary of which most markers are seen, the smallest of those; "" when there are too few."""
+    names = sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_1000|ARUCO_ORIGINAL)", name))
+    best, most = "", MIN_MARKERS - 1
+    for name in names:
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
+        if ids is not None and len(ids) > most:
+            best, most = _smallest(name, int(np.max(ids))), len(ids)
+    return best
+
+
+def _smallest(name: str, highest_id: int) -> str:
+    if not name.endswith("_1000"):
+        return name
+    return name.removesuffix("1000") + next(size for size in ("50", "100", "250", "1000") if highest_id < int(size))
+
+
+def _about_light(grey: npt.NDArray[np.uint8]) -> str | None:
+    low, high = np.percentile(grey, [2, 98])
+    if high < DARK:
+        return "the image is nearly black: more light, or a longer exposure"
+    if low > BRIGHT:
+        return "the image is overexposed: less light, or a shorter exposure"
+    return "the image has hardly any contrast" if high - low < LITTLE_CONTRAST else None

@@ -1,0 +1,299 @@
+"""Which moments of a carried board to use: shared by cameras, all over the volume, the board moving slowly."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+
+from ..boards.board import Board, TargetDetection
+from ..bundle.rigid import inverse
+from ..bundle.solve import solve_rig
+from ..bundle.target_shape import symmetry_order_of
+from ..bundle.view_graph import common_frames, groups_of
+
+Array = npt.NDArray[np.float64]
+Feature = tuple[str | int, ...]
+
+MAX_FRAMES = 120
+CELLS = 4
+"""An image is divided into so many cells along its width and along its height."""
+PAIR_WEIGHT = 2.0
+"""What two cameras share ties them together; where in the image it is helps less."""
+
+
+def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[TargetDetection]]:
+    """Detections by moment, ascending; in each, by camera's name."""
+    groups: dict[int, list[TargetDetection]] = {}
+    for detection in sorted(detections, key=lambda detection: (detection.frame_index, detection.camera)):
+        groups.setdefault(detection.frame_index, []).append(detection)
+    return groups
+
+
+def choose_frames(detections: Sequence[TargetDetection], most: int = MAX_FRAMES) -> tuple[int, ...]:
+    """At most ``most`` of the moments that two or more cameras see, ascending.
+
+    Greedily the one that adds most: pairs of cameras and cells of their images that few of the chosen have, each worth
+    less the more often it is there. A board that moved fast counts less (exposure and synchronisation smear it). Of
+    equal ones the earliest: the same detections, in any order, give the same choice.
+    """
+    groups = {frame_index: group for frame_index, group in group_by_frame(detections).items() if _cameras(group) >= 2}
+    if len(groups) <= most:
+        return tuple(groups)
+    stillness = _stillness(groups)
+    features = {frame_index: _features(group) for frame_index, group in groups.items()}
+    seen: Counter[Feature] = Counter()
+    chosen: list[int] = []
+    while len(chosen) < most:
+        best = max(
+            features,
+            key=lambda frame_index: (stillness[frame_index] * _gain(features[frame_index], seen), -frame_index),
+        )
+        chosen.append(best)
+        seen.update(features.pop(best))
+    return tuple(sorted(chosen))
+
+
+def speeds_px(detections: Iterable[TargetDetection]) -> dict[tuple[str, int], float]:
+    """How far the board moves a frame (median over its corners, px), by camera and moment: the slower of the way from
+    the moment before and to the moment after. Missing where a camera saw the board only once."""
+    by_camera: dict[str, list[TargetDetection]] = {}
+    for detection in sorted(detections, key=lambda detection: (detection.camera, detection.frame_index)):
+        by_camera.setdefault(detection.camera, []).append(detection)
+    speeds: dict[tuple[str, int], float] = {}
+    for camera, track in by_camera.items():
+        for one, two in pairwise(track):
+            speed = shift_px(one, two) / (two.frame_index - one.frame_index)
+            for frame_index in (one.frame_index, two.frame_index):
+                speeds[camera, frame_index] = min(speed, speeds.get((camera, frame_index), np.inf))
+    return {key: speed for key, speed in speeds.items() if np.isfinite(speed)}
+
+
+def shift_px(one: TargetDetection, two: TargetDetection) -> float:
+    """How far the board moved between two detections of one camera: median over the corners both show, px."""
+    _, here, there = np.intersect1d(one.ids, two.ids, return_indices=True)
+    way = np.linalg.norm(one.pixels[here] - two.pixels[there], axis=1)
+    return float(np.median(way)) if len(way) else float("inf")
+
+
+def _cameras(group: Sequence[TargetDetection]) -> int:
+    return len({detection.camera for detection in group})
+
+
+def _stillness(groups: Mapping[int, Sequence[TargetDetection]]) -> dict[int, float]:
+    """1 for a board at rest, a half at the usual speed, towards 0 when it is swung."""
+    speeds = speeds_px(detection for group in groups.values() for detection in group)
+    usual = max(float(np.median(list(speeds.values()))), 1e-3) if speeds else 1.0
+    fastest = {m: max(speeds.get((s.camera, m), usual) for s in group) for m, group in groups.items()}
+    return {frame_index: 1.0 / (1.0 + speed / usual) for frame_index, speed in fastest.items()}
+
+
+def _features(group: Sequence[TargetDetection]) -> tuple[Feature, ...]:
+    cells = [(detection.camera, *_cell(detection)) for detection in group]
+    return (*combinations(sorted({detection.camera for detection in group}), 2), *cells)
+
+
+def _cell(detection: TargetDetection) -> tuple[int, int]:
+    column, row = detection.pixels.mean(axis=0) / detection.image_size * CELLS
+    return int(column), int(row)
+
+
+def _gain(features: Sequence[Feature], seen: Counter[Feature]) -> float:
+    return sum((PAIR_WEIGHT if len(feature) == 2 else 1.0) / (1 + seen[feature]) for feature in features)
+
+
+# --- When does a carried board lie on the floor? When a person says, or where nothing was ever below its plane.
+
+Array = npt.NDArray[np.float64]
+
+BELOW_M = 0.03
+"""So far may another board's corner, or a camera, lie below the plane of a board on the floor (noise, a soft floor)."""
+STRAYS_PERCENT = 1.0
+"""Of all corners, so many may lie lower still: poses go wrong now and then."""
+RISES_M = 0.10
+"""So far above that plane, at least, the board must have been carried: two boards in one plane tell no floor."""
+SAME_PLACE_M = 0.01
+"""A board whose corners all stay within this rests."""
+
+
+RESTS_PX = 0.5
+"""A board whose corners stay within this (median, in every camera) from one moment to the next rests."""
+
+
+def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> tuple[int, ...]:
+    """``moment`` and those right before and after it at which the board rests, as far as the cameras saw it.
+
+    Raises InputError when no camera saw the board at ``moment``.
+    """
+    groups = group_by_frame(detections)
+    if frame_index not in groups:
+        raise InputError(
+            f"no camera shows the board in frame {frame_index}",
+            remedy=f"Name a frame that does, of {_ranges(list(groups))}.",
+        )
+    frames = list(groups)
+    here = frames.index(frame_index)
+    first = last = here
+    while first > 0 and _rests(groups[frames[first - 1]], groups[frame_index]):
+        first -= 1
+    while last + 1 < len(frames) and _rests(groups[frames[last + 1]], groups[frame_index]):
+        last += 1
+    return tuple(frames[first : last + 1])
+
+
+def find_resting_frames(
+    T_reference_board: Mapping[int, Array], corners_board: Array, centres_reference: Sequence[Array]
+) -> tuple[int, ...]:
+    """The moments, ascending, at which the board lies on the floor, at one place.
+
+    A moment counts when no corner of any other moment, and no camera, lies below the board's plane. Of the places where
+    it does, the one where the board rested longest, of equal ones the last. ``corners_board`` (n, 3); centres (3,).
+    Raises InputError when there is no such moment.
+    """
+    frames = sorted(T_reference_board)
+    poses = np.array([T_reference_board[frame_index] for frame_index in frames])
+    corners = np.einsum("mij,nj->mni", poses[:, :3, :3], corners_board) + poses[:, None, :3, 3]
+    everything = np.concatenate([corners.reshape(-1, 3), np.reshape(centres_reference, (-1, 3))])
+    candidates = [m for m in range(len(frames)) if _supports(poses[m], everything, corners)]
+    if not candidates:
+        raise InputError(
+            "at no moment does the carried board lie on the floor: each time it was elsewhere below that plane",
+            remedy="Lay it on the floor at the end and say when (--floor-at last or --floor-at FRAME), give pictures "
+            "of it on the floor (--floor), or do without a floor (--floor-at none).",
+        )
+    resting = {m: _at_same_place(corners, m) for m in candidates}
+    longest = max(candidates, key=lambda m: (len(resting[m]), m))
+    return tuple(frames[m] for m in resting[longest])
+
+
+def _supports(pose: Array, everything: Array, corners: Array) -> bool:
+    """Is everything on the printed side of the board, and some of it well off?"""
+    height = (everything - pose[:3, 3]) @ pose[:3, 2]
+    board_height = (corners - pose[:3, 3]) @ pose[:3, 2]
+    return bool(np.percentile(height, STRAYS_PERCENT) > -BELOW_M and board_height.max() > RISES_M)
+
+
+def _at_same_place(corners: Array, frame_index: int) -> list[int]:
+    apart = np.linalg.norm(corners - corners[frame_index], axis=2).max(axis=1)
+    return np.flatnonzero(apart <= SAME_PLACE_M).tolist()
+
+
+def _rests(one: Sequence[TargetDetection], other: Sequence[TargetDetection]) -> bool:
+    """Do all cameras that saw the board both times see it at the same place, and is there one?"""
+    ways = [shift_px(a, b) for a in one for b in other if a.camera == b.camera]
+    return bool(ways) and max(ways) <= RESTS_PX
+
+
+def _ranges(frames: Sequence[int]) -> str:
+    """Numbers as text, at most eight of them."""
+    shown = [str(frame_index) for frame_index in frames[:8]]
+    return ", ".join(shown) + (f", ... {frames[-1]}" if len(frames) > 8 else "")
+
+
+# --- The floor from a board that is carried, and lies on the floor at some moment.
+
+FloorAt = int | Literal["first", "last", "lowest"]
+
+
+def frames_on_floor(
+    cameras: Mapping[str, CameraModel], moving: Sequence[TargetDetection], board: Board, when: FloorAt
+) -> tuple[int, ...]:
+    """The moments at which the carried ``board`` lies on the floor, at one place.
+
+    ``when``: a frame, the first or last one that shows the board, or "lowest": found by solving for the rig without a
+    floor. Raises InputError when there is no such moment.
+    """
+    if not moving:
+        raise InputError("no picture shows the carried board", remedy="Check --board and --moving.")
+    if when == "first":
+        return resting_around(moving, min(detection.frame_index for detection in moving))
+    if when == "last":
+        return resting_around(moving, max(detection.frame_index for detection in moving))
+    if when != "lowest":
+        return resting_around(moving, when)
+    chosen = set(choose_frames(moving))
+    if not chosen:
+        raise InputError(
+            "at no moment do two cameras show the carried board",
+            remedy="Carry it where two or more cameras see it at once.",
+        )
+    some = [detection for detection in moving if detection.frame_index in chosen]
+    solution = solve_rig(
+        cameras, some, {some[0].target: board.corners_board}, symmetry_orders={some[0].target: symmetry_order_of(board)}
+    )
+    poses = {frame_index: T for (_, frame_index), T in solution.T_reference_target.items()}
+    centres = [inverse(T)[:3, 3] for T in solution.T_camera_reference.values()]
+    return find_resting_frames(poses, board.corners_board, centres)
+
+
+# --- While a board is carried: what is known already, and where to carry it next.
+
+ENOUGH_SHARED = 12
+"""So many moments tie one camera to another."""
+ENOUGH_FRAMES = 40
+PROGRESS_CELLS = 3
+ENOUGH_CELLS = 5
+"""Of the 9 cells of its image, a camera should have seen the board in so many."""
+
+
+@dataclass(frozen=True)
+class MotionProgress:
+    """moments : those at which two or more cameras saw the board. shared : moments by pair of cameras. groups : of
+    cameras that are tied to each other. cells : by camera, in how many of the 9 cells of its image the board was."""
+
+    cameras: tuple[str, ...]
+    shared_frames: int
+    shared: Mapping[tuple[str, str], int]
+    groups: tuple[tuple[str, ...], ...]
+    cells: Mapping[str, int]
+
+    @property
+    def advice(self) -> str:
+        """What to do next; empty when it is enough."""
+        if len(self.groups) > 1:
+            return self._bring_together()
+        if self.shared_frames < ENOUGH_FRAMES:
+            return f"carry on: {self.shared_frames} of {ENOUGH_FRAMES} moments"
+        poorest = min(self.cameras, key=lambda name: (self.cells[name], name))
+        if self.cells[poorest] < ENOUGH_CELLS:
+            return f"carry the board to more places of {poorest}'s image: near and far, left and right"
+        return ""
+
+    def _bring_together(self) -> str:
+        """The pair across two groups that has most in common already, else the first of each."""
+        first, rest = self.groups[0], [name for group in self.groups[1:] for name in group]
+        across = {(a, b): self.shared.get((min(a, b), max(a, b)), 0) for a in first for b in rest}
+        (one, other), count = max(across.items(), key=lambda item: item[1])
+        shown = f"share {count} of {ENOUGH_SHARED} moments" if count else "share no view"
+        return f"{one} and {other} {shown}: carry the board where both see it"
+
+
+def motion_progress(cameras: Sequence[str], detections: Sequence[TargetDetection]) -> MotionProgress:
+    """How far the detections of the carried board tie ``cameras`` together."""
+    shared = common_frames(detections)
+    strong = {pair for pair, count in shared.items() if count >= ENOUGH_SHARED}
+    links = [TargetDetection(name, index, *_NOTHING) for index, pair in enumerate(sorted(strong)) for name in pair]
+    seen_by: dict[int, set[str]] = {}
+    cells: dict[str, set[tuple[int, int]]] = {name: set() for name in cameras}
+    for detection in detections:
+        seen_by.setdefault(detection.frame_index, set()).add(detection.camera)
+        column, row = (detection.pixels.mean(axis=0) / detection.image_size * PROGRESS_CELLS).astype(int).tolist()
+        cells[detection.camera].add((column, row))
+    return MotionProgress(
+        cameras=tuple(sorted(cameras)),
+        shared_frames=sum(len(names) > 1 for names in seen_by.values()),
+        shared=shared,
+        groups=tuple(groups_of(cameras, links)),
+        cells={name: len(found) for name, found in cells.items()},
+    )
+
+
+_NOTHING = (np.empty(0, np.int64), np.empty((0, 2)), (0, 0))

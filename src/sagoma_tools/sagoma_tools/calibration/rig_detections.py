@@ -1,0 +1,287 @@
+"""Finds the board in the footage of all cameras, and keeps what is needed to say why where it cannot."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from typing import Protocol
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from rig_calibration.boards.board import Board, TargetDetection
+from rig_calibration.boards.detector import diagnose_board, find_board
+from rig_calibration.boards.image_quality import blur_px
+from rig_calibration.boards.wand import find_wand
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND
+
+from .clicking import OuterCorners, find_from_clicks
+from .footage import CameraFootage, open_footage_of_cameras
+
+FLOOR_FRAMES, MOVING_FRAMES = 15, 160
+"""Of each camera's footage, at most so many frames are examined, evenly spread."""
+MEDIAN_FRAMES = 9
+MOST_BLUR_PX = 2.5
+"""Corners of a board that is blurred more (sigma of its edges) are not used."""
+
+Picture = np.ndarray
+
+
+class Footage(Protocol):
+    """Pictures of one camera: how many (0: unknown), each with its moment."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def count(self) -> int: ...
+
+    def __iter__(self) -> Iterator[tuple[int, Picture]]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class CameraDetections:
+    """What one camera's footage shows of a board.
+
+    ``examined`` frames, of which ``blurred`` showed it blurred. ``picture`` : the first frame with a detection, or the
+    first of all; ``refused`` : why corners given by hand were not taken.
+    """
+
+    camera: str
+    detections: tuple[TargetDetection, ...]
+    examined: int
+    blurred: int
+    picture: Picture
+    refused: InputError | None = None
+
+
+def find_floor(
+    footage: Mapping[str, Footage],
+    board: Board,
+    cameras: Mapping[str, CameraModel],
+    corners: Mapping[str, OuterCorners],
+    progress: Callable[[], None] = lambda: None,
+) -> dict[str, CameraDetections]:
+    """The board on the floor in each camera's footage; where ``corners`` names the camera, from those."""
+
+    def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+        if name in corners:
+            return find_from_clicks(
+                image, board, corners[name].pixels, model=cameras[name], frame_index=frame_index, target=FLOOR
+            )
+        return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
+
+    only = {name: given.frame for name, given in corners.items()}
+    steps = {name: max(1, -(-clip.count // FLOOR_FRAMES)) for name, clip in footage.items()}
+    return _in_all(footage, find, steps, only, progress)
+
+
+def find_moving(
+    footage: Mapping[str, Footage], board: Board, progress: Callable[[], None] = lambda: None
+) -> dict[str, CameraDetections]:
+    """The carried board in all footage, at the same frames of every camera."""
+    find = partial(_find_carried, board)
+    return _in_all(footage, find, dict.fromkeys(footage, _common_step(footage)), {}, progress)
+
+
+def find_wands(
+    footage: Mapping[str, Footage],
+    marks_m: Sequence[float],
+    cameras: Mapping[str, CameraModel],
+    progress: Callable[[], None] = lambda: None,
+) -> dict[str, CameraDetections]:
+    """The wand's markers in all footage, at the same frames of every camera; lamps that never move are no markers."""
+    empty = {name: _median_picture(clip) for name, clip in footage.items()}
+
+    def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+        return find_wand(image, marks_m, cameras[name], frame_index=frame_index, target=WAND, background=empty[name])
+
+    return _in_all(footage, find, dict.fromkeys(footage, _common_step(footage)), {}, progress, refuse_blurred=False)
+
+
+def explain_unseen(seen: CameraDetections, board: Board | None) -> str:
+    """Why the board was not found in a camera's footage, as far as its picture tells."""
+    if seen.refused is not None:
+        return str(seen.refused)
+    if seen.blurred:
+        return f"the board is blurred in {seen.blurred} of {seen.examined} frames"
+    if board is None:
+        return f"the wand was not found in any of {seen.examined} frame(s)"
+    diagnosis = diagnose_board(seen.picture, board)
+    return diagnosis or f"the board was not found in any of {seen.examined} frame(s)"
+
+
+def _common_step(footage: Mapping[str, Footage]) -> int:
+    return max(1, -(-max(clip.count for clip in footage.values()) // MOVING_FRAMES))
+
+
+def _median_picture(footage: Footage) -> Picture | None:
+    """What does not move: the median of some frames; None of footage too short to tell."""
+    step = max(1, footage.count // MEDIAN_FRAMES)
+    some = [image for index, (_, image) in enumerate(footage) if index % step == 0]
+    return np.median(np.stack(some), axis=0).astype(np.uint8) if len(some) >= MEDIAN_FRAMES else None
+
+
+def _find_carried(board: Board, name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+    return find_board(image, board, camera=name, frame_index=frame_index, target=MOVING)
+
+
+def _in_all(
+    footage: Mapping[str, Footage],
+    find: Callable[[str, int, Picture], TargetDetection | None],
+    steps: Mapping[str, int],
+    only: Mapping[str, int | None],
+    progress: Callable[[], None],
+    refuse_blurred: bool = True,
+) -> dict[str, CameraDetections]:
+    """All cameras at once, as far as there are processors; by name, in order."""
+    names = sorted(footage)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        jobs = [pool.submit(_in_one, footage[n], find, steps[n], only.get(n), progress, refuse_blurred) for n in names]
+        return {name: job.result() for name, job in zip(names, jobs, strict=True)}
+
+
+def _in_one(
+    footage: Footage,
+    find: Callable[[str, int, Picture], TargetDetection | None],
+    step: int,
+    only: int | None,
+    progress: Callable[[], None],
+    refuse_blurred: bool,
+) -> CameraDetections:
+    detections: list[TargetDetection] = []
+    examined = blurred = 0
+    picture: Picture | None = None
+    refused: InputError | None = None
+    for frame_index, image in _frames(footage, step, only):
+        examined += 1
+        picture = image if picture is None else picture
+        try:
+            detection = find(footage.name, frame_index, image)
+        except InputError as error:
+            refused, detection = refused or error, None
+        if detection is not None and refuse_blurred and blur_px(image, detection) > MOST_BLUR_PX:
+            blurred, detection = blurred + 1, None
+        if detection is not None:
+            picture = picture if detections else image
+            detections.append(detection)
+        progress()
+    if picture is None:
+        raise InputError(
+            f"has no frame {only}" if only is not None else "has no frame",
+            where=footage.name,
+            remedy="Give a frame that exists, or footage that can be decoded.",
+        )
+    return CameraDetections(
+        footage.name, tuple(detections), examined, blurred, picture, None if detections else refused
+    )
+
+
+def _frames(footage: Footage, step: int, only: int | None) -> Iterator[tuple[int, Picture]]:
+    if only is not None:
+        return islice(((frame_index, image) for frame_index, image in footage if frame_index == only), 1)
+    return ((frame_index, image) for frame_index, image in footage if frame_index % step == 0)
+
+
+def detections_of(seen: Mapping[str, CameraDetections]) -> Sequence[TargetDetection]:
+    """Those of all cameras."""
+    return [detection for found in seen.values() for detection in found.detections]
+
+
+# --- Where pictures for the rig's calibration come from: files here, running cameras in rig_live.
+
+Corners = Mapping[str, OuterCorners]
+
+
+class RigSources(ABC):
+    """Pictures of a rig's cameras. ``names`` are all its cameras."""
+
+    names: tuple[str, ...]
+
+    @abstractmethod
+    def see_floor(
+        self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
+    ) -> dict[str, CameraDetections]:
+        """What those of ``cameras`` that have pictures of the floor show of the board there."""
+
+    @abstractmethod
+    def see_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        """What they show of the carried board."""
+
+    @abstractmethod
+    def see_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        """What they show of the carried wand with markers at ``marks_m``."""
+
+
+class FootageSources(RigSources):
+    """Stills and videos. Raises InputError for footage that cannot be read."""
+
+    def __init__(
+        self, floor: Sequence[str], moving: Sequence[str], wand: Sequence[str], without: Sequence[str], console: Console
+    ) -> None:
+        self._floor, self._moving, self._wand = (_open(sources) for sources in (floor, moving, wand))
+        every = self._floor.keys() | self._moving.keys() | self._wand.keys()
+        unknown = sorted(set(without) - every)
+        if unknown:
+            raise InputError(
+                f"there is no footage of camera '{unknown[0]}' to leave out",
+                where="--without",
+                remedy=f"Known cameras: {', '.join(sorted(every))}.",
+            )
+        self.names = tuple(sorted(every - set(without)))
+        self._console = console
+
+    def see_floor(
+        self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
+    ) -> dict[str, CameraDetections]:
+        footage = {name: clip for name, clip in self._floor.items() if name in cameras}
+        with self._progress("board on the floor", footage) as progress:
+            return find_floor(footage, board, cameras, corners, progress.step)
+
+    def see_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        footage = {name: clip for name, clip in self._moving.items() if name in cameras}
+        if not footage:
+            return {}
+        with self._progress("carried board", footage) as progress:
+            return find_moving(footage, board, progress.step)
+
+    def see_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        footage = {name: clip for name, clip in self._wand.items() if name in cameras}
+        if not footage:
+            return {}
+        with self._progress("wand", footage) as progress:
+            return find_wands(footage, marks_m, cameras, progress.step)
+
+    def _progress(self, what: str, footage: Mapping[str, CameraFootage]) -> Counter:
+        return Counter(self._console, what, footage)
+
+
+class Counter:
+    """Counts pictures on a terminal, silently elsewhere."""
+
+    def __init__(self, console: Console, what: str, footage: Mapping[str, CameraFootage]) -> None:
+        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._bar.add_task(f"looking for the {what} in {len(footage)} cameras' pictures", total=None)
+
+    def step(self) -> None:
+        """One more picture."""
+        self._bar.advance(self._task)
+
+    def __enter__(self) -> Counter:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+
+def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:
+    return open_footage_of_cameras(sources) if sources else {}

@@ -1,0 +1,178 @@
+"""Collects the facts of this machine's network: interfaces, firewalls, and the ROS domains with nodes here."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import subprocess
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+from ..collect import collect_interface, read_number
+from ..facts import InterfaceFacts, NetworkFacts
+from ..findings import Finding, error, note, ok, on, warning
+
+WMEM_MAX = Path("/proc/sys/net/core/wmem_max")
+UDP_SOCKETS = Path("/proc/net/udp")
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+DOMAIN_PORTS, FIRST_PORT, HIGHEST_DOMAIN, PARTICIPANTS = 250, 7400, 101, 100  # RTPS 2.3, 9.6.1.1: well-known ports
+ANSWER_S = 3.0
+
+
+def collect_network() -> NetworkFacts:
+    """Interfaces that are up, firewalls, the middleware's profile, and the ROS domains with nodes on this machine."""
+    profile = next((os.environ[name] for name in PROFILE_VARIABLES if os.environ.get(name)), "")
+    return NetworkFacts(
+        interfaces=tuple(collect_interfaces()),
+        wmem_max=read_number(WMEM_MAX),
+        firewalls=tuple(_firewalls()),
+        profile=profile,
+        profile_exists=not profile or Path(profile).is_file(),
+        domains_here=domains_of_ports(_bound_ports()),
+    )
+
+
+def collect_interfaces() -> list[InterfaceFacts]:
+    """Those with an IPv4 address, without loopback."""
+    states, found = psutil.net_if_stats(), []
+    for name, addresses in sorted(psutil.net_if_addrs().items()):
+        ours = [entry for entry in addresses if entry.family == socket.AF_INET]
+        if ours and name in states and not ours[0].address.startswith("127."):
+            its = states[name]
+            found.append(InterfaceFacts(name, ours[0].address, ours[0].netmask or "", its.mtu, its.speed, its.isup))
+    return found
+
+
+def domains_of_ports(ports: set[int]) -> tuple[int, ...]:
+    """The ROS domains whose well-known discovery ports are among these UDP ports."""
+    found = set()
+    for port in ports:
+        domain, place = divmod(port - FIRST_PORT, DOMAIN_PORTS)
+        # 0: multicast discovery; 10, 12, 14, ...: discovery of each process by unicast
+        discovery = place == 0 or (10 <= place < 10 + 2 * PARTICIPANTS and place % 2 == 0)
+        if 0 <= domain <= HIGHEST_DOMAIN and discovery:
+            found.add(domain)
+    return tuple(sorted(found))
+
+
+def _firewalls() -> list[str]:
+    """Those that can be seen: ufw by its configuration, firewalld by its process, nftables by asking (root only)."""
+    found = []
+    ufw = Path("/etc/ufw/ufw.conf")
+    if ufw.is_file() and "ENABLED=yes" in ufw.read_text(errors="replace"):
+        found.append("ufw")
+    names = {process.info["name"] for process in psutil.process_iter(["name"])}
+    if "firewalld" in names:
+        found.append("firewalld")
+    if not found and "policy drop" in _output(["nft", "list", "chains"]):
+        found.append("nftables (a chain that drops)")
+    return found
+
+
+def _bound_ports() -> set[int]:
+    lines = UDP_SOCKETS.read_text().splitlines()[1:] if UDP_SOCKETS.exists() else []
+    return {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
+
+
+def _output(command: list[str]) -> str:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=ANSWER_S, check=False).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+
+
+# --- Does another machine answer, and do packets as large as the interface sends get there whole?
+#
+# A UDP packet to a port where nobody listens is answered by its receiver's kernel (ICMP port unreachable), which a
+# connected socket sees as "connection refused": proof that the packet arrived, without privileges and without a program
+# at the other end. With the don't-fragment bit, it proves that the whole way carries packets of that size.
+
+CLOSED_PORT = 33434  # where traceroute begins: nobody listens there
+HEADERS = 28  # IPv4 and UDP
+SMALL_BYTES = 64
+ATTEMPTS, REPLY_S = 3, 0.3
+IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore what was learned before
+SIZES = (9000, 1500, 1400, 1280)
+
+
+@dataclass(frozen=True)
+class ReachFacts:
+    """The way to another machine: the interface it takes (None: none), whether a small packet is answered, and the
+    largest packet of :data:`SIZES` (at most the interface's MTU) that gets there."""
+
+    address: str
+    interface: InterfaceFacts | None
+    answers: bool = False
+    largest: int = 0
+
+
+def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
+    """Findings on the ways to these machines."""
+    for address in addresses:
+        yield from on(f"machine {address}", check_reach(collect_reach(address)))
+
+
+def collect_reach(address: str) -> ReachFacts:
+    """Send a few packets to ``address``, and only there."""
+    interface = collect_interface(address)
+    if interface is None or not _arrives(address, SMALL_BYTES):
+        return ReachFacts(address, interface)
+    largest_tried = min(interface.mtu, max(SIZES))
+    sizes = [largest_tried, *(size for size in SIZES if size < largest_tried)]
+    return ReachFacts(address, interface, True, next((size for size in sizes if _arrives(address, size)), 0))
+
+
+def check_reach(facts: ReachFacts) -> Iterator[Finding]:
+    """Is there a way, does it answer, does it carry whole packets?"""
+    if facts.interface is None:
+        yield error(
+            "way",
+            f"there is no way to {facts.address} from this machine",
+            f"Check the address; see: ip route get {facts.address}",
+        )
+    elif not facts.answers:
+        yield warning(
+            "answer",
+            f"{facts.address} does not answer through {facts.interface.name}: it is off, or a firewall is silent",
+            f"ping {facts.address}; open UDP between the machines.",
+        )
+    elif facts.largest >= min(facts.interface.mtu, max(SIZES)):
+        yield ok("mtu", f"packets of {facts.largest} bytes reach {facts.address} through {facts.interface.name}")
+    else:
+        name, reach = facts.interface.name, f"{facts.largest or f'less than {SIZES[-1]}'} bytes at most"
+        yield error(
+            "mtu",
+            f"{name} sends packets of {facts.interface.mtu} bytes, but {reach} reach {facts.address}: "
+            "larger messages vanish",
+            "Give both machines and the switch between them one MTU: "
+            f"sudo ip link set {name} mtu {facts.largest or SIZES[-1]}, or raise the others'.",
+        )
+    if facts.interface is not None and facts.interface.loopback:
+        yield note("way", f"{facts.address} is this machine")
+
+
+def _arrives(address: str, size: int) -> bool:
+    """Whether a packet of ``size`` bytes, headers included, is answered by "nobody listens here"."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.settimeout(REPLY_S)
+        link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
+        link.connect((address, CLOSED_PORT))
+        for _ in range(ATTEMPTS):
+            try:
+                link.send(bytes(size - HEADERS))
+                link.recv(1)
+            except ConnectionRefusedError:
+                return True
+            except TimeoutError:
+                continue
+            except OSError as problem:
+                if problem.errno in (errno.EMSGSIZE, errno.EHOSTUNREACH, errno.ENETUNREACH):
+                    return False
+                with contextlib.suppress(OSError):
+                    link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    return False

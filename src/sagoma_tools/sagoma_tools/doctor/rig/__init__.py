@@ -1,1 +1,0 @@
-"""A rig file, its calibration and footage of it."""

@@ -1,0 +1,361 @@
+"""The examination of a rig file, its calibration and footage of it: collect, judge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from camera_client.sources.footage_reader import open_footage
+from capture_rig.camera import CameraModel
+from capture_rig.camera_info_file import load_camera_info
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig, load_rig
+from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
+from capture_rig.settings import read_mapping
+from capture_rig.verdict import GOOD, REDO, USABLE
+
+from .findings import Finding, error, note, ok, on, warning
+from .rig_facts import (
+    SUFFIX,
+    CameraGeometry,
+    FootageFacts,
+    ReportFacts,
+    RigFacts,
+    angle_deg,
+    geometry,
+    read_report,
+    report_beside,
+)
+
+# --- What the facts of a rig mean: is its calibration believable, and do its cameras see a person together?
+
+DAY_S = 86400.0
+AGEING_DAYS, OLD_DAYS = 30, 180
+CALIBRATE = "sagoma calibrate extrinsics"
+CALIBRATE_LENS = "sagoma calibrate intrinsics"
+OFF_CENTRE = 0.15  # of the image's width or height
+UNEQUAL_FOCAL = 0.02
+NARROW_DEG, WIDE_DEG = 15.0, 130.0
+HIGH_M, LOW_M = 6.0, 0.3
+SAME_PLACE_M = 0.05
+SAME_OUTLINE_DEG = 15.0
+COARSE_MM_PER_PX = 12.0
+ENOUGH_CAMERAS = 3
+POOR_SHARE, LITTLE_SHARE = 0.05, 0.5
+SEES_NOTHING = 0.01
+
+
+def check_rig(facts: RigFacts) -> Iterator[Finding]:
+    """What concerns the rig as a whole."""
+    names = ", ".join(camera.name for camera in facts.cameras)
+    yield ok("file", f"{facts.path}: {len(facts.cameras)} cameras ({names})")
+    yield from check_report(facts.report, CALIBRATE)
+    bare = [camera.name for camera in facts.cameras if camera.name not in facts.reports]
+    if bare:
+        yield note(
+            "reports",
+            f"there is none of the lens of {', '.join(bare)}",
+            f"{CALIBRATE_LENS}, or say with --intrinsics where they are.",
+        )
+    yield from _check_number(facts)
+    yield from _check_common_view(facts)
+    yield from _check_pairs(facts)
+
+
+def check_camera(camera: CameraGeometry, report: ReportFacts | None, differing: str = "") -> Iterator[Finding]:
+    """What concerns one camera: its lens, its place, what it sees."""
+    if report is not None:  # of those without one the rig's findings tell
+        yield from check_report(report, CALIBRATE_LENS)
+    if differing:
+        yield warning(
+            "intrinsics",
+            f"its own camera_info differs from the rig file: {differing}",
+            f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
+            "else remove the old camera_info.",
+        )
+    yield from _check_lens(camera)
+    yield from _check_place(camera)
+
+
+def check_report(report: ReportFacts | None, again: str) -> Iterator[Finding]:
+    """Is there a report beside the calibration, what is its verdict, how old is it?"""
+    if report is None:
+        yield note("report", "there is none: nothing is known of the calibration's accuracy", again)
+        return
+    if report.error:
+        yield warning("report", f"{report.path}: {report.error}", again)
+        return
+    said = "; ".join(f"{what} ({remedy})" if remedy else what for what, remedy in report.findings)
+    text = f"{report.path}: {report.grade}{': ' if said else ''}{said}"
+    if report.grade == REDO:
+        yield error("calibration", text, f"{again}, after what the report says")
+    elif report.grade == USABLE:
+        yield warning("calibration", text, f"{again}, after what the report says, when there is time")
+    elif report.grade == GOOD:
+        yield ok("calibration", f"{text}{'; ' if report.figures else ''}{report.figures}")
+    else:
+        yield note("calibration", f"{report.path} holds no verdict", again)
+    yield from _check_age(report, again)
+
+
+def check_footage(facts: FootageFacts, camera: CameraGeometry) -> Iterator[Finding]:
+    """Are footage and background of this camera, and of the size it was calibrated at?"""
+    width, height = camera.size
+    if facts.error:
+        yield error("footage", facts.error, "Record the session again, or mend the file.")
+    elif facts.size != camera.size:
+        yield error(
+            "footage",
+            f"is {facts.size[0]} x {facts.size[1]} pixels, the camera was calibrated at {width} x {height}",
+            "Record at the calibrated size, or calibrate at the recorded one.",
+        )
+    else:
+        yield ok("footage", f"{facts.frames} frames of {width} x {height} pixels")
+    if facts.background_size is not None and facts.background_size != camera.size:
+        yield error(
+            "background",
+            f"is {facts.background_size[0]} x {facts.background_size[1]} pixels, the camera {width} x {height}",
+            "Record the empty room at the camera's size.",
+        )
+
+
+def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
+    """Do the videos belong together?"""
+    frames = {facts.camera: facts.frames for facts in footage if not facts.error}
+    if len(set(frames.values())) > 1:
+        told = ", ".join(f"{camera} {count}" for camera, count in frames.items())
+        yield warning(
+            "footage",
+            f"the videos have different numbers of frames ({told})",
+            "Cut them so that frame k of all was taken at the same instant.",
+        )
+    bare = [facts.camera for facts in footage if not facts.error and facts.background_size is None]
+    if bare:
+        yield error("background", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4 or .png.")
+
+
+def _check_number(facts: RigFacts) -> Iterator[Finding]:
+    number = len(facts.cameras)
+    if number < ENOUGH_CAMERAS:
+        yield error("cameras", f"{number} cannot carve a body", "Use four cameras or more; three at the least.")
+    elif number == ENOUGH_CAMERAS:
+        yield note(
+            "cameras",
+            "three: a limb before the trunk has no outline of its own, and no lying camera can be outvoted",
+            "Add one or two where there is room.",
+        )
+    sizes = {camera.size for camera in facts.cameras}
+    if len(sizes) > 1:
+        yield note(
+            "cameras",
+            f"their images have {len(sizes)} sizes: "
+            + ", ".join(f"{camera.name} {camera.size[0]} x {camera.size[1]}" for camera in facts.cameras),
+        )
+
+
+def _check_common_view(facts: RigFacts) -> Iterator[Finding]:
+    enough = min(ENOUGH_CAMERAS, len(facts.cameras))
+    share = facts.seen_by[enough - 1]
+    text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
+    remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
+    if share < POOR_SHARE:
+        yield error("volume", text, remedy)
+    elif share < LITTLE_SHARE:
+        yield note("volume", text, remedy)
+    else:
+        yield ok("volume", text)
+
+
+def _check_pairs(facts: RigFacts) -> Iterator[Finding]:
+    for one, other in facts.pairs:
+        apart_m = sum((a - b) ** 2 for a, b in zip(one.centre_world, other.centre_world, strict=True)) ** 0.5
+        angle = angle_deg(one.direction_world, other.direction_world)
+        pair = f"{one.name} and {other.name}"
+        if apart_m < SAME_PLACE_M:
+            yield error(
+                "cameras",
+                f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?",
+                f"{CALIBRATE}; check which file is whose.",
+            )
+        elif angle > 180.0 - SAME_OUTLINE_DEG:
+            yield warning(
+                "cameras",
+                f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored",
+                "Move one of them sideways by an eighth of the circle, or higher.",
+            )
+        elif angle < SAME_OUTLINE_DEG:
+            yield warning(
+                "cameras",
+                f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline",
+                "Spread the cameras around the volume.",
+            )
+
+
+def _check_age(report: ReportFacts, again: str) -> Iterator[Finding]:
+    if report.age_s is None:
+        return
+    days = report.age_s / DAY_S
+    if days > OLD_DAYS:
+        yield warning("age", f"calibrated {days:.0f} days ago", f"Stands and lenses creep: {again}.")
+    elif days > AGEING_DAYS:
+        yield note("age", f"calibrated {days:.0f} days ago", "See whether sagoma doctor --live names a camera.")
+    else:
+        yield ok("age", f"calibrated {days:.0f} days ago")
+
+
+def _check_lens(camera: CameraGeometry) -> Iterator[Finding]:
+    (width, height), (fx, fy), (cx, cy) = camera.size, camera.focal_px, camera.centre_px
+    off = max(abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height)
+    again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
+    troubles = []
+    if off > OFF_CENTRE:
+        troubles.append(f"principal point ({cx:.0f}, {cy:.0f}) lies {100 * off:.0f} % of the image off its middle")
+    if abs(fx / fy - 1) > UNEQUAL_FOCAL:
+        troubles.append(f"fx {fx:.0f} and fy {fy:.0f} px differ by {100 * abs(fx / fy - 1):.0f} %")
+    if not NARROW_DEG < camera.fov_deg < WIDE_DEG:
+        troubles.append(f"it sees {camera.fov_deg:.0f} degrees across, which few lenses do")
+    if not camera.border_reached:
+        troubles.append("the lens model does not reach the border of the image")
+    for trouble in troubles:
+        yield warning("lens", trouble, again)
+    if not troubles:
+        yield ok("lens", f"f {fx:.0f} px, {camera.fov_deg:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})")
+
+
+def _check_place(camera: CameraGeometry) -> Iterator[Finding]:
+    height = camera.height_m
+    again = f"{CALIBRATE}; the board upside down or a wrong field size does this. Check with a tape."
+    if height < 0:
+        yield error("place", f"it lies {-height:.2f} m below the floor", again)
+    elif height > HIGH_M:
+        yield warning("place", f"it hangs {height:.1f} m above the floor", again)
+    elif height < LOW_M:
+        yield note(
+            "place",
+            f"it stands {height:.2f} m above the floor: feet and limbs hide each other",
+            "Raise it to 1.2 to 2.5 m.",
+        )
+    if camera.sees < SEES_NOTHING:
+        yield error(
+            "view",
+            "it sees nobody in the volume from soles to head",
+            f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up.",
+        )
+    elif camera.mm_per_px > COARSE_MM_PER_PX:
+        yield warning(
+            "view",
+            f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m away",
+            "Use a longer lens, more pixels, or move it nearer.",
+        )
+    else:
+        yield ok(
+            "view",
+            f"{height:.2f} m above the floor, {camera.distance_m:.1f} m away, {camera.mm_per_px:.1f} mm a "
+            f"pixel, sees a person from soles to head in {100 * camera.sees:.0f} % of the places",
+        )
+
+
+SUBJECT = "rig"
+LENS_FOLDERS = (".", "intrinsics", "calibration/intrinsics", "../intrinsics")  # beside the rig file
+SAME_LENS_PX = 0.5
+
+
+def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
+    """Findings on the rig file at ``path`` (the session's own by default) and on the session's footage."""
+    path = path or Path(session or ".") / "rig.yaml"
+    try:
+        rig = load_rig(path)
+    except InputError as problem:
+        yield from on(SUBJECT, [error("file", f"{problem.where}: {problem.what}", problem.remedy)])
+        return
+    facts = collect_rig(rig, path, intrinsics)
+    yield from on(SUBJECT, check_rig(facts))
+    footage = {} if session is None else {name: collect_footage(session, name) for name in rig.names}
+    yield from on(f"session {session}", check_session(list(footage.values())))
+    for camera in facts.cameras:
+        subject = f"camera {camera.name}"
+        report = facts.reports.get(camera.name)
+        yield from on(subject, check_camera(camera, report, facts.differing.get(camera.name, "")))
+        if camera.name in footage:
+            yield from on(subject, check_footage(footage[camera.name], camera))
+
+
+def collect_rig(rig: Rig, path: Path, intrinsics: Path | None) -> RigFacts:
+    """Geometry, and the reports that lie beside the file."""
+    cameras, seen_by = geometry(rig)
+    folders = [intrinsics] if intrinsics is not None else _lens_folders(path)
+    reports: dict[str, ReportFacts] = {}
+    differing: dict[str, str] = {}
+    for camera in rig.cameras:
+        for folder in folders:
+            if camera.name not in reports and (folder / f"{camera.name}{SUFFIX}").is_file():
+                reports[camera.name] = read_report(folder / f"{camera.name}{SUFFIX}")
+                differing[camera.name] = _difference(folder / f"{camera.name}.yaml", camera)
+    return RigFacts(str(path), cameras, seen_by, report_beside(path), reports, differing)
+
+
+def collect_footage(session: Path, name: str) -> FootageFacts:
+    """The video and the background of camera ``name``."""
+    video = _first(session, name, VIDEO_SUFFIXES)
+    if video is None:
+        return FootageFacts(name, f"there is no {session / name}.mp4")
+    try:
+        size, background = _size(video), _first(session, f"{name}_background", STILL_SUFFIXES + VIDEO_SUFFIXES)
+        return FootageFacts(name, "", size, _frames(video), None if background is None else _size(background))
+    except InputError as problem:
+        return FootageFacts(name, f"{problem.where}: {problem.what}")
+
+
+def _lens_folders(rig_file: Path) -> list[Path]:
+    """Where the cameras' own calibrations may be: where the rig's report says, or beside the rig file."""
+    folders = [rig_file.parent / name for name in LENS_FOLDERS]
+    report = rig_file.with_name(rig_file.stem + SUFFIX)
+    if report.is_file():
+        try:
+            asked = read_mapping(report, "").get("asked")
+        except InputError:  # told by whoever judges the report
+            return folders
+        if isinstance(asked, Mapping) and isinstance(asked.get("intrinsics"), str):
+            folders.insert(0, Path(asked["intrinsics"]))
+    return folders
+
+
+def _difference(path: Path, camera: CameraModel) -> str:
+    """How the camera_info at ``path`` differs from the rig's intrinsics; empty when it does not, or is not there."""
+    if not path.is_file():
+        return ""
+    try:
+        own = load_camera_info(path, camera)
+    except InputError as problem:
+        return f"{path}: {problem.what}"
+    names = ("fx", "fy", "cx", "cy")
+    mine, rigs = (np.array([c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2]]) for c in (own, camera))
+    off = np.abs(mine - rigs)
+    if off.max() <= SAME_LENS_PX:
+        return ""
+    told = [f"{name} {a:.1f}, in the rig {b:.1f}" for name, a, b in zip(names, mine, rigs, strict=True) if a != b]
+    return f"{path} says {', '.join(told)}"
+
+
+def _first(folder: Path, stem: str, suffixes: tuple[str, ...]) -> Path | None:
+    return next((folder / (stem + end) for end in suffixes if (folder / (stem + end)).is_file()), None)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    reader = open_footage(path)
+    try:
+        shape = reader.probe()
+    finally:
+        reader.close()
+    return shape[1], shape[0]
+
+
+def _frames(video: Path) -> int:
+    capture = cv2.VideoCapture(str(video))
+    try:
+        return int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    finally:
+        capture.release()

@@ -1,0 +1,237 @@
+"""Where the frames of a live run come from: simulated GigE cameras that look at a session, or its videos as files."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from capture_rig.errors import InputError
+from capture_rig.session import Session, load_session
+from sagoma_bringup.graph import NodeSpec, build_graph
+from virtual_studio.gige.addresses import consecutive_addresses, is_free
+from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
+from virtual_studio.gige.control import ask
+
+from ..graph.background_training import learn_backgrounds
+from ..graph.processes import Child, stop_children
+from ..graph.supervisor import Supervisor
+from ..graph.topics import PREDICTION_TOPIC
+from ..recording.recorder import GraphRecorder
+from ..recording.session_clock import SessionClock, frame_count
+
+# --- A studio of simulated cameras as a process of its own, as far away from the graph as hardware is.
+
+READY_TIMEOUT_S = 120.0  # a long session is decoded into memory first
+START_POLL_S = 0.05
+GRACE_S = 5.0
+
+
+class StudioProcess:
+    """Runs ``sagoma studio ARGUMENTS``; a context manager that leaves no process behind.
+
+    ``rig`` and ``cameras`` are the files with which the graph runs on it.
+    Raises InputError with the studio's own words where it does not start.
+    """
+
+    def __init__(self, folder: str | Path, *arguments: str) -> None:
+        self.folder = Path(folder)
+        self._arguments = arguments
+        # the name of a Unix socket has at most 107 bytes, less than some folders' names
+        self._sockets = tempfile.TemporaryDirectory(prefix="sagoma_studio_")
+        self._control = Path(self._sockets.name) / "control"
+        self._child: Child | None = None
+
+    @property
+    def rig(self) -> Path:
+        return self.folder / RIG_FILE
+
+    @property
+    def cameras(self) -> Path:
+        return self.folder / CAMERA_FOLDER
+
+    @property
+    def pid(self) -> int:
+        assert self._child is not None
+        return self._child.pid
+
+    def start(self, cancel: threading.Event | None = None) -> StudioProcess:
+        """Return once every camera is on."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        command = [
+            sys.executable,
+            "-u",
+            "-m",
+            "virtual_studio.gige",
+            "--control",
+            str(self._control),
+            "--write",
+            str(self.folder),
+            *self._arguments,
+        ]
+        ended = threading.Event()
+        log = self.folder / "studio.log"
+        self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
+        deadline_s = time.monotonic() + READY_TIMEOUT_S
+        while self._child.log_tail(1) != "ready":
+            if ended.wait(START_POLL_S) or time.monotonic() > deadline_s or (cancel is not None and cancel.is_set()):
+                self.close()
+                raise InputError(
+                    f"the studio did not start ({self._child.log_tail(2) or 'it said nothing'})",
+                    where=str(log),
+                    remedy="Mend what its log says.",
+                )
+        return self
+
+    def ask(self, do: str, **words: Any) -> dict[str, Any]:
+        """Send one request to its control channel; see ``sagoma studio --help``."""
+        return ask({"do": do, **words}, self._control)
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._child is not None:
+            stop_children([self._child], GRACE_S)
+        self._sockets.cleanup()
+
+    def __enter__(self) -> StudioProcess:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+SILENCE_S = 20.0
+LOOK_S = 0.5
+FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
+
+
+class LiveInput(ABC):
+    """Frames for a graph of their own; a context manager, since there may be processes behind it."""
+
+    def __init__(self, session_folder: str | Path) -> None:
+        self.session: Session = load_session(session_folder)
+
+    @abstractmethod
+    def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
+        """The nodes that take these frames."""
+
+    def prepare(self, supervisor: Supervisor) -> None:  # noqa: B027 (files bring their backgrounds)
+        """What the active graph needs before the play begins."""
+
+    @abstractmethod
+    def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
+        """Play the session once through the active graph and wait for the answers.
+
+        None where the stage does not know its own clock: the first stamp is then that of frame 0.
+        """
+
+    @property
+    @abstractmethod
+    def in_real_time(self) -> bool:
+        """Whether a frame's stamp is the time at which it was seen, so that its age is a latency."""
+
+    def open(self, cancel: threading.Event) -> None:  # noqa: B027 (files need no preparation)
+        """Get ready; :meth:`close` undoes it."""
+
+    def close(self) -> None:  # noqa: B027
+        """End what :meth:`open` began."""
+
+    def __enter__(self) -> LiveInput:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class FootageInput(LiveInput):
+    """The camera clients read the session's videos; at rate 0 as fast as the graph keeps up, dropping nothing."""
+
+    def __init__(self, session_folder: str | Path, rate: float = 0.0) -> None:
+        super().__init__(session_folder)
+        self._rate = rate
+
+    def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
+        return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
+
+    def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
+        expected, seen = frame_count(self.session), -1
+        while seen < expected and not cancel.is_set():
+            if not recorder.recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, SILENCE_S):
+                return
+            seen = recorder.recorder.counts.get(PREDICTION_TOPIC, 0)
+
+    @property
+    def in_real_time(self) -> bool:
+        return self._rate > 0.0
+
+
+class StudioInput(LiveInput):
+    """Simulated GigE Vision cameras see the session, and the graph runs on them as on hardware.
+
+    The room is empty at first, and every camera client learns its background; then the person enters.
+    ``fps``: of the cameras; the session's pictures are seen at their own time, whatever it is.
+    """
+
+    def __init__(self, session_folder: str | Path, folder: str | Path, fps: float) -> None:
+        super().__init__(session_folder)
+        if not fps > 0:
+            raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
+        self._fps = fps
+        arguments = (
+            "--session",
+            str(self.session.folder),
+            "--fps",
+            f"{fps:g}",
+            "--empty",
+            "--address",
+            free_first_address(len(self.session.rig.names)),
+        )
+        self.studio = StudioProcess(folder, *arguments)
+
+    def open(self, cancel: threading.Event) -> None:
+        self.studio.start(cancel)
+
+    def close(self) -> None:
+        self.studio.close()
+
+    def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
+        measured = {"hull_server.tolerance_s": 0.5 / self._fps}
+        return build_graph(rig=self.studio.rig, cameras=self.studio.cameras, settings={**measured, **settings})
+
+    def prepare(self, supervisor: Supervisor) -> None:
+        learn_backgrounds(supervisor)
+
+    def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
+        answer = self.studio.ask("play", loop=False)
+        play = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
+        last_ns = play.epoch_ns + round((play.frames / play.fps - 1.5 / self._fps) * 1e9)
+        deadline_s = time.monotonic() + (last_ns - time.time_ns()) * 1e-9 + SILENCE_S
+        while time.monotonic() < deadline_s and not cancel.is_set():
+            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
+                break
+        return play
+
+    @property
+    def in_real_time(self) -> bool:
+        return True
+
+
+def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) -> str:
+    """The first of ``count`` loopback addresses in a row on which no other studio serves."""
+    for first in candidates:
+        if all(is_free(address) for address in consecutive_addresses(first, count)):
+            return first
+    raise InputError(
+        "other studios hold every address", where=f"{candidates[0]} to {candidates[-1]}", remedy="End one of them."
+    )

@@ -1,0 +1,113 @@
+"""The live table: what each node last said of itself on /diagnostics, one line a node."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rich.table import Table
+from rich.text import Text
+
+from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
+
+STALE_S = 3.0
+LOSS_WORDS = (
+    "ahead",
+    "unexpected",
+    "dropped",
+    "late",
+    "missing",
+    "refused",
+    "timeout",
+    "backwards",
+    "duplicate",
+    "bad",
+    "lost",
+    "incomplete",
+    "stalls",
+    "control_losses",
+)
+LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """One node's last diagnostics."""
+
+    level: bytes
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+    heard_s: float = 0.0
+
+    def losses(self) -> dict[str, int]:
+        """The counters above zero that tell of input or work that was not used."""
+        counters = {key: int(text) for key, text in self.values.items() if text.isdigit()}
+        return {k: n for k, n in counters.items() if n and any(word in k for word in LOSS_WORDS)}
+
+
+class DiagnosticsTable:
+    """Collects the diagnostics of the nodes of one graph; safe to read from any thread."""
+
+    def __init__(self, node: Node) -> None:
+        self._heard = threading.Condition()
+        self._reports: dict[str, NodeReport] = {}
+        self._subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._take, LOSSLESS)
+
+    def report(self, name: str) -> NodeReport | None:
+        """The last report of the node with this fully qualified name."""
+        with self._heard:
+            return self._reports.get(name)
+
+    def names(self) -> tuple[str, ...]:
+        """Every node heard so far."""
+        with self._heard:
+            return tuple(sorted(self._reports))
+
+    def wait_for(self, names: Iterable[str], timeout_s: float) -> bool:
+        """True as soon as every one of these nodes has been heard, False after ``timeout_s``."""
+        wanted = set(names)
+        with self._heard:
+            return self._heard.wait_for(lambda: wanted <= self._reports.keys(), timeout_s)
+
+    def wait_until(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        """True as soon as ``done``, which is asked at every report, False after ``timeout_s``."""
+        with self._heard:
+            return self._heard.wait_for(done, timeout_s)
+
+    def table(self, names: Mapping[str, str], states: Mapping[str, str], *, now_s: float | None = None) -> Table:
+        """One line a node (full name -> what to call it): state, rate, latency, losses, memory, message."""
+        now_s = time.monotonic() if now_s is None else now_s
+        table = Table(box=None, pad_edge=False)
+        for title, width in (("node", 14), ("state", 12)):
+            table.add_column(title, min_width=width, no_wrap=True)
+        for title in ("rate Hz", "latency p50 ms", "rss MB"):
+            table.add_column(title, justify="right", no_wrap=True)
+        table.add_column("lost", ratio=1)
+        table.add_column("says", ratio=2)
+        for name, label in names.items():
+            table.add_row(label, *_row(states.get(name, "?"), self.report(name), now_s))
+        return table
+
+    def _take(self, message: DiagnosticArray) -> None:
+        heard_s = time.monotonic()
+        with self._heard:
+            for status in message.status:
+                values = {pair.key: pair.value for pair in status.values}
+                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s)
+            self._heard.notify_all()
+
+
+def _row(state: str, report: NodeReport | None, now_s: float) -> tuple[str | Text, ...]:
+    if report is None:
+        return state, "", "", "", "", ""
+    values = report.values
+    losses = ", ".join(f"{count} {key}" for key, count in report.losses().items())
+    silence_s = now_s - report.heard_s
+    says = Text(report.message, style=LEVEL_STYLE.get(report.level, "red"))
+    if silence_s > STALE_S:
+        says = Text(f"silent for {silence_s:.0f} s", style="red")
+    return state, values.get("rate_hz", ""), values.get("latency_p50_ms", ""), values.get("rss_mb", ""), losses, says

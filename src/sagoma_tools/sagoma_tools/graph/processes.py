@@ -1,0 +1,199 @@
+"""Child processes: started in a process group of their own, watched, stopped by pid, and cleaned up after."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import psutil
+
+PR_SET_PDEATHSIG = 1
+REAP_S = 5.0
+SHM_LOCK = re.compile(r"^/dev/shm/(fastrtps_\w+)_el$")  # held open by the process that owns the segment or port
+_libc = ctypes.CDLL(None)
+
+
+class Exit(Enum):
+    """How a child came to its end when it was asked to stop."""
+
+    CLEAN = "stopped on SIGINT"
+    KILLED = "ignored SIGINT and was killed"
+    FAILED = "stopped with an error"
+    ALREADY_DEAD = "had died before"
+
+
+@dataclass(frozen=True)
+class ExitStatus:
+    """The end of one child: how, and its exit status (negative: the signal's number)."""
+
+    name: str
+    exit: Exit
+    returncode: int
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a process uses: memory resident now and at its peak, MiB, and processor time since its start, seconds."""
+
+    resident_mib: float
+    peak_mib: float
+    cpu_s: float
+
+
+class Child:
+    """One running process with its log file.
+
+    It is told to stop (SIGINT) by the kernel when the thread that started it ends, so that no node outlives its
+    supervisor: start children from a thread that lives as long as they shall, usually the main one.
+    """
+
+    def __init__(
+        self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str], on_exit: Callable[[Child], None]
+    ) -> None:
+        """``on_exit`` is called from a thread of the child's own once the process has ended by itself."""
+        self.name, self.log = name, log
+        self.shared_memory: set[str] = set()
+        self._stopping = False
+        with log.open("wb") as sink:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=sink,
+                stderr=subprocess.STDOUT,
+                env=dict(env),
+                process_group=0,
+                preexec_fn=_prepare_child,
+            )
+        self._on_exit = on_exit
+        self._ended = threading.Event()
+        threading.Thread(target=self._watch, name=f"watch {name}", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        return not self._ended.is_set()
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.returncode
+
+    def log_tail(self, lines: int = 15) -> str:
+        """The last lines of its log."""
+        return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
+
+    def usage(self) -> Usage | None:
+        """What it uses and has used; None once it has ended."""
+        try:
+            status = Path(f"/proc/{self.pid}/status").read_text()
+            cpu = psutil.Process(self.pid).cpu_times()
+        except (OSError, psutil.Error):
+            return None
+        kib = {line.split(":")[0]: int(line.split()[1]) for line in status.splitlines() if line.startswith("Vm")}
+        return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, cpu.user + cpu.system) if "VmRSS" in kib else None
+
+    def note_shared_memory(self) -> None:
+        """Remember which Fast DDS shared memory it owns: a node that is killed or crashes leaves it behind."""
+        self.shared_memory |= owned_shared_memory([self.pid])
+
+    def interrupt(self) -> None:
+        """Ask it to stop (SIGINT)."""
+        self._stopping = True
+        if self.alive:
+            self._process.send_signal(signal.SIGINT)
+
+    def wait(self, timeout_s: float) -> bool:
+        """True when it has ended within ``timeout_s``."""
+        return self._ended.wait(timeout_s)
+
+    def kill(self) -> None:
+        """SIGKILL to its whole process group."""
+        self._stopping = True
+        if not self.alive:
+            return
+        self.note_shared_memory()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._ended.wait(REAP_S)
+
+    def _watch(self) -> None:
+        self._process.wait()
+        self._ended.set()
+        if not self._stopping:
+            self._on_exit(self)
+
+
+def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus, ...]:
+    """SIGINT to all, then SIGKILL to those that are still there ``grace_s`` later; says how each one ended."""
+    already_dead = {child.name for child in children if not child.alive}
+    for child in children:
+        child.interrupt()
+    deadline_s = time.monotonic() + grace_s
+    killed = set()
+    for child in children:
+        if not child.wait(max(0.0, deadline_s - time.monotonic())):
+            killed.add(child.name)
+            child.kill()
+    return tuple(_exit_status(child, already_dead, killed) for child in children)
+
+
+def node_command(package: str, executable: str, module: str) -> list[str]:
+    """The installed executable when a sourced workspace has it (as ``ros2 run`` would find it), else the module."""
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        installed = Path(prefix) / "lib" / package / executable
+        if os.access(installed, os.X_OK) and installed.is_file():
+            return [str(installed)]
+    return [sys.executable, "-m", module]
+
+
+def owned_shared_memory(pids: Iterable[int]) -> set[str]:
+    """The Fast DDS shared-memory segments and ports that these processes own."""
+    owned: set[str] = set()
+    for pid in pids:
+        with contextlib.suppress(OSError):  # ended meanwhile, or not ours to look into
+            targets = [os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir()]
+            owned.update(match[1] for match in map(SHM_LOCK.match, targets) if match)
+    return owned
+
+
+def shared_memory_files(names: Iterable[str]) -> list[Path]:
+    """The files of these segments and ports that exist."""
+    paths = [Path(f"/dev/shm/{file}") for name in names for file in (name, f"{name}_el", f"sem.{name}_mutex")]
+    return [path for path in paths if path.exists()]
+
+
+def remove_abandoned(names: Iterable[str]) -> None:
+    """Delete the files of those segments and ports that no living process owns: what a killed node left behind."""
+    names = set(names)
+    if names:
+        living = owned_shared_memory(process.pid for process in psutil.process_iter())
+        for path in shared_memory_files(names - living):
+            path.unlink(missing_ok=True)
+
+
+def _prepare_child() -> None:
+    """Runs in the child before exec: die with the supervisor, and take SIGINT even when the shell had it ignored."""
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _exit_status(child: Child, already_dead: set[str], killed: set[str]) -> ExitStatus:
+    code = child.returncode if child.returncode is not None else -signal.SIGKILL
+    if child.name in already_dead:
+        return ExitStatus(child.name, Exit.ALREADY_DEAD, code)
+    if child.name in killed:
+        return ExitStatus(child.name, Exit.KILLED, code)
+    return ExitStatus(child.name, Exit.CLEAN if code in (0, -signal.SIGINT) else Exit.FAILED, code)

@@ -1,0 +1,182 @@
+"""A node of the tool's own, spun by a background thread, so that the main thread can wait for events with a timeout."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from rclpy._rclpy_pybind11 import InvalidHandle
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+SPIN_END_S = 5.0
+
+
+class RosLink:
+    """Context, node and spinning thread in one; leaves signals to the caller.
+
+    Everything created on :attr:`node` calls back on the background thread.
+    """
+
+    def __init__(self, name: str, *, domain_id: int | None = None) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(
+            name, context=self.context, enable_rosout=False, start_parameter_services=False, use_global_arguments=False
+        )
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._closing = Future(executor=self._executor)
+        self.error: Exception | None = None
+        self._thread = threading.Thread(target=self._spin, name=f"{name} spin", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop spinning and leave the graph; may be called twice. Raises what a callback had raised, if one had."""
+        if not self.context.ok():
+            return
+        self._closing.set_result(None)  # wakes the executor
+        self._thread.join(SPIN_END_S)
+        self._executor.shutdown(timeout_sec=SPIN_END_S)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+        if self.error is not None:
+            raise self.error
+
+    def __enter__(self) -> RosLink:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _spin(self) -> None:
+        try:
+            while not self._closing.done():
+                try:
+                    self._executor.spin_until_future_complete(self._closing)
+                except InvalidHandle:  # another thread destroyed an entity just as rclpy was about to wait for it
+                    continue
+        except ExternalShutdownException:
+            return
+        except Exception as error:  # a callback's: the owner learns of it at close()
+            self.error = error
+
+
+# --- One service call to many nodes at once, with a deadline, so that one silent node costs nobody else anything.
+
+RESEND_S = 1.0
+POLL_S = 0.05  # rclpy has no event for "the service has appeared" or for a process's death; answers wake us at once
+
+
+def call_all(
+    node: Node,
+    srv_type: Any,
+    requests: Mapping[str, Any],
+    timeout_s: float,
+    alive: Callable[[str], bool] = lambda service: True,
+    *,
+    repeatable: bool = False,
+    inferred: Callable[[set[str]], Mapping[str, Any]] = lambda services: {},
+) -> dict[str, Any]:
+    """Service name -> reply, None where none came in time; each request is sent as soon as its service is there.
+
+    ``node`` must be spun by another thread. A service for which ``alive`` turns false is waited for no longer.
+
+    A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to send
+    response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is asked
+    every second which of the silent services are known, by other means, to have done their work, and their replies.
+    """
+    clients = {service: node.create_client(srv_type, service) for service in requests}
+    call = _Round(clients, requests, alive, repeatable, inferred)
+    try:
+        call.run(time.monotonic() + timeout_s)
+    finally:
+        for client in clients.values():
+            node.destroy_client(client)
+    return call.replies
+
+
+class _Round:
+    """One concurrent round of service calls."""
+
+    def __init__(
+        self,
+        clients: Mapping[str, Client],
+        requests: Mapping[str, Any],
+        alive: Callable[[str], bool],
+        repeatable: bool,
+        inferred: Callable[[set[str]], Mapping[str, Any]],
+    ) -> None:
+        self._clients, self._requests, self._alive = clients, requests, alive
+        self._repeatable, self._inferred = repeatable, inferred
+        self._answered = threading.Condition()
+        self._unsent = set(requests)
+        self.replies: dict[str, Any] = dict.fromkeys(requests)
+
+    def run(self, deadline_s: float) -> None:
+        waiting, again_s = set(self._requests), time.monotonic() + RESEND_S
+        while waiting and time.monotonic() < deadline_s:
+            if time.monotonic() > again_s:
+                self._help_the_silent(waiting)
+                again_s = time.monotonic() + RESEND_S
+            with self._answered:
+                self._send_ready(waiting)
+                self._answered.wait(POLL_S)
+                waiting = {name for name in waiting if self.replies[name] is None and self._alive(name)}
+
+    def _help_the_silent(self, waiting: set[str]) -> None:
+        if self._repeatable:
+            self._unsent |= waiting
+        sent = waiting - self._unsent
+        for service, reply in (self._inferred(sent) if sent else {}).items():
+            self._take(service, reply)
+
+    def _send_ready(self, waiting: set[str]) -> None:
+        for service in sorted(self._unsent & waiting):
+            if self._clients[service].service_is_ready():
+                self._unsent.discard(service)
+                future = self._clients[service].call_async(self._requests[service])
+                future.add_done_callback(lambda done, service=service: self._take(service, done.result()))
+
+    def _take(self, service: str, reply: Any) -> None:
+        with self._answered:
+            if self.replies[service] is None:
+                self.replies[service] = reply
+            self._answered.notify()
+
+
+# --- Finding out who is in a ROS graph: discovery has no end, so this looks until nobody new has joined for a while.
+
+SETTLED_S, LOOK_S = 1.0, 0.1
+
+
+def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[str]:
+    """What ``look`` finds, sorted, once it is ``expect`` or more and has not changed for a second; after ``wait_s``
+    whatever it has found."""
+    start_s = changed_s = time.monotonic()
+    found: set[str] = set()
+    while time.monotonic() - start_s < wait_s:
+        seen = look()
+        if seen != found:
+            found, changed_s = seen, time.monotonic()
+        if len(found) >= expect and time.monotonic() - changed_s > SETTLED_S:
+            break
+        threading.Event().wait(LOOK_S)
+    return sorted(found)
+
+
+def owners_of(node: Node, service: str, kind: str) -> set[str]:
+    """Full names of the nodes that offer ``~/SERVICE`` of type ``kind`` ("std_srvs/srv/Trigger")."""
+    suffix = f"/{service}"
+    offered = node.get_service_names_and_types()
+    return {name.removesuffix(suffix) for name, kinds in offered if name.endswith(suffix) and kind in kinds}

@@ -1,0 +1,291 @@
+"""Runs the node graph as processes on machines without the ros2 command line.
+
+Starts every node, drives the lifecycle with acknowledgements (the server's nodes first, the cameras last), watches,
+and stops everything cleanly. A camera may die; the graph goes on.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import yaml
+from rclpy.node import Node
+
+from camera_client.sources.footage_source import EPOCH_STEP_NS
+from sagoma_bringup.graph import NodeSpec, Role
+
+from .diagnostics_table import DiagnosticsTable
+from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
+from .processes import Child, ExitStatus, Usage, node_command, remove_abandoned, stop_children
+from .ros_link import RosLink
+
+GRACE_S = 8.0
+FRESH = State.UNCONFIGURED.value
+STOP_TIMEOUT_S = 5.0
+START_TIMEOUT_S = 60.0  # from a process's start to its first answer: imports, on a machine that starts them all at once
+ACTIVATION_NS = 2_500_000_000  # within this every camera's activation is acknowledged, even on a busy machine
+# idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
+THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
+
+
+class GraphError(RuntimeError):
+    """The graph cannot run: which node failed, what it answered, and the end of its log."""
+
+
+class Supervisor:
+    """The processes of one graph; a context manager that leaves nothing running.
+
+    with Supervisor(graph, run_folder) as run:
+        run.configure()
+        run.activate()
+        ...
+        print(run.usage())
+    """
+
+    def __init__(
+        self,
+        graph: Sequence[NodeSpec],
+        run_folder: str | Path,
+        *,
+        domain_id: int | None = None,
+        env: Mapping[str, str] | None = None,
+        grace_s: float = GRACE_S,
+        cancel: threading.Event | None = None,
+        on_exit: Callable[[NodeSpec, str], None] | None = None,
+    ) -> None:
+        """``on_exit(spec, log_tail)`` is told, from another thread, of every node that ends by itself.
+
+        run_folder : gets one log and one parameter file a node; made when missing.
+        domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
+        grace_s : how long a node may take to end after SIGINT before it is killed.
+        cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
+        """
+        self.graph = with_common_epoch(graph, time.time_ns())
+        self.run_folder = Path(run_folder)
+        self.exit_statuses: tuple[ExitStatus, ...] = ()
+        self.stop_outcome = Outcome(())
+        self._domain_id, self._env, self._grace_s = domain_id, dict(env or {}), grace_s
+        self._on_exit = on_exit
+        self._cancel = cancel or threading.Event()
+        self._stopping = False
+        self._lock = threading.Lock()
+        self._children: dict[str, Child] = {}
+        self._states: dict[str, str] = {}
+        self._link: RosLink | None = None
+
+    def __enter__(self) -> Supervisor:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def node(self) -> Node:
+        """Its own node, spun by a thread, once it has been started: for further questions to the graph."""
+        assert self._link is not None
+        return self._link.node
+
+    # starting and stopping ------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start every process; they rest unconfigured until :meth:`configure`."""
+        self.run_folder.mkdir(parents=True, exist_ok=True)
+        self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
+        self.diagnostics = DiagnosticsTable(self._link.node)
+        self.lifecycle = LifecycleClient(self._link.node, alive=self._worth_waiting_for)
+        try:
+            for spec in self.graph:
+                self._children[spec.full_name] = self._spawn(spec)
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop(self) -> tuple[ExitStatus, ...]:
+        """Deactivate, clean up, SIGINT, and after the grace period SIGKILL; says how each node ended.
+
+        Who did not answer the lifecycle requests is in :attr:`stop_outcome`.
+        """
+        if self._link is None:
+            return self.exit_statuses
+        self._stopping = True
+        self.stop_outcome = self.suspend() + self._bring(
+            self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, STOP_TIMEOUT_S
+        )
+        self.exit_statuses = stop_children(list(self._children.values()), self._grace_s)
+        self._link.close()
+        self._link = None
+        remove_abandoned(set().union(*(child.shared_memory for child in self._children.values())))
+        return self.exit_statuses
+
+    # lifecycle ------------------------------------------------------------------------------------------------
+
+    def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
+        """Connect every node; GraphError when one of the server fails, or every camera (or any, as told).
+
+        GraphError, too, when nodes of the same names run already: two graphs would mix their messages.
+        """
+        outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
+        self._refuse_strangers(outcome)
+        self._check(State.INACTIVE, outcome, tolerate_cameras)
+        return outcome
+
+    def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
+        """Start every configured node, the cameras last; GraphError as for :meth:`configure`.
+
+        Footage played by the clock, without an epoch of its own, starts at the next whole 5 s: all its cameras are
+        activated within one such span, so that they agree on it.
+        """
+        server, cameras = self._in(State.INACTIVE)
+        outcome = self._bring([server], State.ACTIVE)
+        if any(_chooses_epoch(spec) for spec in self.graph if spec.full_name in cameras):
+            self._cancel.wait(seconds_to_start_window(time.time_ns()))
+        outcome += self._bring([cameras], State.ACTIVE)
+        self._check(State.ACTIVE, outcome, tolerate_cameras)
+        return outcome
+
+    def suspend(self) -> Outcome:
+        """Deactivate every active node, the cameras first."""
+        return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, STOP_TIMEOUT_S)
+
+    # watching -------------------------------------------------------------------------------------------------
+
+    def alive(self, name: str) -> bool:
+        """Does the process of the node with this full name still run?"""
+        child = self._children.get(name)
+        return child is not None and child.alive
+
+    def states(self) -> dict[str, str]:
+        """Full node name -> lifecycle state as last acknowledged, or "dead"."""
+        with self._lock:
+            known = dict(self._states)
+        return {n: known.get(n, FRESH) if self.alive(n) else "dead" for n in self._children}
+
+    def pids(self) -> dict[str, int]:
+        """Full node name -> process id."""
+        return {name: child.pid for name, child in self._children.items()}
+
+    def usage(self) -> dict[str, Usage]:
+        """Label of each living node -> the memory and processor time that it uses."""
+        found = {spec.label: self._children[spec.full_name].usage() for spec in self.graph}
+        return {label: usage for label, usage in found.items() if usage is not None}
+
+    def log_tail(self, name: str, lines: int = 15) -> str:
+        """The last lines that a node wrote."""
+        return self._children[name].log_tail(lines)
+
+    # inside ---------------------------------------------------------------------------------------------------
+
+    def _spawn(self, spec: NodeSpec) -> Child:
+        parameters = self.run_folder / f"{spec.label}.yaml"
+        parameters.write_text(yaml.safe_dump(spec.parameter_document(), sort_keys=False))
+        command = [
+            *node_command(spec.package, spec.executable, spec.module),
+            "--ros-args",
+            "-r",
+            f"__node:={spec.name}",
+            "-r",
+            f"__ns:={spec.namespace}",
+            "--params-file",
+            str(parameters),
+        ]
+        log = self.run_folder / f"{spec.label}.log"
+        return Child(spec.label, command, log, self._child_environment(), lambda child: self._report_exit(spec, child))
+
+    def _child_environment(self) -> dict[str, str]:
+        env = {**THREADS_ENV, **os.environ, **self._env, "PYTHONUNBUFFERED": "1"}
+        env["ROS_LOG_DIR"] = str(self.run_folder / "ros_log")
+        if self._domain_id is not None:
+            env["ROS_DOMAIN_ID"] = str(self._domain_id)
+        return env
+
+    def _worth_waiting_for(self, name: str) -> bool:
+        return self.alive(name) and (self._stopping or not self._cancel.is_set())
+
+    def _report_exit(self, spec: NodeSpec, child: Child) -> None:
+        if self._on_exit is not None:
+            self._on_exit(spec, child.log_tail())
+
+    def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
+        """The nodes that rest in ``state``: those of the server, then the cameras, or the other way round."""
+        states = self.states()
+        order = (Role.CAMERA, Role.SERVER) if cameras_first else (Role.SERVER, Role.CAMERA)
+        return [
+            [spec.full_name for spec in self.graph if spec.role is role and states.get(spec.full_name) == state.value]
+            for role in order
+        ]
+
+    def _bring(
+        self,
+        groups: Sequence[Sequence[str]],
+        goal: State,
+        timeout_s: float | None = None,
+        contact_s: float = STOP_TIMEOUT_S,
+    ) -> Outcome:
+        for child in self._children.values():
+            child.note_shared_memory()
+        outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
+        with self._lock:
+            for answer in outcome.answers:
+                if answer.transition is not None and answer.verdict is Verdict.ACKNOWLEDGED:
+                    self._states[answer.node] = REACHED[answer.transition].value
+        return outcome
+
+    def _refuse_strangers(self, configured: Outcome) -> None:
+        """Nodes of our names that are not ours: seen twice, or in a state that our fresh process cannot be in."""
+        assert self._link is not None
+        seen = Counter(f"{space.rstrip('/')}/{name}" for name, space in self._link.node.get_node_names_and_namespaces())
+        asked = {answer.node for answer in configured.answers}
+        foreign = sorted(n for n in self._children if seen[n] > 1 or (self.states()[n] == FRESH and n not in asked))
+        if foreign:
+            raise GraphError(
+                f"{', '.join(foreign)} run already in this ROS domain: stop that graph, or give this one "
+                "another ROS_DOMAIN_ID"
+            )
+
+    def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
+        states = self.states()
+        fallen = [spec for spec in self.graph if states[spec.full_name] != goal.value]
+        cameras = [spec for spec in self.graph if spec.role is Role.CAMERA]
+        lost_cameras = [spec for spec in fallen if spec.role is Role.CAMERA]
+        bearable = tolerate_cameras and len(lost_cameras) == len(fallen) < len(cameras)
+        if fallen and not bearable:
+            raise GraphError("\n".join(self._failure_report(spec, states[spec.full_name], outcome) for spec in fallen))
+
+    def _failure_report(self, spec: NodeSpec, state: str, outcome: Outcome) -> str:
+        said = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
+        if state == "dead":
+            said = [f"{spec.full_name} has died (status {self._children[spec.full_name].returncode})"]
+        tail = self.log_tail(spec.full_name).replace("\n", "\n    ") or "(empty)"
+        return f"{'; '.join(said) or f'{spec.full_name} is {state}'}; the end of {spec.label}.log:\n    {tail}"
+
+
+def seconds_to_start_window(now_ns: int) -> float:
+    """How long to wait until enough is left of the current span of EPOCH_STEP_NS to activate every camera within it."""
+    into_ns = now_ns % EPOCH_STEP_NS
+    return 0.0 if into_ns <= EPOCH_STEP_NS - ACTIVATION_NS else (EPOCH_STEP_NS - into_ns) / 1e9
+
+
+def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
+    """The graph, its footage that is not played by the clock (rate 0) stamped from one epoch.
+
+    Nothing waits for that instant, so any will do; left to themselves, cameras that are activated on both sides of a
+    whole 5 s would stamp their frames 5 s apart, and wait for each other for ever.
+    """
+    unpaced = [spec.full_name for spec in graph if _chooses_epoch(spec) and spec.parameters.get("footage.rate") == 0]
+    if len(unpaced) < 2:
+        return tuple(graph)
+    epoch = {"footage.epoch_ns": epoch_ns}
+    return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
+
+
+def _chooses_epoch(camera: NodeSpec) -> bool:
+    return camera.parameters.get("source") == "footage" and not camera.parameters.get("footage.epoch_ns")

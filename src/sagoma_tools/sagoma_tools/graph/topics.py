@@ -1,0 +1,82 @@
+"""The topics of the graph: what goes in, what comes out, and which of it must replay to the same bytes."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from sagoma_ros.qos import LATCHED
+
+SILHOUETTE_SUFFIX = "/silhouette/compressed"
+CAMERA_INFO_SUFFIX = "/camera_info"
+PREDICTION_TOPIC = "/ekf/prediction"
+DIAGNOSTICS_TOPIC = "/diagnostics"
+CAMERA_TOPIC = re.compile(r"^/(?P<camera>[^/]+)/silhouette/compressed$")
+
+# A recorder may lag behind for a second; whatever it subscribes to, it must not be the one that loses messages.
+LOSSLESS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic: absolute name, message type, whether a lockstep replay repeats its bytes exactly, and whether its
+    publisher keeps the last message for those who come later."""
+
+    name: str
+    msgtype: str
+    repeatable: bool = True
+    latched: bool = False
+
+    @property
+    def qos(self) -> QoSProfile:
+        """How a recorder subscribes."""
+        return LATCHED if self.latched else LOSSLESS
+
+
+OUTPUT_TOPICS: tuple[Topic, ...] = (
+    Topic("/hull/contour_rays", "sensor_msgs/msg/PointCloud2"),
+    Topic("/hull/centerline", "sensor_msgs/msg/PointCloud2"),
+    Topic("/hull/voxels", "sensor_msgs/msg/PointCloud2"),
+    Topic("/hull/frame_set", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
+    Topic("/icp/reference_points", "sensor_msgs/msg/PointCloud2"),
+    Topic("/icp/fit", "diagnostic_msgs/msg/DiagnosticArray"),
+    Topic("/icp/body", "std_msgs/msg/String", latched=True),
+    Topic("/mocap/joint_states", "sensor_msgs/msg/JointState"),
+    Topic("/mocap/torso", "geometry_msgs/msg/PoseWithCovarianceStamped"),
+    Topic("/mocap/joint_covariance", "std_msgs/msg/Float64MultiArray"),
+    Topic("/mocap/reference_points", "sensor_msgs/msg/PointCloud2"),
+    Topic("/mocap/skeleton", "visualization_msgs/msg/MarkerArray"),
+    Topic("/mocap/state", "diagnostic_msgs/msg/DiagnosticStatus"),
+    Topic(PREDICTION_TOPIC, "sensor_msgs/msg/JointState"),
+)
+DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False)
+
+
+def camera_topics(camera: str) -> tuple[Topic, ...]:
+    """What one camera client publishes for the hull server: its camera_info first, then its silhouette."""
+    return (
+        Topic(f"/{camera}{CAMERA_INFO_SUFFIX}", "sensor_msgs/msg/CameraInfo"),
+        Topic(f"/{camera}{SILHOUETTE_SUFFIX}", "sensor_msgs/msg/CompressedImage"),
+    )
+
+
+def cameras_in(topic_names: Iterable[str]) -> tuple[str, ...]:
+    """The cameras that publish silhouettes among ``topic_names``, in name order."""
+    matches = (CAMERA_TOPIC.match(name) for name in topic_names)
+    return tuple(sorted({match["camera"] for match in matches if match}))
+
+
+def message_class(msgtype: str) -> Any:
+    """The Python class of a message type written ``package/msg/Name``; ImportError when it is not installed."""
+    package, kind, name = msgtype.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)

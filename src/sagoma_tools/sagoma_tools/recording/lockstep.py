@@ -1,0 +1,136 @@
+"""A bag through a graph of its own, set by set: a run whose results depend on the bag and the settings alone."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
+from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph
+
+from ..graph.ros_link import RosLink
+from ..graph.supervisor import Supervisor
+from ..graph.topics import OUTPUT_TOPICS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX
+from .reader import SIDECAR_RIG, bag_cameras, bag_topics, frame_tolerance_ns, input_topics, read_frame_sets
+from .recorder import GraphRecorder
+from .replayer import Answers, InputPublishers, LockstepReport, play_lockstep
+
+ANSWER_TIMEOUT_S = 30.0
+CONNECT_TIMEOUT_S = 30.0
+QUIET_S, FLUSH_TIMEOUT_S = 0.5, 10.0
+LOOK_S = 0.05
+
+TOLERANCE = "hull_server.tolerance_s"
+# what carries exactly one message a frame set, whatever is seen
+PER_SET = (
+    "/hull/contour_rays",
+    "/hull/centerline",
+    "/hull/voxels",
+    "/icp/reference_points",
+    "/icp/fit",
+    PREDICTION_TOPIC,
+)
+# topic -> the nodes that must listen to it before the first set is sent
+LISTENERS = {
+    "/hull/contour_rays": {"icp_tracker"},
+    "/hull/centerline": {"icp_tracker"},
+    "/hull/voxels": {"icp_tracker"},
+    "/icp/reference_points": {"ekf_tracker"},
+    PREDICTION_TOPIC: {"icp_tracker"},
+}
+
+
+def replay_through_graph(
+    bag: str | Path,
+    output: str | Path,
+    run_folder: str | Path,
+    *,
+    rig: str | Path | None = None,
+    body: str | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
+    domain_id: int | None = None,
+    cancel: threading.Event | None = None,
+) -> LockstepReport:
+    """Start hull server, ICP and EKF, replay the bag's frame sets in lockstep, record what they say into ``output``.
+
+    rig : by default the one that lies in the bag's folder.
+    settings : parameters as for :func:`sagoma_bringup.graph.build_graph`; they win over the lossless ones.
+    """
+    rig_file = matching_rig(bag, rig)
+    measured = {TOLERANCE: frame_tolerance_ns(bag) / 1e9}
+    chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
+    graph = build_graph(rig=rig_file, body=body, settings=chosen)
+    made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
+    with Supervisor(graph, run_folder, domain_id=domain_id, cancel=cancel) as supervisor:
+        supervisor.configure()
+        with (
+            GraphRecorder(
+                graph, output, topics=OUTPUT_TOPICS, domain_id=domain_id, provenance=made_from, canonical=True
+            ) as recorder,
+            RosLink("sagoma_replayer", domain_id=domain_id) as link,
+        ):
+            recorder.wait_for_publishers()
+            supervisor.activate()
+            wait_for_listeners(link.node, CONNECT_TIMEOUT_S)
+            tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
+            report = lockstep_into(link.node, bag, tolerance_ns=tolerance_ns, cancel=cancel)
+            recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, FLUSH_TIMEOUT_S)
+            recorder.recorder.wait_until_quiet(QUIET_S, FLUSH_TIMEOUT_S)
+            report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.recorder.counts[t]) != 0}
+    return report
+
+
+def lockstep_into(
+    node: Node, bag: str | Path, *, tolerance_ns: int | None = None, cancel: threading.Event | None = None
+) -> LockstepReport:
+    """Replay a bag in lockstep into whatever graph listens; ``node`` must be spun by another thread."""
+    types = bag_topics(bag)
+    answers = Answers(node)
+    publishers = InputPublishers(node, {name: types[name] for name in input_topics(bag)})
+    silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in bag_cameras(bag)]
+    publishers.wait_for_subscribers(silhouettes, CONNECT_TIMEOUT_S)
+    frame_sets = read_frame_sets(bag, frame_tolerance_ns(bag) if tolerance_ns is None else tolerance_ns)
+    return play_lockstep(frame_sets, publishers, answers, timeout_s=ANSWER_TIMEOUT_S, cancel=cancel)
+
+
+def wait_for_listeners(node: Node, timeout_s: float) -> None:
+    """Return once the server's nodes listen to each other; InputError names who does not listen to what in time."""
+    deadline_s = time.monotonic() + timeout_s
+    while deaf := _deaf(node):
+        if time.monotonic() > deadline_s:
+            raise InputError(
+                f"not heard by {', '.join(sorted(set().union(*deaf.values())))} within {timeout_s:g} s",
+                where=", ".join(deaf),
+                remedy="All three nodes of the server must be active.",
+            )
+        threading.Event().wait(LOOK_S)  # rclpy has no event for a change of the graph
+
+
+def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
+    """The rig file to replay a bag with; InputError when there is none, or when its cameras are not the bag's."""
+    rig_file = Path(rig) if rig is not None else Path(bag) / SIDECAR_RIG
+    if not rig_file.is_file():
+        raise InputError("there is no rig file", where=str(rig_file), remedy="Give one with --rig.")
+    known, recorded = load_rig(rig_file).names, bag_cameras(bag)
+    strangers = [name for name in recorded if name not in known]
+    if strangers:
+        raise InputError(
+            f"the bag has silhouettes of {', '.join(strangers)}, which the rig does not know",
+            where=str(rig_file),
+            remedy=f"Known cameras: {', '.join(known)}.",
+        )
+    return rig_file
+
+
+def _deaf(node: Node) -> dict[str, set[str]]:
+    missing = {
+        topic: wanted - {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
+        for topic, wanted in LISTENERS.items()
+    }
+    return {topic: names for topic, names in missing.items() if names}

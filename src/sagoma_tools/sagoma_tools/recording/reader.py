@@ -1,0 +1,229 @@
+"""Reading rosbag2 bags (mcap or sqlite3, ours or of ``ros2 bag record``) without touching the messages' bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise, zip_longest
+from pathlib import Path
+from statistics import median
+
+from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_typestore
+
+from capture_rig.errors import InputError
+from capture_rig.frame_set import FrameSet, FrameSetCollector
+
+from ..graph.topics import CAMERA_INFO_SUFFIX, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, cameras_in
+
+# --- Serialized messages (CDR) with their undefined bytes set to zero, so that equal messages are equal bytes.
+#
+# CDR aligns every number to its size; what lies in the gaps is whatever the sender's memory held.
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def canonical_bytes(data: bytes, msgtype: str) -> bytes:
+    """The message with zeros in its gaps; unchanged when it is of a type that is not known or does not parse."""
+    try:
+        return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
+    except (SerdeError, TypesysError, KeyError):
+        return data
+
+
+SIDECAR_RIG, SIDECAR_PROVENANCE = "rig.yaml", "sagoma.yaml"
+NEVER_NS = 2**62
+UNPAIRED_SETS = 64
+DEFAULT_TOLERANCE_NS = 8_000_000
+
+
+@dataclass(frozen=True)
+class BagMessage:
+    """One message as it lies in the bag: ``data`` is the serialized (CDR) message, untouched."""
+
+    topic: str
+    msgtype: str
+    log_ns: int
+    data: bytes
+
+    @property
+    def stamp_ns(self) -> int:
+        """``header.stamp`` in ns; only for messages whose first field is a std_msgs/Header."""
+        return header_stamp_ns(self.data)
+
+
+@dataclass(frozen=True)
+class TopicDigest:
+    """SHA-256 over the messages of a topic, in bag order, each preceded by its length."""
+
+    count: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Where two bags first differ on a topic: message index, and byte (None: one bag has no such message)."""
+
+    topic: str
+    index: int
+    byte: int | None
+    count_a: int
+    count_b: int
+
+    def __str__(self) -> str:
+        counts = f"{self.count_a} and {self.count_b} messages"
+        if self.byte is None:
+            return f"{self.topic}: {counts}; all agree up to the shorter's end"
+        return f"{self.topic}: message {self.index} (of {counts}) differs first, from byte {self.byte} on"
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """Stamp of a serialized message that starts with a Header: CDR puts sec, nanosec right behind 4 lead-in bytes."""
+    order = "<" if data[1] & 1 else ">"
+    sec, nanosec = struct.unpack_from(order + "iI", data, 4)
+    return sec * 1_000_000_000 + nanosec
+
+
+@contextmanager
+def open_bag(bag: str | Path) -> Iterator[Reader]:
+    """Open a bag folder (or a single .mcap/.db3 file); InputError says what is wrong with it and what to do."""
+    bag = Path(bag)
+    if not bag.exists():
+        raise InputError("there is no such bag", where=str(bag), remedy="Give the folder that holds metadata.yaml.")
+    if bag.is_dir() and not (bag / "metadata.yaml").exists():
+        mcap = bool(list(bag.glob("*.mcap")))
+        raise InputError(
+            "has no metadata.yaml",
+            where=str(bag),
+            remedy=f"Its writer was killed: run `sagoma recover {bag}`."
+            if mcap
+            else "Give the folder of a rosbag2 bag.",
+        )
+    try:
+        with Reader(bag) as reader:
+            yield reader
+    except ReaderError as error:
+        raise InputError(
+            f"cannot be read as a rosbag2 bag ({error})",
+            where=str(bag),
+            remedy="Record it again, or try `sagoma recover`.",
+        ) from error
+
+
+def bag_topics(bag: str | Path) -> dict[str, str]:
+    """Topic name -> message type."""
+    with open_bag(bag) as reader:
+        return {connection.topic: connection.msgtype for connection in reader.connections}
+
+
+def read_messages(bag: str | Path, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[BagMessage]:
+    """The messages of the wanted topics in log order."""
+    with open_bag(bag) as reader:
+        connections = [c for c in reader.connections if wanted(c.topic)]
+        if not connections:
+            return
+        for connection, log_ns, data in reader.messages(connections):
+            yield BagMessage(connection.topic, connection.msgtype, log_ns, bytes(data))
+
+
+def bag_cameras(bag: str | Path) -> tuple[str, ...]:
+    """The cameras whose silhouettes a bag holds, in name order; InputError when it holds none."""
+    cameras = cameras_in(bag_topics(bag))
+    if not cameras:
+        raise InputError(
+            "holds no topic /CAMERA/silhouette/compressed",
+            where=str(bag),
+            remedy="Record the cameras' topics too: `sagoma record` does.",
+        )
+    return cameras
+
+
+def input_topics(bag: str | Path) -> tuple[str, ...]:
+    """The input topics (camera_info and silhouettes) that the bag holds, in camera order."""
+    present = bag_topics(bag)
+    names = (topic.name for camera in bag_cameras(bag) for topic in camera_topics(camera))
+    return tuple(name for name in names if name in present)
+
+
+def frame_tolerance_ns(bag: str | Path) -> int:
+    """Half the bag's frame period: the largest distance of two stamps of one frame set. From the median interval."""
+    silhouettes = {f"/{camera}{SILHOUETTE_SUFFIX}" for camera in bag_cameras(bag)}
+    stamps: dict[str, list[int]] = {topic: [] for topic in silhouettes}
+    for message in read_messages(bag, silhouettes.__contains__):
+        stamps[message.topic].append(message.stamp_ns)
+    intervals = [b - a for series in stamps.values() for a, b in pairwise(series) if b > a]
+    return int(median(intervals)) // 2 if intervals else DEFAULT_TOLERANCE_NS
+
+
+def read_frame_sets(bag: str | Path, tolerance_ns: int) -> Iterator[FrameSet[list[BagMessage]]]:
+    """The input messages sorted into frame sets, as the hull server sorts them; one list of messages a camera.
+
+    A frame's messages are its camera_info (when the bag has one of the same stamp), then its silhouette.
+    """
+    cameras = bag_cameras(bag)
+    collector: FrameSetCollector[list[BagMessage]] = FrameSetCollector(
+        cameras, tolerance_ns=tolerance_ns, deadline_ns=NEVER_NS, max_open=UNPAIRED_SETS
+    )
+    for camera, frame in _read_frames(bag, cameras):
+        yield from collector.add(camera, frame[-1].stamp_ns, frame, arrival_ns=0)
+    yield from collector.flush()
+
+
+def _read_frames(bag: str | Path, cameras: tuple[str, ...]) -> Iterator[tuple[str, list[BagMessage]]]:
+    """(camera, its messages of one stamp) in the order of the silhouettes.
+
+    The two topics of a camera may have been logged in either order, so camera_info is read ahead of the silhouettes.
+    """
+    info_camera = {f"/{camera}{CAMERA_INFO_SUFFIX}": camera for camera in cameras}
+    silhouette_camera = {f"/{camera}{SILHOUETTE_SUFFIX}": camera for camera in cameras}
+    infos = {(info_camera[m.topic], m.stamp_ns): m for m in read_messages(bag, info_camera.__contains__)}
+    for message in read_messages(bag, silhouette_camera.__contains__):
+        camera = silhouette_camera[message.topic]
+        info = infos.pop((camera, message.stamp_ns), None)
+        yield camera, [message] if info is None else [info, message]
+
+
+def bag_digest(bag: str | Path, topics: Iterable[str] | None = None) -> dict[str, TopicDigest]:
+    """SHA-256 of each topic's messages in order; by default of the output topics that replay to the same bytes.
+
+    Undefined bytes between fields count as zero (see :mod:`.cdr`).
+    """
+    names = default_comparison(bag) if topics is None else tuple(topics)
+    hashes = {name: hashlib.sha256() for name in names}
+    counts = dict.fromkeys(names, 0)
+    for message in read_messages(bag, hashes.__contains__):
+        content = canonical_bytes(message.data, message.msgtype)
+        hashes[message.topic].update(struct.pack("<Q", len(content)) + content)
+        counts[message.topic] += 1
+    return {name: TopicDigest(counts[name], hashes[name].hexdigest()) for name in names}
+
+
+def default_comparison(bag: str | Path) -> tuple[str, ...]:
+    """The repeatable output topics that the bag has."""
+    present = bag_topics(bag)
+    return tuple(topic.name for topic in OUTPUT_TOPICS if topic.repeatable and topic.name in present)
+
+
+def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> Difference | None:
+    """The first message of ``topic`` that differs between two bags, undefined bytes apart; None when all agree."""
+    streams = (read_messages(bag, topic.__eq__) for bag in (bag_a, bag_b))
+    count_a = count_b = 0
+    found: tuple[int, int | None] | None = None
+    for index, (a, b) in enumerate(zip_longest(*streams)):
+        count_a, count_b = count_a + (a is not None), count_b + (b is not None)
+        if found is None and (a is None or b is None):
+            found = index, None
+        elif found is None and a.data != b.data:
+            found = _position(index, *(canonical_bytes(m.data, m.msgtype) for m in (a, b)))
+    return None if found is None else Difference(topic, *found, count_a, count_b)
+
+
+def _position(index: int, a: bytes, b: bytes) -> tuple[int, int | None] | None:
+    """(message, byte) where two messages differ, None when they do not."""
+    if a == b:
+        return None
+    return index, next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))

@@ -1,0 +1,249 @@
+"""Records the live topics of the graph: subscribes reliably and writes the serialized bytes as they arrive."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+
+from sagoma_bringup.graph import NodeSpec, Role
+
+from ..graph.ros_link import RosLink, call_all
+from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, Topic, camera_topics, cameras_in, message_class
+from .reader import canonical_bytes, header_stamp_ns
+from .writer import OFFERED, OFFERED_LATCHED, BagWriter
+
+DISCOVERY_S = 0.2
+SETTLE_S = 0.3  # ROS tells us when we know the publisher, not when it knows us: that comes a little later
+
+
+class Recorder:
+    """Records topics into one bag from construction to :meth:`close`; ``node`` must be spun by another thread.
+
+    canonical : write undefined bytes between fields as zero, so that equal messages are equal bytes in the bag; costs
+    some 0.05 ms a message (2 ms for markers), so it is for lockstep, not for live recordings.
+    """
+
+    def __init__(self, node: Node, folder: str | Path, topics: Iterable[Topic], *, canonical: bool = False) -> None:
+        self._node, self._canonical = node, canonical
+        self._writer = BagWriter(folder)
+        self._arrived = threading.Condition()
+        self._last_stamp_ns: dict[str, int] = {}
+        self._publishers: dict[str, int] = {}
+        self._open = True
+        self._subscriptions: dict[str, Any] = {}
+        self._discovery: Any = None
+        for topic in topics:
+            self.add(topic)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written so far, by topic."""
+        with self._arrived:
+            return dict(self._writer.counts)
+
+    def add(self, topic: Topic) -> None:
+        """Record this topic too, from now on."""
+        with self._arrived:
+            if topic.name in self._subscriptions:
+                return
+            self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
+        self._subscriptions[topic.name] = self._node.create_subscription(
+            message_class(topic.msgtype),
+            topic.name,
+            self._taker(topic),
+            topic.qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(matched=self._noter(topic)),
+        )
+
+    def follow_cameras(self) -> None:
+        """Look for cameras that publish silhouettes, now and from time to time, and record them too."""
+        if self._discovery is None:
+            self._discovery = self._node.create_timer(DISCOVERY_S, self._add_cameras)
+
+    def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
+        """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
+        names = tuple(topics)
+        with self._arrived:
+            self._arrived.wait_for(lambda: all(self._publishers.get(name) for name in names), timeout_s)
+            lonely = tuple(name for name in names if not self._publishers.get(name))
+        threading.Event().wait(SETTLE_S)
+        return lonely
+
+    def wait_for_stamp(self, topic: str, stamp_ns: int, timeout_s: float) -> bool:
+        """True as soon as a message of this (stamped) topic with this or a later stamp is written."""
+        with self._arrived:
+            return self._arrived.wait_for(lambda: self._last_stamp_ns.get(topic, -1) >= stamp_ns, timeout_s)
+
+    def wait_until_quiet(self, quiet_s: float, timeout_s: float) -> bool:
+        """True once nothing has arrived for ``quiet_s``: what was under way has been written."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._arrived:
+            while time.monotonic() < deadline_s:
+                if not self._arrived.wait(quiet_s):
+                    return True
+        return False
+
+    def wait_for_count(self, topic: str, count: int, timeout_s: float) -> bool:
+        """True as soon as ``count`` messages of ``topic`` are written."""
+        with self._arrived:
+            return self._arrived.wait_for(lambda: self._writer.counts.get(topic, 0) >= count, timeout_s)
+
+    def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
+        """Stop listening and finish the bag; returns the messages written by topic. May be called twice."""
+        with self._arrived:
+            was_open, self._open = self._open, False
+        if was_open:
+            if self._discovery is not None:
+                self._node.destroy_timer(self._discovery)
+            for subscription in self._subscriptions.values():
+                self._node.destroy_subscription(subscription)
+            self._writer.describe(provenance or {}, rig)
+            self._writer.close()
+        return dict(self._writer.counts)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _taker(self, topic: Topic) -> Callable[[bytes], None]:
+        stamped = has_header(topic.msgtype)
+
+        def take(data: bytes) -> None:
+            now_ns = self._node.get_clock().now().nanoseconds
+            with self._arrived:
+                if self._open:
+                    written = canonical_bytes(data, topic.msgtype) if self._canonical else data
+                    self._writer.write(topic.name, now_ns, written)
+                    if stamped:
+                        self._last_stamp_ns[topic.name] = header_stamp_ns(data)
+                    self._arrived.notify_all()
+
+        return take
+
+    def _noter(self, topic: Topic) -> Callable[[Any], None]:
+        def note(info: Any) -> None:
+            with self._arrived:
+                self._publishers[topic.name] = info.current_count
+                self._arrived.notify_all()
+
+        return note
+
+    def _add_cameras(self) -> None:
+        names = [name for name, _ in self._node.get_topic_names_and_types()]
+        for camera in cameras_in(names):
+            for topic in camera_topics(camera):
+                self.add(topic)
+
+
+def has_header(msgtype: str) -> bool:
+    """Does a message of this type start with a std_msgs/Header?"""
+    fields = message_class(msgtype).get_fields_and_field_types()
+    return next(iter(fields.values())) == "std_msgs/Header"
+
+
+# --- Records a graph that we started ourselves: its topics are known beforehand, and so is what made them.
+
+CONNECT_TIMEOUT_S = 10.0
+
+
+class GraphRecorder:
+    """Subscribes to every topic of ``graph`` from a node of its own and writes them to ``bag`` until closed."""
+
+    def __init__(
+        self,
+        graph: Sequence[NodeSpec],
+        bag: str | Path,
+        *,
+        topics: Iterable[Topic] | None = None,
+        domain_id: int | None = None,
+        provenance: Mapping[str, Any] | None = None,
+        canonical: bool = False,
+    ) -> None:
+        """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml."""
+        self._topics = tuple(graph_topics(graph) if topics is None else topics)
+        self._graph = tuple(graph)
+        self._provenance = dict(provenance or {})
+        self._link = RosLink("sagoma_recorder", domain_id=domain_id)
+        try:
+            self.recorder = Recorder(self._link.node, bag, self._topics, canonical=canonical)
+        except BaseException:
+            self._link.close()
+            raise
+
+    def wait_for_publishers(self, timeout_s: float = CONNECT_TIMEOUT_S) -> tuple[str, ...]:
+        """Return once every topic but the latched ones has a publisher; returns those that have none in time.
+
+        Nodes open their publishers when they are configured: call it between configure and activate.
+        """
+        return self.recorder.wait_for_publishers([t.name for t in self._topics if not t.latched], timeout_s)
+
+    def close(self, **provenance: Any) -> dict[str, int]:
+        """Finish the bag; returns the messages written by topic. May be called twice."""
+        description = {"graph": graph_document(self._graph), **self._provenance, **provenance}
+        counts = self.recorder.close(description, rig_file(self._graph))
+        self._link.close()
+        return counts
+
+    def __enter__(self) -> GraphRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
+    """What the nodes publish: cameras' topics, the server's, and diagnostics."""
+    cameras = [node.label for node in graph if node.role is Role.CAMERA]
+    return [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, DIAGNOSTICS]
+
+
+def graph_document(graph: Sequence[NodeSpec]) -> dict[str, Any]:
+    """Full node name -> its parameters, as plain data for YAML."""
+    return {node.full_name: dict(node.parameters) for node in graph}
+
+
+def rig_file(graph: Sequence[NodeSpec]) -> Path | None:
+    """The rig YAML that the nodes were given."""
+    named = (node.parameters.get("rig_file") for node in graph)
+    return next((Path(name) for name in named if name), None)
+
+
+# --- Asks the running nodes for their parameters, so that a bag can say what made it.
+
+
+def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> dict[str, dict[str, Any]]:
+    """Full node name -> its parameters; a node that does not answer in time is left out.
+
+    ``node`` must be spun by another thread.
+    """
+    questions = {f"{name}/list_parameters": ListParameters.Request() for name in names}
+    listed = call_all(node, ListParameters, questions, timeout_s)
+    keys = {n: list(reply.result.names) for n in names if (reply := listed[f"{n}/list_parameters"]) is not None}
+    requests = {f"{name}/get_parameters": GetParameters.Request(names=keys[name]) for name in keys}
+    replies = call_all(node, GetParameters, requests, timeout_s)
+    return {
+        name: {key: _plain(value) for key, value in zip(keys[name], reply.values, strict=True)}
+        for name in keys
+        if (reply := replies[f"{name}/get_parameters"]) is not None
+    }
+
+
+def _plain(value: Any) -> Any:
+    found = parameter_value_to_python(value)
+    return found if found is None or isinstance(found, bool | int | float | str) else list(found)

@@ -1,0 +1,185 @@
+"""Plays a bag's messages into the live graph: with the timing they were recorded with, or set by set (lockstep).
+
+In lockstep the next frame set is published when the EKF has answered the one before, so nothing is dropped and
+nothing depends on how fast anything runs: the same bag gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+from capture_rig.errors import InputError
+from capture_rig.frame_set import FrameSet
+
+from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, message_class
+from .reader import BagMessage, header_stamp_ns
+
+
+class Clock(Protocol):
+    """What a timed replay needs of time; tests inject their own."""
+
+    def now_s(self) -> float: ...
+
+    def sleep_until(self, deadline_s: float) -> bool:
+        """Wait; False when the replay was stopped meanwhile."""
+        ...
+
+
+class MonotonicClock:
+    """Real time; ``stop``, once set, wakes a waiting replay and ends it."""
+
+    def __init__(self, stop: threading.Event) -> None:
+        self._stopped = stop
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep_until(self, deadline_s: float) -> bool:
+        return not self._stopped.wait(max(0.0, deadline_s - time.monotonic()))
+
+
+class InputPublishers:
+    """Reliable publishers for the topics of a bag; knows which of them have a subscriber."""
+
+    def __init__(self, node: Node, topics: Mapping[str, str]) -> None:
+        """``topics``: name -> message type."""
+        self._matched = threading.Condition()
+        self._subscribers = dict.fromkeys(topics, 0)
+        self._publishers: dict[str, Publisher] = {
+            name: node.create_publisher(
+                message_class(msgtype),
+                name,
+                LOSSLESS,
+                event_callbacks=PublisherEventCallbacks(matched=self._noter(name)),
+            )
+            for name, msgtype in topics.items()
+        }
+
+    def wait_for_subscribers(self, topics: Iterable[str], timeout_s: float) -> None:
+        """Return once every one of ``topics`` has a subscriber; InputError names those that have none in time."""
+        names = tuple(topics)
+        with self._matched:
+            if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
+                lonely = ", ".join(name for name in names if not self._subscribers[name])
+                raise InputError(
+                    f"nobody subscribed within {timeout_s:g} s",
+                    where=lonely,
+                    remedy="Start the hull server (`sagoma up --rig ... --server`), or check "
+                    "ROS_DOMAIN_ID and the camera names of its rig.",
+                )
+
+    def publish(self, message: BagMessage) -> None:
+        """Publish the serialized message as it is."""
+        self._publishers[message.topic].publish(message.data)
+
+    def _noter(self, name: str) -> Any:
+        def note(info: Any) -> None:
+            with self._matched:
+                self._subscribers[name] = info.current_count
+                self._matched.notify_all()
+
+        return note
+
+
+def play_timed(messages: Iterable[BagMessage], publishers: InputPublishers, clock: Clock, rate: float = 1.0) -> int:
+    """Publish each message when its log time has come, ``rate`` times as fast as recorded; returns how many."""
+    count = 0
+    origin: tuple[int, float] | None = None
+    for message in messages:
+        origin = origin or (message.log_ns, clock.now_s())
+        due_s = origin[1] + (message.log_ns - origin[0]) / 1e9 / rate
+        if not clock.sleep_until(due_s):
+            break
+        publishers.publish(message)
+        count += 1
+    return count
+
+
+@dataclass
+class LockstepReport:
+    """What a lockstep replay did.
+
+    sets : frame sets published; unanswered_ns : stamps of those that the EKF never answered; stray_answers : answers
+    to sets that were not asked; unrecorded : topics with one message a set that lack some in the recording.
+    """
+
+    sets: int = 0
+    unanswered_ns: list[int] = field(default_factory=list)
+    stray_answers: int = 0
+    last_stamp_ns: int = -1
+    unrecorded: dict[str, int] = field(default_factory=dict)
+
+
+class Answers:
+    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp."""
+
+    def __init__(self, node: Node, topic: str = PREDICTION_TOPIC) -> None:
+        self._arrived = threading.Condition()
+        self._stamps: set[int] = set()
+        self.total = 0
+        self._subscription = node.create_subscription(JointState, topic, self._take, LOSSLESS, raw=True)
+
+    def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
+        """True as soon as the answer to the set with this stamp has come."""
+        with self._arrived:
+            return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
+
+    def wait_for_total(self, count: int, timeout_s: float) -> bool:
+        """True as soon as so many answers have come, whatever they answer."""
+        with self._arrived:
+            return self._arrived.wait_for(lambda: self.total >= count, timeout_s)
+
+    def strays(self, expected: Iterable[int]) -> int:
+        """How many answers came to sets that were never asked."""
+        with self._arrived:
+            return len(self._stamps - set(expected))
+
+    def _take(self, data: bytes) -> None:
+        with self._arrived:
+            self.total += 1
+            self._stamps.add(header_stamp_ns(data))
+            self._arrived.notify_all()
+
+
+def play_lockstep(
+    frame_sets: Iterable[FrameSet[list[BagMessage]]],
+    publishers: InputPublishers,
+    answers: Answers,
+    *,
+    timeout_s: float,
+    cancel: threading.Event | None = None,
+) -> LockstepReport:
+    """Publish one frame set after another, each when the EKF has answered the last.
+
+    A set that is not answered within ``timeout_s`` is noted and the next one follows; InputError when the very first
+    one is not, since then the graph is not there or not connected. ``cancel`` ends it between two sets.
+    """
+    report, asked = LockstepReport(), []
+    for frame_set in frame_sets:
+        if cancel is not None and cancel.is_set():
+            break
+        for frame in frame_set.frames.values():  # cameras in name order
+            for message in frame:
+                publishers.publish(message)
+        asked.append(frame_set.stamp_ns)
+        report.sets += 1
+        report.last_stamp_ns = frame_set.stamp_ns
+        if not answers.wait_for(frame_set.stamp_ns, timeout_s):
+            report.unanswered_ns.append(frame_set.stamp_ns)
+            if report.sets == 1:
+                raise InputError(
+                    f"no answer to the first frame set within {timeout_s:g} s",
+                    where=PREDICTION_TOPIC,
+                    remedy="All of hull_server, icp_tracker and ekf_tracker must be active.",
+                )
+    report.stray_answers = answers.strays(asked)
+    return report

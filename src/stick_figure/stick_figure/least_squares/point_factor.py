@@ -1,0 +1,239 @@
+"""Gauss-Newton normal equations of data points against an articulated stick figure, all joints at once.
+
+Every data point pulls on the stick it is nearest to, through its foot point's derivative with respect to the 24
+tangent slots of the pose. For a foot inside a stick the component along the stick is free (the foot slides); for a
+foot clamped to a stick's end all three components count. This is articulated ICP as in Demirdjian & Darrell, "3-D
+articulated pose tracking for untethered diectic reference", ICMI 2002, with hard joint constraints; the columns are
+the thesis's Table 5.8 corrected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from stick_figure import kernels
+from stick_figure.skeleton import POINT_STICK
+
+from .algebra import inverse_positive
+
+TANGENT = 24
+CHAIN_COLUMNS = 11  # most columns a point's Jacobian can have
+
+
+@njit(cache=True)
+def add_point_residuals(points, weight, stick, along, feet, A, B, t0, axes, H, g):
+    """Add sum w J^T J to the upper triangle of ``H`` (24, 24) and sum w J^T r to ``g`` (24,), r = point - foot.
+
+    ``weight`` (n,) is the robust weight over the point's variance, 1/m^2. A foot at ``along`` = u has the Jacobian
+    (1-u) J_A + u J_B of its stick's two ends, so that a stick's points enter through a handful of sums.
+    """
+    sticks = A.shape[0]
+    squares = np.zeros((sticks, 5))
+    pulls = np.zeros((sticks, 2, 3))
+    sum_over_sticks(points, weight, stick, along, feet, squares, pulls)
+    J_A, J_B = np.empty((3, CHAIN_COLUMNS)), np.empty((3, CHAIN_COLUMNS))
+    slots = np.empty(CHAIN_COLUMNS, np.int64)
+    for j in range(sticks):
+        inside_aa, inside_ab, inside_bb, at_start, at_end = squares[j]
+        if inside_aa + inside_bb + at_start + at_end == 0.0:
+            continue
+        kernels.point_jacobian(j, A[j], t0, A, axes, J_A, slots)
+        n = kernels.point_jacobian(j, B[j], t0, A, axes, J_B, slots)
+        for m in range(n):
+            for k in range(3):
+                g[slots[m]] += J_A[k, m] * pulls[j, 0, k] + J_B[k, m] * pulls[j, 1, k]
+        add_products(J_A, J_A, slots, n, at_start, H)
+        add_products(J_B, J_B, slots, n, at_end, H)
+        remove_direction(J_A, n, A[j], B[j])
+        remove_direction(J_B, n, A[j], B[j])
+        add_products(J_A, J_A, slots, n, inside_aa, H)
+        add_products(J_A, J_B, slots, n, inside_ab, H)
+        add_products(J_B, J_A, slots, n, inside_ab, H)
+        add_products(J_B, J_B, slots, n, inside_bb, H)
+
+
+@njit(cache=True)
+def sum_over_sticks(points, weight, stick, along, feet, squares, pulls):
+    """Sums over each stick's points: squares (10, 5) = w (1-u)^2, w u (1-u), w u^2 of the feet inside the stick, w of
+    those clamped to its start, to its end; pulls (10, 2, 3) = w (1-u) r, w u r."""
+    for i in range(points.shape[0]):
+        j, u, w = stick[i], along[i], weight[i]
+        if w <= 0.0:
+            continue
+        if u <= 0.0:
+            squares[j, 3] += w
+        elif u >= 1.0:
+            squares[j, 4] += w
+        else:
+            squares[j, 0] += w * (1.0 - u) * (1.0 - u)
+            squares[j, 1] += w * u * (1.0 - u)
+            squares[j, 2] += w * u * u
+        for k in range(3):
+            pull = w * (points[i, k] - feet[i, k])
+            pulls[j, 0, k] += (1.0 - u) * pull
+            pulls[j, 1, k] += u * pull
+
+
+@njit(cache=True)
+def remove_direction(J, n, start, end):
+    """Project the columns of J (3, n) onto the plane across the stick from ``start`` to ``end``: the foot slides."""
+    d0, d1, d2 = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    length2 = d0 * d0 + d1 * d1 + d2 * d2
+    for m in range(n):
+        s = (J[0, m] * d0 + J[1, m] * d1 + J[2, m] * d2) / length2
+        J[0, m] -= s * d0
+        J[1, m] -= s * d1
+        J[2, m] -= s * d2
+
+
+@njit(cache=True)
+def add_products(J, K, slots, n, w, H):
+    """Half of w J^T K (the pairs m <= q) into the upper triangle of H: J^T J whole, or J^T K with K^T J added next."""
+    if w == 0.0:
+        return
+    for m in range(n):
+        for q in range(m, n):
+            row, column = min(slots[m], slots[q]), max(slots[m], slots[q])
+            H[row, column] += w * (J[0, m] * K[0, q] + J[1, m] * K[1, q] + J[2, m] * K[2, q])
+
+
+@njit(cache=True)
+def mirror_upper(H):
+    """Copy the upper triangle of H onto the lower."""
+    for i in range(H.shape[0]):
+        for j in range(i):
+            H[i, j] = H[j, i]
+
+
+@njit(cache=True)
+def point_covariances(information, A, B, t0, axes, scale, covariance):
+    """``scale`` J information^-1 J^T of the 15 reference points into ``covariance`` (15, 3, 3), m^2, world frame."""
+    P = np.empty((15, 3))
+    kernels.reference_points(A, B, t0, P)
+    S = np.empty((TANGENT, TANGENT))
+    inverse_positive(information, S)
+    J = np.empty((3, CHAIN_COLUMNS))
+    slots = np.empty(CHAIN_COLUMNS, np.int64)
+    for i in range(15):
+        n = kernels.point_jacobian(POINT_STICK[i], P[i], t0, A, axes, J, slots)
+        if i == 0:
+            n = 3  # the torso's centre does not move with any rotation
+        for p in range(3):
+            for q in range(p + 1):
+                s = 0.0
+                for k in range(n):
+                    for m in range(n):
+                        s += J[p, k] * S[slots[k], slots[m]] * J[q, m]
+                covariance[i, p, q] = scale * s
+                covariance[i, q, p] = scale * s
+
+
+# --- The foot point of every data point on the stick figure: the nearest point of the nearest stick.
+#
+# Thesis Algorithm 2, step 3. (The text of its section 4.3 looks for the closest LINE first and falls back on end points;
+# that picks another stick for one point in five and contradicts Algorithm 2 and figure 4.4. This is Algorithm 2.)
+
+STICKS = 10
+
+
+@njit(cache=True)
+def foot_points(points, A, B, stick, along, feet, squared):
+    """Project ``points`` (n, 3) onto all sticks from ``A`` to ``B`` (10, 3) and keep the nearest projection.
+
+    Writes ``stick`` (n,) int, ``along`` (n,) in [0, 1] from A to B (clamped), ``feet`` (n, 3) and ``squared`` (n,),
+    the squared distance; all in the frame and unit of the points.
+    """
+    stick[:] = 0
+    along[:] = 0.0
+    squared[:] = np.inf
+    x, y, z = columns(points)
+    for j in range(STICKS):
+        prefer_stick(j, x, y, z, A[j], B[j], stick, along, squared)
+    place_feet(A, B, stick, along, feet)
+
+
+@njit(cache=True)
+def columns(points):
+    """The coordinates of ``points`` (n, 3) as three contiguous arrays (n,)."""
+    n = points.shape[0]
+    x, y, z = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        x[i], y[i], z[i] = points[i, 0], points[i, 1], points[i, 2]
+    return x, y, z
+
+
+@njit(cache=True)
+def prefer_stick(j, x, y, z, start, end, stick, along, squared):
+    """Move to stick ``j`` every point that is nearer to it than ``squared`` says; branch-free, so it is vectorised."""
+    a0, a1, a2 = start[0], start[1], start[2]
+    d0, d1, d2 = end[0] - a0, end[1] - a1, end[2] - a2
+    length2 = d0 * d0 + d1 * d1 + d2 * d2
+    inverse = 1.0 / length2 if length2 > 0.0 else 0.0
+    for i in range(x.shape[0]):
+        p, q, r = x[i] - a0, y[i] - a1, z[i] - a2
+        u = (p * d0 + q * d1 + r * d2) * inverse
+        u = u if u > 0.0 else 0.0
+        u = u if u < 1.0 else 1.0
+        p -= u * d0
+        q -= u * d1
+        r -= u * d2
+        distance2 = p * p + q * q + r * r
+        nearer = distance2 < squared[i]
+        squared[i] = distance2 if nearer else squared[i]
+        along[i] = u if nearer else along[i]
+        stick[i] = j if nearer else stick[i]
+
+
+@njit(cache=True)
+def place_feet(A, B, stick, along, feet):
+    """The foot points (n, 3) at ``along`` of their sticks."""
+    for i in range(stick.shape[0]):
+        j, u = stick[i], along[i]
+        for k in range(3):
+            feet[i, k] = A[j, k] + u * (B[j, k] - A[j, k])
+
+
+# --- The X84 rejection rule (thesis 4.3, eq. 4.11), one-sided and with a floor.
+#
+# The thesis discards pairs with ``|e - med e| > 3.5 * 1.4826 MAD``. Two corrections: a distance BELOW the median is
+# never an outlier, so the rule is one-sided; and the median absolute deviation of a nearly perfect set is nearly zero
+# and would discard half of it, so the scale never falls below a floor of a few millimetres.
+
+CUT = 3.5  # standard deviations (Hampel et al., "Robust Statistics", 1986)
+MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
+SIGMA_FLOOR_M = 0.005
+
+
+@njit(cache=True)
+def x84_threshold(distances, floor=SIGMA_FLOOR_M):
+    """Largest distance (m) that is kept of ``distances`` (n,), in m; infinite for an empty set."""
+    if distances.shape[0] == 0:
+        return np.inf
+    centre = np.median(distances)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(distances - centre))
+    return centre + CUT * max(sigma, floor)
+
+
+@njit(cache=True)
+def x84_keep(distances, group, groups, floor, keep):
+    """Apply the rule to each group on its own; groups outside 0..groups-1 are not kept.
+
+    ``distances`` (n,) m, ``group`` (n,) int, ``keep`` (n,) bool is written; returns the number kept.
+    """
+    n = distances.shape[0]
+    keep[:] = False
+    members = np.empty(n)
+    kept = 0
+    for g in range(groups):
+        count = 0
+        for i in range(n):
+            if group[i] == g:
+                members[count] = distances[i]
+                count += 1
+        limit = x84_threshold(members[:count], floor)
+        for i in range(n):
+            if group[i] == g and distances[i] <= limit:
+                keep[i] = True
+                kept += 1
+    return kept

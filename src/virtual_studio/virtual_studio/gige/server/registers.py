@@ -1,0 +1,265 @@
+"""A camera's register memory: what may be read and written where, and what happens then."""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum
+from itertools import count
+
+from gige_vision.gvcp import Status, decode_text, encode_text
+
+# --- What a feature of a camera is: one row of the table that register memory and GenICam XML are both made from.
+
+Value = int | float | str
+
+FEATURE_SPACE = 0x1_0000
+"""Where the registers begin that have no place in the standard."""
+
+
+class Kind(Enum):
+    """What a feature looks like to a client; registers hold big-endian integers, doubles or texts."""
+
+    INTEGER = "Integer"
+    FLOAT = "Float"
+    ENUMERATION = "Enumeration"
+    BOOLEAN = "Boolean"
+    COMMAND = "Command"
+    STRING = "String"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One feature and its register.
+
+    key : what this program calls it, whatever name the camera's generation gives it.
+    name : its GenICam name; "" for a register that no client sees by name.
+    address, length : its register, bytes; address -1: wherever there is room.
+    default : value after power-on; low, high, step : limits of what may be written.
+    low_key, high_key : the features that hold the limits instead, where they depend on others.
+    entries : an enumeration's names and values.
+    bits : (first, last), counted from the lowest: this feature is only a part of the register at its address, which
+    another row describes.
+    locked : cannot be written while frames are being taken. volatile : changes by itself, clients must not cache it.
+    chunk : this is no register but the content of a chunk with this id.
+    """
+
+    key: str
+    kind: Kind
+    name: str = ""
+    address: int = -1
+    length: int = 4
+    default: Value = 0
+    writable: bool = True
+    low: float | None = None
+    high: float | None = None
+    step: int | None = None
+    low_key: str = ""
+    high_key: str = ""
+    entries: tuple[tuple[str, int], ...] = ()
+    bits: tuple[int, int] | None = None
+    unit: str = ""
+    category: str = ""
+    help: str = ""
+    locked: bool = False
+    volatile: bool = False
+    chunk: int = 0
+    selector: str = ""
+
+    @property
+    def has_register(self) -> bool:
+        """False for a view of another row's register, and for a chunk."""
+        return self.bits is None and not self.chunk
+
+
+def placed(features: list[Feature]) -> tuple[Feature, ...]:
+    """The same features with an address for each register that had none."""
+    addresses = count(FEATURE_SPACE, 8)
+    return tuple(
+        dataclasses.replace(f, address=_take(addresses, f.length)) if f.address < 0 and f.has_register else f
+        for f in features
+    )
+
+
+def integer(key: str, category: str, default: int = 0, **more: object) -> Feature:
+    return Feature(key, Kind.INTEGER, name=key, category=category, default=default, **more)  # type: ignore[arg-type]
+
+
+def real(key: str, category: str, default: float = 0.0, **more: object) -> Feature:
+    return Feature(key, Kind.FLOAT, name=key, category=category, default=default, length=8, **more)  # type: ignore[arg-type]
+
+
+def boolean(key: str, category: str, default: bool = False, **more: object) -> Feature:
+    return Feature(key, Kind.BOOLEAN, name=key, category=category, default=int(default), **more)  # type: ignore[arg-type]
+
+
+def command(key: str, category: str, **more: object) -> Feature:
+    return Feature(key, Kind.COMMAND, name=key, category=category, **more)  # type: ignore[arg-type]
+
+
+def text(key: str, category: str, default: str, length: int, **more: object) -> Feature:
+    return Feature(key, Kind.STRING, name=key, category=category, default=default, length=length, **more)  # type: ignore[arg-type]
+
+
+def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: object) -> Feature:
+    """An enumeration; its default is the first entry unless named."""
+    first = entries[default] if default else next(iter(entries.values()))
+    return Feature(
+        key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first, **more
+    )  # type: ignore[arg-type]
+
+
+def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
+    """A register of the standard that no GenICam feature names."""
+    kind = Kind.STRING if isinstance(default, str) else Kind.INTEGER
+    return Feature(key, kind, address=address, length=length, default=default, writable=writable)
+
+
+def _take(addresses: count, length: int) -> int:
+    address = next(addresses)
+    for _ in range((length - 1) // 8):
+        next(addresses)
+    return address
+
+
+FILE_SPACE = 0x8_0000
+"""Where the GenICam description lies."""
+
+
+class RegisterError(Exception):
+    """An access that the camera refuses, with the status that says why."""
+
+    def __init__(self, status: Status) -> None:
+        super().__init__(status.name)
+        self.status = status
+
+
+class Registers:
+    """Big-endian registers, one a feature. Clients come by address, the camera itself by key.
+
+    A client's write is checked against access and limits, then by ``checks[key]`` (which may raise RegisterError), and
+    when it stands, ``writes[key]`` is called. ``reads[key]`` makes the value anew whenever a client reads it.
+    """
+
+    def __init__(self, features: Iterable[Feature], file: bytes = b"") -> None:
+        self._features = {f.key: f for f in features if f.has_register}
+        self._values: dict[str, Value] = {}
+        self._at: dict[int, Feature] = {}
+        self._file = file
+        self.checks: dict[str, Callable[[Value], None]] = {}
+        self.writes: dict[str, Callable[[], object]] = {}
+        self.reads: dict[str, Callable[[], Value]] = {}
+        for feature in self._features.values():
+            for address in range(feature.address, feature.address + feature.length, 4):
+                if address in self._at:
+                    raise ValueError(f"{feature.key} and {self._at[address].key} share address 0x{address:x}")
+                self._at[address] = feature
+        self.reset()
+
+    def reset(self) -> None:
+        """Every register as after power-on. No hook is called."""
+        self._values = {key: feature.default for key, feature in self._features.items()}
+
+    def __getitem__(self, key: str) -> Value:
+        return self._values[key]
+
+    def __setitem__(self, key: str, value: Value) -> None:
+        self._values[key] = value
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._features
+
+    def integer(self, key: str) -> int:
+        return int(self._values[key])
+
+    def real(self, key: str) -> float:
+        return float(self._values[key])
+
+    def label(self, key: str) -> str:
+        """The name of an enumeration's present entry."""
+        return next(name for name, value in self._features[key].entries if value == self._values[key])
+
+    def read(self, address: int, count: int) -> bytes:
+        """Bytes of the memory. Raises RegisterError."""
+        if address % 4 or count % 4 or count <= 0:
+            raise RegisterError(Status.BAD_ALIGNMENT)
+        if address >= FILE_SPACE:
+            return self._read_file(address - FILE_SPACE, count)
+        data = bytearray()
+        at = address
+        while at < address + count:
+            feature = self._at.get(at)
+            if feature is None:
+                raise RegisterError(Status.INVALID_ADDRESS)
+            if feature.key in self.reads:
+                self._values[feature.key] = self.reads[feature.key]()
+            data += _encode(feature, self._values[feature.key])[at - feature.address :]
+            at = feature.address + feature.length
+        return bytes(data[:count])
+
+    def write(self, address: int, data: bytes) -> None:
+        """One client's write of a register or of several whole ones. Raises RegisterError, before anything changes."""
+        if address % 4 or len(data) % 4 or not data:
+            raise RegisterError(Status.BAD_ALIGNMENT)
+        changes: list[tuple[Feature, Value]] = []
+        at = address
+        while at < address + len(data):
+            feature = self._at.get(at)
+            if feature is None:
+                raise RegisterError(Status.INVALID_ADDRESS)
+            changes.append((feature, self._new_value(feature, at, data[at - address :])))
+            at = feature.address + feature.length
+        for feature, value in changes:
+            self._values[feature.key] = value
+        for feature, _ in changes:
+            if feature.key in self.writes:
+                self.writes[feature.key]()
+
+    def _new_value(self, feature: Feature, at: int, data: bytes) -> Value:
+        if not feature.writable:
+            raise RegisterError(Status.WRITE_PROTECT)
+        offset = at - feature.address
+        old = _encode(feature, self._values[feature.key])
+        merged = old[:offset] + data[: feature.length - offset]
+        value = _decode(feature, merged + old[len(merged) :])
+        self._check_limits(feature, value)
+        if feature.key in self.checks:
+            self.checks[feature.key](value)
+        return value
+
+    def _check_limits(self, feature: Feature, value: Value) -> None:
+        if feature.kind is Kind.ENUMERATION and value not in dict(feature.entries).values():
+            raise RegisterError(Status.INVALID_PARAMETER)
+        if isinstance(value, str):
+            return
+        low = self._values[feature.low_key] if feature.low_key else feature.low
+        high = self._values[feature.high_key] if feature.high_key else feature.high
+        wrong = (low is not None and not value >= low) or (high is not None and not value <= high)  # type: ignore[operator]
+        if wrong or (feature.step is not None and int(value) % feature.step):
+            raise RegisterError(Status.INVALID_PARAMETER)
+
+    def _read_file(self, start: int, count: int) -> bytes:
+        if start + count > len(self._file):
+            raise RegisterError(Status.INVALID_ADDRESS)
+        return self._file[start : start + count]
+
+
+def _encode(feature: Feature, value: Value) -> bytes:
+    if feature.kind is Kind.STRING:
+        return encode_text(str(value), feature.length)
+    if feature.kind is Kind.FLOAT:
+        return struct.pack(">d", value)
+    return (int(value) % (1 << 8 * feature.length)).to_bytes(feature.length, "big")
+
+
+def _decode(feature: Feature, data: bytes) -> Value:
+    if feature.kind is Kind.STRING:
+        try:
+            return decode_text(data)
+        except ValueError:
+            raise RegisterError(Status.INVALID_PARAMETER) from None
+    if feature.kind is Kind.FLOAT:
+        return struct.unpack(">d", data)[0]
+    return int.from_bytes(data, "big")

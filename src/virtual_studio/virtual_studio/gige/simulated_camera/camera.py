@@ -1,0 +1,295 @@
+"""A simulated GigE Vision camera on a loopback address, opened by its clients exactly as hardware is."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from types import TracebackType
+
+import numpy as np
+
+from capture_rig.errors import InputError
+from gige_vision import bootstrap
+from gige_vision.bootstrap import Capability
+
+from ...live.scenes import CameraScene
+from ..server.genicam_xml import XML_NAME, genicam_xml, zipped
+from ..server.gvcp_server import ControlPrivilege, GvcpServer
+from ..server.loop import EventLoop
+from ..server.registers import FILE_SPACE, Feature, Registers
+from ..server.settings import CameraSettings, Faults
+from ..server.stream import StreamChannel
+from .acquisition import Acquisition
+from .clock import CameraClock
+from .feature_table import CAPABILITIES, COLOUR_FORMATS, MONO_FORMATS, feature_table
+from .imaging import ExposureControl, ImagingPipeline, Region
+from .timing import Timing, TriggerWire
+
+STEADY_C, SWING_C, SWING_S = 42.0, 1.5, 120.0
+"""The device's temperature, and how it goes up and down."""
+
+
+class SimulatedCamera:
+    """A camera that serves a scene. start() powers it on, close() ends it; also a context manager.
+
+    Several cameras of one process share an event loop (one thread) and a trigger wire; a camera that is given none has
+    its own. ``faults`` can be changed while it runs; ``counters`` tell what has happened.
+    Raises InputError from start() where the address cannot be had.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        scene: CameraScene,
+        settings: CameraSettings | None = None,
+        *,
+        loop: EventLoop | None = None,
+        wire: TriggerWire | None = None,
+    ) -> None:
+        self.address, self.settings = address, settings or CameraSettings()
+        self.faults, self.counters = Faults(), Counter[str]()
+        self._own_loop = loop is None
+        self.loop = loop or EventLoop(f"camera {address}")
+        self.wire = wire or TriggerWire(self.loop)
+        self.wire.listen(self._line_rose)
+        self._user_id = self.settings.user_id
+        self._features = _features(self.settings, address, scene)
+        self._description = zipped(genicam_xml(self._features, self.settings.vendor, self.settings.model))
+        self._parts: _Parts | None = None
+        self._scene = scene
+        self._started = self._closed = False
+
+    def start(self) -> SimulatedCamera:
+        """Power on."""
+        if self._closed:
+            raise RuntimeError("a closed camera cannot be started again")
+        if not self._started:
+            if self._own_loop:
+                self.loop.start()
+            self._started = True
+            try:
+                self.power_on()
+            except InputError:
+                self.close()
+                raise
+        return self
+
+    def close(self) -> None:
+        """Power off for good."""
+        if self._started and not self._closed:
+            self.power_off()
+            self._closed = True
+            if self._own_loop:
+                self.loop.stop()
+
+    def power_off(self) -> None:
+        """Its sockets are gone and its state is lost, but for the user's name of it."""
+        self.loop.call(self._power_off)
+
+    def power_on(self) -> None:
+        """Registers as after power-on, a clock that counts anew, nobody in control."""
+        self.loop.call(self._power_on)
+
+    @property
+    def powered(self) -> bool:
+        return self._parts is not None
+
+    @property
+    def scene(self) -> CameraScene:
+        return self._scene
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        return self._features
+
+    def status(self) -> dict[str, object]:
+        """What it is doing, for people and for machines."""
+        return self.loop.call(self._status)
+
+    def __enter__(self) -> SimulatedCamera:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _power_on(self) -> None:
+        if self._parts is None:
+            self._parts = _Parts(self, self._description, self._user_id)
+
+    def _power_off(self) -> None:
+        if self._parts is not None:
+            self._user_id = str(self._parts.registers["DeviceUserID"])
+            self._parts.close()
+            self._parts = None
+
+    def _line_rose(self, instant_ns: int) -> None:
+        if self._parts is not None and not self.faults.unplugged:
+            self._parts.acquisition.trigger("Line1", instant_ns)
+
+    def _status(self) -> dict[str, object]:
+        status: dict[str, object] = {"address": self.address, "serial": self.settings.serial, "power": self.powered}
+        if self._parts is not None:
+            status |= self._parts.status()
+        return status | {"faults": self.faults.active(), "counters": dict(self.counters)}
+
+
+class _Parts:
+    """Everything that lives from power-on to power-off."""
+
+    def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
+        settings, faults, counters, loop = camera.settings, camera.faults, camera.counters, camera.loop
+        self._camera = camera
+        self.registers = Registers(camera.features, description)
+        self._set_identity(description, user_id)
+        self._clock = CameraClock(settings, faults)
+        self._exposure = ExposureControl(self.registers, settings)
+        self._region = Region(self.registers)
+        self._timing = Timing(self.registers, self._clock, self._exposure)
+        sensor = ImagingPipeline(self.registers, self._exposure, settings, faults)
+        self._stream = StreamChannel(camera.address, self.registers, settings, faults, counters, loop)
+        self.acquisition = Acquisition(
+            camera.scene,
+            self.registers,
+            self._clock,
+            self._exposure,
+            self._region,
+            sensor,
+            self._timing,
+            self._stream,
+            faults,
+            counters,
+            loop,
+        )
+        self.privilege = ControlPrivilege(self.registers, counters, loop, self.acquisition.stop)
+        try:
+            self._server = GvcpServer(
+                camera.address,
+                settings.broadcast,
+                self.registers,
+                self.privilege,
+                faults,
+                counters,
+                loop,
+                self._stream.resend,
+                self.acquisition.execute_action,
+            )
+        except InputError:
+            self._stream.close()
+            raise
+        self._hook_device_features()
+
+    def close(self) -> None:
+        self.acquisition.stop()
+        self.privilege.release()
+        self._server.close()
+        self._stream.close()
+
+    def status(self) -> dict[str, object]:
+        owner = self.privilege.owner
+        late_us = np.array(self.acquisition.lateness_ns or [0]) / 1e3
+        return {
+            "user_id": self.registers["DeviceUserID"],
+            "controller": f"{owner[0]}:{owner[1]}" if owner else "",
+            "streaming": self.acquisition.running and self._stream.is_open,
+            "frame_rate": round(float(1 / self._timing.period_s), 3),
+            "trigger": self._timing.source,
+            "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
+            "late_us": {
+                name: round(float(np.percentile(late_us, q)), 1) for name, q in (("p50", 50), ("p99", 99), ("max", 100))
+            },
+        }
+
+    def _set_identity(self, description: bytes, user_id: str) -> None:
+        url = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
+        self.registers["FirstUrl"] = url
+        self.registers["DeviceUserID"] = user_id
+        self.registers["PtpClockID"] = 0x0200_00FF_FE00_0000 | self.registers.integer("CurrentIp") & 0xFFFFFF
+
+    def _hook_device_features(self) -> None:
+        r, clock = self.registers, self._clock
+        r.reads["DeviceTemperature"] = _temperature
+        r.reads["GvcpCapability"] = self._capability
+        r.reads["PtpStatus"] = lambda: clock.ptp_state
+        r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
+        r.writes["PtpDataSetLatch"] = self._latch_ptp
+        r.writes["TimestampLatch"] = self._latch_time
+        r.writes["TimestampReset"] = clock.reset
+        r.writes["TimestampControl"] = self._timestamp_control
+        r.writes["DeviceReset"] = self._reboot
+        r.writes["UserSetLoad"] = self._load_defaults
+
+    def _capability(self) -> int:
+        without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)
+        return int(CAPABILITIES & ~without)
+
+    def _latch_ptp(self) -> None:
+        self.registers["PtpOffsetFromMaster"] = self._clock.offset_from_master_ns
+        self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.in_step else 0
+
+    def _latch_time(self) -> None:
+        stamp = self._clock.stamp(time.time_ns())
+        self.registers["TimestampLatchValue"] = stamp
+        self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
+
+    def _timestamp_control(self) -> None:
+        if self.registers.integer("TimestampControl") & bootstrap.TIMESTAMP_LATCH:
+            self._latch_time()
+        if self.registers.integer("TimestampControl") & bootstrap.TIMESTAMP_RESET:
+            self._clock.reset()
+        self.registers["TimestampControl"] = 0
+
+    def _reboot(self) -> None:
+        camera = self._camera
+
+        def restart() -> None:
+            camera._power_off()
+            camera.loop.call_at(time.time_ns() + round(camera.settings.boot_s * 1e9), camera._power_on)
+
+        camera.loop.call_at(time.time_ns(), restart)  # the answer to the command leaves first
+
+    def _load_defaults(self) -> None:
+        kept = {key: self.registers[key] for key in _KEPT_BY_USER_SET}
+        self.acquisition.stop()
+        self.registers.reset()
+        for key, value in kept.items():
+            self.registers[key] = value
+        self._region.reset()
+        self._timing.reset()
+        self._clock.enable_ptp(False)
+
+
+_KEPT_BY_USER_SET = (
+    "FirstUrl",
+    "DeviceUserID",
+    "PtpClockID",
+    "ControlPrivilege",
+    "PrimaryPort",
+    "PrimaryAddress",
+    "GevHeartbeatTimeout",
+    "PacketSizeWord",
+    "GevSCPHostPort",
+    "GevSCDA",
+    "GevSCSP",
+    "GevSCPD",
+    "GevSCCFG",
+)
+
+
+def _features(settings: CameraSettings, address: str, scene: CameraScene) -> tuple[Feature, ...]:
+    height, width = scene.shape[:2]
+    colour = len(scene.shape) == 3
+    known = ("auto", *MONO_FORMATS, *(COLOUR_FORMATS if colour else ()))
+    if settings.pixel_format not in known:
+        raise InputError(
+            f"pixel_format = {settings.pixel_format!r} is not offered",
+            where=f"camera {address}",
+            remedy=f"Choose one of {', '.join(known)}.",
+        )
+    return feature_table(settings, address, width, height, colour)
+
+
+def _temperature() -> float:
+    return STEADY_C + SWING_C * math.sin(2 * math.pi * time.time() / SWING_S)

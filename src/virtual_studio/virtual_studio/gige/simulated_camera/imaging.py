@@ -1,0 +1,277 @@
+"""What the sensor makes of the scene: exposure, gain, binning, region, noise, and the faults of light and lens."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gige_vision.gvcp import Status
+from gige_vision.gvsp import encode_chunk
+from gige_vision.pixel_formats import PixelFormat
+
+from ..server.registers import RegisterError, Registers, Value
+from ..server.settings import OLD, CameraSettings, Faults
+from .feature_table import AUTO, CHUNKS, GAIN_RAW_STEP_DB
+
+# --- The image's region, binning and size in bytes: features that depend on each other.
+
+_AXES = (
+    ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
+    ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
+)
+_STEP = 4
+_CHUNK_BYTES = len(encode_chunk(0, bytes(8)))
+
+
+class Region:
+    """Keeps limits and payload size true whenever region, binning, format or chunks change."""
+
+    def __init__(self, registers: Registers) -> None:
+        self._registers = registers
+        self.enabled_chunks: set[str] = set()
+        for key in (
+            "Width",
+            "Height",
+            "OffsetX",
+            "OffsetY",
+            "BinningHorizontal",
+            "BinningVertical",
+            "PixelFormat",
+            "ChunkModeActive",
+        ):
+            registers.writes[key] = self.refresh
+        registers.reads["ChunkEnable"] = lambda: int(registers.label("ChunkSelector") in self.enabled_chunks)
+        registers.writes["ChunkEnable"] = self._chunk_written
+        self.refresh()
+
+    def reset(self) -> None:
+        """As after power-on."""
+        self.enabled_chunks.clear()
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Make the dependent registers anew; a region that binning made too large is cut."""
+        r = self._registers
+        for sensor, binning, largest, size, offset in _AXES:
+            most = r.integer(sensor) // r.integer(binning)
+            r[largest] = most
+            r[size] = min(r.integer(size), most - most % _STEP)
+            r[offset] = min(r.integer(offset), most - r.integer(size))
+            r[f"{size}Limit"] = most - r.integer(offset)
+            r[f"{offset}Limit"] = most - r.integer(size)
+        r["PayloadSize"] = self.image_bytes + self.chunk_bytes
+
+    @property
+    def pixel_format(self) -> PixelFormat:
+        return PixelFormat(self._registers.integer("PixelFormat"))
+
+    @property
+    def image_bytes(self) -> int:
+        return self.pixel_format.image_bytes(self._registers.integer("Width"), self._registers.integer("Height"))
+
+    @property
+    def chunks(self) -> tuple[str, ...]:
+        """The chunks that follow each image."""
+        if not self._registers.integer("ChunkModeActive"):
+            return ()
+        return tuple(name for name in CHUNKS if name in self.enabled_chunks)
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Bytes behind the image: its own chunk's tail, and the chunks."""
+        if not self._registers.integer("ChunkModeActive"):
+            return 0
+        return len(encode_chunk(0, b"")) + _CHUNK_BYTES * len(self.chunks)
+
+    def _chunk_written(self) -> None:
+        name = self._registers.label("ChunkSelector")
+        if self._registers.integer("ChunkEnable"):
+            self.enabled_chunks.add(name)
+        else:
+            self.enabled_chunks.discard(name)
+        self.refresh()
+
+
+# --- From a picture to the bytes of a pixel format, as a sensor of that kind would send them.
+
+Image = NDArray[np.uint8]
+Bytes = NDArray[np.uint8]
+
+_BAYER_ROWS = {"RG": ((2, 1), (1, 0)), "GR": ((1, 2), (0, 1)), "GB": ((1, 0), (2, 1)), "BG": ((0, 1), (1, 2))}
+"""Channel (of B, G, R) of the four pixels of a pattern's tile."""
+
+
+def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
+    """The bytes (n,) of a picture, (H, W) grey or (H, W, 3) BGR, in a pixel format.
+
+    More than 8 bits repeat the upper bits below, so that black stays black and white white. A grey picture gives grey
+    colours, a coloured one the grey of BT.601.
+    """
+    if not pixel_format.is_colour:
+        grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        if pixel_format.depth == 8:
+            return np.ascontiguousarray(grey).reshape(-1)
+        deep = _deepened(grey, pixel_format.depth)
+        return _packed(deep, pixel_format.depth) if pixel_format.is_packed else deep.astype("<u2").view(np.uint8)
+    if pixel_format.is_bayer:
+        return _bayer(image, pixel_format.name[5:7]).reshape(-1)
+    colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    if pixel_format is PixelFormat.BGR8:
+        return np.ascontiguousarray(colour).reshape(-1)
+    if pixel_format is PixelFormat.RGB8:
+        return np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), np.uint8).reshape(-1)
+    return _yuv422(colour, luma_first=pixel_format is PixelFormat.YUV422_8)
+
+
+def _deepened(grey: Image, depth: int) -> NDArray[np.uint16]:
+    wide = grey.reshape(-1).astype(np.uint16)
+    return np.asarray((wide << (depth - 8)) | (wide >> (16 - depth)), np.uint16)
+
+
+def _packed(values: NDArray[np.uint16], depth: int) -> Bytes:
+    """GigE Vision's two pixels in three bytes: upper bits, lower bits of both, upper bits."""
+    odd = len(values) % 2
+    pairs = np.append(values, np.zeros(odd, np.uint16)).reshape(-1, 2)
+    low = depth - 8
+    mask = (1 << low) - 1
+    out = np.empty((len(pairs), 3), np.uint8)
+    out[:, 0] = pairs[:, 0] >> low
+    out[:, 1] = (pairs[:, 0] & mask) | (pairs[:, 1] & mask) << 4
+    out[:, 2] = pairs[:, 1] >> low
+    flat = out.reshape(-1)
+    return flat[:-1] if odd else flat
+
+
+def _bayer(image: Image, pattern: str) -> Image:
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    mosaic = np.empty(image.shape[:2], np.uint8)
+    for y, row in enumerate(_BAYER_ROWS[pattern]):
+        for x, channel in enumerate(row):
+            mosaic[y::2, x::2] = image[y::2, x::2, channel]
+    return mosaic
+
+
+def _yuv422(colour: Image, luma_first: bool) -> Bytes:
+    """Full range, each pair of pixels with the mean of its colours."""
+    even = colour[:, : colour.shape[1] // 2 * 2]
+    # OpenCV's YCrCb is BT.601 with the full range of 8 bits in every channel
+    full = np.asarray(cv2.cvtColor(even, cv2.COLOR_BGR2YCrCb), np.uint16)
+    red_blue = (full[:, 0::2, 1:] + full[:, 1::2, 1:] + 1) // 2
+    out = np.empty((*even.shape[:2], 2), np.uint8)
+    luma, chroma = (0, 1) if luma_first else (1, 0)
+    out[..., luma] = full[..., 0]
+    out[:, 0::2, chroma] = red_blue[..., 1]  # U belongs to blue
+    out[:, 1::2, chroma] = red_blue[..., 0]
+    return out.reshape(-1)
+
+
+# --- Exposure and gain of a camera, by hand or by its auto functions.
+
+AUTO_TARGET = 110.0
+"""Mean grey level that the auto functions steer to."""
+AUTO_SPEED = 0.2
+AUTO_STEP_PX = 16
+DARKEST = 1.0
+
+
+class ExposureControl:
+    """How bright a picture comes out, relative to what the scene shows at nominal exposure and 0 dB.
+
+    While ExposureAuto or GainAuto run, a factor of their own is steered towards a mean grey level, and the feature that
+    they rule cannot be written.
+    """
+
+    def __init__(self, registers: Registers, settings: CameraSettings) -> None:
+        self._registers, self._settings = registers, settings
+        self._auto_factor = 1.0
+        registers.checks["ExposureTime"] = lambda value: self._refuse_while_auto("ExposureAuto", value)
+        registers.checks["Gain"] = lambda value: self._refuse_while_auto("GainAuto", value)
+
+    @property
+    def exposure_us(self) -> float:
+        return self._registers.real("ExposureTime")
+
+    @property
+    def exposure_ns(self) -> int:
+        return round(self.exposure_us * 1000)
+
+    @property
+    def gain_db(self) -> float:
+        value = self._registers.real("Gain")
+        return value * GAIN_RAW_STEP_DB if self._settings.generation == OLD else value
+
+    def factor(self, scene: Image) -> float:
+        """Factor on the scene's grey levels."""
+        by_hand = self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
+        if not (self._is_auto("ExposureAuto") or self._is_auto("GainAuto")):
+            self._auto_factor = 1.0
+            return by_hand
+        mean = max(float(scene[::AUTO_STEP_PX, ::AUTO_STEP_PX].mean()), DARKEST)
+        self._auto_factor += AUTO_SPEED * (AUTO_TARGET / (mean * by_hand) - self._auto_factor)
+        return by_hand * self._auto_factor
+
+    def _is_auto(self, key: str) -> bool:
+        return self._registers.integer(key) != AUTO["Off"]
+
+    def _refuse_while_auto(self, key: str, value: Value) -> None:
+        if self._is_auto(key):
+            raise RegisterError(Status.ACCESS_DENIED)
+
+
+_NOISE_PIXELS = 1 << 21
+
+
+class ImagingPipeline:
+    """Turns what the scene shows into the picture that leaves the camera, (H, W) or (H, W, 3) uint8."""
+
+    def __init__(
+        self, registers: Registers, exposure: ExposureControl, settings: CameraSettings, faults: Faults
+    ) -> None:
+        self._registers, self._exposure, self._settings, self._faults = registers, exposure, settings, faults
+        self._rng = np.random.default_rng(settings.seed)
+        self._noise_bank: NDArray[np.int8] | None = None
+        self._last: Image | None = None
+
+    def render(self, scene: Image) -> Image:
+        """The picture of what the scene shows."""
+        if self._faults.frozen and self._last is not None:
+            return self._last
+        picture = self._noisy(self._lit(self._cut(self._binned(scene))))
+        self._last = picture
+        return picture
+
+    def _binned(self, scene: Image) -> Image:
+        across, down = self._registers.integer("BinningHorizontal"), self._registers.integer("BinningVertical")
+        if across == down == 1:
+            return scene
+        height, width = scene.shape[0] // down, scene.shape[1] // across
+        whole = scene[: height * down, : width * across]
+        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _cut(self, scene: Image) -> Image:
+        x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
+        return scene if (h, w) == scene.shape[:2] else scene[y : y + h, x : x + w]
+
+    def _lit(self, scene: Image) -> Image:
+        if self._faults.lens_cap:
+            return np.zeros_like(scene)
+        factor = self._exposure.factor(scene) * self._faults.brightness
+        if factor == 1.0:
+            return scene
+        table = np.clip(np.rint(np.arange(256) * factor), 0, 255).astype(np.uint8)
+        return np.asarray(cv2.LUT(np.ascontiguousarray(scene), table), np.uint8)
+
+    def _noisy(self, picture: Image) -> Image:
+        if not self._settings.noise:
+            return picture
+        if self._noise_bank is None:
+            noise = self._settings.noise * self._rng.standard_normal(_NOISE_PIXELS, np.float32)
+            self._noise_bank = np.clip(np.rint(noise), -128, 127).astype(np.int8)
+        bank = self._noise_bank
+        while len(bank) <= picture.size:  # a sensor of many megapixels sees the pattern repeat
+            bank = self._noise_bank = np.tile(bank, 2)
+        start = int(self._rng.integers(len(bank) - picture.size))
+        noise_of_frame = bank[start : start + picture.size].reshape(picture.shape)
+        return np.asarray(cv2.add(picture, noise_of_frame, dtype=cv2.CV_8U), np.uint8)

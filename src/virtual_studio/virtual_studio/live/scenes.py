@@ -1,0 +1,136 @@
+"""What a camera sees at an instant."""
+
+from __future__ import annotations
+
+import time
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+
+from capture_rig.errors import InputError
+
+from ..gige.simulated_camera.imaging import Image
+
+
+class CameraScene(Protocol):
+    """The view of one camera."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) of grey pictures, (H, W, 3) of coloured ones (BGR)."""
+
+    def image(self, instant_ns: int) -> Image:
+        """The picture at an instant (UTC, ns), uint8; nobody changes it afterwards. Must not take long."""
+
+
+class PatternScene:
+    """A test pattern that carries its own number and instant as black and white squares; stripes move below them.
+
+    Pictures are numbered from 0 in the order in which they are taken.
+    """
+
+    SQUARE_PX = 4
+    PER_ROW = 32
+    ROWS = 3  # 32 bits of number, 64 of time
+
+    def __init__(self, width: int = 640, height: int = 480, colour: bool = False) -> None:
+        least = self.PER_ROW * self.SQUARE_PX
+        if width < least or height < self.ROWS * self.SQUARE_PX:
+            raise InputError(f"a pattern of {width} x {height} pixels", remedy=f"Give at least {least} x 12.")
+        self._width, self._height, self._colour = width, height, colour
+        y, x = np.mgrid[: height + 256, :width]
+        self._stripes = ((x + y) % 256).astype(np.uint8)
+        self.number = 0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self._height, self._width, 3) if self._colour else (self._height, self._width)
+
+    def image(self, instant_ns: int) -> Image:
+        picture = self.picture(self.number, instant_ns)
+        self.number += 1
+        return picture
+
+    def picture(self, number: int, instant_ns: int) -> Image:
+        """The picture with this number, taken at this instant."""
+        shift = number % 256
+        picture = self._stripes[shift : shift + self._height].copy()
+        bits = [(number % (1 << 32)) >> bit & 1 for bit in range(32)] + [instant_ns >> bit & 1 for bit in range(64)]
+        squares = (255 * np.array(bits, np.uint8)).reshape(self.ROWS, self.PER_ROW)
+        block = np.kron(squares, np.ones((self.SQUARE_PX, self.SQUARE_PX), np.uint8))
+        if not self._colour:
+            picture[: block.shape[0], : block.shape[1]] = block
+            return picture
+        coloured = np.stack([picture, np.roll(picture, 64, 1), 255 - picture], axis=2)
+        coloured[: block.shape[0], : block.shape[1]] = block[..., None]
+        return coloured
+
+    @classmethod
+    def read(cls, picture: Image) -> tuple[int, int]:
+        """Number and instant (UTC, ns) in a picture of the pattern, in any format that keeps black from white."""
+        grey = picture if picture.ndim == 2 else picture[..., 1]
+        middle = cls.SQUARE_PX // 2
+        squares = grey[middle :: cls.SQUARE_PX, middle :: cls.SQUARE_PX][: cls.ROWS, : cls.PER_ROW]
+        bits = [int(value > 127) for value in squares.reshape(-1)]
+        return sum(bit << i for i, bit in enumerate(bits[:32])), sum(bit << i for i, bit in enumerate(bits[32:]))
+
+
+# --- What happens in the studio, for all its cameras alike: is somebody there, and how far is the play.
+
+SECOND_NS = 1_000_000_000
+SWITCH_AFTER_NS = 50_000_000
+"""People come and go so long after they were told to, so that no camera is ahead of another."""
+
+
+class Playback:
+    """A play of ``frames`` frames at ``fps``, seen as a function of the instant: every camera sees the same frame.
+
+    Until play() is called it runs for ever, from frame 0 at the start of 1970. The room can be emptied meanwhile.
+    """
+
+    def __init__(self, frames: int, fps: float) -> None:
+        self.frames, self._fps = frames, Fraction(fps).limit_denominator(1000)
+        self.epoch_ns, self.loop, self._held = 0, True, False
+        self._occupied, self._before, self._since_ns = True, True, 0
+
+    @property
+    def fps(self) -> float:
+        return float(self._fps)
+
+    @property
+    def occupied(self) -> bool:
+        return self._occupied
+
+    def play(self, at_ns: int | None = None, loop: bool = True) -> int:
+        """Begin anew: frame 0 at ``at_ns`` (UTC; None: the next whole second but one), which is returned.
+
+        It is rounded to a whole multiple of the frame period, where free-running cameras expose. Before, frame 0 is
+        seen; without ``loop`` the last frame stays.
+        """
+        if at_ns is None:
+            at_ns = (time.time_ns() // SECOND_NS + 2) * SECOND_NS
+        period_ns = SECOND_NS / self._fps
+        self.epoch_ns, self.loop, self._held = round(round(at_ns / period_ns) * period_ns), loop, False
+        return self.epoch_ns
+
+    def hold(self) -> None:
+        """Stay at frame 0."""
+        self._held = True
+
+    def occupy(self, occupied: bool) -> None:
+        """Let the person in, or out."""
+        self._before, self._occupied = self._occupied, occupied
+        self._since_ns = time.time_ns() + SWITCH_AFTER_NS
+
+    def occupied_at(self, instant_ns: int) -> bool:
+        return self._occupied if instant_ns >= self._since_ns else self._before
+
+    def frame_at(self, instant_ns: int) -> int:
+        """The number of the frame that is seen at an instant."""
+        if self._held:
+            return 0
+        frame = (instant_ns - self.epoch_ns) * self._fps.numerator // (self._fps.denominator * SECOND_NS)
+        if self.loop and frame >= 0:
+            return frame % self.frames
+        return min(max(frame, 0), self.frames - 1)

@@ -1,0 +1,133 @@
+"""The footage of a session as what the cameras see."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from capture_rig.errors import InputError
+from capture_rig.session import STILL_SUFFIXES, Session
+
+from ..gige.simulated_camera.imaging import Image
+from .scenes import Playback
+
+MONO_TOLERANCE = 3
+"""Grey levels between the channels of a grey picture that was stored as colour."""
+BACKGROUND_SHARE = 0.25
+"""Of the memory, at most, for the empty room."""
+LOADERS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class SessionView:
+    """One camera's pictures of a session, all in memory: frames (F of them), and of the empty room (none, or more)."""
+
+    stage: Playback
+    frames: tuple[Image, ...]
+    background: tuple[Image, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.frames[0].shape
+
+    def image(self, instant_ns: int) -> Image:
+        if self.background and not self.stage.occupied_at(instant_ns):
+            number = int(instant_ns * self.stage.fps // 1_000_000_000)
+            return self.background[number % len(self.background)]
+        return self.frames[self.stage.frame_at(instant_ns)]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionScene:
+    """A session on the stage: views by camera name; total_frames in the footage, of which stage.frames are played."""
+
+    stage: Playback
+    views: dict[str, SessionView]
+    total_frames: int
+
+    @property
+    def can_be_empty(self) -> bool:
+        """True when every camera knows what the empty room looks like."""
+        return all(view.background for view in self.views.values())
+
+
+def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionScene:
+    """Decode a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
+
+    Raises InputError when not even one frame a camera fits, or a video cannot be read.
+    """
+    names = session.rig.names
+    budget = memory_mb * 1e6 / len(names)
+    with ThreadPoolExecutor(LOADERS) as pool:
+        footage = list(pool.map(lambda n: _decode(session.videos[n], budget * (1 - BACKGROUND_SHARE)), names))
+        backgrounds = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE), names))
+    count = min(len(frames) for frames in footage)
+    stage = Playback(count, session.fps)
+    views = {
+        name: SessionView(stage, tuple(frames[:count]), tuple(_alike(frames[0], background)))
+        for name, frames, background in zip(names, footage, backgrounds, strict=True)
+    }
+    return SessionScene(stage, views, min(_length(session.videos[name]) for name in names))
+
+
+def _background(session: Session, name: str, budget: float) -> list[Image]:
+    path = session.backgrounds.get(name)
+    if path is None:
+        return []
+    if path.suffix not in STILL_SUFFIXES:
+        return _decode(path, budget)
+    still = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if still is None:
+        raise InputError("is not a readable picture", where=str(path), remedy="Check the file.")
+    return [_without_false_colour(np.asarray(still, np.uint8))]
+
+
+def _decode(path: Path, budget: float) -> list[Image]:
+    """The first frames of a video, as many as fit into ``budget`` bytes; at least one."""
+    capture, frames = cv2.VideoCapture(str(path)), list[Image]()
+    try:
+        read, picture = capture.read()
+        mono = bool(read) and _is_mono(picture)
+        while read and (not frames or frames[0].nbytes * (len(frames) + 1) <= budget):
+            frames.append(np.ascontiguousarray(picture[..., 1] if mono else picture, np.uint8))
+            read, picture = capture.read()
+    finally:
+        capture.release()
+    if not frames:
+        raise InputError("holds no frame that can be decoded", where=str(path), remedy="Check the file, or its codec.")
+    if frames[0].nbytes > budget:
+        raise InputError(
+            f"one frame has {frames[0].nbytes / 1e6:.1f} MB",
+            where=str(path),
+            remedy="Give the studio more memory (--memory).",
+        )
+    return frames
+
+
+def _alike(frame: Image, background: list[Image]) -> list[Image]:
+    """The background in the same form (grey or colour) as the frames."""
+    if not background or background[0].ndim == frame.ndim:
+        return background
+    code = cv2.COLOR_GRAY2BGR if frame.ndim == 3 else cv2.COLOR_BGR2GRAY
+    return [np.asarray(cv2.cvtColor(picture, code), np.uint8) for picture in background]
+
+
+def _is_mono(picture: np.ndarray) -> bool:
+    spread = picture.max(axis=2).astype(np.int16) - picture.min(axis=2)
+    return bool(spread.max() <= MONO_TOLERANCE)
+
+
+def _without_false_colour(picture: Image) -> Image:
+    return np.ascontiguousarray(picture[..., 1]) if _is_mono(picture) else picture
+
+
+def _length(path: Path) -> int:
+    capture = cv2.VideoCapture(str(path))
+    try:
+        return int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    finally:
+        capture.release()
