@@ -1,7 +1,7 @@
 """What the grey levels of a silhouette mean; camera clients, messages and the hull server share them.
 
-Sixteen levels: background, five of shadow candidates, nine of dark pixels, foreground. Whoever wants only the person
-takes everything above ``SHADOW_CANDIDATE``.
+Sixteen levels: background, five of shadow candidates, nine of pixels that are the person or floor in shadow, and
+foreground. Everything above ``SHADOW_CANDIDATE`` is the person as far as a single camera can tell.
 """
 
 from __future__ import annotations
@@ -12,20 +12,19 @@ SHADOW_CANDIDATE = 127
 FOREGROUND = 255
 
 ATTENUATION_EDGES = (0.4, 0.44, 0.485, 0.535, 0.59, 0.65, 0.715, 0.785, 0.865, 0.97)
-"""Degree d of darkness: ATTENUATION_EDGES[d] to ATTENUATION_EDGES[d + 1] times as bright as the background; steps of a tenth."""
+"""Attenuation step d: ATTENUATION_EDGES[d] to [d + 1] times as bright as the background; each a tenth brighter."""
 ATTENUATED_LEVELS = tuple(range(135, 248, 14))
-"""Levels of the degrees 0 to 8: the person as far as one camera can tell, and perhaps the floor behind it in shadow."""
+"""Levels of the steps 0 to 8: the person as far as one camera can tell, or the floor behind it in shadow."""
 CANDIDATE_LEVELS = tuple(range(47, 128, 20))
-"""Levels of shadow candidates: of the degrees 0 and 1, of 2 and 3, ..., of 8."""
+"""Levels of shadow candidates: of the steps 0 and 1, of 2 and 3, ..., of 8."""
 LEVELS = (BACKGROUND, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, FOREGROUND)
 """All sixteen, ascending."""
 
-
 FLOOR_REACH_M = 0.5
-"""Floor is doubted within the capture volume and so far around it."""
+"""Pixels may be floor in shadow within the capture volume and so far around it."""
 
 
 def attenuation_step(ratio: float) -> int | None:
-    """The degree of darkness of a pixel ``ratio`` times as bright as the background; None: not as a shadow would be."""
-    degree = sum(ratio >= edge for edge in ATTENUATION_EDGES) - 1
-    return degree if 0 <= degree < len(ATTENUATED_LEVELS) else None
+    """The attenuation step of a pixel ``ratio`` times as bright as the background; None where no shadow is like it."""
+    step = sum(ratio >= edge for edge in ATTENUATION_EDGES) - 1
+    return step if 0 <= step < len(ATTENUATED_LEVELS) else None

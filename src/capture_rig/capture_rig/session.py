@@ -10,13 +10,13 @@ import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from .errors import InputError
 from .lens import Array
 from .rig import Rig, load_rig
 from .settings import read_mapping
+from .video import Video
 
 # --- Reference data of a session: where the 15 reference points really were.
 #
@@ -242,14 +242,10 @@ def _frame_rate(folder: Path, videos: dict[str, Path]) -> float:
 
 
 def _video_rate(path: Path) -> float:
-    capture = cv2.VideoCapture(str(path))
-    try:
-        rate = capture.get(cv2.CAP_PROP_FPS) if capture.isOpened() else 0.0
-    finally:
-        capture.release()
-    if not 0 < rate < 10_000:
-        raise InputError("cannot be opened as a video", where=str(path), remedy="Check the file, or its codec.")
-    return float(rate)
+    with Video(path) as video:
+        if not 0 < video.fps < 10_000:
+            raise InputError("has no frame rate", where=str(path), remedy="Check the file, or its codec.")
+        return video.fps
 
 
 def _stated_rate(path: Path) -> float | None:
