@@ -13,6 +13,7 @@ import yaml
 from .camera import CameraModel
 from .errors import InputError
 from .lens import COEFFICIENTS, Array
+from .rigid import nearest_rotation
 from .settings import read_mapping
 
 UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
@@ -172,8 +173,7 @@ def _rotation(entry: Mapping[str, Any], where: str) -> Array:
             where=where,
             remedy="Its rows must be orthonormal and right-handed: calibrate the extrinsics again.",
         )
-    U, _, Vt = np.linalg.svd(R)  # rounding of the file taken out: the nearest rotation
-    return R if error < 1e-9 else U @ Vt
+    return R if error < 1e-9 else nearest_rotation(R)  # rounding of the file taken out
 
 
 def _volume(entry: Any, where: str) -> Volume:

@@ -25,7 +25,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .algebra import inverse3, inverse_spd, symmetrise
+from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
+
 from .measurement import add_information
 from .settings import MeasurementBiasSettings
 
@@ -77,7 +78,7 @@ def add_measurement_bias(at, lasting, least_information, points, state):
     determined = float(N)
     for i in range(N):
         L[i, i] += least_information
-    V = inverse_spd(L)
+    V = inverse_positive(L)
     for i in range(N):
         determined -= least_information * V[i, i]  # trace of (L + 1/cap^2)^-1 L
     response = V - least_information * np.dot(V, V)  # (L + 1/cap^2)^-1 L (L + 1/cap^2)^-1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import rigid_transform
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -65,10 +66,8 @@ def pose_of_points(body: Body, z: Measurement, chosen: np.ndarray, otherwise: Po
 def _torso_of(body: Body, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and rotation (3, 3) of the torso: rigid fit of its visible points (Procrustes)."""
     seen = z.visible[TORSO_POINTS]
-    model, data = body.torso_points[seen], z.points_world[TORSO_POINTS][seen]
-    U, _, Vt = np.linalg.svd((data - data.mean(0)).T @ (model - model.mean(0)))
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return data.mean(0) - R @ model.mean(0), R
+    R, t = rigid_transform(body.torso_points[seen], z.points_world[TORSO_POINTS][seen])
+    return t, R
 
 
 # --- One body being followed: the estimate from its first measurement on, through updates, outliers and gaps.

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
@@ -19,7 +20,6 @@ from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 from stick_figure.rotations import ball_rates
 from stick_figure.skeleton import HINGE_ANGLES
 
-from .algebra import inverse3, inverse_spd, symmetrise
 from .bias import add_measurement_bias
 from .joint_limits import add_joint_limits, flipped_limb_fits_better, hyperextension
 from .measurement import (
@@ -192,7 +192,7 @@ def iterate_update(prior, pose, lengths, origins, P, z, R, chosen, limit_weight,
     """
     t0, R0, RJ, hinges = pose
     t0_prior, R0_prior, RJ_prior, hinges_prior = prior
-    Y, weights, at = inverse_spd(np.ascontiguousarray(P[:N, :N])), _inverses(R, chosen), empty_linearised()
+    Y, weights, at = inverse_positive(np.ascontiguousarray(P[:N, :N])), _inverses(R, chosen), empty_linearised()
     L, A, g, offset = np.empty((N, N)), np.zeros((N, N)), np.zeros(N), np.empty(N)
     linearise(pose, lengths, origins, at)
     number, beyond = 0, add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
@@ -200,13 +200,13 @@ def iterate_update(prior, pose, lengths, origins, P, z, R, chosen, limit_weight,
         number += 1
         kernels.difference(t0, R0, RJ, hinges, t0_prior, R0_prior, RJ_prior, hinges_prior, offset)
         _normal_equations(at, weights, z, chosen, L, g)
-        V = inverse_spd(Y + L)
+        V = inverse_positive(Y + L)
         g -= np.dot(Y, offset)
         step = np.dot(V, g)
         if limit_weight > 0.0 and beyond > 0:
             A[:] = Y + L
             add_joint_limits(RJ, hinges, hinge_margin, limit_weight, A, g)
-            step = np.dot(inverse_spd(A), g)
+            step = np.dot(inverse_positive(A), g)
         step *= min(1.0, STEP_LIMIT / max(np.abs(step).max(), STEP_LIMIT))
         offset += step
         t0[:], R0[:], RJ[:], hinges[:] = t0_prior, R0_prior, RJ_prior, hinges_prior

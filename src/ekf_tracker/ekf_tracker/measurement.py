@@ -10,12 +10,11 @@ import numpy as np
 from numba import njit
 
 from capture_rig.errors import InputError
+from capture_rig.small_matrices import inverse3, positive3
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_NAMES, POINT_STICK
-
-from .algebra import inverse3, positive3
 
 POINTS = len(POINT_NAMES)
 ASYMMETRY_M2 = 1e-9

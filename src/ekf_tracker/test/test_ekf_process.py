@@ -10,7 +10,8 @@ RUN = """
 import hashlib
 import numpy as np
 from ekf_person import ALL, Person, isotropic, stamp
-from ekf_tracker import algebra, bias, joint_limits, measurement
+from capture_rig import small_matrices
+from ekf_tracker import bias, joint_limits, measurement
 from ekf_tracker import kernels as ekf_kernels
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.filter import warm_up
@@ -19,7 +20,7 @@ from stick_figure import kernels
 from stick_figure.body import Body
 
 def compilations():
-    modules = (algebra, bias, ekf_kernels, joint_limits, measurement, kernels)
+    modules = (small_matrices, bias, ekf_kernels, joint_limits, measurement, kernels)
     functions = [f for module in modules for f in vars(module).values() if hasattr(f, "signatures")]
     return sum(len(f.signatures) for f in functions)
 

@@ -10,7 +10,6 @@ from icp_tracker.articulated_fit import ArticulatedSettings, PriorSettings, fit_
 from stick_figure import kernels
 from stick_figure.joint_limits import add_joint_limits, add_neck_rest
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.algebra import inverse_positive, solve_positive
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.least_squares.point_factor import add_point_residuals, foot_points, mirror_upper
 from stick_figure.pose import Pose
@@ -89,18 +88,6 @@ def test_hessian_is_the_sum_of_finite_difference_jacobians(body, scene):
     J[slides] -= np.einsum("ni,nj,njk->nik", direction[slides], direction[slides], J[slides])
     expected = np.einsum("n,nik,nil->kl", weight, J, J)
     assert np.abs(H - expected).max() < 1e-7 * np.abs(expected).max()
-
-
-def test_small_algebra_solves_and_inverts_like_lapack():
-    rng = np.random.default_rng(9)
-    M = rng.normal(size=(24, 30))
-    M, b = M @ M.T, rng.normal(size=24)
-    x, inverse = np.empty(24), np.empty((24, 24))
-    solve_positive(M, b, np.empty((24, 24)), x)
-    inverse_positive(M, inverse)
-    assert np.abs(x - np.linalg.solve(M, b)).max() < 1e-9 * np.abs(x).max()
-    assert np.abs(inverse - np.linalg.inv(M)).max() < 1e-9 * np.abs(inverse).max()
-    assert np.array_equal(inverse, inverse.T)
 
 
 def test_pose_is_recovered_exactly_from_noiseless_sticks(body, synthetic):

@@ -8,19 +8,12 @@ import numpy as np
 from numba import njit
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import rigid_transform
 
 from . import kernels
 from .body import Body
 from .pose import Pose
-from .rotations import (
-    Array,
-    ball_rates,
-    ball_rotation,
-    euler_axes,
-    excess_over_range,
-    nearest_rotation,
-    wrap_into_range,
-)
+from .rotations import Array, ball_rates, ball_rotation, euler_axes, excess_over_range, wrap_into_range
 from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, POINT_STICK, T_POSE_ANGLES, TORSO_POINTS
 
 # --- Inverse kinematics: the pose that explains 15 reference points (thesis Table 5.4, corrected).
@@ -42,18 +35,11 @@ def inverse(body: Body, points_world: Array, previous: Pose | None = None) -> Po
     """
     points = np.asarray(points_world, float)
     _check(points)
-    R0, t0 = _rigid_fit(body.torso_points, points[TORSO_POINTS])
+    R0, t0 = rigid_transform(body.torso_points, points[TORSO_POINTS])
     remembered = T_POSE_ANGLES if previous is None else previous.angles()
     R_joints, hinges = np.empty((5, 3, 3)), np.empty(4)
     _joints(points @ R0, remembered, R_joints, hinges)
     return Pose(t0, R0, R_joints, hinges)
-
-
-def _rigid_fit(model: Array, data: Array) -> tuple[Array, Array]:
-    """Rotation and translation that move the model's points (n, 3) onto the data (orthogonal Procrustes)."""
-    centre_model, centre_data = model.mean(0), data.mean(0)
-    R = nearest_rotation((data - centre_data).T @ (model - centre_model))
-    return R, centre_data - R @ centre_model
 
 
 @njit(cache=True)

@@ -34,12 +34,6 @@ def rotation_vector(R: Array) -> Array:
     return vector
 
 
-def nearest_rotation(M: Array) -> Array:
-    """The rotation (3, 3) nearest to a matrix in the Frobenius norm, never a reflection."""
-    U, _, Vt = np.linalg.svd(M)
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-
-
 GIMBAL_SINE = 1e-8
 """cos(b) below which the first and third axis are parallel in double precision: only their sum is defined."""
 ROUNDING_RAD = 1e-9

@@ -8,7 +8,7 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, jacobian, sticks
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import nearest_rotation, rotation_matrix, rotation_vector
+from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_STICK, TANGENT_NAMES
 
 BODY = Body.from_stature(1.75)
@@ -82,10 +82,6 @@ def test_rotation_vector_inverts_rotation_matrix_up_to_half_a_turn():
         np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
         np.testing.assert_allclose(rotation_matrix(rotation_vector(R)), R, atol=1e-14)
         assert np.linalg.norm(rotation_vector(R)) == pytest.approx(angle, abs=1e-12)
-
-
-def test_nearest_rotation_is_never_a_reflection():
-    np.testing.assert_allclose(np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -0.2]))), 1.0)
 
 
 def test_angles_invert_from_angles_inside_the_ranges():

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
-from stick_figure.least_squares.algebra import solve_positive
 from stick_figure.least_squares.contour_factor import match_contour_rays
 from stick_figure.least_squares.gauss_newton import ContourArrays
 from stick_figure.least_squares.placed_figure import Figure, State

@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from capture_rig.small_matrices import solve_positive
+
 # --- The compiled part of fitting corners: one Levenberg-Marquardt fit, pixel by pixel.
 #
 # Parameters: x, y; directions of the edge along the row and of the edge along the column, rad; logarithms of the blur
@@ -128,34 +130,6 @@ def normal_equations(pixels, count, p, normal, gradient):
 
 
 @njit(cache=True)
-def solve_positive(normal, gradient, step):
-    """Cholesky solution of a positive definite system given by its lower half; the matrix is overwritten by its factor.
-    False when it is not positive definite."""
-    for i in range(SIZE):
-        for j in range(i + 1):
-            s = normal[i, j]
-            for k in range(j):
-                s -= normal[i, k] * normal[j, k]
-            if i == j:
-                if not s > 0:
-                    return False
-                normal[i, i] = math.sqrt(s)
-            else:
-                normal[i, j] = s / normal[j, j]
-    for i in range(SIZE):
-        s = gradient[i]
-        for k in range(i):
-            s -= normal[i, k] * step[k]
-        step[i] = s / normal[i, i]
-    for i in range(SIZE - 1, -1, -1):
-        s = step[i]
-        for k in range(i + 1, SIZE):
-            s -= normal[k, i] * step[k]
-        step[i] = s / normal[i, i]
-    return True
-
-
-@njit(cache=True)
 def fit_corner(pixels, count, p):
     """Levenberg-Marquardt from ``p`` (10,), changed in place: residual variance, grey levels squared, and the variance
     of the corner's coordinates, px^2 (mean of the two)."""
@@ -172,7 +146,7 @@ def fit_corner(pixels, count, p):
             prior = variance * PRIOR_PRECISION[i]
             work[i, i] = (normal[i, i] + prior) * (1 + damping) + 1e-9
             trial_gradient[i] = gradient[i] - prior * (p[i] - start[i])
-        if not solve_positive(work, trial_gradient, step):
+        if not solve_positive(work, trial_gradient, work, step):
             break
         trial = p + np.minimum(np.maximum(step, -STEP_LIMIT), STEP_LIMIT)
         trial[LOG_BLUR_U], trial[LOG_BLUR_V] = (
@@ -204,7 +178,7 @@ def _position_variance(normal, variance):
             work[i, i] += variance * PRIOR_PRECISION[i] + 1e-9
         unit[:] = 0.0
         unit[axis] = 1.0
-        if not solve_positive(work, unit, step):
+        if not solve_positive(work, unit, work, step):
             return np.inf
         total += 0.5 * step[axis] * variance
     return total

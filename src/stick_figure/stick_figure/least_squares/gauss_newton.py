@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
 from stick_figure.body_surface import nearest_capsule, place_capsules
 
 from ..joint_limits import add_joint_limits, add_neck_rest
-from .algebra import solve_positive
 from .contour_factor import add_contour_residuals, contour_weights, match_contour_rays
 from .point_factor import (
     STICKS,

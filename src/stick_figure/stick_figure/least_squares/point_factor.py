@@ -12,10 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from capture_rig.small_matrices import inverse_positive
 from stick_figure import kernels
 from stick_figure.skeleton import POINT_STICK
-
-from .algebra import inverse_positive
 
 TANGENT = 24
 CHAIN_COLUMNS = 11  # most columns a point's Jacobian can have
@@ -111,8 +110,7 @@ def point_covariances(information, A, B, t0, axes, scale, covariance):
     """``scale`` J information^-1 J^T of the 15 reference points into ``covariance`` (15, 3, 3), m^2, world frame."""
     P = np.empty((15, 3))
     kernels.reference_points(A, B, t0, P)
-    S = np.empty((TANGENT, TANGENT))
-    inverse_positive(information, S)
+    S = inverse_positive(information)
     J = np.empty((3, CHAIN_COLUMNS))
     slots = np.empty(CHAIN_COLUMNS, np.int64)
     for i in range(15):

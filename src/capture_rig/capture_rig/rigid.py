@@ -1,0 +1,27 @@
+"""Nearest rotations and rigid fits of points: the one place where a singular value decomposition becomes a rotation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+
+
+def nearest_rotation(M: Array) -> Array:
+    """Rotations (..., 3, 3) nearest to the matrices ``M`` (..., 3, 3) in the Frobenius norm, never reflections.
+
+    The polar factor, with the least singular direction turned where it would be a reflection (Umeyama, PAMI 1991).
+    """
+    U, _, Vt = np.linalg.svd(M)
+    U[..., :, 2] *= np.where(np.linalg.det(U @ Vt) < 0.0, -1.0, 1.0)[..., None]
+    return U @ Vt
+
+
+def rigid_transform(source: Array, target: Array) -> tuple[Array, Array]:
+    """R (..., 3, 3) and t (..., 3) for which R source + t is nearest to ``target``: points (..., n, 3) (Kabsch 1976).
+
+    Three points that do not lie on a line fix them.
+    """
+    centre_source, centre_target = source.mean(-2, keepdims=True), target.mean(-2, keepdims=True)
+    R = nearest_rotation(np.swapaxes(target - centre_target, -1, -2) @ (source - centre_source))
+    return R, centre_target[..., 0, :] - (R @ centre_source[..., 0, :, None])[..., 0]

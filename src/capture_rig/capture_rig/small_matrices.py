@@ -1,0 +1,101 @@
+"""Dense algebra of small symmetric positive definite matrices, compiled: plain arrays in, plain arrays out.
+
+Made for the 24 unknowns of a pose, the 10 of an image corner and the 3 coordinates of a point, where calling LAPACK
+costs more than the arithmetic. No fast-math and fixed orders of summation, so equal inputs give equal bytes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def cholesky(M, L):
+    """Fill the lower triangle of ``L`` (n, n) with M = L L'; False when M is not positive definite (NaN is not).
+
+    Reads the lower triangle of ``M`` alone. ``L`` may be ``M`` itself.
+    """
+    for i in range(M.shape[0]):
+        for j in range(i + 1):
+            s = M[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = s / L[j, j]
+            elif s > 0.0:
+                L[i, i] = math.sqrt(s)
+            else:
+                return False
+    return True
+
+
+@njit(cache=True)
+def solve_positive(M, b, L, x):
+    """Solve M x = b for ``x`` (n,) by the Cholesky factor, left in ``L``; False when M is not positive definite."""
+    if not cholesky(M, L):
+        return False
+    n = M.shape[0]
+    for i in range(n):
+        s = b[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s / L[i, i]
+    for i in range(n - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, n):
+            s -= L[k, i] * x[k]
+        x[i] = s / L[i, i]
+    return True
+
+
+@njit(cache=True)
+def inverse_positive(M):
+    """Return M^-1 (n, n), exactly symmetric, for M positive definite; ValueError when it is not (NaN is not).
+
+    With W = L^-1, M^-1 = W' W.
+    """
+    n = len(M)
+    L, W = np.zeros((n, n)), np.zeros((n, n))
+    if not cholesky(M, L):
+        raise ValueError("the matrix is not positive definite")
+    for i in range(n):
+        W[i, i] = 1.0 / L[i, i]
+        for k in range(i):
+            factor = -W[i, i] * L[i, k]
+            for j in range(k + 1):
+                W[i, j] += factor * W[k, j]
+    X = np.dot(W.T, W)
+    symmetrise(X)
+    return X
+
+
+@njit(cache=True)
+def symmetrise(X):
+    """Replace X by (X + X') / 2, in place: rounding makes the two triangles differ."""
+    for i in range(len(X)):
+        for j in range(i):
+            mean = 0.5 * (X[i, j] + X[j, i])
+            X[i, j] = mean
+            X[j, i] = mean
+
+
+@njit(cache=True)
+def inverse3(S, out):
+    """Fill ``out`` (3, 3) with S^-1 of a symmetric positive definite S (3, 3), by cofactors."""
+    a, b, c, d, e, f = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * A + b * B + c * C)
+    out[0, 0], out[0, 1], out[0, 2] = scale * A, scale * B, scale * C
+    out[1, 0], out[1, 1], out[1, 2] = scale * B, scale * (a * f - c * c), scale * (b * c - a * e)
+    out[2, 0], out[2, 1], out[2, 2] = scale * C, scale * (b * c - a * e), scale * (a * d - b * b)
+
+
+@njit(cache=True)
+def positive3(S):
+    """Return whether S (3, 3), symmetric, is positive definite (Sylvester's criterion) and finite."""
+    a, b, c, d, e, f = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
+    determinant = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
+    return a > 0.0 and a * d - b * b > 0.0 and 0.0 < determinant < math.inf

@@ -1,0 +1,33 @@
+"""Nearest rotations and rigid fits against SciPy, which finds them another way."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from capture_rig.rigid import nearest_rotation, rigid_transform
+
+
+def test_nearest_rotation_is_never_a_reflection():
+    np.testing.assert_allclose(np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -0.2]))), 1.0)
+
+
+def test_nearest_rotations_of_a_stack_are_those_of_its_matrices_and_leave_rotations_alone():
+    rng = np.random.default_rng(0)
+    exact = Rotation.random(20, rng).as_matrix()
+    disturbed = exact + 0.05 * rng.normal(size=exact.shape)
+    np.testing.assert_allclose(nearest_rotation(exact), exact, atol=1e-12)
+    np.testing.assert_allclose(nearest_rotation(disturbed), [nearest_rotation(M) for M in disturbed], atol=1e-15)
+    assert (np.linalg.norm(nearest_rotation(disturbed) - disturbed) <= np.linalg.norm(exact - disturbed)).all()
+
+
+def test_rigid_transform_moves_points_as_scipy_does_one_set_or_many():
+    rng = np.random.default_rng(1)
+    source, R = rng.normal(size=(4, 7, 3)), Rotation.random(4, rng).as_matrix()
+    target = source @ R.swapaxes(1, 2) + rng.normal(size=(4, 1, 3)) + 0.01 * rng.normal(size=source.shape)
+    found, shifts = rigid_transform(source, target)
+    for k in range(4):
+        alone, shift = rigid_transform(source[k], target[k])
+        expected, _ = Rotation.align_vectors(target[k] - target[k].mean(0), source[k] - source[k].mean(0))
+        np.testing.assert_allclose(alone, expected.as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(found[k], alone, atol=1e-12)
+        np.testing.assert_allclose(shifts[k], shift, atol=1e-12)
+        np.testing.assert_allclose(shift, target[k].mean(0) - alone @ source[k].mean(0), atol=1e-12)

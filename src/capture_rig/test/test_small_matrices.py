@@ -1,0 +1,48 @@
+"""Small positive definite matrices against LAPACK."""
+
+import numpy as np
+import pytest
+
+from capture_rig.small_matrices import inverse3, inverse_positive, positive3, solve_positive
+
+
+def positive_matrix(n, rng):
+    M = rng.normal(size=(n, n + 6))
+    return M @ M.T
+
+
+@pytest.mark.parametrize("n", [3, 10, 24])
+def test_solution_and_inverse_equal_those_of_lapack(n):
+    rng = np.random.default_rng(9)
+    M, b = positive_matrix(n, rng), rng.normal(size=n)
+    x = np.empty(n)
+    assert solve_positive(M, b, np.empty((n, n)), x)
+    inverse = inverse_positive(M)
+    assert np.abs(x - np.linalg.solve(M, b)).max() < 1e-9 * np.abs(x).max()
+    assert np.abs(inverse - np.linalg.inv(M)).max() < 1e-9 * np.abs(inverse).max()
+    assert np.array_equal(inverse, inverse.T)
+
+
+def test_a_matrix_may_be_overwritten_by_its_factor_and_only_its_lower_triangle_is_read():
+    rng = np.random.default_rng(3)
+    M, b, x = positive_matrix(10, rng), rng.normal(size=10), np.empty(10)
+    work = np.tril(M)
+    assert solve_positive(work, b, work, x)
+    np.testing.assert_allclose(x, np.linalg.solve(M, b), rtol=1e-9)
+
+
+@pytest.mark.parametrize("spoilt", [-1.0, 0.0, np.nan])
+def test_a_matrix_that_is_not_positive_definite_is_refused(spoilt):
+    S = np.eye(24)
+    S[7, 7] = spoilt
+    with pytest.raises(ValueError, match="not positive definite"):
+        inverse_positive(S)
+    assert not solve_positive(S, np.ones(24), np.empty((24, 24)), np.empty(24))
+    assert not positive3(np.ascontiguousarray(S[6:9, 6:9]))
+
+
+def test_inverse_of_three_by_three_equals_that_of_lapack():
+    S, out = positive_matrix(3, np.random.default_rng(4)), np.empty((3, 3))
+    inverse3(S, out)
+    assert positive3(S)
+    np.testing.assert_allclose(out, np.linalg.inv(S), rtol=1e-12)
