@@ -2,6 +2,7 @@
 VENV ?= .venv
 PYTHON := $(VENV)/bin/python
 SESSION ?=
+TEST_PROCESSES ?= 2
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 
@@ -22,10 +23,10 @@ studio: setup
 	@$(PYTHON) -m sagoma_tools.cli studio $(if $(SESSION),--session "$(SESSION)")
 
 test: setup
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest -n $(TEST_PROCESSES)
 
 test-all: setup
-	$(PYTHON) -m pytest -m "slow or not slow"
+	$(PYTHON) -m pytest -n $(TEST_PROCESSES) -m "slow or not slow"
 
 lint: setup
 	$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .

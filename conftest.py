@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 
@@ -25,11 +26,41 @@ _DOMAINS = range(30, 100)
 _CHOSEN_DOMAIN = os.environ.get("ROS_DOMAIN_ID")
 _claims: dict[Path, tuple[str, IO[str]]] = {}  # folder of tests -> its domain, and the lock that keeps others off it
 
+# a shell's background job inherits SIGINT ignored, and would hand that on to the processes that tests interrupt
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # on few cores the thread pools of BLAS cost more than they give
 for _pool in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_pool, "1")
 
 SHARED_DATA = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parent.parent / "shared" / "data"))
+
+
+# whole graphs and simulated cameras keep time by the machine's clock: they never run beside each other
+_REAL_TIME = (
+    "tests/test_camera_drills.py",
+    "tests/test_graph_live.py",
+    "tests/test_studio_graph.py",
+    "tests/test_real_footage.py",
+    "tests/test_sagoma_up.py",
+    "tests/test_setup_drill.py",
+    "src/camera_client/test/test_camera_aravis",
+    "src/virtual_studio/test/test_gige_camera_aravis",
+    "src/virtual_studio/test/test_gige_timing",
+)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With several processes (`make test`), a file stays in one of them, and all of _REAL_TIME in the same one."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class RealTimeInOneProcess(LoadFileScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            return "real time" if nodeid.startswith(_REAL_TIME) else super()._split_scope(nodeid)
+
+    return RealTimeInOneProcess(config, log)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -55,6 +86,35 @@ def _claim_domain() -> tuple[str, IO[str]]:
             continue
         return str(domain), lock
     raise pytest.UsageError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use by other test runs")
+
+
+@pytest.fixture(scope="module")
+def ros_context() -> Iterator[Any]:
+    """A ROS context of a file's own."""
+    import rclpy
+
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+@pytest.fixture
+def open_probe(ros_context: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Any]]:
+    """``open_probe(HullProbe, ...)``: a probe of tests/support/node_probe.py in the file's context; closed at the end.
+
+    Its node reports on /diagnostics twenty times a second instead of once: tests wait for what it says.
+    """
+    monkeypatch.setattr("sagoma_ros.health.PERIOD_S", 0.05)
+    probes: list[Any] = []
+
+    def open_one(kind: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        probes.append(kind(ros_context, *arguments, **options))
+        return probes[-1]
+
+    yield open_one
+    for probe in probes:
+        probe.close()
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "src/rig_calibration/test"))
 
-from board_renders import camera, looking_at_board, render, true_corners
+from rendered_boards import camera, looking_at_board, render, true_corners
 
 from rig_calibration.boards.detector import find_board
 from rig_calibration.boards.specification import read_board

@@ -39,7 +39,7 @@ sys.path += [str(package) for package in sorted((ROOT / "src").iterdir())]  # ru
 
 import cv2
 import numpy as np
-from hull_rivals import RIVALS, PlainNumpy
+from hull_baselines import RIVALS, PlainNumpy
 from hull_scene import VOLUME, Masks, scene
 
 from capture_rig import FrameSet, InputError

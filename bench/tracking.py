@@ -22,11 +22,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from sticks.bounds import Bounds, bounds
-from sticks.clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
-from sticks.contest import labelled_contest, unlabelled_contest
-from sticks.timing import times_ms
-from sticks.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, track
+from synthetic.bounds import Bounds, bounds
+from synthetic.clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
+from synthetic.contest import labelled_contest, unlabelled_contest
+from synthetic.timing import times_ms
+from synthetic.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, track
 
 from capture_rig.errors import InputError
 from virtual_studio.motion_files.recorded import ReadingOptions

@@ -8,12 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))  # camera_pc: what the drills share
-
 from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, Ear, end, save_rig_of
 
 from camera_client.frame_source import SourceUnavailable

@@ -76,6 +76,7 @@ def test_the_graph_goes_on_when_a_camera_process_is_killed(built_in_session, tmp
     with Supervisor(graph, tmp_path / "logs", on_exit=lambda spec, log: died.set()) as supervisor:
         supervisor.configure()
         with GraphRecorder(graph, tmp_path / "bag") as recorder:
+            recorder.wait_for_publishers()
             supervisor.activate()
             assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
             os.kill(supervisor.pids()["/cam02/camera_client"], signal.SIGKILL)

@@ -1,12 +1,7 @@
 """What the recovery drills measure, on made-up tracks, and the poses they inject."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from drills import (
     LEFT_WITH_RIGHT,
     Outcome,

@@ -1,22 +1,17 @@
 """A small camera, an empty scene it looks at, and ways to write both as footage."""
 
-import sys
 import types
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import rclpy
+from camera_probe import DEADLINE_S, EPOCH_NS, FRAMES, PACE_TOPIC, CameraProbe
 
 from camera_client.sources.aravis_source import import_aravis
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, save_rig
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
-
-sys.path.insert(0, str(Path(__file__).parent))  # node_bench: what the tests of the node share
-from node_bench import DEADLINE_S, EPOCH_NS, FRAMES, PACE_TOPIC, Bench
 
 WIDTH, HEIGHT = 160, 120
 FPS = 50.0
@@ -115,25 +110,11 @@ def gige_camera():
         simulated.close()
 
 
-@pytest.fixture(scope="module")
-def context():
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    yield context
-    rclpy.shutdown(context=context)
-
-
 @pytest.fixture
-def bench(context):
-    made = []
-
-    def make(**parameters):
-        made.append(Bench(context, parameters))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+def bench(open_probe, monkeypatch):
+    """``bench(**parameters)``: a probe of a camera node with these parameters, which judges its state often."""
+    monkeypatch.setattr("camera_client.camera_node.REPORT_PERIOD_S", 0.05)
+    return lambda **parameters: open_probe(CameraProbe, parameters)
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from node_bench import EPOCH_NS, FAILURE, FRAMES, NAMESPACE, SUCCESS, set_camera_info
+from camera_probe import EPOCH_NS, FRAMES, NAMESPACE, set_camera_info
+from node_probe import FAILURE, SUCCESS
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
 

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from node_bench import FAILURE, SUCCESS, set_camera_info
+from camera_probe import set_camera_info
+from node_probe import FAILURE, SUCCESS
 from sensor_msgs.msg import CameraInfo, Image
 
 from camera_client.background.model import load_background

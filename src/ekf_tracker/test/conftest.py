@@ -1,11 +1,6 @@
-import sys
-from pathlib import Path
-
 import pytest
 
 from stick_figure.body import Body
-
-sys.path.insert(0, str(Path(__file__).parent))  # ekf_person: the motion that these tests share
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from ekf_person import ALL, NONE, isotropic, stamp
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter
+from node_probe import FAILURE, SUCCESS, NodeProbe
 from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState, PointCloud2
@@ -37,82 +34,52 @@ OUTPUTS = {
     "mocap/state": DiagnosticStatus,
     "ekf/prediction": JointState,
 }
-PATIENCE_S = 20.0
 
 
-class Bench:
-    """The node under test and a peer that feeds it and keeps everything it publishes, in order of arrival."""
+class EkfProbe(NodeProbe):
+    """An EkfNode; its peer plays the ICP tracker and keeps what the node publishes in order of arrival."""
 
-    def __init__(self, **parameters):
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = EkfNode(parameter_overrides=overrides)
-        self.peer = rclpy.create_node("ekf_test_peer")
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
-        self.executor.add_node(self.peer)
-        self.heard, self.listened = [], []
+    def __init__(self, context, **parameters):
+        super().__init__(context, EkfNode, parameters)
+        self.arrived, self.listened = [], []
         self.points = self.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
         self.body = self.peer.create_publisher(String, "icp/body", LATCHED)
         for topic, kind in OUTPUTS.items():
-            self.listen(topic, kind)
+            self.listen(kind, topic)
 
-    def listen(self, topic, kind, qos=RESULT):
+    def listen(self, kind, topic, qos=RESULT):
         self.listened.append(topic)
-        self.peer.create_subscription(kind, topic, lambda m, topic=topic: self.heard.append((topic, m)), qos)
+        self.peer.create_subscription(kind, topic, lambda m, topic=topic: self.arrived.append((topic, m)), qos)
 
     def start(self):
-        assert self.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-        assert self.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        super().start()
         listeners = 1 + self.listened.count("icp/reference_points")
         self.until(lambda: self.points.get_subscription_count() == listeners)
         self.until(lambda: all(self.node.count_subscribers(topic) == 1 for topic in OUTPUTS))
         return self
 
-    def until(self, condition):
-        clock = self.peer.get_clock()
-        deadline = clock.now().nanoseconds + int(PATIENCE_S * 1e9)
-        while not condition():
-            assert clock.now().nanoseconds < deadline, "nothing came of it"
-            self.executor.spin_once(timeout_sec=0.1)
-
     def send(self, stamp_ns, points, visible=ALL, frame_id="map", sd=0.01):
         array = reference_points_array(points, isotropic(sd), visible)
         self.points.publish(to_cloud(array, stamp_ns, frame_id))
 
-    def ask(self, stamp_ns, points, **options):
+    def fit(self, stamp_ns, points, **options):
         """Send a set and wait for its answer; returns what was published from the sending on."""
-        begin = len(self.heard)
+        begin = len(self.arrived)
         self.send(stamp_ns, points, **options)
         self.until(lambda: self.answers(stamp_ns, begin))
-        return self.heard[begin:]
+        return self.arrived[begin:]
 
     def answers(self, stamp_ns, begin=0):
-        return [m for t, m in self.heard[begin:] if t == "ekf/prediction" and to_ns(m.header.stamp) == stamp_ns]
+        return [m for t, m in self.arrived[begin:] if t == "ekf/prediction" and to_ns(m.header.stamp) == stamp_ns]
 
     def latest(self, topic):
-        return next(m for t, m in reversed(self.heard) if t == topic)
-
-    def close(self):
-        self.node.close()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.peer.destroy_node()
+        return next(m for t, m in reversed(self.arrived) if t == topic)
 
 
 @pytest.fixture
-def bench():
-    """bench(parameter=value, ...): a node with these parameters, not yet started; ``_`` in names stands for itself."""
-    rclpy.init()
-    opened = []
-
-    def open_bench(**parameters):
-        opened.append(Bench(**{name.replace("__", "."): value for name, value in parameters.items()}))
-        return opened[-1]
-
-    yield open_bench
-    for each in opened:
-        each.close()
-    rclpy.try_shutdown()
+def bench(open_probe):
+    """bench(parameter=value, ...): a node with these parameters, not yet started; ``__`` in names stands for a dot."""
+    return lambda **given: open_probe(EkfProbe, **{name.replace("__", "."): value for name, value in given.items()})
 
 
 @pytest.fixture
@@ -126,7 +93,7 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     reference = ArticulatedEkf(body)
     for k in range(5):
         points = person.points(k / 60)
-        got = b.ask(stamp(k), points)
+        got = b.fit(stamp(k), points)
         # float32 on the wire: the reference filter gets the same numbers
         sent = split_reference_points(reference_points_array(points, isotropic(0.01), ALL))
         expected = reference.step(stamp(k), *sent)
@@ -166,7 +133,7 @@ def test_prediction_is_published_after_everything_else(bench, body_file, person,
         publish(publisher, message)
 
     monkeypatch.setattr(Publisher, "publish", recorded)
-    b.ask(stamp(0), person.points(0.0))
+    b.fit(stamp(0), person.points(0.0))
     order = [topic for topic in order if topic not in ("/diagnostics", "/icp/reference_points")]
     assert order == [
         "/mocap/joint_states",
@@ -194,7 +161,7 @@ def _check_torso(torso, expected):
 def test_skeleton_markers_keep_their_names_and_draw_sticks_joints_and_ellipsoids(bench, body_file, person):
     b = bench(body_file=body_file, skeleton_rate_hz=0.0, skeleton_covariance=True).start()
     for k in range(2):
-        got = b.ask(stamp(k), person.points(k / 60))
+        got = b.fit(stamp(k), person.points(k / 60))
         (markers,) = [m.markers for topic, m in got if topic == "mocap/skeleton"]
         assert [(m.ns, m.id, m.type) for m in markers[:2]] == [
             ("sticks", 0, Marker.LINE_LIST),
@@ -213,14 +180,14 @@ def test_skeleton_markers_keep_their_names_and_draw_sticks_joints_and_ellipsoids
 def test_skeleton_is_limited_to_its_rate_by_stamps(bench, body_file, person):
     b = bench(body_file=body_file, skeleton_rate_hz=20.0).start()
     for k in range(12):
-        b.ask(stamp(k), person.points(k / 60))
-    assert sum(topic == "mocap/skeleton" for topic, _ in b.heard) == 4
-    assert sum(topic == "mocap/joint_states" for topic, _ in b.heard) == 12
+        b.fit(stamp(k), person.points(k / 60))
+    assert sum(topic == "mocap/skeleton" for topic, _ in b.arrived) == 4
+    assert sum(topic == "mocap/joint_states" for topic, _ in b.arrived) == 12
 
 
 def test_sets_before_the_first_visible_torso_get_an_empty_prediction_and_nothing_else(bench, body_file):
     b = bench(body_file=body_file).start()
-    got = b.ask(stamp(0), np.zeros((15, 3)), visible=NONE)
+    got = b.fit(stamp(0), np.zeros((15, 3)), visible=NONE)
     assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
     assert got[0][1].message == "acquiring" and "waiting for the torso" in got[0][1].values[0].value
     assert read_prediction(got[1][1], "test").pose is None
@@ -229,7 +196,7 @@ def test_sets_before_the_first_visible_torso_get_an_empty_prediction_and_nothing
 def test_body_from_the_topic_is_used_when_no_file_is_given(bench, body, person):
     b = bench().start()
     b.body.publish(String(data=format_body(body)))
-    got = b.ask(stamp(0), person.points(0.0))  # the set may overtake the body: it is held until the body is there
+    got = b.fit(stamp(0), person.points(0.0))  # the set may overtake the body: it is held until the body is there
     assert read_prediction(got[-1][1], "test").pose is not None
     points, _, _ = split_reference_points(from_cloud(b.latest("mocap/reference_points"), REFERENCE_POINTS, "test"))
     assert np.linalg.norm(points - person.points(0.0), axis=1).max() < 5e-3
@@ -242,14 +209,14 @@ def test_visible_set_waits_for_the_body_and_is_then_answered_with_a_pose(bench, 
     b.until(lambda: len(b.node._waiting) == 2)
     b.body.publish(String(data=format_body(body)))
     b.until(lambda: b.answers(stamp(1)))
-    order = [(topic, to_ns(m.header.stamp)) for topic, m in b.heard if topic == "ekf/prediction"]
+    order = [(topic, to_ns(m.header.stamp)) for topic, m in b.arrived if topic == "ekf/prediction"]
     assert order == [("ekf/prediction", stamp(0)), ("ekf/prediction", stamp(1))]
-    assert all(m.name for topic, m in b.heard if topic == "ekf/prediction")
+    assert all(m.name for topic, m in b.arrived if topic == "ekf/prediction")
 
 
 def test_visible_set_without_a_body_is_answered_empty_in_the_end(bench, person):
     b = bench(body_wait_s=0.05).start()
-    got = b.ask(stamp(0), person.points(0.0))
+    got = b.fit(stamp(0), person.points(0.0))
     assert not got[-1][1].name
     assert "waiting for the body on icp/body" in got[-2][1].values[0].value
     assert b.node.health.counter("without_body") == 1
@@ -258,7 +225,7 @@ def test_visible_set_without_a_body_is_answered_empty_in_the_end(bench, person):
 def test_another_body_starts_the_filter_anew_and_the_same_one_does_not(bench, body, person):
     b = bench(body_wait_s=60.0).start()
     b.body.publish(String(data=format_body(body)))
-    b.ask(stamp(0), person.points(0.0))
+    b.fit(stamp(0), person.points(0.0))
     before = b.node._filter
     b.body.publish(String(data=format_body(body)))
     b.body.publish(String(data="lengths: 7"))  # latched topic: the last message stays the bad one
@@ -272,7 +239,7 @@ def test_another_body_starts_the_filter_anew_and_the_same_one_does_not(bench, bo
 @pytest.mark.parametrize("case", ["nan", "fields", "count", "frame", "covariance"])
 def test_unusable_set_is_counted_answered_with_its_stamp_and_the_next_one_is_tracked(bench, body_file, person, case):
     b = bench(body_file=body_file).start()
-    b.ask(stamp(0), person.points(0.0))
+    b.fit(stamp(0), person.points(0.0))
     array = reference_points_array(person.points(1 / 60), isotropic(0.01), ALL)
     if case == "nan":
         array["x"][3] = np.nan
@@ -281,45 +248,41 @@ def test_unusable_set_is_counted_answered_with_its_stamp_and_the_next_one_is_tra
     cloud = to_cloud(array[:14] if case == "count" else array, stamp(1), "odom" if case == "frame" else "map")
     if case == "fields":
         cloud.fields[9].name = "seen"
-    begin = len(b.heard)
+    begin = len(b.arrived)
     b.points.publish(cloud)
     b.until(lambda: b.answers(stamp(1)))
     assert b.node.health.counter("bad_points") == 1
-    bad = dict(b.heard[begin:])
+    bad = dict(b.arrived[begin:])
     assert bad["mocap/state"].message == "doubtful"  # treated as a set in which nothing was seen
     assert bad["ekf/prediction"].name
-    b.ask(stamp(2), person.points(2 / 60))
+    b.fit(stamp(2), person.points(2 / 60))
     assert b.latest("mocap/state").message == "tracking"
 
 
 def test_stamp_that_goes_back_is_counted_and_answered_empty_with_its_own_stamp(bench, body_file, person):
     b = bench(body_file=body_file).start()
     for k in (0, 1, 2):
-        b.ask(stamp(k), person.points(k / 60))
-    got = b.ask(stamp(1) + 5, person.points(1 / 60))
+        b.fit(stamp(k), person.points(k / 60))
+    got = b.fit(stamp(1) + 5, person.points(1 / 60))
     assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
     assert not got[-1][1].name
     assert b.node.health.counter("stamp_back") == 1
-    got = b.ask(stamp(3), person.points(3 / 60))
+    got = b.fit(stamp(3), person.points(3 / 60))
     assert b.latest("mocap/state").message == "tracking" and got[-1][1].name
 
 
 def test_clock_that_was_set_back_starts_the_filter_anew_after_some_sets(bench, body_file, person):
     b = bench(body_file=body_file, restart_after_sets=3).start()
-    b.ask(stamp(1000), person.points(0.0))
-    empty = [not b.ask(stamp(k), person.points(k / 60))[-1][1].name for k in range(5)]
+    b.fit(stamp(1000), person.points(0.0))
+    empty = [not b.fit(stamp(k), person.points(k / 60))[-1][1].name for k in range(5)]
     assert empty == [True, True, True, False, False]
 
 
 def test_reset_service_lets_the_next_set_start_anew(bench, body_file, person):
     b = bench(body_file=body_file).start()
-    b.ask(stamp(10), person.points(0.0))
-    client = b.peer.create_client(Trigger, "/ekf_tracker/reset")
-    b.until(client.service_is_ready)
-    future = client.call_async(Trigger.Request())
-    b.until(future.done)
-    assert future.result().success
-    got = b.ask(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
+    b.fit(stamp(10), person.points(0.0))
+    assert b.ask(Trigger, "/ekf_tracker/reset").success
+    got = b.fit(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
     assert got[-1][1].name
     points, _, _ = split_reference_points(from_cloud(b.latest("mocap/reference_points"), REFERENCE_POINTS, "test"))
     assert np.linalg.norm(points - person.points(5.0), axis=1).max() < 5e-3
@@ -328,37 +291,37 @@ def test_reset_service_lets_the_next_set_start_anew(bench, body_file, person):
 def test_identity_model_predicts_no_motion(bench, body_file, person):
     b = bench(body_file=body_file, filter__motion_model="identity").start()
     for k in range(3):
-        got = b.ask(stamp(k), person.points(k / 60))
+        got = b.fit(stamp(k), person.points(k / 60))
     np.testing.assert_array_equal(read_prediction(got[-1][1], "test").velocity, 0.0)
     assert np.abs(b.latest("mocap/joint_states").velocity).max() > 0.01
 
 
 def test_lost_body_is_not_published_but_every_set_is_still_answered(bench, body_file, person):
     b = bench(body_file=body_file, filter__lost_after_s=0.05).start()
-    b.ask(stamp(0), person.points(0.0))
+    b.fit(stamp(0), person.points(0.0))
     for k in range(1, 5):
-        got = b.ask(stamp(k), np.zeros((15, 3)), visible=NONE)
+        got = b.fit(stamp(k), np.zeros((15, 3)), visible=NONE)
     assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
     assert got[0][1].message == "lost" and got[0][1].level == DiagnosticStatus.ERROR
 
 
 def test_suspended_node_is_silent_and_goes_on_where_it_was(bench, body_file, person):
     b = bench(body_file=body_file).start()
-    b.listen("icp/reference_points", PointCloud2)
+    b.listen(PointCloud2, "icp/reference_points")
     b.until(lambda: b.points.get_subscription_count() == 2)
-    b.ask(stamp(0), person.points(0.0))
-    assert b.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    b.fit(stamp(0), person.points(0.0))
+    assert b.node.trigger_deactivate() == SUCCESS
     b.send(stamp(1), person.points(1 / 60))
-    b.until(lambda: [t for t, _ in b.heard].count("icp/reference_points") == 2)
+    b.until(lambda: [t for t, _ in b.arrived].count("icp/reference_points") == 2)
     b.executor.spin_once(timeout_sec=0.1)
     assert not b.answers(stamp(1))
-    assert b.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
-    b.ask(stamp(2), person.points(2 / 60))
-    assert b.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
-    assert b.node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    assert b.node.trigger_activate() == SUCCESS
+    b.fit(stamp(2), person.points(2 / 60))
+    assert b.node.trigger_deactivate() == SUCCESS
+    assert b.node.trigger_cleanup() == SUCCESS
     assert b.node.count_publishers("/ekf/prediction") == 0
     b.start()
-    b.ask(stamp(0), person.points(0.0))
+    b.fit(stamp(0), person.points(0.0))
 
 
 @pytest.mark.parametrize(
@@ -372,20 +335,20 @@ def test_suspended_node_is_silent_and_goes_on_where_it_was(bench, body_file, per
 )
 def test_bad_parameter_fails_the_configuration_with_a_clear_error(bench, parameters, words):
     b = bench(**parameters)
-    assert b.node.trigger_configure() == TransitionCallbackReturn.FAILURE
-    assert words in b.node.health._message
+    assert b.node.trigger_configure() == FAILURE
+    b.until_said(words)
     assert b.node.count_publishers("/ekf/prediction") == 0
 
 
 def test_humans_topics_carry_the_person_under_its_id(bench, body_file, person):
     b = bench(body_file=body_file, publish_humans=True, body_id="anna")
-    b.listen("/humans/bodies/anna/joint_states", JointState)
-    b.listen("/humans/bodies/anna/urdf", String, LATCHED)
+    b.listen(JointState, "/humans/bodies/anna/joint_states")
+    b.listen(String, "/humans/bodies/anna/urdf", LATCHED)
     b.start()
     b.until(lambda: b.node.count_subscribers("/humans/bodies/anna/joint_states") == 1)
     b.until(lambda: b.node.count_subscribers("/humans/bodies/anna/urdf") == 1)
-    b.ask(stamp(0), person.points(0.0))
-    b.until(lambda: any(topic.endswith("urdf") for topic, _ in b.heard))
+    b.fit(stamp(0), person.points(0.0))
+    b.until(lambda: any(topic.endswith("urdf") for topic, _ in b.arrived))
     joints = b.latest("/humans/bodies/anna/joint_states")
     named = dict(zip(joints.name, joints.position, strict=True))
     true = person.pose(0.0)

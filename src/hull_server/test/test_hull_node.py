@@ -7,13 +7,10 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hull_scenes import capsule_person, ring_rig, silhouettes
+from node_probe import FAILURE, PATIENCE_S, SUCCESS, NodeProbe, values_of
 from plyfile import PlyData
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -25,39 +22,35 @@ from hull_server.settings import HullSettings
 from sagoma_ros.clouds import CENTERLINE, CONTOUR_RAYS, VOXELS, from_cloud, xyz
 from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.messages import to_ns
-from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER
+from sagoma_ros.qos import SILHOUETTE_PUBLISHER
 
-PATIENCE_S = 20.0  # only ever reached by a failing test
 PERIOD_NS = 16_666_667
 EPOCH_NS = 7_000_000_000
 NEVER_S = 600.0  # the deadline of frame sets, unless a test lets it pass
+OUTPUTS = {
+    "hull/contour_rays": PointCloud2,
+    "hull/centerline": PointCloud2,
+    "hull/voxels": PointCloud2,
+    "hull/frame_set": DiagnosticArray,
+}
 
 
 def stamp(k):
     return EPOCH_NS + k * PERIOD_NS
 
 
-class Bench:
-    """A HullNode, and a node beside it that plays the cameras and listens."""
+class HullProbe(NodeProbe):
+    """A HullNode; its peer plays the cameras."""
 
     def __init__(self, context, clock, **parameters):
-        self.clock = clock
         values = {"backend": "cpu", "voxel_size_m": 0.04, "reliable": True, "deadline_s": NEVER_S} | parameters
-        overrides = [Parameter(key, value=value) for key, value in values.items()]
-        self.node = HullNode(context=context, parameter_overrides=overrides)
-        self.peer = rclpy.create_node("peer", context=context)
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
-        self.executor.add_node(self.peer)
-        topics = ("hull/contour_rays", "hull/centerline", "hull/voxels", "hull/frame_set", "/diagnostics")
-        self.heard = {topic: [] for topic in topics}
-        kinds = (PointCloud2, PointCloud2, PointCloud2, DiagnosticArray, DiagnosticArray)
-        for kind, (topic, messages) in zip(kinds, self.heard.items(), strict=True):
-            self.peer.create_subscription(kind, topic, messages.append, RESULT)
+        super().__init__(context, HullNode, values)
+        self.clock = clock
+        for topic, kind in OUTPUTS.items():
+            self.listen(kind, topic)
 
     def start(self, rig):
-        assert self.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-        assert self.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        super().start()
         self.images, self.infos = {}, {}
         for name in rig.names:
             topic = f"{name}/silhouette/compressed"
@@ -68,24 +61,18 @@ class Bench:
         self.until(lambda: all(self.peer.count_publishers(topic) for topic in self.heard))
         return self
 
-    def until(self, done):
-        deadline = time.monotonic() + PATIENCE_S
-        while not done():
-            assert time.monotonic() < deadline, "the awaited event did not come"
-            self.executor.spin_once(timeout_sec=0.02)
-
     def send(self, masks, k, **extra_ns):
         for name, mask in masks.items():
             self.images[name].publish(silhouette_message(mask, stamp(k) + extra_ns.get(name, 0), name))
 
     def let_the_deadline_pass(self, frames):
         """Once the node has taken so many frames in all, its clock leaps beyond every deadline."""
-        self.diagnostics_with(frames=str(frames))
+        self.until_values(frames=str(frames))
         self.clock.ahead_ns += round(2 * NEVER_S * 1e9)
 
     def answers(self, count):
         """The values of hull/frame_set of the first ``count`` sets, once all four topics have told of them."""
-        topics = ("hull/contour_rays", "hull/centerline", "hull/voxels", "hull/frame_set")
+        topics = list(OUTPUTS)
         self.until(lambda: all(len(self.heard[topic]) >= count for topic in topics))
         for topic in topics:
             assert len(self.heard[topic]) == count
@@ -94,38 +81,6 @@ class Bench:
                 to_ns(m.header.stamp) for m in self.heard[topics[3]]
             ]
         return [values_of(m) for m in self.heard["hull/frame_set"]]
-
-    def diagnostics_with(self, **wanted):
-        """The node's diagnostics, as soon as they show these values."""
-
-        def shown():
-            ours = [m for m in self.heard["/diagnostics"] if m.status[0].name == "/hull_server"]
-            if ours and wanted.items() <= values_of(ours[-1]).items():
-                return True
-            self.node.health.publish()
-            return False
-
-        self.until(shown)
-        return self.heard["/diagnostics"][-1].status[0]
-
-    def close(self):
-        self.node.close()
-        for node in (self.node, self.peer):
-            self.executor.remove_node(node)
-            node.destroy_node()
-        self.executor.shutdown()
-
-
-def values_of(message):
-    return {pair.key: pair.value for pair in message.status[0].values}
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = rclpy.context.Context()
-    rclpy.init(context=context)
-    yield context
-    rclpy.shutdown(context=context)
 
 
 @pytest.fixture(scope="module")
@@ -146,16 +101,8 @@ def clock(monkeypatch):
 
 
 @pytest.fixture
-def make_bench(context, scene, clock):
-    benches = []
-
-    def make(**parameters):
-        benches.append(Bench(context, clock, **({"rig_file": str(scene[0])} | parameters)))
-        return benches[-1]
-
-    yield make
-    for bench in benches:
-        bench.close()
+def make_bench(open_probe, scene, clock):
+    return lambda **parameters: open_probe(HullProbe, clock, **({"rig_file": str(scene[0])} | parameters))
 
 
 @pytest.fixture
@@ -217,7 +164,6 @@ def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
             [bytes(bench.heard[topic][0].data) for topic in ("hull/contour_rays", "hull/centerline", "hull/voxels")]
         )
         bench.close()
-        bench.close = lambda: None
     assert sent[0] == sent[1]
 
 
@@ -230,7 +176,7 @@ def test_node_answers_an_incomplete_set_at_its_deadline_and_names_the_missing_ca
     assert values["missing"] == "cam03" and values["cameras"] == "cam01,cam02,cam04" and values["min_seeing"] == "3"
     assert int(values["voxels"]) > 0
     assert "nothing in time from cam03" in bench.heard["hull/frame_set"][0].status[0].message
-    bench.diagnostics_with(sets_incomplete="1", frames_missing="1")
+    bench.until_values(sets_incomplete="1", frames_missing="1")
 
 
 def test_node_never_mixes_a_late_frame_into_another_set(make_bench, scene):
@@ -240,7 +186,7 @@ def test_node_never_mixes_a_late_frame_into_another_set(make_bench, scene):
     bench.let_the_deadline_pass(frames=3)
     bench.answers(1)
     bench.send({"cam03": masks["cam03"]}, 0)
-    bench.diagnostics_with(frames_late="1")
+    bench.until_values(frames_late="1")
     bench.send(masks, 1)
     assert [values["missing"] for values in bench.answers(2)] == ["cam03", ""]
 
@@ -249,9 +195,9 @@ def test_node_counts_duplicate_stamps_and_stamps_that_go_back(bench, scene):
     masks = scene[2]
     bench.send({"cam01": masks["cam01"]}, 1)
     bench.send({"cam01": masks["cam01"]}, 1)
-    bench.diagnostics_with(frames_duplicate="1")
+    bench.until_values(frames_duplicate="1")
     bench.send({"cam01": masks["cam01"]}, 0)
-    bench.diagnostics_with(frames_backwards="1", frames="3")
+    bench.until_values(frames_backwards="1", frames="3")
     bench.send({name: masks[name] for name in ("cam02", "cam03", "cam04")}, 1)
     (values,) = bench.answers(1)
     assert values["missing"] == "" and to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(1)
@@ -286,7 +232,7 @@ def test_node_drops_and_counts_a_bad_image_and_goes_on(bench, scene, make_messag
     bad = make_message(masks["cam01"])
     bad.header = silhouette_message(masks["cam01"], stamp(0), "cam01").header
     bench.images["cam01"].publish(bad)
-    status = bench.diagnostics_with(bad_images="1")
+    status = bench.until_values(bad_images="1")
     said = {pair.key: pair.value for pair in status.values}["last_bad_image"]
     assert said.startswith("cam01/silhouette/compressed") and text in said
     bench.send(masks, 1)
@@ -314,7 +260,7 @@ def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again
     bench.send(masks, 0)
     bench.let_the_deadline_pass(frames=3)
     assert [values["missing"] for values in bench.answers(1)] == ["cam02"]
-    status = bench.diagnostics_with(frames_refused="1")
+    status = bench.until_values(frames_refused="1")
     said = {pair.key: pair.value for pair in status.values}["refused_cam02"]
     assert said.startswith("cam02/camera_info") and text in said and "same rig file" in said
     assert status.level == b"\x02"
@@ -332,7 +278,7 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     assert bench.heard["hull/centerline"][0].width == bench.heard["hull/voxels"][0].width == 0
     assert bench.heard["hull/contour_rays"][0].width == 0
     assert "the hull is empty" in bench.heard["hull/frame_set"][0].status[0].message
-    bench.diagnostics_with(sets_empty="1")
+    bench.until_values(sets_empty="1")
 
 
 def test_node_publishes_the_rims_before_the_centerline_of_the_same_set(make_bench, scene):
@@ -372,10 +318,10 @@ def test_node_drops_the_oldest_set_when_a_stage_cannot_keep_up(make_bench, scene
     bench.until(busy.is_set)
     for k in range(1, 6):
         bench.send(masks, k)
-        bench.diagnostics_with(sets_complete=str(k + 1))
+        bench.until_values(sets_complete=str(k + 1))
         if stage == "finish" and k <= 2:  # that the carver has taken it
             bench.until(lambda: not bench.node._carver.waiting)
-    bench.diagnostics_with(sets_dropped=str(6 - len(answered)))
+    bench.until_values(sets_dropped=str(6 - len(answered)))
     released.set()
     bench.answers(len(answered))
     stamps = [to_ns(message.header.stamp) for message in bench.heard["hull/frame_set"]]
@@ -437,16 +383,16 @@ def test_node_leaves_out_a_covered_camera_by_name_and_takes_it_back(make_bench, 
 
 def test_node_ignores_silhouettes_while_suspended_and_resumes(bench, scene):
     masks = scene[2]
-    assert bench.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert bench.node.trigger_deactivate() == SUCCESS
     bench.send(masks, 0)
-    bench.diagnostics_with(frames_while_suspended="4")
-    assert bench.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    bench.until_values(frames_while_suspended="4")
+    assert bench.node.trigger_activate() == SUCCESS
     bench.send(masks, 1)
     bench.until(lambda: bench.heard["hull/frame_set"])
     assert to_ns(bench.heard["hull/frame_set"][-1].header.stamp) == stamp(1)
-    assert bench.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
-    assert bench.node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
-    assert bench.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    assert bench.node.trigger_deactivate() == SUCCESS
+    assert bench.node.trigger_cleanup() == SUCCESS
+    assert bench.node.trigger_configure() == SUCCESS
 
 
 @pytest.mark.parametrize(
@@ -462,18 +408,9 @@ def test_node_ignores_silhouettes_while_suspended_and_resumes(bench, scene):
 )
 def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, text):
     bench = make_bench(**parameters)
-    assert bench.node.trigger_configure() == TransitionCallbackReturn.FAILURE
-    bench.until(lambda: bench.peer.count_publishers("/diagnostics"))
-    status = bench.diagnostics_with()
-    assert text in status.message and status.level == b"\x02"
-
-
-def save_mesh(bench):
-    client = bench.peer.create_client(Trigger, "hull_server/save_mesh")
-    bench.until(client.service_is_ready)
-    future = client.call_async(Trigger.Request())
-    bench.until(future.done)
-    return future.result()
+    assert bench.node.trigger_configure() == FAILURE
+    bench.until_said(text)
+    assert bench.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
 
 
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
@@ -482,7 +419,7 @@ def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
     bench.send(masks, 0)
     bench.send(masks, 1)
     values = bench.answers(2)[1]
-    answer = save_mesh(bench)
+    answer = bench.ask(Trigger, "hull_server/save_mesh")
     assert answer.success
     vertices = PlyData.read(str(tmp_path / f"hull_{stamp(1)}.ply"))["vertex"]
     assert f"{tmp_path}/hull_{stamp(1)}.ply" in answer.message
@@ -500,5 +437,5 @@ def test_save_mesh_without_a_hull_says_why(make_bench, scene, tmp_path, sets, wh
     for k in range(sets):
         bench.send({name: np.zeros_like(mask) for name, mask in masks.items()}, k)
         bench.answers(k + 1)
-    answer = save_mesh(bench)
+    answer = bench.ask(Trigger, "hull_server/save_mesh")
     assert not answer.success and why in answer.message and not list(tmp_path.iterdir())

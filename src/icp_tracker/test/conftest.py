@@ -1,8 +1,6 @@
 """Synthetic people for the ICP tracker's tests: a body, a smooth random motion, clouds of centerline points."""
 
-import sys
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +10,6 @@ from stick_figure.body import Body
 from stick_figure.kinematics import sticks
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
-
-sys.path.insert(0, str(Path(__file__).parent))  # t_pose_studio: people with volume, for the tests of the first pose
 
 # ranges of an energetic person, well inside the joints' (rad), in the order of the angles
 MOTION_LOW = np.array(

@@ -1,16 +1,12 @@
 """The ICP node among messages: one answer for every centerline, whatever arrives."""
 
 import os
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter
+from node_probe import FAILURE, SUCCESS, NodeProbe, values_of
 from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -25,7 +21,6 @@ from sagoma_ros.qos import RESULT
 from stick_figure.kinematics import forward
 
 NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hear each other
-DEADLINE_S = 20.0  # only ever reached by a failing test
 PERIOD_NS = 25_000_000
 EPOCH_NS = 5_000_000_000
 NEVER_S = 3600.0
@@ -50,40 +45,26 @@ def voxel_cloud(points, k):
     return to_cloud(table, stamp(k), "map")
 
 
-class Bench:
-    """An IcpNode, and a node beside it that plays hull server and filter."""
+class IcpProbe(NodeProbe):
+    """An IcpNode; its peer plays hull server and filter."""
 
     def __init__(self, context, **parameters):
-        # neither voxels nor rims, but where a test is about them
+        # neither voxels nor contour rays, but where a test is about them
         points_alone = {"articulated.volume.weight": 0.0, "articulated.contour.weight": 0.0}
-        overrides = [Parameter(key, value=value) for key, value in {**points_alone, **parameters}.items()]
-        self.node = IcpNode(context=context, namespace=NAMESPACE, parameter_overrides=overrides)
-        self.peer = rclpy.create_node("peer", context=context, namespace=NAMESPACE)
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
-        self.executor.add_node(self.peer)
-        self.points, self.fits = [], []
-        self.peer.create_subscription(PointCloud2, "icp/reference_points", self.points.append, RESULT)
-        self.peer.create_subscription(DiagnosticArray, "icp/fit", self.fits.append, RESULT)
+        super().__init__(context, IcpNode, {**points_alone, **parameters}, NAMESPACE)
+        self.points = self.listen(PointCloud2, "icp/reference_points")
+        self.fits = self.listen(DiagnosticArray, "icp/fit")
         self.centerlines = self.peer.create_publisher(PointCloud2, "hull/centerline", RESULT)
         self.voxels = self.peer.create_publisher(PointCloud2, "hull/voxels", RESULT)
         self.predictions = self.peer.create_publisher(JointState, "ekf/prediction", RESULT)
-        self.reset = self.peer.create_client(Trigger, "icp_tracker/reset")
 
     def start(self):
-        assert self.node.trigger_configure() == TransitionCallbackReturn.SUCCESS
-        assert self.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        super().start()
         outgoing = (self.centerlines, self.voxels, self.predictions)
-        self.until(lambda: all(p.get_subscription_count() for p in outgoing) and self.reset.service_is_ready())
-        self.until(lambda: self.peer.count_publishers("icp/fit") and self.peer.count_publishers("icp/reference_points"))
+        self.until(lambda: all(p.get_subscription_count() for p in outgoing))
+        self.until(lambda: all(self.peer.count_publishers(topic) for topic in self.heard))
         self.until(lambda: all(p.get_subscription_count() for p in self.node._publishers_held[:2]))
         return self
-
-    def until(self, done):
-        deadline = time.monotonic() + DEADLINE_S
-        while not done():
-            assert time.monotonic() < deadline, "the awaited event did not come"
-            self.executor.spin_once(timeout_sec=0.05)
 
     def answer(self, message):
         """Publish a centerline; the values of icp/fit and the points that answer it."""
@@ -91,7 +72,7 @@ class Bench:
         self.centerlines.publish(message)
         self.until(lambda: len(self.points) > count and len(self.fits) > count)
         points, covariance, visible = split_reference_points(from_cloud(self.points[-1], REFERENCE_POINTS, "test"))
-        values = {pair.key: pair.value for pair in self.fits[-1].status[0].values}
+        values = values_of(self.fits[-1])
         return SimpleNamespace(
             points=points,
             covariance=covariance,
@@ -103,28 +84,10 @@ class Bench:
             used=int(values.get("points", 0)),
         )
 
-    def close(self):
-        self.node.close()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.peer.destroy_node()
-
 
 @pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    made = []
-
-    def make(**parameters):
-        made.append(Bench(context, **parameters))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
-    rclpy.shutdown(context=context)
+def bench(open_probe):
+    return lambda **parameters: open_probe(IcpProbe, **parameters)
 
 
 @pytest.fixture
@@ -164,8 +127,7 @@ def test_fit_starts_from_the_prediction_of_the_previous_set(bench, walk):
     assert len(node.points) == 1  # no fit without the filter's word
     node.predictions.publish(prediction_message(walk.poses[0], np.zeros(24), stamp(0)))
     node.until(lambda: len(node.fits) == 2)
-    values = {pair.key: pair.value for pair in node.fits[1].status[0].values}
-    assert values["started_from"] == str(stamp(0))
+    assert values_of(node.fits[1])["started_from"] == str(stamp(0))
 
 
 def test_filter_that_never_answers_is_waited_for_once(bench, walk):
@@ -251,9 +213,8 @@ def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body
         if k == 0:
             assert answer.reason == "T-pose seen, hold it (1 of 2)"
             assert not answer.points.any() and not answer.visible.any()
-    future = node.reset.call_async(Trigger.Request())
-    node.until(future.done)
-    assert future.result().success and "t_pose" in future.result().message
+    response = node.ask(Trigger, "icp_tracker/reset")
+    assert response.success and "t_pose" in response.message
     node.voxels.publish(voxel_cloud(voxels, 3))
     assert node.answer(centerline(cloud, 3)).state == "acquiring"
 
@@ -283,12 +244,12 @@ def test_suspended_node_is_silent_and_resumes(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
     node.answer(centerline(walk.clouds[0], 0))
     node.centerlines.publish(centerline(walk.clouds[1], 1))  # its fit waits for the filter
-    assert node.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
-    assert node.node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    assert node.node.trigger_deactivate() == SUCCESS
+    assert node.node.trigger_activate() == SUCCESS
     node.until(lambda: node.centerlines.get_subscription_count())
     assert node.answer(centerline(walk.clouds[2], 2)).state == "tracking"
-    assert node.node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
-    assert node.node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    assert node.node.trigger_deactivate() == SUCCESS
+    assert node.node.trigger_cleanup() == SUCCESS
 
 
 @pytest.mark.parametrize(
@@ -306,7 +267,7 @@ def test_suspended_node_is_silent_and_resumes(bench, walk):
 )
 def test_bad_parameter_fails_configure_with_a_clear_line(bench, capfd, parameters, words):
     node = bench(**parameters)
-    assert node.node.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert node.node.trigger_configure() == FAILURE
     shown = capfd.readouterr().err
     for word in words:
         assert word in shown

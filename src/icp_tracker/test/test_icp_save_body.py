@@ -1,11 +1,10 @@
 """The service that saves the body being followed."""
 
 import os
-import time
 
 import pytest
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from node_probe import Spinner
 from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.body_sizes import LimbGirths
@@ -14,46 +13,31 @@ from stick_figure.body import Body
 from stick_figure.body_file import load_body, load_thickness
 
 NAMESPACE = f"/test_body_desk_{os.getpid()}"
-DEADLINE_S = 20.0  # only ever reached by a failing test
 
 
-class Counter:
-    """A node with a body desk, and who asks it."""
+class SavingProbe(Spinner):
+    """A node with the service, and its client."""
 
     def __init__(self, context, folder):
-        self.node = rclpy.create_node("tracker", context=context, namespace=NAMESPACE)
+        super().__init__(context)
+        self.node = self.add(rclpy.create_node("tracker", context=context, namespace=NAMESPACE))
         self.desk = SaveBodyService(self.node, SaveBodySettings(str(folder)))
         self.client = self.node.create_client(Trigger, "~/save_body")
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.node)
 
     def ask(self):
-        deadline = time.monotonic() + DEADLINE_S
-        while not self.client.service_is_ready():
-            assert time.monotonic() < deadline
-            self.executor.spin_once(timeout_sec=0.05)
-        future = self.client.call_async(Trigger.Request())
-        self.executor.spin_until_future_complete(future, DEADLINE_S)
-        return future.result()
+        self.until(self.client.service_is_ready)
+        response = self.client.call_async(Trigger.Request())
+        self.until(response.done)
+        return response.result()
+
+    def close(self):
+        self.desk.close()
+        super().close()
 
 
 @pytest.fixture
-def counter(monkeypatch, tmp_path):
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    made = []
-
-    def make(folder=tmp_path / "bodies"):
-        made.append(Counter(context, folder))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.desk.close()
-        one.executor.shutdown()
-        one.node.destroy_node()
-    rclpy.shutdown(context=context)
+def counter(open_probe, tmp_path):
+    return lambda folder=tmp_path / "bodies": open_probe(SavingProbe, folder)
 
 
 def test_body_is_saved_with_the_thickness_of_its_limbs(counter, tmp_path):

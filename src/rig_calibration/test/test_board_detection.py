@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
 import pytest
-from board_renders import camera, looking_at_board, render, true_corners
+from rendered_boards import camera, looking_at_board, render, true_corners
 
 from rig_calibration.boards.detector import diagnose_board, find_board
 from rig_calibration.boards.image_quality import blur_px

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from board_renders import camera, looking_at_board, render, true_corners
+from rendered_boards import camera, looking_at_board, render, true_corners
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.four_corners import find_from_outer_corners

@@ -18,7 +18,7 @@ from sagoma_ros.health import ERROR, OK
 from sagoma_ros.node import SagomaNode
 
 if TYPE_CHECKING:
-    from conftest import Ros
+    from node_probe import Spinner
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -69,20 +69,20 @@ class Example(SagomaNode):
         return status.level, status.message
 
 
-def make_node(ros: Ros, **overrides: Any) -> Example:
+def make_node(ros: Spinner, **overrides: Any) -> Example:
     parameters = [Parameter(key, value=value) for key, value in overrides.items()]
     node = Example(context=ros.context, parameter_overrides=parameters)
     ros.add(node)
     return node
 
 
-def test_node_starts_unconfigured_and_says_so(ros: Ros) -> None:
+def test_node_starts_unconfigured_and_says_so(ros: Spinner) -> None:
     node = make_node(ros)
     assert node.state == "unconfigured"
     assert node.shown == (OK, "unconfigured")
 
 
-def test_hooks_are_called_in_the_order_of_the_lifecycle(ros: Ros) -> None:
+def test_hooks_are_called_in_the_order_of_the_lifecycle(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     shown = []
     for step in (node.trigger_configure, node.trigger_activate, node.trigger_deactivate, node.trigger_cleanup):
@@ -93,7 +93,7 @@ def test_hooks_are_called_in_the_order_of_the_lifecycle(ros: Ros) -> None:
     assert node.settings == Settings("rig.yaml", 4)
 
 
-def test_failing_configure_gives_failure_with_clear_text_and_cleans_up(ros: Ros) -> None:
+def test_failing_configure_gives_failure_with_clear_text_and_cleans_up(ros: Spinner) -> None:
     node = make_node(ros)
     assert node.trigger_configure() == FAILURE
     assert node.state == "unconfigured"
@@ -101,7 +101,7 @@ def test_failing_configure_gives_failure_with_clear_text_and_cleans_up(ros: Ros)
     assert node.shown == (ERROR, "parameters of /example: rig_file = '' is not a file. Name a rig file.")
 
 
-def test_node_configures_after_the_parameter_was_mended(ros: Ros) -> None:
+def test_node_configures_after_the_parameter_was_mended(ros: Spinner) -> None:
     node = make_node(ros)
     node.trigger_configure()
     (result,) = node.set_parameters([Parameter("rig_file", value="rig.yaml")])
@@ -112,14 +112,14 @@ def test_node_configures_after_the_parameter_was_mended(ros: Ros) -> None:
     assert node.settings.rig_file == "rig.yaml"
 
 
-def test_unknown_parameter_fails_configure_by_name_before_the_hook(ros: Ros) -> None:
+def test_unknown_parameter_fails_configure_by_name_before_the_hook(ros: Spinner) -> None:
     node = make_node(ros, rig_fiel="rig.yaml")
     assert node.trigger_configure() == FAILURE
     assert "configure" not in node.hooks
     assert "unknown key 'rig_fiel'. Did you mean 'rig_file'?" in node.shown[1]
 
 
-def test_unexpected_error_in_a_hook_fails_the_transition_and_not_the_process(ros: Ros) -> None:
+def test_unexpected_error_in_a_hook_fails_the_transition_and_not_the_process(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     node.failing["configure"] = ZeroDivisionError("a defect")
     assert node.trigger_configure() == FAILURE
@@ -130,7 +130,7 @@ def test_unexpected_error_in_a_hook_fails_the_transition_and_not_the_process(ros
     assert node.trigger_configure() == SUCCESS
 
 
-def test_failing_activate_leaves_the_node_inactive_and_its_publishers_silent(ros: Ros) -> None:
+def test_failing_activate_leaves_the_node_inactive_and_its_publishers_silent(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     node.failing["activate"] = InputError("the camera is busy")
     node.trigger_configure()
@@ -143,7 +143,7 @@ def test_failing_activate_leaves_the_node_inactive_and_its_publishers_silent(ros
     assert node.results.is_activated
 
 
-def test_failing_deactivate_leaves_the_node_active(ros: Ros) -> None:
+def test_failing_deactivate_leaves_the_node_active(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     node.trigger_configure()
     node.trigger_activate()
@@ -152,14 +152,14 @@ def test_failing_deactivate_leaves_the_node_active(ros: Ros) -> None:
     assert node.state == "active" and node.results.is_activated
 
 
-def test_failing_cleanup_after_a_failed_configure_does_not_kill(ros: Ros) -> None:
+def test_failing_cleanup_after_a_failed_configure_does_not_kill(ros: Spinner) -> None:
     node = make_node(ros)
     node.failing["cleanup"] = OSError("stuck")
     assert node.trigger_configure() == FAILURE
     assert node.state == "unconfigured"
 
 
-def test_shutdown_releases_everything_from_any_state(ros: Ros) -> None:
+def test_shutdown_releases_everything_from_any_state(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     node.trigger_configure()
     node.trigger_activate()
@@ -168,45 +168,45 @@ def test_shutdown_releases_everything_from_any_state(ros: Ros) -> None:
     assert node.hooks[-2:] == ["deactivate", "cleanup"]
 
 
-def test_close_releases_everything_without_a_transition(ros: Ros) -> None:
+def test_close_releases_everything_without_a_transition(ros: Spinner) -> None:
     node = make_node(ros)
     node.close()
     assert node.hooks == ["deactivate", "cleanup"]
 
 
-def test_autostart_is_off_unless_asked_for(ros: Ros) -> None:
+def test_autostart_is_off_unless_asked_for(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     assert node.autostart()
     assert (node.state, node.hooks) == ("unconfigured", [])
 
 
-def test_autostart_configures_and_activates(ros: Ros) -> None:
+def test_autostart_configures_and_activates(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml", autostart=True)
     assert node.autostart()
     assert node.state == "active"
 
 
-def test_autostart_that_cannot_configure_does_not_activate(ros: Ros) -> None:
+def test_autostart_that_cannot_configure_does_not_activate(ros: Spinner) -> None:
     node = make_node(ros, autostart=True)
     assert not node.autostart()
     assert "activate" not in node.hooks
 
 
-def test_autostart_of_a_wrong_type_is_refused_by_name(ros: Ros) -> None:
+def test_autostart_of_a_wrong_type_is_refused_by_name(ros: Spinner) -> None:
     node = make_node(ros, autostart="yes")
     with pytest.raises(InputError, match="autostart = 'yes' is not of type bool"):
         node.autostart()
 
 
-def change_state(ros: Ros, node: Example, transition: int) -> bool:
+def change_state(ros: Spinner, node: Example, transition: int) -> bool:
     client = node.create_client(ChangeState, "example/change_state")
-    ros.spin_until(client.service_is_ready, "the lifecycle service")
+    ros.until(client.service_is_ready, "the lifecycle service")
     future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
-    ros.spin_until(future.done, "the answer of the lifecycle service")
+    ros.until(future.done, "the answer of the lifecycle service")
     return future.result().success
 
 
-def test_impossible_transition_is_answered_with_no_and_kills_nothing(ros: Ros) -> None:
+def test_impossible_transition_is_answered_with_no_and_kills_nothing(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     assert not change_state(ros, node, Transition.TRANSITION_ACTIVATE)
     assert node.state == "unconfigured"
@@ -214,7 +214,7 @@ def test_impossible_transition_is_answered_with_no_and_kills_nothing(ros: Ros) -
     assert node.state == "inactive"
 
 
-def test_failed_transition_is_answered_with_no(ros: Ros) -> None:
+def test_failed_transition_is_answered_with_no(ros: Spinner) -> None:
     node = make_node(ros)
     assert not change_state(ros, node, Transition.TRANSITION_CONFIGURE)
     assert node.state == "unconfigured"

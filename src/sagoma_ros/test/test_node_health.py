@@ -17,13 +17,13 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT
 
 if TYPE_CHECKING:
-    from conftest import Ros
+    from node_probe import Spinner
 
 
 class Listener:
     """A node with health, and the diagnostics that arrive from it at another node."""
 
-    def __init__(self, ros: Ros, **options: object) -> None:
+    def __init__(self, ros: Spinner, **options: object) -> None:
         self.ros, self.received = ros, []
         listener = ros.add(Node("listener", context=ros.context))
         listener.create_subscription(DiagnosticArray, "/diagnostics", self._receive, RESULT)
@@ -35,7 +35,7 @@ class Listener:
 
     def next_status(self) -> DiagnosticStatus:
         before = len(self.received)
-        self.ros.spin_until(lambda: len(self.received) > before, "diagnostics")
+        self.ros.until(lambda: len(self.received) > before, "diagnostics")
         return self.received[-1].status[0]
 
 
@@ -43,7 +43,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in status.values}
 
 
-def test_health_arrives_once_a_second_without_being_asked(ros: Ros) -> None:
+def test_health_arrives_once_a_second_without_being_asked(ros: Spinner) -> None:
     listener = Listener(ros)
     assert listener.health._timer.timer_period_ns == 1_000_000_000
     listener.next_status()
@@ -52,7 +52,7 @@ def test_health_arrives_once_a_second_without_being_asked(ros: Ros) -> None:
     assert second > first
 
 
-def test_health_carries_counters_values_state_and_memory(ros: Ros) -> None:
+def test_health_carries_counters_values_state_and_memory(ros: Spinner) -> None:
     listener = Listener(ros)
     listener.health.count("late")
     listener.health.count("late", 2)
@@ -67,12 +67,12 @@ def test_health_carries_counters_values_state_and_memory(ros: Ros) -> None:
     assert listener.health.counter("late") == 3 and listener.health.counter("never_counted") == 0
 
 
-def test_health_arrives_while_simulated_time_stands_still(ros: Ros) -> None:
+def test_health_arrives_while_simulated_time_stands_still(ros: Spinner) -> None:
     listener = Listener(ros, parameter_overrides=[Parameter("use_sim_time", value=True)])
     assert listener.next_status().name == "/hull_server"
 
 
-def test_rate_and_cpu_are_those_since_the_last_report(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rate_and_cpu_are_those_since_the_last_report(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SimpleNamespace(wall=100.0, cpu=10.0)
     monkeypatch.setattr(health, "time", SimpleNamespace(monotonic=lambda: clock.wall, process_time=lambda: clock.cpu))
     node_health = Listener(ros).health
@@ -86,7 +86,7 @@ def test_rate_and_cpu_are_those_since_the_last_report(ros: Ros, monkeypatch: pyt
     assert (second["rate_hz"], second["cpu_percent"], second["results"]) == ("0.0", "0", "90")
 
 
-def test_latency_percentiles_are_the_ages_of_the_results(ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_latency_percentiles_are_the_ages_of_the_results(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
     node_health = Listener(ros).health
     now = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=1_000_000_000))
     monkeypatch.setattr(node_health._node, "get_clock", lambda: now)
@@ -97,14 +97,14 @@ def test_latency_percentiles_are_the_ages_of_the_results(ros: Ros, monkeypatch: 
     assert "latency_p50_ms" not in values(node_health._snapshot())  # nothing since
 
 
-def test_status_stays_until_the_next_one(ros: Ros) -> None:
+def test_status_stays_until_the_next_one(ros: Spinner) -> None:
     node_health = Listener(ros).health
     node_health.status(ERROR, "no rig")
     levels = [node_health._snapshot().level for _ in range(2)]
     assert levels == [ERROR, ERROR]
 
 
-def test_counters_lose_nothing_between_threads(ros: Ros) -> None:
+def test_counters_lose_nothing_between_threads(ros: Spinner) -> None:
     node_health = Listener(ros).health
     threads = [threading.Thread(target=lambda: [node_health.count("frames") for _ in range(2000)]) for _ in range(4)]
     for thread in threads:

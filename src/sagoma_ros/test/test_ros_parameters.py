@@ -15,7 +15,7 @@ from capture_rig.settings import setting
 from sagoma_ros.node import declare_parameters, read_declared, read_parameters
 
 if TYPE_CHECKING:
-    from conftest import Ros
+    from node_probe import Spinner
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Settings:
     blob: Blob = setting(Blob, "blob filter")
 
 
-def make_node(ros: Ros, overrides: dict[str, Any] | None = None, arguments: list[str] | None = None) -> Node:
+def make_node(ros: Spinner, overrides: dict[str, Any] | None = None, arguments: list[str] | None = None) -> Node:
     node = Node(
         "hull_server",
         namespace="studio",
@@ -56,11 +56,11 @@ def refusal(node: Node) -> str:
     return str(caught.value)
 
 
-def test_node_without_overrides_has_the_defaults(ros: Ros) -> None:
+def test_node_without_overrides_has_the_defaults(ros: Spinner) -> None:
     assert read_parameters(make_node(ros), Settings) == Settings()
 
 
-def test_overrides_are_read_typed(ros: Ros) -> None:
+def test_overrides_are_read_typed(ros: Spinner) -> None:
     given = {
         "rig_file": "rig.yaml",
         "cameras": 6,
@@ -75,11 +75,11 @@ def test_overrides_are_read_typed(ros: Ros) -> None:
     assert settings == Settings("rig.yaml", "auto", 6, True, 0.01, ["z"], [-1.5, 2.0], [3, 1], Blob(0.5))
 
 
-def test_whole_number_serves_for_a_float_parameter(ros: Ros) -> None:
+def test_whole_number_serves_for_a_float_parameter(ros: Spinner) -> None:
     assert read_parameters(make_node(ros, {"blob.min_area_m2": 1}), Settings).blob.min_area_m2 == 1.0
 
 
-def test_parameter_file_is_read(ros: Ros, tmp_path: Path) -> None:
+def test_parameter_file_is_read(ros: Spinner, tmp_path: Path) -> None:
     (tmp_path / "params.yaml").write_text(
         "/studio/hull_server:\n  ros__parameters:\n    cameras: 5\n    low: [0.5, 1.0]\n    ids: [4, 2]\n"
         "    use_sim_time: false\n    blob: {min_area_m2: 0.25}\n"
@@ -89,18 +89,18 @@ def test_parameter_file_is_read(ros: Ros, tmp_path: Path) -> None:
     assert (settings.cameras, settings.low, settings.ids, settings.blob) == (5, [0.5, 1.0], [4, 2], Blob(0.25))
 
 
-def test_empty_list_in_a_parameter_file_is_an_empty_list(ros: Ros, tmp_path: Path) -> None:
+def test_empty_list_in_a_parameter_file_is_an_empty_list(ros: Spinner, tmp_path: Path) -> None:
     file = tmp_path / "parameters.yaml"
     file.write_text("/studio/hull_server:\n  ros__parameters:\n    axes: []\n    ids: []\n")
     settings = read_parameters(make_node(ros, arguments=["--ros-args", "--params-file", str(file)]), Settings)
     assert settings.axes == [] and settings.ids == []
 
 
-def test_unknown_override_is_refused_with_a_suggestion(ros: Ros) -> None:
+def test_unknown_override_is_refused_with_a_suggestion(ros: Spinner) -> None:
     assert "unknown key 'voxel_mm'. Did you mean 'voxel_m'?" in refusal(make_node(ros, {"voxel_mm": 10}))
 
 
-def test_override_of_another_settings_class_is_none_of_our_business_when_reading_the_declared(ros: Ros) -> None:
+def test_override_of_another_settings_class_is_none_of_our_business_when_reading_the_declared(ros: Spinner) -> None:
     assert read_declared(make_node(ros, {"someone_elses": 1}), Settings) == Settings()
 
 
@@ -118,7 +118,7 @@ def test_override_of_another_settings_class_is_none_of_our_business_when_reading
         ("backend", "cuda", "backend = 'cuda' is not one of 'auto', 'cpu', 'gl'"),
     ],
 )
-def test_bad_override_is_refused_with_key_value_and_remedy(ros: Ros, key: str, value: object, problem: str) -> None:
+def test_bad_override_is_refused_with_key_value_and_remedy(ros: Spinner, key: str, value: object, problem: str) -> None:
     node = make_node(ros, {key: value})  # making the node succeeds, so that it can say what is wrong
     assert problem in refusal(node)
 
@@ -131,7 +131,9 @@ def test_bad_override_is_refused_with_key_value_and_remedy(ros: Ros, key: str, v
         ("loop", "yes", "is not of type bool"),
     ],
 )
-def test_later_change_that_is_bad_is_rejected_with_its_reason(ros: Ros, key: str, value: object, problem: str) -> None:
+def test_later_change_that_is_bad_is_rejected_with_its_reason(
+    ros: Spinner, key: str, value: object, problem: str
+) -> None:
     node = make_node(ros)
     (result,) = node.set_parameters([Parameter(key, value=value)])
     assert not result.successful
@@ -139,7 +141,7 @@ def test_later_change_that_is_bad_is_rejected_with_its_reason(ros: Ros, key: str
     assert read_parameters(node, Settings) == Settings()
 
 
-def test_later_change_that_is_good_is_read_next_time(ros: Ros) -> None:
+def test_later_change_that_is_good_is_read_next_time(ros: Spinner) -> None:
     node = make_node(ros, {"cameras": 0})
     refusal(node)
     results = node.set_parameters([Parameter("cameras", value=8), Parameter("low", value=[1.0, 2.0])])
@@ -148,7 +150,7 @@ def test_later_change_that_is_good_is_read_next_time(ros: Ros) -> None:
     assert read_parameters(node, Settings).low == [1.0, 2.0]
 
 
-def test_parameters_are_described_with_unit_and_range(ros: Ros) -> None:
+def test_parameters_are_described_with_unit_and_range(ros: Spinner) -> None:
     node = make_node(ros)
     voxel, backend = node.describe_parameters(["voxel_m", "backend"])
     assert (voxel.description, voxel.additional_constraints) == ("voxel size [m]", "0.002 to 0.2")

@@ -1,12 +1,9 @@
 import os
-import sys
 from pathlib import Path
 
 import pytest
 
 from sagoma_tools.graph.ros_link import RosLink
-
-sys.path.insert(0, str(Path(__file__).parent))  # humaneva_files: the data set that the importer's tests share
 
 
 @pytest.fixture(scope="session", autouse=True)

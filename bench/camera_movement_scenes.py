@@ -1,4 +1,4 @@
-"""What bench/watchdog.py plays: a camera of the studio that is bumped while it films, and recorded silhouettes."""
+"""Scenes of bench/camera_movement.py: a camera of the studio that is moved while it films, and recorded silhouettes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Drills for the watch over lying cameras: is the liar found, how soon, at what cost, and is nobody else blamed?
 
-    python bench/lying_camera.py --quick      # under a minute: one built-in clip, two cameras
-    python bench/lying_camera.py              # every clip, every camera: a quarter of an hour
-    python bench/lying_camera.py --only walk  # clips with this in their name
+    python bench/camera_faults.py --quick      # under a minute: one built-in clip, two cameras
+    python bench/camera_faults.py              # every clip, every camera: a quarter of an hour
+    python bench/camera_faults.py --only walk  # clips with this in their name
 
 Each camera in turn tells the truth for a second, lies for four, and tells the truth again, at 60 frame sets a second.
 The clips are the virtual studio's walking body and the rendered sessions of ../shared/data/sessions, where they are,
@@ -29,7 +29,7 @@ from dataclasses import dataclass, field
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from lying_clips import FPS, Clip, Lie, Mask, clips, lies
+from camera_faults_clips import FPS, Clip, Lie, Mask, clips, lies
 
 from hull_server.carve_backends import CarveBackend, make_backend
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector

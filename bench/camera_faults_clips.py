@@ -1,4 +1,4 @@
-"""What the drills of bench/lying_camera.py are played on: clips of silhouettes, and what lying cameras make of them."""
+"""Clips of silhouettes for bench/camera_faults.py, and the faults of cameras that change them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Scores what all cameras together make of floor shadows: silhouettes and hulls against exact ones, row by row.
 
-    python bench/doubt.py --quick      # about a minute: a few frames of each session
-    python bench/doubt.py
-    python bench/doubt.py --picture docs/images/shadow_resolution.jpg [--session FOLDER]
+    python bench/shadow_resolution.py --quick      # about a minute: a few frames of each session
+    python bench/shadow_resolution.py
+    python bench/shadow_resolution.py --picture docs/images/shadow_resolution.jpg [--session FOLDER]
 
 Sessions: the built-in studio, and the rendered ones of ../shared/data/sessions where they are. Each row segments the
 same footage and carves at 20 mm; hulls are compared with the hull of the exact silhouettes, voxel by voxel, and again

@@ -25,7 +25,8 @@ def unlabelled_contest(clip: Clip) -> None:
     print(f"\n{task}; {clip.name}, {len(points)} frames")
     _header()
     _row("all joints at once (ours)", lambda: our_solve(clip), points, clip)
-    _row("pinocchio Jacobians + numpy", lambda: import_module("sticks.pinocchio").articulated_icp(clip), points, clip)
+    pinocchio = "synthetic.pinocchio"
+    _row("pinocchio Jacobians + numpy", lambda: import_module(pinocchio).articulated_icp(clip), points, clip)
     _row("scipy.optimize.least_squares in an ICP loop", lambda: scipy_solve(clip), points, clip)
 
 
@@ -38,8 +39,8 @@ def labelled_contest(clip: Clip) -> None:
     _row("closed form (ours)", lambda: our_inverse_kinematics(clip), z, clip)
     for model in ("identity", "constant_velocity"):
         _row(f"EKF, {model} (ours)", lambda model=model: _filter(clip, model), z, clip)
-    _row("pinocchio Jacobians + numpy", lambda: import_module("sticks.pinocchio").inverse_kinematics(clip), z, clip)
-    _row("OpenSim inverse kinematics", lambda: import_module("sticks.opensim").inverse_kinematics(clip, z), z, clip)
+    _row("pinocchio Jacobians + numpy", lambda: import_module("synthetic.pinocchio").inverse_kinematics(clip), z, clip)
+    _row("OpenSim inverse kinematics", lambda: import_module("synthetic.opensim").inverse_kinematics(clip, z), z, clip)
     _row("scipy.optimize.least_squares", lambda: scipy_inverse_kinematics(clip), z, clip)
 
 

@@ -1,9 +1,9 @@
 """Measures the silhouettes' rims: how near our own silhouettes' rays run to the true outline, how honest their sigma
 is, and what they cost.
 
-    python bench/rims.py --quick       # about a minute: a few frames of each session
-    python bench/rims.py
-    python bench/rims.py --picture docs/images/contour_rays.jpg --session FOLDER [--frame N]
+    python bench/contour_rays.py --quick       # about a minute: a few frames of each session
+    python bench/contour_rays.py
+    python bench/contour_rays.py --picture docs/images/contour_rays.jpg --session FOLDER [--frame N]
 
 Rendered sessions (../shared/data/sessions): footage segmented as the camera client does, doubt resolved by all cameras,
 carved at 20 mm. Each ray is projected back into its camera and compared with the exact silhouette there.
@@ -27,7 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 import numpy as np
-from doubt import SHARED, VOXEL_M, Frame, Masks, frames
+from shadow_resolution import SHARED, VOXEL_M, Frame, Masks, frames
 
 from capture_rig.session import Session, load_session
 from hull_server.carve_backends import make_backend

@@ -1,11 +1,11 @@
 """How honest the tracker's covariances are: share of the truth inside the 95 % ellipsoids, point by point.
 
-    python bench/honesty.py SESSION [SESSION ...] [--exact] [--set NODE.PARAMETER=VALUE ...]
+    python bench/covariance_coverage.py SESSION [SESSION ...] [--exact] [--set NODE.PARAMETER=VALUE ...]
 
 One row a point, one column a session. Honest is 85 to 99 %. The last two columns pool the sessions: the share, and the
 additional standard deviation (mm, each direction, in quadrature) with which 95 % of the pooled errors would be inside;
-a negative one is what could be taken away. They are what `ekf_tracker`'s parameters filter.measurement_bias.* want to be
-changed by. The last line is JSON: {session: {point: share}}.
+a negative one is what could be taken away. They tell how to change `ekf_tracker`'s parameters
+filter.measurement_bias.*. The last line is JSON: {session: {point: share}}.
 """
 
 from __future__ import annotations

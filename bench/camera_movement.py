@@ -1,8 +1,8 @@
 """Drills for the calibration watchdog: who notices that a camera was bumped, how soon, and who cries wolf?
 
-    python bench/watchdog.py --quick        # two cameras, 1 degree and 5 cm, no recorded footage
-    python bench/watchdog.py                # every camera, 0.5, 1 and 2 degrees, recorded footage: ten minutes
-    python bench/watchdog.py --only studio  # or a part of the name of recorded footage
+    python bench/camera_movement.py --quick        # two cameras, 1 degree and 5 cm, no recorded footage
+    python bench/camera_movement.py                # every camera, 0.5, 1 and 2 degrees, recorded footage: ten minutes
+    python bench/camera_movement.py --only studio  # or a part of the name of recorded footage
 
 Each camera of the studio in turn films a walking person from where it stands, and after a second from where a bump has
 put it. Every frame goes through the camera client's chain, so that the silhouettes flood as they would. Columns:
@@ -31,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 import numpy as np
-from watchdog_scenes import (
+from camera_movement_scenes import (
     EVERY,
     FPS,
     Bump,
