@@ -17,7 +17,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import CompressedImage
 
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from capture_rig.rig import Rig, Volume, save_rig
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
@@ -55,11 +55,7 @@ def rig_of(names: list[str]) -> Rig:
     for k, name in enumerate(names):
         angle = 2 * np.pi * k / max(len(names), 3)
         centre = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.2])
-        forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
-        down = np.array([0.0, 0.0, -1.0])
-        T = np.eye(4)
-        T[:3, :3] = [np.cross(down, forward), down, forward]
-        T[:3, 3] = -T[:3, :3] @ centre
+        T = looking_at(centre, np.array([0.0, 0.0, 1.2]))
         cameras.append(CameraModel(name, WIDTH, HEIGHT, K, "plumb_bob", np.zeros(5), T))
     return Rig(tuple(cameras), Volume(np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.2])))
 

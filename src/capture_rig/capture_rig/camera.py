@@ -100,6 +100,23 @@ class CameraModel:
         return self._undistorted_view
 
 
+def looking_at(centre_world: Array, target_world: Array, roll_rad: float = 0.0) -> Array:
+    """T_camera_world (4, 4) of a camera at one place (3,) that looks at another, world z up.
+
+    The horizon is level, or turned by ``roll_rad``; a camera that looks nearly along z has world x upwards.
+    """
+    forward = (target_world - centre_world) / np.linalg.norm(target_world - centre_world)
+    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    T = np.eye(4)
+    T[:3, :3] = np.vstack([c * right + s * down, c * down - s * right, forward])
+    T[:3, 3] = -T[:3, :3] @ centre_world
+    return T
+
+
 @dataclass(frozen=True, eq=False)
 class UndistortedView:
     """What a camera sees, undistorted, on a canvas padded so that no original pixel is lost.

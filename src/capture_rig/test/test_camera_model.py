@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from capture_rig import lens
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from capture_rig.errors import InputError
 
 WIDTH, HEIGHT = 320, 240
@@ -208,3 +208,19 @@ def test_canvas_with_a_lens_model_that_folds_stays_bounded_and_blind_outside() -
     rows, columns = np.nonzero(view.seen)
     radius = np.hypot((columns - view.camera.K[0, 2]) / K[0, 0], (rows - view.camera.K[1, 2]) / K[1, 1])
     assert radius.max() < np.sqrt(2 / 3)
+
+
+@pytest.mark.parametrize(("centre", "up"), [((3.0, -2.0, 1.5), (0, 0, 1)), ((0.1, 0.0, 3.4), (1, 0, 0))])
+def test_camera_that_looks_at_a_place_sees_it_in_the_middle_and_level(
+    centre: tuple[float, float, float], up: tuple[float, float, float]
+) -> None:
+    target, roll = np.array([0.2, 0.3, 0.9]), 0.3
+    level, rolled = (looking_at(np.array(centre), target, roll_rad=r) for r in (0.0, roll))
+    for T in (level, rolled):
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(-T[:3, :3].T @ T[:3, 3], centre, atol=1e-12)
+        np.testing.assert_allclose((T[:3, :3] @ target + T[:3, 3])[:2], 0.0, atol=1e-12)
+        assert (T[:3, :3] @ target + T[:3, 3])[2] > 0
+    assert level[0, :3] @ up == pytest.approx(0.0, abs=1e-12)
+    assert level[1, :3] @ up < 0
+    assert level[0, :3] @ rolled[0, :3] == pytest.approx(np.cos(roll))

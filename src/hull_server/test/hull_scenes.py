@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from capture_rig import CameraModel, Rig, Volume
+from capture_rig.camera import looking_at
 
 VOLUME = Volume(np.array([-1.0, -1.0, -0.05]), np.array([1.0, 1.0, 2.1]))
 
@@ -50,12 +51,7 @@ def look_at(
     name: str, centre: np.ndarray, target: np.ndarray, focal_px: float, size: tuple[int, int], D=(0, 0, 0, 0, 0)
 ) -> CameraModel:
     """A camera at ``centre`` (3,) that looks at ``target`` (3,), upright."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    R = np.stack([right, np.cross(forward, right), forward])
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, -R @ centre
+    T = looking_at(centre, target)
     K = np.array([[focal_px, 0, (size[0] - 1) / 2], [0, focal_px * 1.01, (size[1] - 1) / 2 + 3], [0, 0, 1.0]])
     return CameraModel(name, size[0], size[1], K, "plumb_bob", np.array(D, float), T)
 

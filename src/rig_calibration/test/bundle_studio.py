@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 import cv2
 import numpy as np
 
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.bundle.solution import RigSolution
 
@@ -18,16 +18,9 @@ T_WORLD_FLOOR = np.array([[1, 0, 0, -0.6], [0, 1, 0, 0.3], [0, 0, 1, 0], [0, 0, 
 SIZE = (640, 480)
 
 
-def camera_at(name: str, centre: Iterable[float], looking_at: Iterable[float] = (0, 0, 0.9)) -> CameraModel:
+def camera_at(name: str, centre: Iterable[float], looking_at_world: Iterable[float] = (0, 0, 0.9)) -> CameraModel:
     """A 640 x 480 camera with a barrel lens, world z up."""
-    centre = np.asarray(list(centre), float)
-    z = np.asarray(list(looking_at), float) - centre
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    T = np.eye(4)
-    T[:3, :3] = [x, np.cross(z, x), z]
-    T[:3, 3] = -T[:3, :3] @ centre
+    T = looking_at(np.asarray(list(centre), float), np.asarray(list(looking_at_world), float))
     K = np.array([[600.0, 0, 321.0], [0, 600.6, 237.0], [0, 0, 1]])
     return CameraModel(name, *SIZE, K, "plumb_bob", np.array([-0.2, 0.05, 1e-3, -5e-4, 0.0]), T)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
 
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
@@ -16,12 +16,7 @@ SIZE = (640, 480)
 
 def camera_at(name: str, centre_world: np.ndarray, look_at_world: np.ndarray) -> CameraModel:
     """A camera with barrel distortion, level, that looks at a place."""
-    forward = (look_at_world - centre_world) / np.linalg.norm(look_at_world - centre_world)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = [right, np.cross(forward, right), forward]
-    T[:3, 3] = -T[:3, :3] @ centre_world
+    T = looking_at(centre_world, look_at_world)
     K = np.array([[470.0, 0.0, 318.0], [0.0, 472.0, 241.0], [0.0, 0.0, 1.0]])
     return CameraModel(name, *SIZE, K, "plumb_bob", np.array([-0.19, 0.08, 3e-4, -2e-4, 0.0]), T)
 

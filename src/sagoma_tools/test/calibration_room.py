@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from capture_rig.camera_info_file import save_camera_info
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.drawing import draw_board
@@ -24,12 +24,7 @@ FLOOR_GREY, NOISE_GREY = 95.0, 1.5
 
 def camera_at(name: str, place: tuple[float, float, float], look_at: tuple[float, float, float]) -> CameraModel:
     """A level camera at a place, looking at another."""
-    forward = np.subtract(look_at, place) / np.linalg.norm(np.subtract(look_at, place))
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = [right, np.cross(forward, right), forward]
-    T[:3, 3] = -T[:3, :3] @ place
+    T = looking_at(np.array(place), np.array(look_at))
     K = np.array([[520.0, 0.0, 318.0], [0.0, 521.0, 241.0], [0.0, 0.0, 1.0]])
     return CameraModel(name, *SIZE, K, "plumb_bob", np.array([-0.15, 0.05, 3e-4, -2e-4, 0.0]), T)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume
 
@@ -59,19 +59,5 @@ def _camera(index: int, position: Array, look_at: Array, focal: float, distortio
     cx, cy = np.array([WIDTH_PX - 1, HEIGHT_PX - 1]) / 2 + 3.0 * rng.standard_normal(2)
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     D = distortion * (1.0 + 0.03 * rng.standard_normal(5))
-    T = _facing(position, look_at, roll=0.02 * rng.standard_normal())
+    T = looking_at(position, look_at, roll_rad=0.02 * rng.standard_normal())
     return CameraModel(f"cam{index + 1:02d}", WIDTH_PX, HEIGHT_PX, K, "plumb_bob", D, T)
-
-
-def _facing(position: Array, look_at: Array, roll: float) -> Array:
-    """T_camera_world (4, 4) of a camera at a place, looking at another, the horizon turned by `roll` rad."""
-    forward = (look_at - position) / np.linalg.norm(look_at - position)
-    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    down = np.cross(forward, right)
-    c, s = np.cos(roll), np.sin(roll)
-    T = np.eye(4)
-    T[:3, :3] = np.vstack([c * right + s * down, c * down - s * right, forward])
-    T[:3, 3] = -T[:3, :3] @ position
-    return T
