@@ -1,53 +1,33 @@
-"""What several subcommands share: stopping on signals, the graph's arguments, the run folder."""
+"""What several subcommands share: the graph's arguments, parameter settings, the run folder, the console."""
 
 from __future__ import annotations
 
 import argparse
-import signal
-import threading
 import time
 from pathlib import Path
-from types import FrameType, TracebackType
 from typing import Any
 
 import yaml
+from rich.console import Console
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, build_graph
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+LOG_WIDTH = 150
 
 
-class StopOnSignal:
-    """An event that Ctrl-C, SIGTERM or a closed terminal sets, instead of tearing the program down in mid-work."""
-
-    def __init__(self) -> None:
-        self.event = threading.Event()
-        self._previous: dict[int, Any] = {}
-
-    def __enter__(self) -> threading.Event:
-        self._previous = {number: signal.signal(number, self._take) for number in STOP_SIGNALS}
-        return self.event
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _take(self, number: int, frame: FrameType | None) -> None:
-        self.event.set()
+def table_console(*, stderr: bool = False, width: int = LOG_WIDTH) -> Console:
+    """A console as wide as the terminal, or ``width`` columns wide where the output goes into a file."""
+    console = Console(stderr=stderr)
+    return console if console.is_terminal else Console(stderr=stderr, width=width)
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that describe a graph; :func:`graph_from` reads them."""
     parser.add_argument("session", nargs="?", help="folder of footage: rig.yaml, camNN.mp4, camNN_background.png|mp4")
     parser.add_argument("--rig", help="rig YAML of live cameras (instead of a session)")
-    parser.add_argument(
-        "--cameras",
-        help="folder with one parameter file a camera, or one such file; without --rig "
-        "the camera clients run alone, as before a calibration",
-    )
+    help_cameras = "folder of camera parameter files, or one such file; without --rig the camera clients run alone"
+    parser.add_argument("--cameras", help=help_cameras)
     parser.add_argument("--only", metavar="PART", help="run only this part: server, cameras, or one camera's name")
     parser.add_argument("--rate", type=float, default=1.0, help="playing speed of footage; 0: as fast as the graph can")
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
@@ -57,10 +37,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_settings_argument(parser: argparse.ArgumentParser) -> None:
     """--set NODE.PARAM=VALUE, any number of times; :func:`parse_settings` reads it."""
-    help_text = "set a parameter, e.g. hull_server.voxel_size_m=0.015 or cameras.publish_preview=true"
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="settings", help=help_text
-    )
+    text = "set a parameter, e.g. hull_server.voxel_size_m=0.015 or cameras.publish_preview=true"
+    parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="settings", help=text)
 
 
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:

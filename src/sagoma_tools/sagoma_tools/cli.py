@@ -8,38 +8,10 @@ from collections.abc import Sequence
 
 from capture_rig.errors import InputError
 
-from .commands import (
-    background,
-    calibrate,
-    compare,
-    control,
-    demo,
-    doctor,
-    evaluate,
-    import_session,
-    record,
-    recover,
-    replay,
-    studio,
-    up,
-)
+from .commands import background, calibrate, demo, doctor, evaluate, graph, import_session, recording
 from .graph.supervisor import GraphError
 
-COMMANDS = (
-    demo,
-    calibrate,
-    background,
-    up,
-    control,
-    record,
-    replay,
-    evaluate,
-    compare,
-    recover,
-    import_session,
-    doctor,
-    studio,
-)
+COMMANDS = (demo, calibrate, background, graph, recording, evaluate, import_session, doctor)
 GRAPH_FAILED, BAD_INPUT = 1, 2
 
 

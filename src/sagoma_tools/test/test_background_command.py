@@ -17,8 +17,8 @@ from camera_client.background.model import BackgroundLearner, BackgroundModel, P
 from camera_client.background.training import KEY, TrainingReport
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 from sagoma_tools.cli import main
-from sagoma_tools.commands.background import exit_status, figures
-from sagoma_tools.graph.background_training import TrainingOutcome, camera_of, count_down
+from sagoma_tools.commands.background import count_down, exit_status, figures
+from sagoma_tools.graph.background_training import TrainingOutcome, camera_of
 from sagoma_tools.graph.ros_link import RosLink
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")

@@ -76,42 +76,48 @@ def test_nothing_is_found_on_a_camera_pc_as_it_should_be(findings):
 
 
 @pytest.mark.parametrize(
-    "link, settings, severity, remedy",
+    "link, settings, severity, code, remedy",
     [
-        (None, {}, Severity.ERROR, "ip route get 192.168.1.11"),
-        (replace(LINK, up=False), {}, Severity.ERROR, "ip link set enp3s0 up"),
-        (replace(LINK, mtu=1500), {}, Severity.WARNING, "ip link set enp3s0 mtu 9000"),
-        (replace(LINK, mtu=1500), {"packet_size": 8000}, Severity.ERROR, "mtu 9000"),
-        (replace(LINK, speed_mbit=100), {}, Severity.WARNING, "1000 Mbit/s"),
-        (replace(LINK, speed_mbit=0), {}, Severity.OK, ""),
-        (replace(LINK, mtu=1500, loopback=True), {}, Severity.OK, ""),
+        (None, {}, Severity.ERROR, "interface.none", "ip route get 192.168.1.11"),
+        (replace(LINK, up=False), {}, Severity.ERROR, "interface.down", "ip link set enp3s0 up"),
+        (replace(LINK, mtu=1500), {}, Severity.WARNING, "mtu.no_jumbo_frames", "ip link set enp3s0 mtu 9000"),
+        (replace(LINK, mtu=1500), {"packet_size": 8000}, Severity.ERROR, "mtu.packet_too_large", "mtu 9000"),
+        (replace(LINK, speed_mbit=100), {}, Severity.WARNING, "speed.slow", "1000 Mbit/s"),
+        (replace(LINK, speed_mbit=0), {}, Severity.OK, "interface.ok", ""),
+        (replace(LINK, mtu=1500, loopback=True), {}, Severity.OK, "interface.ok", ""),
     ],
 )
-def test_interface_that_does_not_serve_is_found_with_its_remedy(link, settings, severity, remedy):
+def test_interface_that_does_not_serve_is_found_with_its_remedy(link, settings, severity, code, remedy):
     finding = worst(check_interface(link, DEVICE.address, aravis(**settings)))
-    assert finding.severity is severity and remedy in finding.remedy
+    assert (finding.severity, finding.code) == (severity, code) and remedy in finding.remedy
 
 
 @pytest.mark.parametrize(
-    "device, settings, severity, text",
+    "device, settings, severity, code, value",
     [
-        ({"error": "no GigE Vision camera answers at 192.168.1.11"}, {}, Severity.ERROR, "no GigE Vision camera"),
-        ({}, {"serial": "999"}, Severity.ERROR, "has serial '123'"),
-        ({"user_id": "left"}, {"user_id": "right"}, Severity.ERROR, "has user_id 'left'"),
-        ({"own_address": "10.0.0.5"}, {}, Severity.WARNING, "10.0.0.0/24"),
-        ({"controlled": True, "controller": "192.168.1.1"}, {}, Severity.NOTE, "a program on this machine"),
-        ({"controlled": True, "controller": "192.168.1.9"}, {}, Severity.WARNING, "192.168.1.9 controls the camera"),
-        ({"controlled": True, "controller": None}, {}, Severity.WARNING, "another program controls"),
-        ({"controlled": None}, {}, Severity.NOTE, "does not tell"),
-        ({"can_ptp": False}, {"sync": "action"}, Severity.WARNING, "aravis.sync = action needs PTP"),
-        ({"can_ptp": None}, {"stamp_source": "ptp"}, Severity.NOTE, "aravis.stamp_source = ptp needs PTP"),
-        ({}, {"sync": "ptp"}, Severity.OK, ""),
-        ({"can_resend": False}, {}, Severity.WARNING, "cannot send a packet again"),
+        (
+            {"error": "no GigE Vision camera answers at 192.168.1.11"},
+            {},
+            Severity.ERROR,
+            "camera.silent",
+            "192.168.1.11",
+        ),
+        ({}, {"serial": "999"}, Severity.ERROR, "serial.differs", "'123'"),
+        ({"user_id": "left"}, {"user_id": "right"}, Severity.ERROR, "user_id.differs", "'left'"),
+        ({"own_address": "10.0.0.5"}, {}, Severity.WARNING, "subnet.differs", "10.0.0.0/24"),
+        ({"controlled": True, "controller": "192.168.1.1"}, {}, Severity.NOTE, "control.local", "192.168.1.1"),
+        ({"controlled": True, "controller": "192.168.1.9"}, {}, Severity.WARNING, "control.taken", "192.168.1.9"),
+        ({"controlled": True, "controller": None}, {}, Severity.WARNING, "control.taken", ""),
+        ({"controlled": None}, {}, Severity.NOTE, "control.unknown", ""),
+        ({"can_ptp": False}, {"sync": "action"}, Severity.WARNING, "ptp.unsupported", "aravis.sync = action"),
+        ({"can_ptp": None}, {"stamp_source": "ptp"}, Severity.NOTE, "ptp.unknown", "aravis.stamp_source = ptp"),
+        ({}, {"sync": "ptp"}, Severity.OK, "camera.ok", ""),
+        ({"can_resend": False}, {}, Severity.WARNING, "resend.unsupported", ""),
     ],
 )
-def test_camera_that_cannot_be_had_or_is_another_one_is_found(device, settings, severity, text):
+def test_camera_that_cannot_be_had_or_is_another_one_is_found(device, settings, severity, code, value):
     finding = worst(check_device(replace(DEVICE, **device), aravis(**settings), LINK))
-    assert finding.severity is severity and text in finding.what
+    assert (finding.severity, finding.code) == (severity, code) and value in finding.what
 
 
 def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
@@ -119,43 +125,53 @@ def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
     assert stream_bytes_per_s(Stream("a", 307_200, 10.0), 1024 + 36) == 10 * (307_200 + 302 * 74)
 
 
-@pytest.mark.parametrize("cameras, severity", [(1, Severity.OK), (3, Severity.WARNING), (4, Severity.ERROR)])
-def test_cameras_that_share_a_link_must_fit_it_together(cameras, severity):
+@pytest.mark.parametrize("cameras, code", [(1, "bandwidth.ok"), (3, "bandwidth.tight"), (4, "bandwidth.exceeded")])
+def test_cameras_that_share_a_link_must_fit_it_together(cameras, code):
     finding = worst(check_bandwidth([GREY_VGA] * cameras, LINK, 0))  # 30.99 of 125 MB/s each
-    assert finding.severity is severity and f"take {24.8 * cameras:.0f} % of the 1000 Mbit/s" in finding.what
+    assert finding.code == code and f"{24.8 * cameras:.0f} % of the 1000 Mbit/s" in finding.what
 
 
 def test_bandwidth_without_a_frame_rate_is_unknown_and_names_the_camera():
     finding = worst(check_bandwidth([GREY_VGA, replace(GREY_VGA, camera="cam02", frame_rate=0.0)], LINK, 0))
-    assert finding.severity is Severity.NOTE and "cam02" in finding.what
+    assert finding.code == "bandwidth.rate_unknown" and "cam02" in finding.what
 
 
 def test_small_receive_buffers_are_found_with_the_sysctl_line():
     finding = worst(check_receive_buffer(replace(HOST, rmem_max=212992), SETTINGS.aravis))
-    assert finding.severity is Severity.WARNING and "sysctl -w net.core.rmem_max=4194304" in finding.remedy
+    assert finding.code == "rmem_max.small" and "sysctl -w net.core.rmem_max=4194304" in finding.remedy
 
 
 @pytest.mark.parametrize(
-    "changes, severity, text",
+    "changes, severity, code, value",
     [
-        ({"load": 7.5}, Severity.WARNING, "0.5 of them free"),
-        ({"available_bytes": 100 << 20}, Severity.WARNING, "100 MiB are free"),
-        ({"governors": ("powersave", "performance")}, Severity.NOTE, "powersave"),
-        ({"governors": ()}, Severity.NOTE, "unknown"),
-        ({"clock": ClockFacts("chrony", False)}, Severity.WARNING, "not kept in step"),
-        ({"clock": ClockFacts("chrony", True, -5e-3)}, Severity.WARNING, "5.0 ms off"),
-        ({"clock": ClockFacts(unknown_because="no chronyc")}, Severity.NOTE, "no chronyc"),
-        ({"environment": {"ROS_DOMAIN_ID": "300"}}, Severity.ERROR, "ROS_DOMAIN_ID = '300'"),
-        ({"environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}}, Severity.WARNING, "do not hear"),
-        ({"environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "NEAR"}}, Severity.ERROR, "'NEAR'"),
-        ({"environment": {"ROS_LOCALHOST_ONLY": "1"}}, Severity.WARNING, "ROS_LOCALHOST_ONLY"),
-        ({"environment": {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}}, Severity.NOTE, "rmw_cyclonedds_cpp"),
-        ({"aravis_error": "Aravis is not available"}, Severity.ERROR, "Aravis is not available"),
+        ({"load": 7.5}, Severity.WARNING, "cores.busy", "0.5 of"),
+        ({"available_bytes": 100 << 20}, Severity.WARNING, "memory.low", "100 MiB"),
+        ({"governors": ("powersave", "performance")}, Severity.NOTE, "governor.powersave", "powersave"),
+        ({"governors": ()}, Severity.NOTE, "governor.unknown", ""),
+        ({"clock": ClockFacts("chrony", False)}, Severity.WARNING, "clock.unsynchronised", "chrony"),
+        ({"clock": ClockFacts("chrony", True, -5e-3)}, Severity.WARNING, "clock.off", "5.0 ms"),
+        ({"clock": ClockFacts(unknown_because="no chronyc")}, Severity.NOTE, "clock.unknown", "no chronyc"),
+        ({"environment": {"ROS_DOMAIN_ID": "300"}}, Severity.ERROR, "ros.domain_invalid", "'300'"),
+        (
+            {"environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}},
+            Severity.WARNING,
+            "ros.discovery_local",
+            "LOCALHOST",
+        ),
+        ({"environment": {"ROS_AUTOMATIC_DISCOVERY_RANGE": "NEAR"}}, Severity.ERROR, "ros.discovery_invalid", "'NEAR'"),
+        ({"environment": {"ROS_LOCALHOST_ONLY": "1"}}, Severity.WARNING, "ros.discovery_local", "ROS_LOCALHOST_ONLY"),
+        (
+            {"environment": {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}},
+            Severity.NOTE,
+            "ros.untested_rmw",
+            "rmw_cyclonedds_cpp",
+        ),
+        ({"aravis_error": "Aravis is not available"}, Severity.ERROR, "aravis.missing", "Aravis is not available"),
     ],
 )
-def test_machine_that_is_not_ready_is_found(changes, severity, text):
+def test_machine_that_is_not_ready_is_found(changes, severity, code, value):
     finding = worst(check_host(replace(HOST, **changes)))
-    assert finding.severity is severity and text in finding.what
+    assert (finding.severity, finding.code) == (severity, code) and value in finding.what
 
 
 def test_chrony_tells_whether_and_how_well_the_clock_is_kept():
@@ -166,32 +182,36 @@ def test_chrony_tells_whether_and_how_well_the_clock_is_kept():
 
 
 @pytest.mark.parametrize(
-    "facts, severity, text",
+    "facts, severity, code, value",
     [
-        (None, Severity.NOTE, "none is named"),
-        (BackgroundFacts("bg.npz", error="bg.npz: cannot be read"), Severity.ERROR, "cannot be read"),
-        (BackgroundFacts("bg.npz", shape=(240, 320)), Severity.ERROR, "320 x 240"),
-        (BackgroundFacts("bg.npz", age_s=86400.0, shape=(480, 640)), Severity.WARNING, "24 h old"),
-        (BackgroundFacts("bg.npz", shape=(480, 640), exposure_us="8000"), Severity.WARNING, "8000 us"),
-        (BackgroundFacts("bg.npz", shape=(480, 640), exposure_us="4001"), Severity.OK, ""),
+        (None, Severity.NOTE, "background.none_named", ""),
+        (BackgroundFacts("bg.npz", error="bg.npz: cannot be read"), Severity.ERROR, "background.unusable", "bg.npz"),
+        (BackgroundFacts("bg.npz", shape=(240, 320)), Severity.ERROR, "background.size_differs", "320 x 240"),
+        (BackgroundFacts("bg.npz", age_s=86400.0, shape=(480, 640)), Severity.WARNING, "background.old", "24 h"),
+        (
+            BackgroundFacts("bg.npz", shape=(480, 640), exposure_us="8000"),
+            Severity.WARNING,
+            "background.exposure_differs",
+            "8000 us",
+        ),
+        (BackgroundFacts("bg.npz", shape=(480, 640), exposure_us="4001"), Severity.OK, "background.ok", ""),
     ],
 )
-def test_background_that_does_not_serve_is_found(facts, severity, text):
+def test_background_that_does_not_serve_is_found(facts, severity, code, value):
     finding = worst(check_background(facts, CAMERA, SETTINGS))
-    assert finding.severity is severity and text in finding.what
+    assert (finding.severity, finding.code) == (severity, code) and value in finding.what
     assert severity is Severity.OK or "sagoma background --cameras cam01" in finding.remedy
 
 
 def test_exposure_longer_than_a_frame_is_an_error():
     finding = worst(check_timing(replace(SETTINGS, aravis=aravis(exposure_us=20_000.0))))
-    assert finding.severity is Severity.ERROR and "at most 16667 us" in finding.what
+    assert finding.code == "exposure.longer_than_frame" and "16667 us" in finding.what
 
 
 def test_features_left_to_the_camera_are_noted():
     findings = list(check_timing(replace(SETTINGS, aravis=aravis(gain=-1.0))))
-    assert [finding.what for finding in findings if finding.severity is Severity.NOTE] == [
-        "aravis.gain is left as the camera has it"
-    ]
+    (left,) = [finding for finding in findings if finding.severity is Severity.NOTE]
+    assert left.code == "settings.left_to_camera" and "aravis.gain" in left.what
 
 
 def test_exit_status_follows_the_gravest_finding():

@@ -66,43 +66,43 @@ def test_machine_as_it_should_be_has_nothing_but_ok():
 
 
 @pytest.mark.parametrize(
-    "changes, severity, about, text",
+    "changes, severity, code, value",
     [
-        ({"software": replace(MACHINE.software, system="fedora")}, "NOTE", "system", "fedora 12"),
-        ({"software": replace(MACHINE.software, python=(3, 13))}, "WARNING", "python", "3.13"),
-        ({"software": replace(MACHINE.software, ros_distro="humble")}, "WARNING", "ros", "humble"),
-        ({"software": replace(MACHINE.software, rmw_error="no lib")}, "ERROR", "ros", "no lib"),
-        ({"kernels": KernelFacts("/src", 0, True, None)}, "WARNING", "kernels", "none is compiled"),
-        ({"kernels": KernelFacts("/src", 9, True, False)}, "WARNING", "kernels", "other sources"),
-        ({"kernels": KernelFacts("/src", 9, False, True)}, "WARNING", "kernels", "may not be written"),
-        ({"kernels": KernelFacts("/src", 9, True, None)}, "NOTE", "kernels", "unknown"),
-        ({"graphics": GraphicsFacts("EGL knows no device")}, "NOTE", "opengl", "carves on the CPU"),
-        ({"graphics": GraphicsFacts("", "llvmpipe", "4.5", False)}, "NOTE", "opengl", "in software"),
-        ({"disk": DiskFacts("out", "out may not be written")}, "ERROR", "disk", "may not be written"),
-        ({"disk": DiskFacts("out", "", 100 << 20, 1e8)}, "ERROR", "disk", "0.1 GiB"),
-        ({"disk": DiskFacts("out", "", 1 << 30, 1e8)}, "WARNING", "disk", "1.0 GiB"),
-        ({"disk": DiskFacts("out", "", 100 << 30, 5e6)}, "WARNING", "disk", "5 MB/s"),
-        ({"shared_memory": SharedMemoryFacts(64 << 20, 60 << 20)}, "WARNING", "shm", "60 of 64 MiB"),
-        ({"shared_memory": SharedMemoryFacts(8 << 30, 7 << 30, 99)}, "NOTE", "shm", "99 segments"),
-        ({"limits": LimitFacts(256, 0, 8 << 20)}, "WARNING", "limits", "256 open files"),
-        ({"network": NetworkFacts((LINK,), 212992)}, "NOTE", "wmem_max", "212992"),
-        ({"network": NetworkFacts((LINK,), None)}, "NOTE", "wmem_max", "unknown"),
-        ({"network": NetworkFacts((replace(LINK, mtu=1280),), 8 << 20)}, "NOTE", "network", "MTU 1280"),
-        ({"network": NetworkFacts((replace(LINK, up=False),), 8 << 20)}, "NOTE", "network", "enp3s0 is down"),
-        ({"network": NetworkFacts((), 8 << 20)}, "NOTE", "network", "no network but loopback"),
-        ({"network": NetworkFacts((LINK,), 8 << 20, ("ufw",))}, "NOTE", "firewall", "ufw"),
-        ({"network": NetworkFacts((LINK,), 8 << 20, (), "/x.xml", False)}, "ERROR", "dds profile", "/x.xml"),
+        ({"software": replace(MACHINE.software, system="fedora")}, "NOTE", "system.untested", "fedora 12"),
+        ({"software": replace(MACHINE.software, python=(3, 13))}, "WARNING", "python.untested", "3.13"),
+        ({"software": replace(MACHINE.software, ros_distro="humble")}, "WARNING", "ros.other_distro", "humble"),
+        ({"software": replace(MACHINE.software, rmw_error="no lib")}, "ERROR", "ros.no_middleware", "no lib"),
+        ({"kernels": KernelFacts("/src", 0, True, None)}, "WARNING", "kernels.not_compiled", ""),
+        ({"kernels": KernelFacts("/src", 9, True, False)}, "WARNING", "kernels.stale", "9 "),
+        ({"kernels": KernelFacts("/src", 9, False, True)}, "WARNING", "kernels.read_only", "/src"),
+        ({"kernels": KernelFacts("/src", 9, True, None)}, "NOTE", "kernels.unknown", "9 "),
+        ({"graphics": GraphicsFacts("EGL knows no device")}, "NOTE", "opengl.none", "EGL knows no device"),
+        ({"graphics": GraphicsFacts("", "llvmpipe", "4.5", False)}, "NOTE", "opengl.software", "llvmpipe, OpenGL 4.5"),
+        ({"disk": DiskFacts("out", "out may not be written")}, "ERROR", "disk.unusable", "out"),
+        ({"disk": DiskFacts("out", "", 100 << 20, 1e8)}, "ERROR", "disk.full", "0.1 GiB"),
+        ({"disk": DiskFacts("out", "", 1 << 30, 1e8)}, "WARNING", "disk.low", "1.0 GiB"),
+        ({"disk": DiskFacts("out", "", 100 << 30, 5e6)}, "WARNING", "disk.slow", "5 MB/s"),
+        ({"shared_memory": SharedMemoryFacts(64 << 20, 60 << 20)}, "WARNING", "shm.small", "60 of 64 MiB"),
+        ({"shared_memory": SharedMemoryFacts(8 << 30, 7 << 30, 99)}, "NOTE", "shm.abandoned", "99 "),
+        ({"limits": LimitFacts(256, 0, 8 << 20)}, "WARNING", "limits.open_files", "256 "),
+        ({"network": NetworkFacts((LINK,), 212992)}, "NOTE", "wmem_max.small", "212992"),
+        ({"network": NetworkFacts((LINK,), None)}, "NOTE", "wmem_max.unknown", ""),
+        ({"network": NetworkFacts((replace(LINK, mtu=1280),), 8 << 20)}, "NOTE", "network.small_mtu", "1280"),
+        ({"network": NetworkFacts((replace(LINK, up=False),), 8 << 20)}, "NOTE", "network.down", "enp3s0"),
+        ({"network": NetworkFacts((), 8 << 20)}, "NOTE", "network.loopback_only", ""),
+        ({"network": NetworkFacts((LINK,), 8 << 20, ("ufw",))}, "NOTE", "firewall.active", "ufw"),
+        ({"network": NetworkFacts((LINK,), 8 << 20, (), "/x.xml", False)}, "ERROR", "dds_profile.missing", "/x.xml"),
     ],
 )
-def test_machine_that_is_not_ready_is_found_with_a_remedy(changes, severity, about, text):
+def test_machine_that_is_not_ready_is_found_with_a_remedy(changes, severity, code, value):
     finding = worst(check_machine(replace(MACHINE, **changes)))
-    assert (finding.severity.name, finding.about) == (severity, about) and text in finding.what
+    assert (finding.severity.name, finding.code) == (severity, code) and value in finding.what
 
 
 def test_small_receive_buffer_comes_with_its_sysctl_line():
     small = replace(MACHINE, host=replace(MACHINE.host, rmem_max=212992))
     finding = worst(check_machine(small))
-    assert finding.about == "rmem_max" and "sysctl -w net.core.rmem_max=4194304" in finding.remedy
+    assert finding.code == "rmem_max.small" and "sysctl -w net.core.rmem_max=4194304" in finding.remedy
 
 
 def test_domains_are_told_from_well_known_ports():
@@ -172,15 +172,15 @@ def test_loopback_carries_every_packet_and_says_that_it_is_this_machine():
 
 
 @pytest.mark.parametrize(
-    "facts, severity, text",
+    "facts, severity, code, value",
     [
-        (ReachFacts("10.0.0.2", None), "ERROR", "no way"),
-        (ReachFacts("10.0.0.2", LINK), "WARNING", "does not answer"),
-        (ReachFacts("10.0.0.2", LINK, True, 1500), "OK", "1500 bytes"),
-        (ReachFacts("10.0.0.2", replace(LINK, mtu=9000), True, 1500), "ERROR", "1500 bytes at most"),
-        (ReachFacts("10.0.0.2", LINK, True, 0), "ERROR", "less than 1280 bytes at most"),
+        (ReachFacts("10.0.0.2", None), "ERROR", "way.none", "10.0.0.2"),
+        (ReachFacts("10.0.0.2", LINK), "WARNING", "answer.none", "10.0.0.2"),
+        (ReachFacts("10.0.0.2", LINK, True, 1500), "OK", "mtu.ok", "1500 bytes"),
+        (ReachFacts("10.0.0.2", replace(LINK, mtu=9000), True, 1500), "ERROR", "mtu.too_large", "1500 bytes"),
+        (ReachFacts("10.0.0.2", LINK, True, 0), "ERROR", "mtu.too_large", "1280 bytes"),
     ],
 )
-def test_way_to_another_machine_is_judged_by_what_gets_there(facts, severity, text):
+def test_way_to_another_machine_is_judged_by_what_gets_there(facts, severity, code, value):
     finding = worst(check_reach(facts))
-    assert finding.severity.name == severity and text in finding.what
+    assert (finding.severity.name, finding.code) == (severity, code) and value in finding.what

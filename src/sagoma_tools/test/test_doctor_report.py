@@ -5,12 +5,15 @@ import io
 import pytest
 from rich.console import Console
 
-from sagoma_tools.doctor.findings import error, exit_status, note, ok, on, show, summary, warning
+from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, on, show, summary, warning
 
 FINDINGS = [
-    *on("this machine", [ok("disk", "is large"), warning("clock", "is off", "chrony"), ok("memory", "is there")]),
-    *on("camera cam01", [ok("lens", "f 468 px"), note("report", "none"), error("place", "below the floor", "redo")]),
-    *on("graph", [error("nodes", "no node is heard", "start the graph")]),
+    *on("this machine", [ok("disk", "is large"), warning("clock.off", "is off", "chrony"), ok("memory", "is there")]),
+    *on(
+        "camera cam01",
+        [ok("lens", "f 468 px"), note("report.missing", "none"), error("place.below_floor", "below the floor", "redo")],
+    ),
+    *on("graph", [error("nodes.none", "no node is heard", "start the graph")]),
 ]
 
 
@@ -53,3 +56,9 @@ def test_lines_of_a_file_are_whole_whatever_their_length():
 )
 def test_exit_status_of_strict_and_lenient_users(findings, strict, status):
     assert exit_status(findings, strict) == status
+
+
+def test_code_names_what_a_finding_is_about_and_its_condition():
+    (clock,) = [finding.as_dict() for finding in FINDINGS if finding.severity is Severity.WARNING]
+    assert (clock["about"], clock["code"], clock["severity"]) == ("clock", "clock.off", "warning")
+    assert ok("disk", "is large").code == "disk.ok"

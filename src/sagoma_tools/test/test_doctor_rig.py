@@ -48,7 +48,7 @@ def examined(tmp_path, capsys):
         for said in json.loads(capsys.readouterr().out)["findings"]:
             if said["severity"] != "ok":
                 assert said["severity"] == "note" or said["remedy"]
-                found.setdefault(said["subject"], []).append((said["severity"], said["about"], said["what"]))
+                found.setdefault(said["subject"], []).append((said["severity"], said["code"], said["what"]))
         return status, found
 
     return examine
@@ -64,21 +64,21 @@ C1 = GOOD.cameras[0]
 
 
 @pytest.mark.parametrize(
-    "changes, severity, text",
+    "changes, severity, code, value",
     [
-        ({"T_camera_world": moved(C1, [3.0, 1.0, -0.4])}, "error", "0.40 m below the floor"),
-        ({"T_camera_world": moved(C1, [3.0, 1.0, 7.0])}, "warning", "7.0 m above the floor"),
-        ({"K": K_of(C1, cx=520.0)}, "warning", "principal point (520, "),
-        ({"K": K_of(C1, fy=490.0)}, "warning", "differ by"),
-        ({"K": K_of(C1, fx=120.0, fy=120.0)}, "warning", "degrees across"),
-        ({"D": np.array([-0.9, 0.0, 0.0, 0.0, 0.0])}, "warning", "does not reach the border"),
-        ({"T_camera_world": np.diag([-1.0, 1.0, -1.0, 1.0]) @ C1.T_camera_world}, "error", "sees nobody"),
+        ({"T_camera_world": moved(C1, [3.0, 1.0, -0.4])}, "error", "place.below_floor", "0.40 m"),
+        ({"T_camera_world": moved(C1, [3.0, 1.0, 7.0])}, "warning", "place.high", "7.0 m"),
+        ({"K": K_of(C1, cx=520.0)}, "warning", "lens.off_centre", "(520, "),
+        ({"K": K_of(C1, fy=490.0)}, "warning", "lens.unequal_focal", "490 px"),
+        ({"K": K_of(C1, fx=120.0, fy=120.0)}, "warning", "lens.field_of_view", "degrees"),
+        ({"D": np.array([-0.9, 0.0, 0.0, 0.0, 0.0])}, "warning", "lens.border", ""),
+        ({"T_camera_world": np.diag([-1.0, 1.0, -1.0, 1.0]) @ C1.T_camera_world}, "error", "view.nobody", ""),
     ],
 )
-def test_spoilt_camera_is_named_with_what_is_wrong(examined, changes, severity, text):
+def test_spoilt_camera_is_named_with_what_is_wrong(examined, changes, severity, code, value):
     status, found = examined(with_camera(GOOD, "cam01", **changes))
     assert status >= {"warning": 1, "error": 2}[severity]
-    assert any(kind == severity and text in what for kind, _, what in found["camera cam01"])
+    assert any((kind, its) == (severity, code) and value in what for kind, its, what in found["camera cam01"])
     assert not any(subject.startswith("camera") for subject in set(found) - {"camera cam01"})
 
 
@@ -89,17 +89,17 @@ def test_cameras_that_face_each_other_are_named(examined):
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = opposite, -opposite @ (2 * middle - C1.centre_world)
     _, found = examined(with_camera(GOOD, "cam03", T_camera_world=T))
-    assert any("cam01 and cam03 face each other (180 degrees)" in what for _, _, what in found["rig"])
+    assert any(code == "cameras.opposite" and "180 degrees" in what for _, code, what in found["rig"])
 
 
 def test_one_calibration_given_to_two_cameras_is_an_error(examined):
     status, found = examined(with_camera(GOOD, "cam02", T_camera_world=C1.T_camera_world))
-    assert status == 2 and any("cam01 and cam02 are 0 cm apart" in what for _, _, what in found["rig"])
+    assert status == 2 and any(code == "cameras.same_place" and "0 cm" in what for _, code, what in found["rig"])
 
 
 def test_two_cameras_are_too_few(examined):
     status, found = examined(Rig(GOOD.cameras[:2], GOOD.volume))
-    assert status == 2 and any("2 cannot carve a body" in what for _, _, what in found["rig"])
+    assert status == 2 and any(code == "cameras.too_few" for _, code, _ in found["rig"])
 
 
 def test_missing_rig_file_says_so(tmp_path, capsys):
@@ -132,10 +132,10 @@ def test_reports_are_read_with_verdict_findings_and_age(examined, tmp_path):
     save_camera_info(tmp_path / "intrinsics" / "cam01.yaml", replace(C1, K=K_of(C1, fx=C1.K[0, 0] + 5)))
     status, found = examined(GOOD)
     assert status == 2
-    assert any(about == "age" and "400 days" in what for _, about, what in found["rig"])
-    told = {about: what for _, about, what in found["camera cam01"]}
-    assert "no tilt (tilt the board)" in told["calibration"]
-    assert f"fx {C1.K[0, 0] + 5:.1f}, in the rig {C1.K[0, 0]:.1f}" in told["intrinsics"]
+    assert any(code == "age.old" and "400 days" in what for _, code, what in found["rig"])
+    text = {code: what for _, code, what in found["camera cam01"]}
+    assert "no tilt (tilt the board)" in text["calibration.redo"]
+    assert f"fx {C1.K[0, 0] + 5:.1f}, in the rig {C1.K[0, 0]:.1f}" in text["intrinsics.differ"]
 
 
 def test_report_that_cannot_be_read_is_told(tmp_path):
@@ -156,7 +156,7 @@ def test_footage_of_another_size_is_an_error(examined, tmp_path):
     (session / "cam05.mp4").unlink()
     status, found = examined(GOOD, "--session", session)
     assert status == 2
-    assert any("is 320 x 240 pixels" in what for _, _, what in found["camera cam02"])
-    assert any("there is no" in what and "cam05.mp4" in what for _, _, what in found["camera cam05"])
-    assert any("different numbers of frames" in what for _, _, what in found[f"session {session}"])
+    assert any(code == "footage.size_differs" and "320 x 240" in what for _, code, what in found["camera cam02"])
+    assert any(code == "footage.unreadable" and "cam05.mp4" in what for _, code, what in found["camera cam05"])
+    assert any(code == "footage.lengths_differ" for _, code, _ in found[f"session {session}"])
     assert "camera cam01" not in found

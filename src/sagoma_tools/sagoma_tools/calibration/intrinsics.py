@@ -1,7 +1,8 @@
-"""Views of a board out of one camera's footage."""
+"""Calibrates lenses from footage of a board: collects views, solves, saves NAME.yaml, report and picture, prints."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 import yaml
 from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
 from capture_rig.camera_info_file import save_camera_info
@@ -18,36 +20,81 @@ from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text
+from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
 from rig_calibration.intrinsics.views import MIN_VIEWS
 
-from .footage import CameraFootage
+from .footage import CameraFootage, open_footage_of_cameras
 
-MOST_EXAMINED = 400  # frames of a video in which the board is looked for
-FEW_PICTURES = 60  # so many stills were chosen by a person, each for a reason: all are used
-MOST_THOROUGH = 100  # ... and once more, longer in each, where it is hardly found
-DIAGNOSED = 4  # images that are looked at for another board
+MAX_EXAMINED = 400  # frames of a video in the first pass
+MAX_THOROUGH = 100  # ... in the second
+FEW_PICTURES = 60  # so few stills were chosen by hand: all are used
+DIAGNOSED = 4  # images that are searched for another board
+COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
+PICTURE_DPI = 100
 
-Progress = Callable[[BoardImageProcessor], None]  # called after every image that was examined
+ProgressCallback = Callable[[BoardImageProcessor], None]  # called after every image that was examined
+
+
+def calibrate_footage(
+    sources: Sequence[str], board: Board, model: str, output: Path, console: Console
+) -> tuple[list[Intrinsics], list[InputError]]:
+    """Calibrate each camera of ``sources`` and save it into ``output``; results, and why the other cameras failed.
+
+    Raises InputError when every camera fails.
+    """
+    results: list[Intrinsics] = []
+    failures: list[InputError] = []
+    for footage in open_footage_of_cameras(sources).values():
+        try:
+            result = _calibrate_one(footage, board, model, console)
+            save_results(output, result, board, ", ".join(sources))
+            results.append(result)
+        except InputError as error:
+            failures.append(error)
+    if not results:
+        for failure in failures[:-1]:
+            print(f"sagoma: {failure}", file=sys.stderr)
+        raise failures[-1]
+    console.print(f"results in {output}")
+    return results, failures
+
+
+def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Console) -> Intrinsics:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(footage.name, total=None)
+
+        def progress(watcher: BoardImageProcessor) -> None:
+            text = f"{footage.name}: board in {watcher.found} of {watcher.examined}, {len(watcher.collector)} views"
+            bar.update(task, description=text, completed=watcher.examined)
+
+        watcher = watch_footage(footage, board, "plumb_bob" if model == AUTO else model, progress)
+    console.print(
+        f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
+        f"{len(watcher.collector)} views kept",
+        highlight=False,
+    )
+    return calibrate_intrinsics(watcher.collector.best(), board, name=footage.name, model=model)
 
 
 def watch_footage(
-    footage: CameraFootage, board: Board, model: str, progress: Progress | None = None
+    footage: CameraFootage, board: Board, model: str, progress: ProgressCallback | None = None
 ) -> BoardImageProcessor:
-    """Look for ``board`` in the footage's images, evenly chosen where there are very many; where it is hardly found,
-    once more, longer in each image.
+    """Search the footage's images for ``board``, evenly chosen from a long video.
 
-    Raises InputError when too few show it, naming the board that was there instead, if there was one.
+    Where few views are found, a second pass searches each image longer. Raises InputError when too few images show
+    the board, naming the other board that they show, if they do.
     """
     count = footage.count
     few = not footage.is_video and count <= FEW_PICTURES
     watcher = BoardImageProcessor(board, footage.name, ViewCollector(board, model=model, every=few), thorough=few)
     missed: list[np.ndarray] = []
-    _watch(watcher, footage, max(1, count // MOST_EXAMINED), missed, progress)
+    _watch(watcher, footage, max(1, count // MAX_EXAMINED), missed, progress)
     if not few and len(watcher.collector) < ENOUGH_VIEWS:
         watcher.thorough = True
-        _watch(watcher, footage, max(1, count // MOST_THOROUGH), [], progress)
+        _watch(watcher, footage, max(1, count // MAX_THOROUGH), [], progress)
     _require_views(watcher, missed)
     return watcher
 
@@ -57,9 +104,9 @@ def _watch(
     footage: CameraFootage,
     stride: int,
     missed: list[np.ndarray],
-    progress: Progress | None,
+    progress: ProgressCallback | None,
 ) -> None:
-    """Every ``stride``-th image, until it is enough; a few of those without the board into ``missed``."""
+    """Process every ``stride``-th image until the views suffice; keep a few images without the board in ``missed``."""
     before: np.ndarray | None = None
     for index, (frame_index, image) in enumerate(footage):
         if index % stride == 0:
@@ -96,20 +143,15 @@ def _require_views(watcher: BoardImageProcessor, missed: list[np.ndarray]) -> No
     )
 
 
-# --- Saves and prints what the calibration of a camera came to.
-
-COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
-PICTURE_DPI = 100
-
-
 def save_results(folder: Path, result: Intrinsics, board: Board, source: str) -> list[Path]:
-    """NAME.yaml (camera_info), NAME.report.yaml and NAME.png in ``folder``. Raises InputError when it cannot write."""
+    """Write NAME.yaml (camera_info), NAME.report.yaml and NAME.png into ``folder``. Raises InputError if it cannot."""
     name = result.camera.name
     info, report, picture = (folder / f"{name}{suffix}" for suffix in (".yaml", ".report.yaml", ".png"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         save_camera_info(info, result.camera)
-        about = {"source": source, "board": board_text(board), **_versions()}
+        about = {"source": source, "board": board_text(board), "date": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
+        about |= {"opencv": cv2.__version__, "numpy": np.__version__}
         report.write_text(yaml.safe_dump(report_of(result, about), sort_keys=False, width=120), encoding="utf-8")
         from rig_calibration.intrinsics.picture import draw  # matplotlib takes a second to load
 
@@ -124,7 +166,7 @@ def save_results(folder: Path, result: Intrinsics, board: Board, source: str) ->
 
 
 def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
-    """A table of all cameras, then each one's findings with their remedies."""
+    """Print a table of all cameras, then the findings of each with their remedies."""
     table = Table("camera", "views", "rms px", "fx px", "fy px", "cx px", "cy px", "verdict")
     for result in results:
         numbers = (f"{result.values[key]:.2f} ± {result.sd[key]:.2f}" for key in ("fx", "fy", "cx", "cy"))
@@ -139,7 +181,7 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
 
 
 def remarks(result: Intrinsics) -> Iterable[str]:
-    """Findings, and what was left out."""
+    """Findings, the choice of the lens model, and images and corners left out."""
     yield from map(str, result.verdict.findings)
     if result.choice is not None:
         yield f"lens model {result.choice.model}: {result.choice.reason}"
@@ -154,7 +196,7 @@ def remarks(result: Intrinsics) -> Iterable[str]:
 
 
 def figures(result: Intrinsics) -> dict[str, Any]:
-    """For --json."""
+    """The result as plain data for --json."""
     return {
         "camera": result.camera.name,
         "verdict": result.verdict.grade,
@@ -165,7 +207,3 @@ def figures(result: Intrinsics) -> dict[str, Any]:
         "values": {name: round(float(value), 6) for name, value in result.values.items()},
         "sd": {name: round(sd, 6) for name, sd in result.sd.items()},
     }
-
-
-def _versions() -> dict[str, str]:
-    return {"date": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "opencv": cv2.__version__, "numpy": np.__version__}

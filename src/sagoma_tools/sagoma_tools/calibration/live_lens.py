@@ -27,8 +27,7 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..arguments import StopOnSignal
-from ..graph.ros_link import RosLink, call_all
+from ..graph.ros_link import RosLink, StopOnSignal, call_all
 from .intrinsics import save_results
 from .live_display import LiveState, draw_preview, panel, plain_line, state_of
 from .live_image import image_of

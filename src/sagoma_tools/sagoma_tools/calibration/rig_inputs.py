@@ -26,8 +26,11 @@ from .rig_detections import CameraDetections, explain_unseen
 
 @dataclass(frozen=True, eq=False)
 class RigInputs:
-    """Detections and the targets they name. ``strays``: by camera, frames in which the floor board lay elsewhere, of how
-    many. ``floor_guess``: frames in which the carried board was taken to lie on the floor."""
+    """Detections and the targets they name.
+
+    moved_frames : by camera, the number of frames in which the floor board lay elsewhere, and of all its frames.
+    floor_guess : frames in which the carried board was taken to lie on the floor.
+    """
 
     detections: tuple[TargetDetection, ...]
     targets: Mapping[str, Target]

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 
 import numpy as np
 from rclpy.node import Node
@@ -88,9 +87,7 @@ class MotionRecorder:
     def __enter__(self) -> MotionRecorder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._worker.close()

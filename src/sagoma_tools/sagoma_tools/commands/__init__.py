@@ -1,1 +1,1 @@
-"""The subcommands of ``sagoma``: each module has ``add_parser(subparsers)`` and does its work in ``run(args)``."""
+"""The subcommands of ``sagoma``: ``add_parser(subparsers)`` of each module adds one or more of them."""

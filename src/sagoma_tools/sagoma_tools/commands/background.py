@@ -1,11 +1,10 @@
-"""``sagoma background``: empty the room, let every camera learn it, say what came of it; ``show`` a saved one."""
+"""``sagoma background``: trains the background of every camera in the empty room; ``show`` prints a saved one."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import json
-import sys
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -24,158 +23,45 @@ from camera_client.background.verdict import find_regions
 from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 
-from ..arguments import StopOnSignal
+from ..arguments import table_console
 from ..graph.background_training import (
     TIMEOUT_S,
     TrainingOutcome,
     camera_of,
-    count_down,
     find_clients,
     needing_training,
     progress_of,
     train_backgrounds,
 )
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.ros_link import RosLink
-
-# --- Lessons of the background and saved backgrounds, as tables for people and as figures for programs.
-
-STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
-STATUS = {GOOD: 0, USABLE: 1, REDO: 2}  # exit status
-
-
-def exit_status(lessons: Sequence[TrainingOutcome]) -> int:
-    """0 when all are good, 1 when one is only usable, 2 when one has to be redone."""
-    return max((STATUS[lesson.grade] for lesson in lessons), default=0)
-
-
-def training_table(lessons: Sequence[TrainingOutcome]) -> Table:
-    """One line a camera, and one more for each further finding."""
-    table = Table(box=None, pad_edge=False)
-    for title in ("camera", "verdict"):
-        table.add_column(title, no_wrap=True)
-    for title in ("frames", "noise", "moved %"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("why", ratio=1)
-    table.add_column("what to do", ratio=1)
-    for lesson in sorted(lessons, key=lambda lesson: lesson.camera):
-        first, *others = _reasons(lesson)
-        table.add_row(lesson.camera, Text(lesson.grade, STYLE[lesson.grade]), *_figures(lesson), *first)
-        for other in others:
-            table.add_row("", "", "", "", "", *other)
-    return table
-
-
-def _figures(lesson: TrainingOutcome) -> tuple[str, str, str]:
-    report = lesson.report
-    if report is None or not report.frames:
-        return "", "", ""
-    return str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}"
-
-
-def _reasons(lesson: TrainingOutcome) -> list[tuple[str, str]]:
-    """What was found and what to do, one a line; at least one."""
-    report = lesson.report
-    if report is None or (report.grade == REDO and not report.findings):
-        return [(lesson.said, "see that its frames come (sagoma up, sagoma doctor), and run it again")]
-    found = [(finding.what, finding.remedy) for finding in report.findings]
-    if report.grade != REDO and not report.saved:
-        found.append(("in use, but not saved", "set background_file in the camera's parameter file"))
-    return found or [("", "")]
-
-
-def figures(lessons: Sequence[TrainingOutcome]) -> dict[str, Any]:
-    """The same, for programs."""
-    return {
-        lesson.camera: {"said": lesson.said, **(asdict(lesson.report) if lesson.report else {}), "grade": lesson.grade}
-        for lesson in lessons
-    }
-
-
-def provenance_table(model: BackgroundModel, title: str) -> Table:
-    """Where a saved background comes from."""
-    table = Table("", "", title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
-    for key, value in asdict(model.provenance).items():
-        if value != "":
-            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
-    table.add_row("image", shape_text(model.shape))
-    table.add_row("moved", f"{100 * model.moving_share:.2f} % of the pixels")
-    return table
-
-
-# --- Pictures of a background model: its mean, and its noise with the places where something moved.
-
-BRIGHTEST_SIGMA = 10.0  # grey levels; as much noise and more has the brightest colour
-FRAME_BGR = (0, 0, 255)
-
-
-def mean_picture(model: BackgroundModel) -> np.ndarray:
-    """(H, W) or (H, W, 3) uint8: the empty room."""
-    return np.rint(model.mean).clip(0, 255).astype(np.uint8)
-
-
-def sigma_picture(model: BackgroundModel) -> np.ndarray:
-    """(H, W, 3) uint8: dark where the pixel was steady, yellow at BRIGHTEST_SIGMA; boxes where something moved."""
-    sigma = model.sigma if model.sigma.ndim == 2 else model.sigma.max(axis=2)
-    levels = np.rint(sigma * (255 / BRIGHTEST_SIGMA)).clip(0, 255).astype(np.uint8)
-    picture = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
-    for place in find_regions(model.moving_pixels):
-        cv2.rectangle(picture, (place.left, place.top), (place.right, place.bottom), FRAME_BGR)
-    return picture
-
-
-def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path]:
-    """NAME_mean.png and NAME_sigma.png in ``folder``. Raises InputError when they cannot be written."""
-    written = []
-    for kind, picture in (("mean", mean_picture(model)), ("sigma", sigma_picture(model))):
-        path = folder / f"{name}_{kind}.png"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-        except OSError as error:
-            raise InputError(
-                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another folder with --output."
-            ) from None
-        written.append(path)
-    return written
-
+from ..graph.ros_link import RosLink, StopOnSignal
 
 COUNTDOWN_S = 10
-CONTACT_S = 3.0  # within this every client tells its state
-LOG_WIDTH = 150
+LAST_SECONDS = 5  # in a log each of them has a line
+CONTACT_S = 3.0  # within this every client publishes its diagnostics
 ERROR = b"\2"
+IDLE = ("unconfigured", "configured, inactive", "suspended")
+STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
+STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
 EPILOG = "exit status: 0 all good, 1 a camera is only usable, 2 one has to be done again or did not answer"
+BRIGHTEST_SIGMA = 10.0  # grey levels of noise that the picture shows in its brightest colour
+REGION_BGR = (0, 0, 255)
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
-    parser = subparsers.add_parser(
-        "background", help="let the cameras of a running graph learn the empty room", epilog=EPILOG
-    )
-    parser.add_argument(
-        "--countdown",
-        type=int,
-        default=COUNTDOWN_S,
-        metavar="S",
-        help=f"seconds to leave the room (default: {COUNTDOWN_S})",
-    )
-    parser.add_argument("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
-    parser.add_argument(
-        "--repeat", action="store_true", help="only those that have none, or whose background is no good"
-    )
-    parser.add_argument(
-        "--retries",
-        type=int,
-        default=1,
-        metavar="N",
-        help="so often those that have to be redone are tried again at once (default: 1)",
-    )
-    parser.add_argument(
-        "--expect", type=int, default=1, metavar="N", help="wait until so many camera clients are there"
-    )
-    parser.add_argument("--wait", type=float, default=5.0, metavar="S", help="... but no longer than this")
-    parser.add_argument("--timeout", type=float, default=TIMEOUT_S, metavar="S", help="for a camera's frames to come")
-    parser.add_argument("--json", action="store_true", help="print the result as one line of JSON, too")
+    help_text = "let the cameras of a running graph learn the empty room"
+    parser = subparsers.add_parser("background", help=help_text, epilog=EPILOG)
+    option = parser.add_argument
+    help_countdown = f"seconds to leave the room (default: {COUNTDOWN_S})"
+    option("--countdown", type=int, default=COUNTDOWN_S, metavar="S", help=help_countdown)
+    option("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
+    option("--repeat", action="store_true", help="only those without a background, or whose background is no good")
+    option("--retries", type=int, default=1, metavar="N", help="retry failed cameras so often (default: 1)")
+    option("--expect", type=int, default=1, metavar="N", help="wait until so many camera clients are found")
+    option("--wait", type=float, default=5.0, metavar="S", help="... but no longer than this")
+    option("--timeout", type=float, default=TIMEOUT_S, metavar="S", help="for a camera's frames to come")
+    option("--json", action="store_true", help="print the result as one line of JSON, too")
     parser.set_defaults(run=run)
     show = parser.add_subparsers(metavar="show").add_parser("show", help="what saved backgrounds (.npz) hold")
     show.add_argument("files", nargs="+", metavar="FILE", help="saved backgrounds")
@@ -184,69 +70,65 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Find the clients, empty the room, learn, report; the exit status tells the worst verdict."""
-    console = Console() if sys.stdout.isatty() else Console(width=LOG_WIDTH)
+    """Find the clients, wait for the empty room, train, report; the exit status is the worst verdict's."""
+    console = table_console()
     with StopOnSignal() as stop, RosLink("sagoma_background") as link:
-        board = DiagnosticsTable(link.node)
-        names = chosen(find_clients(link.node, args.expect, args.wait), args.cameras)
-        board.wait_for(names, CONTACT_S)
+        diagnostics = DiagnosticsTable(link.node)
+        names = select_clients(find_clients(link.node, args.expect, args.wait), args.cameras)
+        diagnostics.wait_for(names, CONTACT_S)
         if args.repeat:
-            names = needing_training(board, names)
+            names = needing_training(diagnostics, names)
         if not names:
             console.print("every background is fine")
             return 0
-        warn_of_absent(console, board, names)
-        learned = BackgroundTraining(console, link, board, stop, args.timeout).learn(
-            names, args.countdown, args.retries
-        )
-    console.print(training_table(learned))
+        warn_of_idle(console, diagnostics, names)
+        training = BackgroundTraining(console, link, diagnostics, stop, args.timeout)
+        outcomes = training.run(names, args.countdown, args.retries)
+    console.print(training_table(outcomes))
     if args.json:
-        print(json.dumps(figures(learned)))
-    return exit_status(learned)
+        print(json.dumps(figures(outcomes)))
+    return exit_status(outcomes)
 
 
 class BackgroundTraining:
-    """Empties the room and teaches the clients, as often as it takes."""
+    """Counts down, trains the clients, and repeats both for those that failed."""
 
     def __init__(
-        self,
-        console: Console,
-        link: RosLink,
-        board: DiagnosticsTable,
-        stop: threading.Event,
-        timeout_s: float = TIMEOUT_S,
+        self, console: Console, link: RosLink, diagnostics: DiagnosticsTable, stop: threading.Event, timeout_s: float
     ) -> None:
-        self._console, self._link, self._board, self._stop, self._timeout_s = console, link, board, stop, timeout_s
+        self._console, self._link, self._diagnostics = console, link, diagnostics
+        self._stop, self._timeout_s = stop, timeout_s
 
-    def learn(self, names: Sequence[str], countdown_s: int, retries: int) -> list[TrainingOutcome]:
-        """The last lesson of each client ``names``; those that came to nothing are tried ``retries`` times more."""
-        lessons = {camera_of(name): TrainingOutcome(camera_of(name), "cancelled") for name in names}
-        pending, what = list(names), "leave the room"
+    def run(self, names: Sequence[str], countdown_s: int, retries: int) -> list[TrainingOutcome]:
+        """The last outcome of each client ``names``; failed trainings are repeated up to ``retries`` times."""
+        outcomes = {name: TrainingOutcome(camera_of(name), "cancelled") for name in names}
+        pending, prompt = list(names), "leave the room"
         for attempt in range(1 + retries):
-            if not count_down(self._console, what, countdown_s, self._stop):
+            if not count_down(self._console, prompt, countdown_s, self._stop):
                 break
-            lessons |= {lesson.camera: lesson for lesson in self._train(pending)}
-            pending = [name for name in pending if should_repeat(lessons[camera_of(name)])]
+            outcomes |= dict(zip(pending, self._train(pending), strict=True))
+            # where no training took place, an empty room would not help
+            pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
             if not pending:
                 break
-            what = f"leave the room for {', '.join(map(camera_of, pending))}"
+            prompt = f"leave the room for {', '.join(map(camera_of, pending))}"
             if attempt < retries:
-                self._console.print(training_table([lessons[camera_of(name)] for name in pending]))
+                self._console.print(training_table([outcomes[name] for name in pending]))
         self._console.bell()
-        return list(lessons.values())
+        return list(outcomes.values())
 
     def _train(self, names: Sequence[str]) -> list[TrainingOutcome]:
         with self._progress(names):
             return train_backgrounds(
-                self._link.node, self._board, names, self._timeout_s, lambda: not self._stop.is_set()
+                self._link.node, self._diagnostics, names, self._timeout_s, lambda: not self._stop.is_set()
             )
 
     @contextlib.contextmanager
     def _progress(self, names: Sequence[str]) -> Iterator[None]:
-        """While it lasts, one line tells how far every camera is; into a file, only who learns."""
+        """Show the cameras' progress in one line; into a file, print the cameras' names once."""
 
         def line() -> Text:
-            progress = (f"{camera_of(name)} {progress_of(self._board, name) or '...'}" for name in names)
+            progress = (f"{camera_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
             return Text("   ".join(["learning", *progress]))
 
         if not self._console.is_terminal:
@@ -257,13 +139,27 @@ class BackgroundTraining:
             yield
 
 
-def should_repeat(lesson: TrainingOutcome) -> bool:
-    """Was something learned that must be learned again? Where no frames come nobody needs to leave the room."""
-    return lesson.report is not None and lesson.grade == REDO
+def count_down(console: Console, prompt: str, seconds: int, stop: threading.Event) -> bool:
+    """Show "PROMPT: 10" and so on down to 1, then beep; False when ``stop`` was set meanwhile.
+
+    Into a file the first and the last seconds are printed.
+    """
+    live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+    with live or contextlib.nullcontext():
+        for left in range(seconds, 0, -1):
+            if live is not None:
+                live.update(Text(f"{prompt}: {left}", style="bold yellow"), refresh=True)
+            elif left == seconds or left <= LAST_SECONDS:
+                console.print(f"{prompt}: {left} s", highlight=False)
+            if stop.wait(1.0):
+                return False
+    if live is not None:
+        console.bell()
+    return True
 
 
-def chosen(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
-    """Those of ``names`` that belong to ``cameras``, or all. Raises InputError for a camera that is not there."""
+def select_clients(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
+    """The clients of ``cameras`` among ``names``, or all. Raises InputError for a camera without a client."""
     if cameras is None:
         return list(names)
     by_camera = {camera_of(name): name for name in names}
@@ -277,19 +173,65 @@ def chosen(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
     return [by_camera[camera] for camera in sorted(set(cameras))]
 
 
-def warn_of_absent(console: Console, board: DiagnosticsTable, names: Sequence[str]) -> None:
-    """Name those that cannot learn now, before somebody leaves the room for nothing."""
+def warn_of_idle(console: Console, diagnostics: DiagnosticsTable, names: Sequence[str]) -> None:
+    """Name the clients that cannot train now, before the person leaves the room."""
     for name in names:
-        report = board.report(name)
-        if report is None:
+        status = diagnostics.report(name)
+        if status is None:
             console.print(f"{camera_of(name)} is silent: its node sends no diagnostics", style="yellow", markup=False)
-        elif report.level == ERROR or report.message in ("unconfigured", "configured, inactive", "suspended"):
-            console.print(f"{camera_of(name)} says: {report.message}", style="yellow", markup=False)
+        elif status.level == ERROR or status.message in IDLE:
+            console.print(f"{camera_of(name)} says: {status.message}", style="yellow", markup=False)
+
+
+def exit_status(outcomes: Sequence[TrainingOutcome]) -> int:
+    """0 when all are good, 1 when one is only usable, 2 when one has to be redone."""
+    return max((STATUS[outcome.grade] for outcome in outcomes), default=0)
+
+
+def figures(outcomes: Sequence[TrainingOutcome]) -> dict[str, Any]:
+    """The outcomes as plain data for --json."""
+    reports = {outcome.camera: asdict(outcome.report) if outcome.report else {} for outcome in outcomes}
+    return {one.camera: {"said": one.message, **reports[one.camera], "grade": one.grade} for one in outcomes}
+
+
+def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
+    """One line a camera, and one more for each further finding."""
+    table = Table(box=None, pad_edge=False)
+    for title in ("camera", "verdict"):
+        table.add_column(title, no_wrap=True)
+    for title in ("frames", "noise", "moved %"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("why", ratio=1)
+    table.add_column("what to do", ratio=1)
+    for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
+        first, *others = _reasons(outcome)
+        table.add_row(outcome.camera, Text(outcome.grade, STYLE[outcome.grade]), *_columns(outcome), *first)
+        for other in others:
+            table.add_row("", "", "", "", "", *other)
+    return table
+
+
+def _columns(outcome: TrainingOutcome) -> tuple[str, str, str]:
+    report = outcome.report
+    if report is None or not report.frames:
+        return "", "", ""
+    return str(report.frames), f"{report.noise:.2f}", f"{100 * report.moved:.2f}"
+
+
+def _reasons(outcome: TrainingOutcome) -> list[tuple[str, str]]:
+    """Findings and their remedies, at least one pair."""
+    report = outcome.report
+    if report is None or (report.grade == REDO and not report.findings):
+        return [(outcome.message, "see that its frames come (sagoma up, sagoma doctor), and run it again")]
+    found = [(finding.what, finding.remedy) for finding in report.findings]
+    if report.grade != REDO and not report.saved:
+        found.append(("in use, but not saved", "set background_file in the camera's parameter file"))
+    return found or [("", "")]
 
 
 def run_show(args: argparse.Namespace) -> int:
-    """Print where each background comes from, and write its pictures."""
-    console = Console() if sys.stdout.isatty() else Console(width=LOG_WIDTH)
+    """Print where each saved background comes from, and write its pictures."""
+    console = table_console()
     for file in map(Path, args.files):
         model = load_background(file)
         console.print(provenance_table(model, str(file)))
@@ -297,3 +239,41 @@ def run_show(args: argparse.Namespace) -> int:
         mean, sigma = write_pictures(model, folder, file.stem)
         console.print(f"pictures: {mean}, {sigma} (brightest: {BRIGHTEST_SIGMA:g} grey levels of noise or more)")
     return 0
+
+
+def provenance_table(model: BackgroundModel, title: str) -> Table:
+    """The provenance of a saved background, its image size, and the share of pixels that moved."""
+    table = Table("", "", title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
+    for key, value in asdict(model.provenance).items():
+        if value != "":
+            table.add_row(key, f"{value:.3f}" if isinstance(value, float) else str(value))
+    table.add_row("image", shape_text(model.shape))
+    table.add_row("moved", f"{100 * model.moving_share:.2f} % of the pixels")
+    return table
+
+
+def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path]:
+    """Write NAME_mean.png and NAME_sigma.png into ``folder``. Raises InputError when they cannot be written."""
+    mean = np.rint(model.mean).clip(0, 255).astype(np.uint8)
+    written = []
+    for kind, picture in (("mean", mean), ("sigma", sigma_picture(model))):
+        path = folder / f"{name}_{kind}.png"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        except OSError as error:
+            raise InputError(
+                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another folder with --output."
+            ) from None
+        written.append(path)
+    return written
+
+
+def sigma_picture(model: BackgroundModel) -> np.ndarray:
+    """(H, W, 3) uint8 BGR: dark where the noise is 0, yellow at BRIGHTEST_SIGMA; boxes around regions that moved."""
+    sigma = model.sigma if model.sigma.ndim == 2 else model.sigma.max(axis=2)
+    levels = np.rint(sigma * (255 / BRIGHTEST_SIGMA)).clip(0, 255).astype(np.uint8)
+    picture = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
+    for region in find_regions(model.moving_pixels):
+        cv2.rectangle(picture, (region.left, region.top), (region.right, region.bottom), REGION_BGR)
+    return picture

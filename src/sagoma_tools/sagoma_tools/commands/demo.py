@@ -1,4 +1,4 @@
-"""``sagoma demo``: the main job, end to end, on the built-in session or on a folder of videos."""
+"""``sagoma demo``: runs the whole graph live on the built-in session or a folder of videos, scores and draws it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-from ..arguments import StopOnSignal, add_settings_argument, parse_settings
+from ..arguments import add_settings_argument, parse_settings
 from ..evaluation.live_inputs import FootageInput, LiveInput, StudioInput
 from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_latency, print_nodes, print_scores
+from ..graph.ros_link import StopOnSignal
 
-CAMERA_FPS = 12.0  # what five cameras, studio and graph together reach on two cores
+CAMERA_FPS = 12.0  # five cameras, studio and graph together reach it on two cores (make demo)
 KEPT_UP = 0.9  # of the frame sets, at least, are answered where a machine keeps up
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
@@ -28,27 +29,14 @@ RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser("demo", help="run the whole graph live on footage, record, measure and draw it")
-    parser.add_argument("--session", help="folder of footage (default: a synthetic session, made once)")
-    parser.add_argument(
-        "--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)"
-    )
-    parser.add_argument(
-        "--fps", type=float, default=CAMERA_FPS, help=f"frame rate of the simulated cameras (default: {CAMERA_FPS:g})"
-    )
-    parser.add_argument(
-        "--rate",
-        type=float,
-        default=None,
-        metavar="R",
-        help="no cameras: the clients read the videos, at this speed, or at 0 as fast as the graph "
-        "keeps up, dropping nothing",
-    )
-    parser.add_argument(
-        "--start",
-        choices=("auto", "t_pose", "session"),
-        default="auto",
-        help="first pose: from a T-pose, or from the session's reference",
-    )
+    option = parser.add_argument
+    option("--session", help="folder of footage (default: a synthetic session, made once)")
+    option("--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)")
+    option("--fps", type=float, default=CAMERA_FPS, help=f"of the simulated cameras (default: {CAMERA_FPS:g})")
+    speed = "at this speed, or at 0 as fast as the graph keeps up, dropping nothing"
+    option("--rate", type=float, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
+    help_start = "first pose: from a T-pose, or from the session's reference"
+    option("--start", choices=("auto", "t_pose", "session"), default="auto", help=help_start)
     add_settings_argument(parser)
     parser.set_defaults(run=run)
 
@@ -60,16 +48,18 @@ def run(args: argparse.Namespace) -> int:
     output = Path(args.output)
     session = Path(args.session) if args.session else built_in_session(output / "session", console)
     shutil.rmtree(output / "bag", ignore_errors=True)
-    stage: LiveInput
+    live_input: LiveInput
     if args.rate is None:
-        stage = StudioInput(session, output / "studio", args.fps)
-        console.print(f"{len(stage.session.rig.names)} simulated GigE cameras at {args.fps:g} Hz look at {session}")
+        live_input = StudioInput(session, output / "studio", args.fps)
+        console.print(
+            f"{len(live_input.session.rig.names)} simulated GigE cameras at {args.fps:g} Hz look at {session}"
+        )
     else:
-        stage = FootageInput(session, args.rate)
+        live_input = FootageInput(session, args.rate)
         console.print(f"the camera clients read the videos of {session}")
     console.print(f"running the graph live (logs: {output / 'logs'})")
     with StopOnSignal() as stop:
-        live = run_live(stage, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
+        live = run_live(live_input, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
     outcome = evaluate_run(live)
     report(console, live, outcome.scores)
     for path in draw(live, output, outcome):
@@ -95,7 +85,7 @@ def built_in_session(folder: Path, console: Console) -> Path:
 
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
-    """Everything that the run measured."""
+    """Print everything that the run measured."""
     print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics)
     print_latency(console, live.latency_ms)
     console.print(
@@ -108,7 +98,7 @@ def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
 
 
 def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
-    """The same, for machines."""
+    """The run's figures as plain data for the line of JSON."""
     return {
         "sets": live.sets,
         "answered": live.answered,

@@ -30,53 +30,32 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="examine this machine, a rig, a camera PC, the running graph: findings with remedies",
         description=DESCRIPTION,
     )
+    option = parser.add_argument
     help_camera = "'camera PARAMS.yaml': that file, its camera, and what they need of this machine"
-    parser.add_argument("what", nargs="?", choices=["camera"], help=help_camera)
-    parser.add_argument("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument(
-        "--camera",
-        action="append",
-        default=[],
-        metavar="PARAMS.yaml",
-        type=Path,
-        help="a camera's parameter file (any number of times)",
-    )
-    parser.add_argument(
-        "--open", action="store_true", help="take control of those cameras for a moment, as their clients would"
-    )
-    parser.add_argument("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
-    parser.add_argument(
-        "--intrinsics",
-        metavar="FOLDER",
-        type=Path,
-        help="the cameras' own calibrations (default: where the rig's report says, or beside it)",
-    )
-    parser.add_argument("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
-    parser.add_argument("--live", action="store_true", help="listen to the running graph")
-    parser.add_argument("--seconds", type=float, default=LIVE_S, help="how long to listen (default: %(default)g)")
-    parser.add_argument(
-        "--host",
-        action="append",
-        default=[],
-        metavar="ADDRESS",
-        help="another machine of the graph: does it answer, which packets get there?",
-    )
-    parser.add_argument(
-        "--bags",
-        metavar="FOLDER",
-        type=Path,
-        default=Path("output"),
-        help="where bags are written (default: %(default)s)",
-    )
-    parser.add_argument("--no-machine", action="store_true", help="leave this machine out")
-    parser.add_argument("--all", action="store_true", help="also say in words what is well")
-    parser.add_argument("--strict", action="store_true", help="warnings fail as errors do (exit status 2)")
-    parser.add_argument("--json", action="store_true", help="print one line of JSON instead of text")
+    option("what", nargs="?", choices=["camera"], help=help_camera)
+    option("parameters", nargs="?", metavar="PARAMS.yaml", type=Path, help=argparse.SUPPRESS)
+    help_camera = "a camera's parameter file (any number of times)"
+    option("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path, help=help_camera)
+    option("--open", action="store_true", help="take control of those cameras for a moment, as their clients would")
+    option("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
+    help_lenses = "the cameras' own calibrations (default: where the rig's report says, or beside it)"
+    option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
+    option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
+    option("--live", action="store_true", help="listen to the running graph")
+    option("--seconds", type=float, default=LIVE_S, help="how long to listen (default: %(default)g)")
+    help_host = "another machine of the graph: does it answer, which packets get there?"
+    option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
+    help_bags = "where bags are written (default: %(default)s)"
+    option("--bags", metavar="FOLDER", type=Path, default=Path("output"), help=help_bags)
+    option("--no-machine", action="store_true", help="leave this machine out")
+    option("--all", action="store_true", help="also print what is well in words")
+    option("--strict", action="store_true", help="warnings fail as errors do (exit status 2)")
+    option("--json", action="store_true", help="print one line of JSON instead of text")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Examine and print; the exit status says how grave the gravest finding is."""
+    """Examine and print; the exit status is the gravest finding's."""
     if args.what == "camera" and args.parameters is None:
         raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if not 0 < args.seconds < float("inf"):
@@ -84,22 +63,15 @@ def run(args: argparse.Namespace) -> int:
     findings = list(examined(args))
     status = exit_status(findings, args.strict)
     if args.json:
-        print(
-            json.dumps(
-                {
-                    "status": status,
-                    "summary": summary(findings),
-                    "findings": [finding.as_dict() for finding in findings],
-                }
-            )
-        )
+        listed = [finding.as_dict() for finding in findings]
+        print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))
     else:
         show(findings, Console(), all_of_them=args.all)
     return status
 
 
 def examined(args: argparse.Namespace) -> Iterator[Finding]:
-    """The findings of everything that was asked for."""
+    """The findings on everything that the arguments name."""
     if args.what == "camera":
         yield from examine(args.parameters, args.open)
     elif not args.no_machine:

@@ -1,4 +1,4 @@
-"""``sagoma evaluate``: how good the tracking of a session is, in one process and without ROS timing."""
+"""``sagoma evaluate``: scores the tracking of a session (in one process, without ROS timing) or of a bag."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 
-from ..arguments import add_settings_argument, parse_settings
+from ..arguments import add_settings_argument, parse_settings, table_console
 from ..evaluation.chain import Configuration
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_variants
 from ..evaluation.live_run import REFERENCE_START, T_POSE_START, start_settings
@@ -32,42 +32,36 @@ TABLE_WIDTH = 120
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser("evaluate", help="track a session (or read a bag of one) and compare with its truth")
-    parser.add_argument("session", metavar="SESSION|BAG", help="folder of footage, or a bag that was recorded on one")
-    parser.add_argument("--bag", help="judge this bag, recorded on the session, instead of tracking it here")
-    parser.add_argument("--exact-masks", action="store_true", help="take the session's exact silhouettes")
-    parser.add_argument(
-        "--ablation", action="store_true", help="also one row a part of the tracker, from the thesis's method to ours"
-    )
-    parser.add_argument(
-        "--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage"
-    )
-    parser.add_argument(
-        "--start",
-        choices=("auto", T_POSE_START, REFERENCE_START),
-        default="auto",
-        help="first pose: from a T-pose, or from the session's reference",
-    )
-    parser.add_argument("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
-    parser.add_argument("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
-    parser.add_argument("--json", action="store_true", help="print the line of JSON only; pictures only with --plots")
+    option = parser.add_argument
+    option("session", metavar="SESSION|BAG", help="folder of footage, or a bag that was recorded on one")
+    option("--bag", help="evaluate this bag, recorded on the session, instead of tracking it here")
+    option("--exact-masks", action="store_true", help="take the session's exact silhouettes")
+    help_ablation = "also one row a part of the tracker, from the thesis's method to ours"
+    option("--ablation", action="store_true", help=help_ablation)
+    option("--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage")
+    help_start = "first pose: from a T-pose, or from the session's reference"
+    option("--start", choices=("auto", T_POSE_START, REFERENCE_START), default="auto", help=help_start)
+    option("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
+    option("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
+    option("--json", action="store_true", help="print the line of JSON only; pictures only with --plots")
     add_settings_argument(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Track or read, judge, print tables, draw, and print one line of JSON last."""
+    """Track or read a bag, evaluate, print tables, draw, and print one line of JSON last."""
     session, bag = find(args)
     tracks, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
-    judged = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS))
-    figures, console = judged.figures(), wide_console(args.json)
+    evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS))
+    figures, console = evaluated.figures(), table_console(stderr=args.json, width=TABLE_WIDTH)
     rows = ablation_scores(session, tracks) if args.ablation else {}
     if not args.json:
-        print_evaluation(console, judged)
+        print_evaluation(console, evaluated)
         if rows:
             print_ablation(console, rows)
     if args.plots or args.video or not args.json:
         folder = Path(args.plots) if args.plots else Path("output/evaluate") / session.folder.name
-        for path in pictures(folder, judged, args.video, counter("drawing")):
+        for path in pictures(folder, evaluated, args.video, counter("drawing")):
             console.print(f"picture: {path}")
     if rows:
         figures["ablation"] = {name: _brief(found) for name, found in rows.items()}
@@ -76,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def find(args: argparse.Namespace) -> tuple[Session, str | None]:
-    """The session, and the bag to judge, if one is meant."""
+    """The session, and the bag to evaluate, if one is given."""
     given = Path(args.session)
     if args.bag is None and is_bag(given):
         return session_of_bag(given), str(given)
@@ -84,25 +78,25 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
 
 
 def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, Track], int]:
-    """The track in a bag that was recorded while the session played, and the thesis's track where it is wanted."""
+    """The track in a bag that was recorded on the session, the thesis's track where it is wanted, and frames."""
     if args.ablation:
         raise InputError(
             "a bag holds one track and no variants of it",
             where="--ablation",
             remedy=f"Run sagoma evaluate {session.folder} --ablation.",
         )
-    play = clock_of(bag, session)
-    tracks = {OURS: track_from_bag(bag, play.frame_of).between(0, play.frames)}
+    clock = clock_of(bag, session)
+    tracks = {OURS: track_from_bag(bag, clock.frame_of).between(0, clock.frames)}
     if args.thesis and not session.videos:
         raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")
     if args.thesis:
         variants = {THESIS: thesis_configuration(_settings(args, session))}
         tracks |= track_variants(session, variants, exact_masks=args.exact_masks)
-    return tracks, play.frames
+    return tracks, clock.frames
 
 
 def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track], int]:
-    """The session tracked with the given settings, by the thesis's method, and by what lies between for an ablation."""
+    """The session tracked with the given settings, by the thesis's method, and by every row of an ablation; frames."""
     if args.ablation and session.truth is None:
         raise InputError(
             "has no truth.csv or reference*.csv to compare with",
@@ -120,30 +114,24 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track
 
 
 def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:
-    """The rows of the ablation in their order."""
+    """The scores of the ablation's rows, in order; None for an empty track."""
     assert session.truth is not None
     return {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
 
 
-def pictures(folder: Path, judged: TrackEvaluation, video: bool, progress: Callable[[int], None]) -> list[Path]:
-    """Plots, and overlays where there is footage."""
+def pictures(folder: Path, evaluated: TrackEvaluation, video: bool, progress: Callable[[int], None]) -> list[Path]:
+    """Draw plots, and overlays where there is footage; returns the paths."""
     from ..evaluation.plots import draw_plots  # matplotlib takes a second to load
 
-    paths = draw_plots(folder, judged)
-    if not judged.session.videos:
+    paths = draw_plots(folder, evaluated)
+    if not evaluated.session.videos:
         return paths
-    paths += draw_stills(folder, judged)
-    return [*paths, write_overlay(folder / "overlay.mp4", judged, progress)] if video else paths
-
-
-def wide_console(stderr: bool) -> Console:
-    """As wide as the tables are, where nobody's terminal says otherwise."""
-    console = Console(stderr=stderr)
-    return console if console.is_terminal else Console(stderr=stderr, width=TABLE_WIDTH)
+    paths += draw_stills(folder, evaluated)
+    return [*paths, write_overlay(folder / "overlay.mp4", evaluated, progress)] if video else paths
 
 
 def counter(verb: str) -> Callable[[int], None]:
-    """Shows on a terminal which frame it is at."""
+    """A callback that shows the frame number on a terminal."""
     console = Console(stderr=True)
 
     def show(frame: int) -> None:

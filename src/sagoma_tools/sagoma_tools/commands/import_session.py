@@ -1,37 +1,77 @@
-"""``sagoma import``: recordings of others as session folders."""
+"""``sagoma import``: recordings of public data sets as session folders. One function a data set adds its arguments."""
 
 from __future__ import annotations
 
 import argparse
-from typing import Protocol
+from pathlib import Path
 
-from ..importers.humaneva import command as humaneva
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-# --- Every importer by the name that ``sagoma import NAME`` knows it by.
+from capture_rig.errors import InputError
 
-
-class Importer(Protocol):
-    """What an importer's ``command`` module offers."""
-
-    HELP: str
-
-    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare what it needs to know."""
-        ...
-
-    def run(self, args: argparse.Namespace) -> int:
-        """Write the session folder and say what is in it; InputError for files it cannot use."""
-        ...
-
-
-IMPORTERS: dict[str, Importer] = {"humaneva": humaneva}
+from ..importers.humaneva.importer import CAMERAS, Request, Summary, Trial, import_trial
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the subcommand, with a subcommand of its own for each importer."""
+    """Add the subcommand, with a subcommand of its own for each data set."""
     parser = subparsers.add_parser("import", help="make a session folder of a public data set's recording")
     kinds = parser.add_subparsers(title="data sets", required=True, metavar="DATASET")
-    for name, importer in IMPORTERS.items():
-        kind = kinds.add_parser(name, help=importer.HELP)
-        importer.add_arguments(kind)
-        kind.set_defaults(run=importer.run)
+    add_humaneva(kinds)
+
+
+def add_humaneva(kinds: argparse._SubParsersAction) -> None:
+    """Add the arguments of ``sagoma import humaneva``: the trial, its cameras and frames, the folder to write."""
+    help_text = "a trial of HumanEva-I (Sigal, Balan & Black 2010) that you have from its owners"
+    parser = kinds.add_parser("humaneva", help=help_text)
+    parser.add_argument("root", type=Path, help="folder that holds S1, S2, S3, S4 and Background")
+    parser.add_argument("--subject", required=True, help="S1 to S4")
+    parser.add_argument("--action", required=True, help="Walking, Jog, ThrowCatch, Gestures, Box or Combo")
+    parser.add_argument("--trial", type=int, default=1, help="1 has footage and motion capture (default)")
+    parser.add_argument("--cameras", nargs="+", default=list(CAMERAS), metavar="CAMERA", help=", ".join(CAMERAS))
+    help_frames = "the data set's own frame numbers, from 6 on (default: all)"
+    parser.add_argument("--frames", nargs=2, type=int, metavar=("FIRST", "LAST"), help=help_frames)
+    parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
+    parser.add_argument("output", type=Path, nargs="?", help="the session folder to write")
+    parser.set_defaults(run=import_humaneva)
+
+
+def import_humaneva(args: argparse.Namespace) -> int:
+    """Import the trial, then print what was written and what to do next."""
+    cameras, output = _cameras_and_output(args)
+    frames = None if args.frames is None else (args.frames[0], args.frames[1])
+    trial = Trial(args.root, args.subject, args.action, args.trial)
+    request = Request(trial, cameras, frames, not args.no_truth)
+    console = Console()
+    columns = TextColumn("copying"), MofNCompleteColumn(), TextColumn("frames"), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=None if frames is None else frames[1] - frames[0] + 1)
+        summary = import_trial(request, output, lambda done: progress.update(task, completed=done))
+    report(console, request, output, summary)
+    return 0
+
+
+def report(console: Console, request: Request, output: Path, summary: Summary) -> None:
+    """Print what was written, and the next command."""
+    footage = summary.footage
+    console.print(f"{request.trial}: {footage.frames} frames of {', '.join(request.cameras)}", highlight=False)
+    for camera, room in footage.empty_rooms.items():
+        console.print(f"empty room of {camera}: {room}", highlight=False)
+    if request.with_truth:
+        share = summary.frames_with_truth / footage.frames
+        console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
+        console.print(f"next: sagoma evaluate {output} --start session", highlight=False)
+    else:
+        console.print(f"next: sagoma up {output}", highlight=False)
+
+
+def _cameras_and_output(args: argparse.Namespace) -> tuple[tuple[str, ...], Path]:
+    cameras, output = list(args.cameras), args.output
+    if output is None and len(cameras) > 1 and cameras[-1] not in CAMERAS:
+        output = Path(cameras.pop())  # argparse gives a folder that follows --cameras to --cameras
+    if output is None:
+        raise InputError("no session folder to write is given", where="command line", remedy="Put its path last.")
+    for camera in cameras:
+        if camera not in CAMERAS:
+            raise InputError(f"there is no camera '{camera}'", where="--cameras", remedy=f"Use {', '.join(CAMERAS)}.")
+    return tuple(dict.fromkeys(cameras)), output

@@ -1,4 +1,4 @@
-"""The examination of one camera's parameter file: collect, judge, step by step, as far as the file allows."""
+"""Examines a camera's parameter file and the camera that it names, as far as the file allows."""
 
 from __future__ import annotations
 
@@ -22,19 +22,17 @@ from .findings import Finding, error, note, ok, on, warning
 from .machine.checks import check_host
 from .machine.collect import SUBJECT
 
-# --- The camera's own settings: calibration, background, and whether exposure and rate go together.
-
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
 EXPOSURE_TOLERANCE = 0.02
 LEARN = "sagoma background --cameras {name}, while the room is empty"
 
 
 def check_calibration(calibration: Calibration, settings: CameraClientSettings) -> Finding:
-    """How much is known of the camera."""
+    """Report whether the camera's lens and pose are known."""
     camera = calibration.camera
     if camera is None:
         return note(
-            "rig",
+            "rig.uncalibrated",
             "not calibrated yet: it sends images, no silhouettes",
             f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD",
         )
@@ -42,7 +40,7 @@ def check_calibration(calibration: Calibration, settings: CameraClientSettings) 
     if calibration.placed:
         return ok("rig", f"{settings.rig_file}: {size}")
     return note(
-        "rig",
+        "rig.lens_only",
         f"{settings.camera_info_file}: {size}; its lens is known, its place is not",
         "sagoma calibrate extrinsics, then name the rig file in rig_file.",
     )
@@ -51,24 +49,24 @@ def check_calibration(calibration: Calibration, settings: CameraClientSettings) 
 def check_background(
     facts: BackgroundFacts | None, camera: CameraModel, settings: CameraClientSettings
 ) -> Iterator[Finding]:
-    """Is it there, does it fit, is it fresh?"""
+    """Check that the background can be read, has the camera's size, and is recent."""
     learn = LEARN.format(name=camera.name)
     if facts is None:
-        yield note("background", "none is named: no silhouettes until one is learned", learn)
+        yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
         return
     if facts.error:
-        yield error("background", facts.error, f"Name the right file, or empty the parameter, and {learn}")
+        yield error("background.unusable", facts.error, f"Name the right file, or empty the parameter, and {learn}")
         return
     if facts.shape[:2] != (camera.height, camera.width):
         yield error(
-            "background",
+            "background.size_differs",
             f"{facts.path} is {facts.shape[1]} x {facts.shape[0]}, the camera {camera.width} x {camera.height} pixels",
             learn,
         )
         return
     age = f"{facts.age_s / 3600:.0f} h old"
     if facts.age_s > OLD_S:
-        yield warning("background", f"{facts.path} is {age}; the light has changed since", learn)
+        yield warning("background.old", f"{facts.path} is {age}; the light has changed since", learn)
     else:
         yield ok("background", f"{facts.path}, {age}{'; ' if facts.summary else ''}{facts.summary}")
     yield from _check_learned_exposure(facts, settings, learn)
@@ -81,15 +79,19 @@ def _check_learned_exposure(facts: BackgroundFacts, settings: CameraClientSettin
     except ValueError:  # it is not written in the file
         return
     if wanted > 0 and abs(learned - wanted) > EXPOSURE_TOLERANCE * wanted:
-        yield warning("background", f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}", learn)
+        yield warning(
+            "background.exposure_differs",
+            f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}",
+            learn,
+        )
 
 
 def check_timing(settings: CameraClientSettings) -> Iterator[Finding]:
-    """Do exposure and frame rate go together, and is anything left to the camera?"""
+    """Check that the exposure fits the frame rate, and name settings that are left to the camera."""
     exposure_us, rate = settings.aravis.exposure_us, settings.aravis.frame_rate
     if exposure_us > 0 and rate > 0 and exposure_us * 1e-6 * rate >= 1:
         yield error(
-            "exposure",
+            "exposure.longer_than_frame",
             f"{exposure_us:g} us do not fit {rate:g} frames a second (at most {1e6 / rate:.0f} us)",
             "Shorten aravis.exposure_us or lower aravis.frame_rate.",
         )
@@ -97,7 +99,11 @@ def check_timing(settings: CameraClientSettings) -> Iterator[Finding]:
         yield ok("exposure", f"{exposure_us:g} us at {rate:g} frames a second")
     for key, value in (("exposure_us", exposure_us), ("gain", settings.aravis.gain), ("frame_rate", rate)):
         if value < 0:
-            yield note("settings", f"aravis.{key} is left as the camera has it", "Set it: cameras forget.")
+            yield note(
+                "settings.left_to_camera",
+                f"aravis.{key} is left as the camera has it",
+                "Set it: cameras lose their settings when they lose power.",
+            )
 
 
 NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
@@ -120,7 +126,9 @@ def examine(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iter
     try:
         file = read_file(path)
     except InputError as problem:
-        yield from on(f"camera file {path}", [error("file", f"{problem.where}: {problem.what}", problem.remedy)])
+        yield from on(
+            f"camera file {path}", [error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)]
+        )
         return
     host = collect_host()
     yield from on(f"camera {file.name}", _examine_file(path, file, host, open_it))
@@ -137,10 +145,10 @@ def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) 
         yield check_calibration(calibration, file.settings)
         yield from _camera_info(file.settings)
     except InputError as problem:
-        yield error("rig", f"{problem.where}: {problem.what}", problem.remedy)
+        yield error("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy)
     if file.settings.camera_name not in ("", file.name):
         yield warning(
-            "file",
+            "file.names_differ",
             f"its key names {file.name}, camera_name says '{file.settings.camera_name}'",
             "Give both the same name.",
         )
@@ -150,7 +158,7 @@ def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) 
     if file.settings.source == "aravis":
         yield from _examine_live(file, host, open_it)
     else:
-        yield note("camera", f"source: {file.settings.source}; network and camera are not looked at")
+        yield note("camera.not_gige", f"source: {file.settings.source}; network and camera are not examined")
 
 
 def read_file(path: Path) -> CameraFile:
@@ -199,7 +207,7 @@ def _examine_live(file: CameraFile, host: HostFacts, open_it: bool) -> Iterator[
     yield from check_receive_buffer(host, settings)
     if not settings.address:
         yield note(
-            "camera",
+            "camera.no_address",
             "found by broadcast when the client starts; not asked here",
             "Give aravis.address to have it examined.",
         )
@@ -219,17 +227,17 @@ def _opened(file: CameraFile) -> Iterator[Finding]:
     try:
         with source:
             for text in source.warnings:
-                yield warning("opened", text, "See docs/camera_pcs.md.")
-            told = ", ".join(f"{key} {value}" for key, value in source.details.items())
-            yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {told}")
+                yield warning("opened.warning", text, "See docs/camera_pcs.md.")
+            details = ", ".join(f"{key} {value}" for key, value in source.details.items())
+            yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
     except InputError as problem:
-        yield error("opened", f"{problem.where}: {problem.what}", problem.remedy)
+        yield error("opened.failed", f"{problem.where}: {problem.what}", problem.remedy)
 
 
 def _unopened(file: CameraFile) -> Iterator[Finding]:
     yield note(
-        "opened",
-        "PTP, temperature and features are known only to who controls the camera",
+        "opened.not_tried",
+        "PTP, temperature and features are known only to the program that controls the camera",
         "Run again with --open while no client runs.",
     )
 
@@ -238,7 +246,7 @@ def _camera_info(settings: CameraClientSettings) -> Iterator[Finding]:
     path = settings.camera_info_file
     if path and not Path(path).exists():
         yield note(
-            "camera_info",
+            "camera_info.missing",
             f"{path} does not exist yet: the rig's intrinsics are in use",
             "Calibrate the camera: set_camera_info writes it.",
         )

@@ -1,4 +1,7 @@
-"""The way to the camera: interface, subnet, packets, bandwidth, buffers, and who controls it."""
+"""Checks the network between this machine and a camera: interface, subnet, packets, bandwidth, buffers, control.
+
+The camera is asked over GVCP by unicast; nothing is asked that would need control of it.
+"""
 
 from __future__ import annotations
 
@@ -15,55 +18,60 @@ from gige_vision.bootstrap import Capability
 from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket, MalformedPacket
 
 from .facts import DeviceFacts, HostFacts, InterfaceFacts, Stream
-from .findings import Finding, error, note, ok, warning
+from .findings import Finding, error, graded, note, ok, warning
 
 JUMBO_MTU = 9000
 GIGABIT = 1000
 PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
 ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
 BUSY, FULL = 0.7, 0.95  # shares of the link
+ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
 
 
 def check_interface(facts: InterfaceFacts | None, address: str, settings: AravisSettings) -> Iterator[Finding]:
-    """Is there a way to the camera, and does it carry large packets?"""
+    """Check that an interface leads to the camera and carries large packets."""
     if facts is None:
         yield error(
-            "interface",
+            "interface.none",
             f"there is no way to {address} from this machine",
             f"Give an interface an address in the camera's subnet; see: ip route get {address}",
         )
         return
     if not facts.up:
-        yield error("interface", f"{facts.name} is down", f"Plug the cable in, or: sudo ip link set {facts.name} up")
+        yield error(
+            "interface.down", f"{facts.name} is down", f"Plug the cable in, or: sudo ip link set {facts.name} up"
+        )
         return
     yield ok("interface", f"{facts.name}, {facts.address}/{facts.netmask}, MTU {facts.mtu}")
     jumbo = f"sudo ip link set {facts.name} mtu {JUMBO_MTU} (and the same on the switch)"
     if settings.packet_size > facts.mtu:
         yield error(
-            "mtu",
+            "mtu.packet_too_large",
             f"aravis.packet_size = {settings.packet_size}, but the MTU of {facts.name} is {facts.mtu}",
             f"{jumbo}, or a smaller packet_size, or 0: the largest that passes",
         )
     elif facts.mtu < JUMBO_MTU and not facts.loopback:
-        yield warning("mtu", f"{facts.name} carries packets of {facts.mtu} bytes: six times the interrupts", jumbo)
+        yield warning(
+            "mtu.no_jumbo_frames", f"{facts.name} carries packets of {facts.mtu} bytes: six times the interrupts", jumbo
+        )
     if 0 < facts.speed_mbit < GIGABIT and not facts.loopback:
         yield warning(
-            "speed",
+            "speed.slow",
             f"{facts.name} runs at {facts.speed_mbit} Mbit/s",
             "Check cable and switch: GigE Vision needs 1000 Mbit/s or more.",
         )
 
 
 def check_device(facts: DeviceFacts, settings: AravisSettings, interface: InterfaceFacts | None) -> Iterator[Finding]:
-    """Does it answer, is it the one that is meant, may we have it?"""
+    """Check that the camera answers, is the configured one, and is free."""
     if facts.error:
-        yield error("camera", facts.error, "Check power, cable, address and subnet (ping it).")
+        yield error("camera.silent", facts.error, "Check power, cable, address and subnet (ping it).")
         return
     yield ok("camera", f"{facts.name}, serial {facts.serial}, answers at {facts.address}")
     for key, wanted, got in (("serial", settings.serial, facts.serial), ("user_id", settings.user_id, facts.user_id)):
         if wanted and wanted != got:
             yield error(
-                key,
+                f"{key}.differs",
                 f"the camera at {facts.address} has {key} '{got}', aravis.{key} asks for '{wanted}'",
                 f"Correct aravis.address or aravis.{key}.",
             )
@@ -72,18 +80,18 @@ def check_device(facts: DeviceFacts, settings: AravisSettings, interface: Interf
     yield from _check_ptp(facts, settings)
     if facts.can_resend is False:
         yield warning(
-            "resend",
+            "resend.unsupported",
             "the camera cannot send a packet again: each one lost costs a frame",
             "Use its own cable to this machine, and jumbo frames.",
         )
 
 
 def check_bandwidth(streams: Sequence[Stream], interface: InterfaceFacts | None, packet_size: int) -> Iterator[Finding]:
-    """Does what the cameras on this interface send fit the link? ``streams`` holds this camera first."""
+    """Check that all cameras on this interface fit its link; ``streams`` holds this camera first."""
     unknown = [stream.camera for stream in streams if not stream.frame_rate]
     if unknown:
         yield note(
-            "bandwidth",
+            "bandwidth.rate_unknown",
             f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera",
             "Set it, so that all cameras run at one rate.",
         )
@@ -96,36 +104,34 @@ def check_bandwidth(streams: Sequence[Stream], interface: InterfaceFacts | None,
     what = f"{needed / 1e6:.0f} MB/s of {who}"
     if interface.loopback or not interface.speed_mbit:
         why = "loopback has no speed" if interface.loopback else f"the speed of {interface.name} is unknown"
-        yield note("bandwidth", f"{what}; {why}")
+        yield note("bandwidth.link_unknown", f"{what}; {why}")
         return
     share = needed / (interface.speed_mbit * 1e6 / 8)
     text = f"{what} take {100 * share:.0f} % of the {interface.speed_mbit} Mbit/s of {interface.name}"
     remedy = "Lower frame rate, region or bit depth, or give some cameras another interface."
-    if share > FULL:
-        yield error("bandwidth", text, remedy)
-    elif share > BUSY:
-        yield warning("bandwidth", text, f"{remedy} Space packets out with aravis.packet_delay_ns.")
-    else:
-        yield ok("bandwidth", text)
+    space = f"{remedy} Space packets out with aravis.packet_delay_ns."
+    yield graded("bandwidth", text, (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", space))
 
 
 def stream_bytes_per_s(stream: Stream, packet_size: int) -> float:
-    """Bytes a second on the wire, with the headers of every packet (leader and trailer included)."""
+    """Bytes a second on the wire, with the headers of every packet, leader and trailer included (GVSP 2.0)."""
     packets = -(-stream.payload_bytes // max(packet_size - PACKET_HEADERS, 1)) + 2
     return stream.frame_rate * (stream.payload_bytes + packets * (PACKET_HEADERS + ETHERNET_FRAME))
 
 
 def check_receive_buffer(host: HostFacts, settings: AravisSettings) -> Iterator[Finding]:
-    """May the stream's socket be as large as the settings ask?"""
+    """Check that the stream's socket may be as large as the settings ask."""
     wanted = settings.socket_buffer_bytes
     if host.rmem_max is None:
-        yield note("rmem_max", "unknown: this container does not show net.core.rmem_max", "Look at it on the host.")
+        yield note(
+            "rmem_max.unknown", "unknown: this container does not show net.core.rmem_max", "Look at it on the host."
+        )
         return
     if host.rmem_max >= wanted:
         yield ok("rmem_max", f"net.core.rmem_max = {host.rmem_max} bytes, wanted {wanted}")
         return
     yield warning(
-        "rmem_max",
+        "rmem_max.small",
         f"net.core.rmem_max = {host.rmem_max} bytes, aravis.socket_buffer_bytes asks for {wanted}: frames will be lost",
         f"sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in /etc/sysctl.d/60-cameras.conf)",
     )
@@ -139,7 +145,7 @@ def _check_subnet(facts: DeviceFacts, interface: InterfaceFacts | None) -> Itera
     if ipaddress.IPv4Address(facts.own_address) in ours and ipaddress.IPv4Address(interface.address) in theirs:
         return
     yield warning(
-        "subnet",
+        "subnet.differs",
         f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router",
         "Put both into one subnet (the maker's IP tool, or DHCP).",
     )
@@ -155,11 +161,13 @@ def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding
     if facts.can_ptp:
         yield ok("ptp", f"the camera has PTP, which aravis.{needed_by} needs; --open shows whether it is in step")
     elif facts.can_ptp is None:
-        yield note("ptp", f"{what}; whether the camera has it is unknown", "See with --open, while no client runs.")
+        yield note(
+            "ptp.unknown", f"{what}; whether the camera has it is unknown", "See with --open, while no client runs."
+        )
     else:
         # the capability bit is of GigE Vision 2.0; older cameras may have PTP all the same
         yield warning(
-            "ptp",
+            "ptp.unsupported",
             f"{what}, and the camera does not announce it",
             "See with --open; else set aravis.sync to line or software, stamp_source to camera.",
         )
@@ -167,30 +175,25 @@ def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding
 
 def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iterator[Finding]:
     if facts.controlled is None:
-        yield note("control", "unknown: the camera does not tell who controls it")
+        yield note("control.unknown", "unknown: the camera does not report its controller")
     elif not facts.controlled:
-        yield ok("control", "nobody controls the camera: it can be opened")
+        yield ok("control", "no program controls the camera: it can be opened")
     elif interface is not None and facts.controller == interface.address:
         yield note(
-            "control",
+            "control.local",
             f"a program on this machine ({facts.controller}) controls the camera",
-            "Well, if that is the camera client; else stop it.",
+            "Nothing, if that is the camera client; else stop it.",
         )
     else:
         yield warning(
-            "control",
+            "control.taken",
             f"{facts.controller or 'another program'} controls the camera",
             "Stop the program there; a camera has one controller.",
         )
 
 
-# --- Questions to one GigE Vision camera that need no control over it: who are you, who controls you, what can you do?
-
-ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
-
-
 def ask_camera(address: str) -> DeviceFacts:
-    """What the camera at ``address`` answers, by unicast only."""
+    """Ask the camera at ``address`` for its identity, capabilities and controller, by unicast only."""
     try:
         record = discover_at(address).device
     except InputError as error:

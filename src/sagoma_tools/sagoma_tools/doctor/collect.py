@@ -1,4 +1,4 @@
-"""Collects the facts of this machine and of one camera. Asks the one camera by its address, and nobody else."""
+"""Collects facts about this machine (cores, clock, interface) and about a camera's background file."""
 
 from __future__ import annotations
 
@@ -20,8 +20,6 @@ from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
 
 from .facts import BackgroundFacts, ClockFacts, HostFacts, InterfaceFacts
-
-# --- What the kernel itself knows of its clock (adjtimex, NTP's kernel model): readable by anybody, in containers too.
 
 TIME_ERROR = 5  # adjtimex: the clock is not synchronised
 KNOWN_US = 10_000_000  # an estimated error this large is the kernel's way to say that nobody told it
@@ -45,7 +43,7 @@ class _Timex(ctypes.Structure):
 
 
 def kernel_clock() -> ClockFacts:
-    """In step or not, and the estimated error, whoever keeps it."""
+    """Synchronisation from the kernel's own clock model (adjtimex), which any user may read, in containers too."""
     state = _Timex(modes=0)  # reads, changes nothing
     answer = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.byref(state))
     if answer < 0:
@@ -69,7 +67,7 @@ ROS_VARIABLES = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOS
 
 
 def collect_host() -> HostFacts:
-    """This machine."""
+    """Facts about this machine."""
     governors = sorted(Path(GOVERNORS).glob("cpu[0-9]*/cpufreq/scaling_governor"))
     return HostFacts(
         rmem_max=read_number(RMEM_MAX),
@@ -84,7 +82,7 @@ def collect_host() -> HostFacts:
 
 
 def read_number(path: Path) -> int | None:
-    """A kernel's figure; None where it is not shown, as in containers of some kernels."""
+    """A number that the kernel publishes in a file; None where it does not, as in some containers."""
     try:
         return int(path.read_text())
     except OSError:
@@ -135,7 +133,7 @@ def collect_background(settings: CameraClientSettings, shape: tuple[int, int]) -
 
 
 def collect_clock() -> ClockFacts:
-    """How the system's clock is kept, as chrony, systemd, linuxptp's processes or, at last, the kernel says."""
+    """Synchronisation of the clock: from chrony, systemd, linuxptp's processes or, if there is none, the kernel."""
     if shutil.which("chronyc"):
         text = _output(["chronyc", "-c", "tracking"])
         fields = text.strip().split(",")

@@ -1,4 +1,4 @@
-"""What the doctor looks at, as plain data: a test can make up any machine. None means unknown."""
+"""Facts about this machine and one camera that the doctor checks, as plain data. None means unknown."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class InterfaceFacts:
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """What the camera itself answers to unicast questions that take nothing from whoever uses it.
+    """A camera's answers to unicast requests, which disturb no program that uses it.
 
-    ``error`` says why there is no answer. ``controller`` is the address of the program in control ("" for nobody,
-    None where the camera does not tell which); ``controlled`` whether there is one.
+    ``error`` says why there is no answer. ``controller`` is the address of the program in control ("" for none, None
+    where the camera does not report it); ``controlled`` whether there is one.
     """
 
     address: str
@@ -42,7 +42,7 @@ class DeviceFacts:
 
 @dataclass(frozen=True)
 class BackgroundFacts:
-    """The background file: why it cannot be used, or its age and what is written in it."""
+    """The background file: why it cannot be used, or its age and its provenance."""
 
     path: str
     error: str = ""
@@ -54,7 +54,7 @@ class BackgroundFacts:
 
 @dataclass(frozen=True)
 class ClockFacts:
-    """How the system's clock is kept: by whom, in step or not, and how far off at most (seconds)."""
+    """Synchronisation of the system's clock: by which service, in step or not, and its offset at most (seconds)."""
 
     keeper: str = ""
     in_step: bool | None = None
@@ -84,9 +84,6 @@ class Stream:
     camera: str
     payload_bytes: int
     frame_rate: float
-
-
-# --- What the doctor looks at on the machine it runs on, as plain data. None means unknown.
 
 
 @dataclass(frozen=True)

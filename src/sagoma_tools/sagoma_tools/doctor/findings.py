@@ -1,10 +1,13 @@
-"""One finding of the doctor: how grave, about what, and what to do."""
+"""The doctor's findings: how grave, about what, and what to do; printed by subject, the gravest first.
+
+A finding's code, "ABOUT.CONDITION" ("mtu.too_large", "clock.off"), is stable: scripts and tests match it, not the text.
+"""
 
 from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -13,7 +16,7 @@ from rich.text import Text
 
 
 class Severity(IntEnum):
-    """The exit status follows from the gravest one: 0 for OK and NOTE, 1 for WARNING, 2 for ERROR."""
+    """How grave a finding is. Exit status of the gravest: 0 for OK and NOTE, 1 for WARNING, 2 for ERROR."""
 
     OK = 0
     NOTE = 1
@@ -23,50 +26,68 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """``about`` is a short name ("rmem_max"); ``remedy`` is empty where nothing is to be done.
+    """One finding; ``remedy`` is empty where nothing is to be done.
 
     ``subject`` is what was examined ("this machine", "camera cam01"): findings are shown grouped by it.
     """
 
     severity: Severity
-    about: str
+    code: str
     what: str
     remedy: str = ""
     subject: str = ""
 
+    @property
+    def about(self) -> str:
+        """The code without its condition: "rmem_max" of "rmem_max.small"."""
+        return self.code.partition(".")[0]
+
     def as_dict(self) -> dict[str, str]:
-        """For JSON."""
+        """The finding as plain data for JSON."""
         return {
             "severity": self.severity.name.lower(),
             "subject": self.subject,
             "about": self.about,
+            "code": self.code,
             "what": self.what,
             "remedy": self.remedy,
         }
 
 
 def ok(about: str, what: str) -> Finding:
-    """All is well."""
-    return Finding(Severity.OK, about, what)
+    """A check that passed; its code is "ABOUT.ok"."""
+    return Finding(Severity.OK, f"{about}.ok", what)
 
 
-def note(about: str, what: str, remedy: str = "") -> Finding:
-    """Worth knowing; also what could not be found out, with the reason."""
-    return Finding(Severity.NOTE, about, what, remedy)
+def note(code: str, what: str, remedy: str = "") -> Finding:
+    """A fact worth knowing, or one that could not be determined, with the reason."""
+    return Finding(Severity.NOTE, code, what, remedy)
 
 
-def warning(about: str, what: str, remedy: str) -> Finding:
-    """It works, but not as well as it should, or not for long."""
-    return Finding(Severity.WARNING, about, what, remedy)
+def warning(code: str, what: str, remedy: str) -> Finding:
+    """A fault with which the graph works, but not as well as it should, or not for long."""
+    return Finding(Severity.WARNING, code, what, remedy)
 
 
-def error(about: str, what: str, remedy: str) -> Finding:
-    """It cannot work like this."""
-    return Finding(Severity.ERROR, about, what, remedy)
+def error(code: str, what: str, remedy: str) -> Finding:
+    """A fault with which the graph cannot work."""
+    return Finding(Severity.ERROR, code, what, remedy)
+
+
+Case = tuple[bool, Callable[[str, str, str], Finding], str, str]
+"""Whether it applies, its severity, its condition and its remedy."""
+
+
+def graded(about: str, what: str, *cases: Case) -> Finding:
+    """One text, graded by the first of the ``cases`` that applies; ok when none does."""
+    for applies, severity, condition, remedy in cases:
+        if applies:
+            return severity(f"{about}.{condition}", what, remedy)
+    return ok(about, what)
 
 
 def on(subject: str, findings: Iterable[Finding]) -> Iterator[Finding]:
-    """The findings, said of ``subject``."""
+    """The findings with their ``subject`` set."""
     for finding in findings:
         yield replace(finding, subject=subject)
 
@@ -82,30 +103,28 @@ def exit_status(findings: Sequence[Finding], strict: bool = False) -> int:
 def summary(findings: Sequence[Finding]) -> str:
     """One line: how many of each, and the first of the gravest ones."""
     counts = Counter(finding.severity for finding in findings)
-    told = [_counted(counts[kind], kind.name.lower()) for kind in (Severity.ERROR, Severity.WARNING) if counts[kind]]
-    if not told:
+    counted = [_counted(counts[kind], kind.name.lower()) for kind in (Severity.ERROR, Severity.WARNING) if counts[kind]]
+    if not counted:
         return f"no errors, no warnings ({_counted(counts[Severity.OK], 'check')} passed)"
     gravest = max(finding.severity for finding in findings)
     first = next(finding for finding in findings if finding.severity is gravest)
     where = f"{first.subject}: " if first.subject else ""
-    return f"{', '.join(told)}; first: {where}{first.what}"
+    return f"{', '.join(counted)}; first: {where}{first.what}"
 
 
 def _counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
-# --- Shows findings to a person: grouped by what was examined, the gravest first, and one line that sums them up.
-
 STYLES = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
 INDENT, ABOUT_WIDTH = 10, 14
-UNBROKEN = 100_000  # columns of a file: lines there are for grep
+UNBROKEN = 100_000  # columns of a file: no line is broken, so that grep finds them
 
 
 def show(findings: Sequence[Finding], console: Console, *, all_of_them: bool = False) -> None:
-    """Group by group in the order of the findings; what is well is one line a group unless ``all_of_them``."""
+    """Print the findings by subject, and the summary; passed checks share one line unless ``all_of_them``."""
     subjects = dict.fromkeys(finding.subject for finding in findings)
-    for subject in sorted(subjects, key=lambda subject: subject.startswith("camera ")):  # many alike: after the others
+    for subject in sorted(subjects, key=lambda subject: subject.startswith("camera ")):  # cameras last
         console.print(Text(subject or "findings", style="bold"))
         for line in _group([finding for finding in findings if finding.subject == subject], console, all_of_them):
             console.print(line, soft_wrap=True)
@@ -118,9 +137,9 @@ def _group(findings: Sequence[Finding], console: Console, all_of_them: bool) -> 
     for finding in sorted(findings, key=lambda finding: -finding.severity):
         if finding.severity > Severity.OK or all_of_them:
             yield from _lines(finding.severity, finding.about, finding.what, finding.remedy, width)
-    well = dict.fromkeys(finding.about for finding in findings if finding.severity is Severity.OK)
-    if well and not all_of_them:
-        yield from _lines(Severity.OK, "", ", ".join(well), "", width)
+    passed = dict.fromkeys(finding.about for finding in findings if finding.severity is Severity.OK)
+    if passed and not all_of_them:
+        yield from _lines(Severity.OK, "", ", ".join(passed), "", width)
 
 
 def _lines(severity: Severity, about: str, what: str, remedy: str, width: int) -> Iterator[Text]:

@@ -1,4 +1,4 @@
-"""The examination of a rig file, its calibration and footage of it: collect, judge."""
+"""Examines a rig file, its calibration reports, and footage of the rig."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
 from capture_rig.settings import read_mapping
 from capture_rig.verdict import GOOD, REDO, USABLE
 
-from .findings import Finding, error, note, ok, on, warning
+from .findings import Finding, error, graded, note, ok, on, warning
 from .rig_facts import (
     SUFFIX,
     CameraGeometry,
@@ -29,8 +29,6 @@ from .rig_facts import (
     read_report,
     report_beside,
 )
-
-# --- What the facts of a rig mean: is its calibration believable, and do its cameras see a person together?
 
 DAY_S = 86400.0
 AGEING_DAYS, OLD_DAYS = 30, 180
@@ -49,14 +47,14 @@ SEES_NOTHING = 0.01
 
 
 def check_rig(facts: RigFacts) -> Iterator[Finding]:
-    """What concerns the rig as a whole."""
+    """Check the rig as a whole: report, number of cameras, common view, pairs."""
     names = ", ".join(camera.name for camera in facts.cameras)
     yield ok("file", f"{facts.path}: {len(facts.cameras)} cameras ({names})")
     yield from check_report(facts.report, CALIBRATE)
     bare = [camera.name for camera in facts.cameras if camera.name not in facts.reports]
     if bare:
         yield note(
-            "reports",
+            "reports.no_lens",
             f"there is none of the lens of {', '.join(bare)}",
             f"{CALIBRATE_LENS}, or say with --intrinsics where they are.",
         )
@@ -66,12 +64,12 @@ def check_rig(facts: RigFacts) -> Iterator[Finding]:
 
 
 def check_camera(camera: CameraGeometry, report: ReportFacts | None, differing: str = "") -> Iterator[Finding]:
-    """What concerns one camera: its lens, its place, what it sees."""
-    if report is not None:  # of those without one the rig's findings tell
+    """Check one camera: its lens, its pose, its view of the volume."""
+    if report is not None:  # cameras without one are named by check_rig
         yield from check_report(report, CALIBRATE_LENS)
     if differing:
         yield warning(
-            "intrinsics",
+            "intrinsics.differ",
             f"its own camera_info differs from the rig file: {differing}",
             f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
             "else remove the old camera_info.",
@@ -81,34 +79,34 @@ def check_camera(camera: CameraGeometry, report: ReportFacts | None, differing: 
 
 
 def check_report(report: ReportFacts | None, again: str) -> Iterator[Finding]:
-    """Is there a report beside the calibration, what is its verdict, how old is it?"""
+    """Check that the calibration has a report, its verdict, and its age."""
     if report is None:
-        yield note("report", "there is none: nothing is known of the calibration's accuracy", again)
+        yield note("report.missing", "there is none: nothing is known of the calibration's accuracy", again)
         return
     if report.error:
-        yield warning("report", f"{report.path}: {report.error}", again)
+        yield warning("report.unreadable", f"{report.path}: {report.error}", again)
         return
-    said = "; ".join(f"{what} ({remedy})" if remedy else what for what, remedy in report.findings)
-    text = f"{report.path}: {report.grade}{': ' if said else ''}{said}"
+    findings = "; ".join(f"{what} ({remedy})" if remedy else what for what, remedy in report.findings)
+    text = f"{report.path}: {report.grade}{': ' if findings else ''}{findings}"
     if report.grade == REDO:
-        yield error("calibration", text, f"{again}, after what the report says")
+        yield error("calibration.redo", text, f"{again}, after what the report says")
     elif report.grade == USABLE:
-        yield warning("calibration", text, f"{again}, after what the report says, when there is time")
+        yield warning("calibration.usable", text, f"{again}, after what the report says, when there is time")
     elif report.grade == GOOD:
         yield ok("calibration", f"{text}{'; ' if report.figures else ''}{report.figures}")
     else:
-        yield note("calibration", f"{report.path} holds no verdict", again)
+        yield note("calibration.no_verdict", f"{report.path} holds no verdict", again)
     yield from _check_age(report, again)
 
 
 def check_footage(facts: FootageFacts, camera: CameraGeometry) -> Iterator[Finding]:
-    """Are footage and background of this camera, and of the size it was calibrated at?"""
+    """Check that footage and background can be read and have the calibrated size."""
     width, height = camera.size
     if facts.error:
-        yield error("footage", facts.error, "Record the session again, or mend the file.")
+        yield error("footage.unreadable", facts.error, "Record the session again, or mend the file.")
     elif facts.size != camera.size:
         yield error(
-            "footage",
+            "footage.size_differs",
             f"is {facts.size[0]} x {facts.size[1]} pixels, the camera was calibrated at {width} x {height}",
             "Record at the calibrated size, or calibrate at the recorded one.",
         )
@@ -116,41 +114,43 @@ def check_footage(facts: FootageFacts, camera: CameraGeometry) -> Iterator[Findi
         yield ok("footage", f"{facts.frames} frames of {width} x {height} pixels")
     if facts.background_size is not None and facts.background_size != camera.size:
         yield error(
-            "background",
+            "background.size_differs",
             f"is {facts.background_size[0]} x {facts.background_size[1]} pixels, the camera {width} x {height}",
             "Record the empty room at the camera's size.",
         )
 
 
 def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
-    """Do the videos belong together?"""
+    """Check that the videos have equally many frames, and a background each."""
     frames = {facts.camera: facts.frames for facts in footage if not facts.error}
     if len(set(frames.values())) > 1:
-        told = ", ".join(f"{camera} {count}" for camera, count in frames.items())
+        lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
         yield warning(
-            "footage",
-            f"the videos have different numbers of frames ({told})",
+            "footage.lengths_differ",
+            f"the videos have different numbers of frames ({lengths})",
             "Cut them so that frame k of all was taken at the same instant.",
         )
     bare = [facts.camera for facts in footage if not facts.error and facts.background_size is None]
     if bare:
-        yield error("background", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4 or .png.")
+        yield error(
+            "background.missing", f"there is none for {', '.join(bare)}", f"Add {bare[0]}_background.mp4 or .png."
+        )
 
 
 def _check_number(facts: RigFacts) -> Iterator[Finding]:
     number = len(facts.cameras)
     if number < ENOUGH_CAMERAS:
-        yield error("cameras", f"{number} cannot carve a body", "Use four cameras or more; three at the least.")
+        yield error("cameras.too_few", f"{number} cannot carve a body", "Use four cameras or more; three at the least.")
     elif number == ENOUGH_CAMERAS:
         yield note(
-            "cameras",
-            "three: a limb before the trunk has no outline of its own, and no lying camera can be outvoted",
+            "cameras.three",
+            "three: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted",
             "Add one or two where there is room.",
         )
     sizes = {camera.size for camera in facts.cameras}
     if len(sizes) > 1:
         yield note(
-            "cameras",
+            "cameras.sizes_differ",
             f"their images have {len(sizes)} sizes: "
             + ", ".join(f"{camera.name} {camera.size[0]} x {camera.size[1]}" for camera in facts.cameras),
         )
@@ -161,12 +161,8 @@ def _check_common_view(facts: RigFacts) -> Iterator[Finding]:
     share = facts.seen_by[enough - 1]
     text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
     remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
-    if share < POOR_SHARE:
-        yield error("volume", text, remedy)
-    elif share < LITTLE_SHARE:
-        yield note("volume", text, remedy)
-    else:
-        yield ok("volume", text)
+    poor, little = (share < POOR_SHARE, error, "unseen", remedy), (share < LITTLE_SHARE, note, "little_seen", remedy)
+    yield graded("volume", text, poor, little)
 
 
 def _check_pairs(facts: RigFacts) -> Iterator[Finding]:
@@ -176,19 +172,19 @@ def _check_pairs(facts: RigFacts) -> Iterator[Finding]:
         pair = f"{one.name} and {other.name}"
         if apart_m < SAME_PLACE_M:
             yield error(
-                "cameras",
+                "cameras.same_place",
                 f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?",
                 f"{CALIBRATE}; check which file is whose.",
             )
         elif angle > 180.0 - SAME_OUTLINE_DEG:
             yield warning(
-                "cameras",
+                "cameras.opposite",
                 f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored",
                 "Move one of them sideways by an eighth of the circle, or higher.",
             )
         elif angle < SAME_OUTLINE_DEG:
             yield warning(
-                "cameras",
+                "cameras.parallel",
                 f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline",
                 "Spread the cameras around the volume.",
             )
@@ -198,30 +194,29 @@ def _check_age(report: ReportFacts, again: str) -> Iterator[Finding]:
     if report.age_s is None:
         return
     days = report.age_s / DAY_S
-    if days > OLD_DAYS:
-        yield warning("age", f"calibrated {days:.0f} days ago", f"Stands and lenses creep: {again}.")
-    elif days > AGEING_DAYS:
-        yield note("age", f"calibrated {days:.0f} days ago", "See whether sagoma doctor --live names a camera.")
-    else:
-        yield ok("age", f"calibrated {days:.0f} days ago")
+    old = (days > OLD_DAYS, warning, "old", f"Stands and lenses creep: {again}.")
+    ageing = (days > AGEING_DAYS, note, "ageing", "See whether sagoma doctor --live names a camera.")
+    yield graded("age", f"calibrated {days:.0f} days ago", old, ageing)
 
 
 def _check_lens(camera: CameraGeometry) -> Iterator[Finding]:
     (width, height), (fx, fy), (cx, cy) = camera.size, camera.focal_px, camera.centre_px
     off = max(abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height)
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
-    troubles = []
+    faults = []
     if off > OFF_CENTRE:
-        troubles.append(f"principal point ({cx:.0f}, {cy:.0f}) lies {100 * off:.0f} % of the image off its middle")
+        faults.append(
+            ("off_centre", f"principal point ({cx:.0f}, {cy:.0f}) lies {100 * off:.0f} % of the image off its middle")
+        )
     if abs(fx / fy - 1) > UNEQUAL_FOCAL:
-        troubles.append(f"fx {fx:.0f} and fy {fy:.0f} px differ by {100 * abs(fx / fy - 1):.0f} %")
+        faults.append(("unequal_focal", f"fx {fx:.0f} and fy {fy:.0f} px differ by {100 * abs(fx / fy - 1):.0f} %"))
     if not NARROW_DEG < camera.fov_deg < WIDE_DEG:
-        troubles.append(f"it sees {camera.fov_deg:.0f} degrees across, which few lenses do")
+        faults.append(("field_of_view", f"it sees {camera.fov_deg:.0f} degrees across, which few lenses do"))
     if not camera.border_reached:
-        troubles.append("the lens model does not reach the border of the image")
-    for trouble in troubles:
-        yield warning("lens", trouble, again)
-    if not troubles:
+        faults.append(("border", "the lens model does not reach the border of the image"))
+    for condition, text in faults:
+        yield warning(f"lens.{condition}", text, again)
+    if not faults:
         yield ok("lens", f"f {fx:.0f} px, {camera.fov_deg:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})")
 
 
@@ -229,24 +224,24 @@ def _check_place(camera: CameraGeometry) -> Iterator[Finding]:
     height = camera.height_m
     again = f"{CALIBRATE}; the board upside down or a wrong field size does this. Check with a tape."
     if height < 0:
-        yield error("place", f"it lies {-height:.2f} m below the floor", again)
+        yield error("place.below_floor", f"it lies {-height:.2f} m below the floor", again)
     elif height > HIGH_M:
-        yield warning("place", f"it hangs {height:.1f} m above the floor", again)
+        yield warning("place.high", f"it hangs {height:.1f} m above the floor", again)
     elif height < LOW_M:
         yield note(
-            "place",
+            "place.low",
             f"it stands {height:.2f} m above the floor: feet and limbs hide each other",
             "Raise it to 1.2 to 2.5 m.",
         )
     if camera.sees < SEES_NOTHING:
         yield error(
-            "view",
-            "it sees nobody in the volume from soles to head",
+            "view.nobody",
+            "it sees no person in the volume from soles to head",
             f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up.",
         )
     elif camera.mm_per_px > COARSE_MM_PER_PX:
         yield warning(
-            "view",
+            "view.coarse",
             f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m away",
             "Use a longer lens, more pixels, or move it nearer.",
         )
@@ -264,12 +259,12 @@ SAME_LENS_PX = 0.5
 
 
 def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
-    """Findings on the rig file at ``path`` (the session's own by default) and on the session's footage."""
+    """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
     path = path or Path(session or ".") / "rig.yaml"
     try:
         rig = load_rig(path)
     except InputError as problem:
-        yield from on(SUBJECT, [error("file", f"{problem.where}: {problem.what}", problem.remedy)])
+        yield from on(SUBJECT, [error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)])
         return
     facts = collect_rig(rig, path, intrinsics)
     yield from on(SUBJECT, check_rig(facts))
@@ -284,7 +279,7 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
 
 
 def collect_rig(rig: Rig, path: Path, intrinsics: Path | None) -> RigFacts:
-    """Geometry, and the reports that lie beside the file."""
+    """The rig's geometry, and the reports beside its file."""
     cameras, seen_by = geometry(rig)
     folders = [intrinsics] if intrinsics is not None else _lens_folders(path)
     reports: dict[str, ReportFacts] = {}
@@ -316,7 +311,7 @@ def _lens_folders(rig_file: Path) -> list[Path]:
     if report.is_file():
         try:
             asked = read_mapping(report, "").get("asked")
-        except InputError:  # told by whoever judges the report
+        except InputError:  # read_report says so
             return folders
         if isinstance(asked, Mapping) and isinstance(asked.get("intrinsics"), str):
             folders.insert(0, Path(asked["intrinsics"]))
@@ -336,8 +331,10 @@ def _difference(path: Path, camera: CameraModel) -> str:
     off = np.abs(mine - rigs)
     if off.max() <= SAME_LENS_PX:
         return ""
-    told = [f"{name} {a:.1f}, in the rig {b:.1f}" for name, a, b in zip(names, mine, rigs, strict=True) if a != b]
-    return f"{path} says {', '.join(told)}"
+    differences = [
+        f"{name} {a:.1f}, in the rig {b:.1f}" for name, a, b in zip(names, mine, rigs, strict=True) if a != b
+    ]
+    return f"{path} says {', '.join(differences)}"
 
 
 def _first(folder: Path, stem: str, suffixes: tuple[str, ...]) -> Path | None:

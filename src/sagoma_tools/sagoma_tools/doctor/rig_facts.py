@@ -1,4 +1,4 @@
-"""What the doctor looks at in a rig: its geometry, the reports of its calibration, footage that is said to be of it."""
+"""Facts about a rig that the doctor checks: geometry, calibration reports, footage."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 STEP_M = 0.2
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 BREAST_M = 1.0
+SUFFIX = ".report.yaml"  # of the report that sagoma calibrate writes beside its result
 BORDER_POINTS = 16
 
 
@@ -164,11 +165,6 @@ def _border(camera: CameraModel) -> Array:
     return ends * [camera.width - 1, camera.height - 1]
 
 
-# --- Reads the report that ``sagoma calibrate`` leaves beside its result: verdict, findings, age.
-
-SUFFIX = ".report.yaml"
-
-
 def report_beside(result: Path) -> ReportFacts | None:
     """The report of ``result`` (rig.yaml: rig.report.yaml); None when there is none."""
     path = result.with_name(result.stem + SUFFIX)
@@ -188,7 +184,7 @@ def read_report(path: Path) -> ReportFacts:
 
 
 def _findings(entries: Any) -> tuple[tuple[str, str], ...]:
-    """Those that are not merely good, as (what, remedy)."""
+    """The report's findings as (what, remedy)."""
     found = []
     for entry in entries if isinstance(entries, list) else []:
         if isinstance(entry, Mapping):
@@ -199,7 +195,7 @@ def _findings(entries: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _age_s(document: Mapping[str, Any], path: Path) -> float:
-    """From the date in the report; from the file's, where there is none."""
+    """From the date in the report, or from the file's where there is none."""
     try:
         return time.time() - datetime.datetime.fromisoformat(str(document.get("date"))).timestamp()
     except ValueError:

@@ -1,15 +1,15 @@
-"""Lets camera clients of a running graph learn their backgrounds, and tells what became of it."""
+"""Trains the backgrounds of the camera clients in a running graph, and collects the verdict of each client.
+
+A client trains in its service ~/learn_background and publishes the training report in its diagnostics. A lost service
+response is therefore replaced by the report.
+"""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from rclpy.node import Node
-from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 from std_srvs.srv import Trigger
 
 from camera_client.background.training import KEY, PROGRESS_KEY, TrainingReport
@@ -23,16 +23,17 @@ from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
 TIMEOUT_S = 120.0
-REPORT_S = 1.5  # the diagnostics come once a second, and at once when a lesson ends
-NEEDS_ONE = "sagoma background"  # what a client's diagnostics say when its background should be learned anew
+REPORT_S = 1.5  # diagnostics come once a second, and at once when a training ends
+NEEDS_ONE = "sagoma background"  # part of a client's message when its background should be trained anew
 
 
 @dataclass(frozen=True)
 class TrainingOutcome:
-    """What became of a request: ``report`` is None when no lesson took place; ``said`` is the answer, or why none."""
+    """The response to one training request. ``message``: the client's response, or why there is none; ``report``: None
+    when no training took place."""
 
     camera: str
-    said: str
+    message: str
     report: TrainingReport | None = None
 
     @property
@@ -61,118 +62,94 @@ def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
     return found
 
 
-def needing_training(board: DiagnosticsTable, names: Iterable[str]) -> list[str]:
-    """Those of the clients ``names`` that have no background, whose last lesson failed, or that ask for a new one."""
-    needy = []
+def needing_training(diagnostics: DiagnosticsTable, names: Iterable[str]) -> list[str]:
+    """The clients that have no background, whose last training failed, or that ask for a new one."""
+    needing = []
     for name in names:
-        report, lesson = board.report(name), training_report_of(board, name)
-        failed = lesson is not None and lesson.grade == REDO
-        if report is None or failed or not report.values.get("background") or NEEDS_ONE in report.message:
-            needy.append(name)
-    return needy
+        status, training = diagnostics.report(name), training_report_of(diagnostics, name)
+        failed = training is not None and training.grade == REDO
+        if status is None or failed or not status.values.get("background") or NEEDS_ONE in status.message:
+            needing.append(name)
+    return needing
 
 
-def training_report_of(board: DiagnosticsTable, name: str) -> TrainingReport | None:
-    """The last lesson of the client ``name``, as its diagnostics tell it."""
-    report = board.report(name)
+def training_report_of(diagnostics: DiagnosticsTable, name: str) -> TrainingReport | None:
+    """The client's last training report in its diagnostics."""
+    status = diagnostics.report(name)
     try:
-        return None if report is None else TrainingReport.from_json(report.values[KEY])
+        return None if status is None else TrainingReport.from_json(status.values[KEY])
     except (KeyError, ValueError):
         return None
 
 
-def progress_of(board: DiagnosticsTable, name: str) -> str:
-    """How far the lesson of the client ``name`` is, "57/100"; "" when there is none."""
-    report = board.report(name)
-    return "" if report is None else report.values.get(PROGRESS_KEY, "")
+def progress_of(diagnostics: DiagnosticsTable, name: str) -> str:
+    """Frames of the client's training so far, "57/100"; "" when it is not training."""
+    status = diagnostics.report(name)
+    return "" if status is None else status.values.get(PROGRESS_KEY, "")
 
 
 def train_backgrounds(
     node: Node,
-    board: DiagnosticsTable,
+    diagnostics: DiagnosticsTable,
     names: Iterable[str],
     timeout_s: float = TIMEOUT_S,
     wanted: Callable[[], bool] = lambda: True,
 ) -> list[TrainingOutcome]:
-    """Call ~/learn_background of all clients ``names`` (full names) at once; the room must be empty.
+    """Train all clients ``names`` (full names) at once; the room must be empty. Stops waiting once ``wanted`` is false.
 
-    wanted : once it turns false, nobody is waited for any longer.
+    The outcome of each client, in the order of ``names``.
     """
     names = list(names)
-    services = {f"{name}/{SERVICE}": name for name in names}
-    before = {name: _number(training_report_of(board, name)) for name in names}
+    before = {name: _number(training_report_of(diagnostics, name)) for name in names}
 
-    def done(silent: set[str]) -> dict[str, Trigger.Response]:
-        """Clients whose diagnostics tell of a lesson that is over, should the answer itself have been lost."""
-        lessons = {service: training_report_of(board, services[service]) for service in silent}
+    def new_report(name: str) -> TrainingReport | None:
+        report = training_report_of(diagnostics, name)
+        return report if _number(report) > before[name] else None
+
+    def inferred(silent: set[str]) -> dict[str, Trigger.Response]:
+        """Responses of silent services whose client reports that its training has ended."""
+        reports = {service: new_report(service.removesuffix(f"/{SERVICE}")) for service in silent}
         return {
-            service: Trigger.Response(success=lesson.grade != REDO, message=lesson.text)
-            for service, lesson in lessons.items()
-            if lesson is not None and lesson.number > before[services[service]]
+            service: Trigger.Response(success=report.grade != REDO, message=report.text)
+            for service, report in reports.items()
+            if report is not None
         }
 
-    requests = {service: Trigger.Request() for service in services}
-    replies = call_all(node, Trigger, requests, timeout_s, lambda service: wanted(), inferred=done)
-    said = {name: replies[service] for service, name in services.items()}
+    requests = {f"{name}/{SERVICE}": Trigger.Request() for name in names}
+    replies = call_all(node, Trigger, requests, timeout_s, lambda service: wanted(), inferred=inferred)
+    answers = {name: replies[f"{name}/{SERVICE}"] for name in names}
 
-    def told(name: str) -> bool:
-        lesson = training_report_of(board, name)
-        return lesson is not None and lesson.number > before[name] and lesson.text == said[name].message
+    def report_of_answer(name: str) -> TrainingReport | None:
+        report = new_report(name)
+        return report if report is not None and report.text == answers[name].message else None
 
-    answered = [name for name in names if said[name] is not None]
-    board.wait_until(lambda: all(map(told, answered)), REPORT_S)
+    answered = [name for name in names if answers[name] is not None]
+    diagnostics.wait_until(lambda: all(report_of_answer(name) is not None for name in answered), REPORT_S)
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
     return [
-        TrainingOutcome(camera_of(name), said[name].message, training_report_of(board, name) if told(name) else None)
-        if said[name] is not None
-        else TrainingOutcome(camera_of(name), silence)
+        TrainingOutcome(camera_of(name), silence)
+        if answers[name] is None
+        else TrainingOutcome(camera_of(name), answers[name].message, report_of_answer(name))
         for name in names
     ]
 
 
 def learn_backgrounds(supervisor: Supervisor, timeout_s: float = TIMEOUT_S) -> dict[str, str]:
-    """Let all cameras of a supervised graph learn; the room must be empty. Returns what each one says.
+    """Train all cameras of a supervised graph; the room must be empty. Returns each client's response.
 
     Raises InputError naming the cameras that refuse, and why, or that do not answer.
     """
     names = [spec.full_name for spec in supervisor.graph if spec.role is Role.CAMERA]
-    lessons = train_backgrounds(supervisor.node, supervisor.diagnostics, names, timeout_s)
-    refused = [lesson for lesson in lessons if lesson.grade == REDO]
-    if refused:
+    outcomes = train_backgrounds(supervisor.node, supervisor.diagnostics, names, timeout_s)
+    failed = [outcome for outcome in outcomes if outcome.grade == REDO]
+    if failed:
         raise InputError(
-            "; ".join(f"{lesson.camera}: {lesson.said}" for lesson in refused),
+            "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed),
             where="learning the background",
             remedy="Clear the scene and try again.",
         )
-    return {lesson.camera: lesson.said for lesson in lessons}
+    return {outcome.camera: outcome.message for outcome in outcomes}
 
 
-def _number(lesson: TrainingReport | None) -> int:
-    return 0 if lesson is None else lesson.number
-
-
-# --- Seconds counted down for somebody who has to leave the room.
-
-SPOKEN = 5  # in a log the last so many seconds have a line each
-
-
-def count_down(console: Console, what: str, seconds: int, stop: threading.Event) -> bool:
-    """Show "WHAT: 10" and so on down to 1, then beep; False when ``stop`` was set meanwhile."""
-    if not console.is_terminal:
-        return _in_lines(console, what, seconds, stop)
-    with Live(console=console, auto_refresh=False, transient=True) as live:
-        for left in range(seconds, 0, -1):
-            live.update(Text(f"{what}: {left}", style="bold yellow"), refresh=True)
-            if stop.wait(1.0):
-                return False
-    console.bell()
-    return True
-
-
-def _in_lines(console: Console, what: str, seconds: int, stop: threading.Event) -> bool:
-    for left in range(seconds, 0, -1):
-        if left == seconds or left <= SPOKEN:
-            console.print(f"{what}: {left} s", highlight=False)
-        if stop.wait(1.0):
-            return False
-    return True
+def _number(report: TrainingReport | None) -> int:
+    return 0 if report is None else report.number

@@ -1,11 +1,15 @@
-"""A node of the tool's own, spun by a background thread, so that the main thread can wait for events with a timeout."""
+"""Connects a tool to a ROS graph: a node spun by a background thread, node discovery, service calls with a deadline.
+
+The main thread waits for events with a timeout; :class:`StopOnSignal` turns Ctrl-C into one of these events.
+"""
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
-from types import TracebackType
+from types import FrameType
 from typing import Any
 
 import rclpy
@@ -17,11 +21,17 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
+
 SPIN_END_S = 5.0
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SETTLED_S, LOOK_S = 1.0, 0.1
+RESEND_S = 1.0
+POLL_S = 0.05  # rclpy has no event for "the service has appeared" or for a process's death
 
 
 class RosLink:
-    """Context, node and spinning thread in one; leaves signals to the caller.
+    """Owns a context, a node and the thread that spins it; leaves signals to the caller.
 
     Everything created on :attr:`node` calls back on the background thread.
     """
@@ -54,9 +64,7 @@ class RosLink:
     def __enter__(self) -> RosLink:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _spin(self) -> None:
@@ -72,10 +80,63 @@ class RosLink:
             self.error = error
 
 
-# --- One service call to many nodes at once, with a deadline, so that one silent node costs nobody else anything.
+class StopOnSignal:
+    """Turns Ctrl-C, SIGTERM and a closed terminal into an event, so that work under way is ended in order."""
 
-RESEND_S = 1.0
-POLL_S = 0.05  # rclpy has no event for "the service has appeared" or for a process's death; answers wake us at once
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> threading.Event:
+        self._previous = {number: signal.signal(number, self._take) for number in STOP_SIGNALS}
+        return self.event
+
+    def __exit__(self, *error: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        self.event.set()
+
+
+# discovery ------------------------------------------------------------------------------------------------------------
+
+
+def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[str]:
+    """What ``look`` finds, sorted, once it is ``expect`` or more and has not changed for SETTLED_S.
+
+    Discovery has no end: after ``wait_s``, whatever has been found by then.
+    """
+    start_s = changed_s = time.monotonic()
+    found: set[str] = set()
+    while time.monotonic() - start_s < wait_s:
+        seen = look()
+        if seen != found:
+            found, changed_s = seen, time.monotonic()
+        if len(found) >= expect and time.monotonic() - changed_s > SETTLED_S:
+            break
+        threading.Event().wait(LOOK_S)
+    return sorted(found)
+
+
+def node_names(node: Node) -> list[str]:
+    """Fully qualified names of all nodes in the graph; a name that two nodes have stands there twice."""
+    return [f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()]
+
+
+def our_nodes(node: Node) -> set[str]:
+    """Fully qualified names of the camera clients and of the server's nodes in the graph."""
+    return {name for name in node_names(node) if name.rpartition("/")[2] in (CAMERA_NODE, *SERVER_NODES)}
+
+
+def owners_of(node: Node, service: str, kind: str) -> set[str]:
+    """Full names of the nodes that offer ``~/SERVICE`` of type ``kind`` ("std_srvs/srv/Trigger")."""
+    suffix = f"/{service}"
+    offered = node.get_service_names_and_types()
+    return {name.removesuffix(suffix) for name, kinds in offered if name.endswith(suffix) and kind in kinds}
+
+
+# service calls -------------------------------------------------------------------------------------------------------
 
 
 def call_all(
@@ -88,16 +149,17 @@ def call_all(
     repeatable: bool = False,
     inferred: Callable[[set[str]], Mapping[str, Any]] = lambda services: {},
 ) -> dict[str, Any]:
-    """Service name -> reply, None where none came in time; each request is sent as soon as its service is there.
+    """Call many services at once; service name -> reply, None where none came within ``timeout_s``.
 
-    ``node`` must be spun by another thread. A service for which ``alive`` turns false is waited for no longer.
+    Each request is sent as soon as its service is there, so one silent node delays no other. ``node`` must be spun by
+    another thread. A service for which ``alive`` turns false is waited for no longer.
 
     A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to send
     response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is asked
     every second which of the silent services are known, by other means, to have done their work, and their replies.
     """
     clients = {service: node.create_client(srv_type, service) for service in requests}
-    call = _Round(clients, requests, alive, repeatable, inferred)
+    call = _CallRound(clients, requests, alive, repeatable, inferred)
     try:
         call.run(time.monotonic() + timeout_s)
     finally:
@@ -106,7 +168,7 @@ def call_all(
     return call.replies
 
 
-class _Round:
+class _CallRound:
     """One concurrent round of service calls."""
 
     def __init__(
@@ -127,14 +189,14 @@ class _Round:
         waiting, again_s = set(self._requests), time.monotonic() + RESEND_S
         while waiting and time.monotonic() < deadline_s:
             if time.monotonic() > again_s:
-                self._help_the_silent(waiting)
+                self._resend(waiting)
                 again_s = time.monotonic() + RESEND_S
             with self._answered:
                 self._send_ready(waiting)
                 self._answered.wait(POLL_S)
                 waiting = {name for name in waiting if self.replies[name] is None and self._alive(name)}
 
-    def _help_the_silent(self, waiting: set[str]) -> None:
+    def _resend(self, waiting: set[str]) -> None:
         if self._repeatable:
             self._unsent |= waiting
         sent = waiting - self._unsent
@@ -153,30 +215,3 @@ class _Round:
             if self.replies[service] is None:
                 self.replies[service] = reply
             self._answered.notify()
-
-
-# --- Finding out who is in a ROS graph: discovery has no end, so this looks until nobody new has joined for a while.
-
-SETTLED_S, LOOK_S = 1.0, 0.1
-
-
-def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[str]:
-    """What ``look`` finds, sorted, once it is ``expect`` or more and has not changed for a second; after ``wait_s``
-    whatever it has found."""
-    start_s = changed_s = time.monotonic()
-    found: set[str] = set()
-    while time.monotonic() - start_s < wait_s:
-        seen = look()
-        if seen != found:
-            found, changed_s = seen, time.monotonic()
-        if len(found) >= expect and time.monotonic() - changed_s > SETTLED_S:
-            break
-        threading.Event().wait(LOOK_S)
-    return sorted(found)
-
-
-def owners_of(node: Node, service: str, kind: str) -> set[str]:
-    """Full names of the nodes that offer ``~/SERVICE`` of type ``kind`` ("std_srvs/srv/Trigger")."""
-    suffix = f"/{service}"
-    offered = node.get_service_names_and_types()
-    return {name.removesuffix(suffix) for name, kinds in offered if name.endswith(suffix) and kind in kinds}

@@ -12,7 +12,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 
 import yaml
 from rclpy.node import Node
@@ -23,7 +22,7 @@ from sagoma_bringup.graph import NodeSpec, Role
 from .diagnostics_table import DiagnosticsTable
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import Child, ExitStatus, Usage, node_command, remove_abandoned, stop_children
-from .ros_link import RosLink
+from .ros_link import RosLink, node_names
 
 GRACE_S = 8.0
 FRESH = State.UNCONFIGURED.value
@@ -83,9 +82,7 @@ class Supervisor:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
 
     @property
@@ -134,7 +131,7 @@ class Supervisor:
         GraphError, too, when nodes of the same names run already: two graphs would mix their messages.
         """
         outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
-        self._refuse_strangers(outcome)
+        self._refuse_foreign_nodes(outcome)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
         return outcome
 
@@ -239,10 +236,10 @@ class Supervisor:
                     self._states[answer.node] = REACHED[answer.transition].value
         return outcome
 
-    def _refuse_strangers(self, configured: Outcome) -> None:
+    def _refuse_foreign_nodes(self, configured: Outcome) -> None:
         """Nodes of our names that are not ours: seen twice, or in a state that our fresh process cannot be in."""
         assert self._link is not None
-        seen = Counter(f"{space.rstrip('/')}/{name}" for name, space in self._link.node.get_node_names_and_namespaces())
+        seen = Counter(node_names(self._link.node))
         asked = {answer.node for answer in configured.answers}
         foreign = sorted(n for n in self._children if seen[n] > 1 or (self.states()[n] == FRESH and n not in asked))
         if foreign:

@@ -1,4 +1,4 @@
-"""What the doctor hears from the running graph in a few seconds, as plain data. None means unknown or not heard."""
+"""Facts about the running graph, heard in a few seconds, as plain data. None means unknown or not heard."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class NodeFacts:
 
 @dataclass(frozen=True)
 class Canvas:
-    """What a camera_info says, in pixels."""
+    """Size and pinhole parameters of a camera_info, pixels."""
 
     width: int
     height: int
@@ -46,7 +46,7 @@ class Canvas:
 
 @dataclass(frozen=True)
 class SilhouetteFacts:
-    """What one camera sent, in the seconds listened.
+    """What one camera sent while the doctor listened.
 
     publishers : of its silhouettes; infos : camera_infos heard, ``canvas`` the last; masks : silhouettes heard, of
     which ``bad`` could not be decoded and ``lost`` were missing between the first and the last; sizes (width, height).
@@ -71,7 +71,7 @@ class SilhouetteFacts:
 
 @dataclass(frozen=True)
 class FrameSetFacts:
-    """What the hull server said of its frame sets: of each its spread, latency from capture to published, and number
+    """The hull server's frame sets: of each its spread, latency from capture to published, and number
     of centerline points; and how often each camera was missing or left out."""
 
     sets: int
@@ -85,7 +85,7 @@ class FrameSetFacts:
 
 @dataclass(frozen=True)
 class Announcement:
-    """Some process of this ROS domain announced itself from this address; ``machine`` as in :class:`NodeFacts`."""
+    """A process of this ROS domain announced itself from this address; ``machine`` as in :class:`NodeFacts`."""
 
     domain: int
     address: str
@@ -95,7 +95,7 @@ class Announcement:
 @dataclass(frozen=True)
 class GraphFacts:
     """The running graph as heard from here. ``domains_here`` : ROS domains with nodes on this machine; ``announced`` :
-    who announced itself by multicast, in whatever domain."""
+    announcements by multicast, in any domain."""
 
     domain: int
     discovery_range: str
@@ -118,7 +118,7 @@ class GraphFacts:
         return sorted({one.address for one in self.announced if one.domain == domain and one.machine != self.machine})
 
     def machine_name(self, machine: str) -> str:
-        """What to call a machine: "here", by its addresses, or "another machine" where those are not known."""
+        """A name for a machine: "here", its addresses, or "another machine" where they are not known."""
         if machine == self.machine:
             return "here"
         addresses = sorted({one.address for one in self.announced if one.machine == machine and machine})

@@ -1,4 +1,4 @@
-"""The examination of the running graph: listen, judge node by node and camera by camera."""
+"""Examines the running graph: listens, then checks the graph, its nodes, its cameras and its frame sets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 
-from ..findings import Finding, error, note, ok, on, warning
+from ..findings import Finding, error, graded, note, ok, on, warning
 from .collect import collect_graph
 from .facts import Canvas, FrameSetFacts, GraphFacts, NodeFacts
 from .node_checks import (
@@ -25,59 +25,62 @@ from .node_checks import (
 )
 from .silhouette_checks import check_canvas_agrees, check_silhouettes, sees_nobody, sees_somebody
 
-# --- The graph as a whole: who is missing, on which machines it runs, and whether its frames form sets and a hull.
-
 SERVER_NODES = ("/hull_server", "/icp_tracker", "/ekf_tracker")
 MANY_MACHINES, ENOUGH_CAMERAS = 2, 3
 ALIKE = (
     ("frame_rate", warning, "frame rates", "Give all files the same aravis.frame_rate."),
     ("sync", warning, "kinds of sync", "Give all files the same aravis.sync."),
     ("stamps", note, "clocks for their stamps", "aravis.stamp_source: the same for all is best."),
-    ("exposure_us", note, "exposure times", "Well, where the light differs; else aravis.exposure_us the same for all."),
+    (
+        "exposure_us",
+        note,
+        "exposure times",
+        "Nothing, where the light differs; else aravis.exposure_us the same for all.",
+    ),
 )  # keys of the clients' diagnostics
-UNCALIBRATED = "uncalibrated"  # how such a camera's message begins
+UNCALIBRATED = "uncalibrated"  # such a camera's message begins so
 LATE_PERIODS, LATE_MS = 5, 200.0
 MISSING = 0.02  # of the frame sets
 
 
 def check_graph(facts: GraphFacts, cameras: Sequence[str]) -> Iterator[Finding]:
-    """Is anybody there, on how many machines, and who is not?"""
+    """Check which nodes are heard, on which machines, and which are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
-        yield _nobody_is_heard(facts)
+        yield _no_node_heard(facts)
         return
     yield ok("nodes", f"{len(facts.nodes)} in {where}{_machines(facts)}")
     heard = {node.name for node in facts.nodes}
     absent = [name for name in SERVER_NODES if name not in heard]
     if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
         yield note(
-            "nodes",
+            "nodes.setting_up",
             "cameras that are not calibrated yet, and no server: the set-up has begun",
             "Go on with docs/first_capture.md.",
         )
     elif absent:
         yield error(
-            "nodes",
+            "nodes.server_missing",
             f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not heard in {where}",
             "sagoma up --rig RIG on the server; the same ROS_DOMAIN_ID on all machines, and "
             "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several.",
         )
-    strangers = [facts.camera for facts in facts.cameras if cameras and facts.camera not in cameras]
-    if strangers:
+    unknown = [facts.camera for facts in facts.cameras if cameras and facts.camera not in cameras]
+    if unknown:
         yield warning(
-            "cameras",
-            f"{', '.join(strangers)} publish silhouettes, but are not in the rig file",
+            "cameras.not_in_rig",
+            f"{', '.join(unknown)} publish silhouettes, but are not in the rig file",
             "Calibrate them into the rig, or stop them.",
         )
     if facts.simulated_time:
-        yield note("clock", "the graph runs on simulated time (/clock): clocks are not compared")
+        yield note("clock.simulated", "the graph runs on simulated time (/clock): clocks are not compared")
 
 
 def check_camera_is_there(camera: str, facts: GraphFacts) -> Iterator[Finding]:
-    """A camera of the rig without its client."""
+    """Check that a camera of the rig has its client."""
     if facts.nodes and facts.node(camera_node(camera)) is None:
         yield error(
-            "node",
+            "node.missing",
             f"its client {camera_node(camera)} is not heard",
             f"Start it on its machine (sagoma up --cameras FOLDER --only {camera}); the same ROS_DOMAIN_ID "
             f"({facts.domain}) and discovery range there.",
@@ -85,23 +88,22 @@ def check_camera_is_there(camera: str, facts: GraphFacts) -> Iterator[Finding]:
 
 
 def check_alike(facts: GraphFacts) -> Iterator[Finding]:
-    """Are the cameras set alike? A set needs frames of one instant from all of them."""
+    """Check that the cameras are set alike: a frame set needs frames of one instant from all of them."""
     clients = {camera_of(node.name): node.values for node in facts.nodes if camera_of(node.name)}
-    for key, say, what, remedy in ALIKE:
-        said = {camera: values[key] for camera, values in clients.items() if values.get(key)}
-        if len(set(said.values())) > 1:
-            told = ", ".join(f"{camera} {value}" for camera, value in said.items())
-            yield say("settings", f"the cameras have different {what} ({told})", remedy)
+    for key, severity, what, remedy in ALIKE:
+        set_to = {camera: values[key] for camera, values in clients.items() if values.get(key)}
+        if len(set(set_to.values())) > 1:
+            listed = ", ".join(f"{camera} {value}" for camera, value in set_to.items())
+            yield severity(f"settings.{key}_differs", f"the cameras have different {what} ({listed})", remedy)
 
 
 def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: int) -> Iterator[Finding]:
-    """Do the cameras' frames form sets, in step, in time, and does a hull come of them? ``seen``: how many cameras see
-    somebody."""
+    """Check spread and latency of the frame sets, and that they give a hull. ``seen``: cameras that see a person."""
     if hull is None or hull.state != ACTIVE:
         return
     if sets is None or not sets.sets:
         yield error(
-            "frame sets",
+            "frame_sets.none",
             "the hull server forms none",
             "See the cameras; their stamps must lie within half a frame period: sync and clocks.",
         )
@@ -109,34 +111,34 @@ def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: i
     period_ms = 1e3 / sets.rate_hz if sets.rate_hz else 1e3 * USUAL_PERIOD_S
     spread, latency = _high(sets.spread_ms), _high(sets.latency_ms)
     text = f"stamps of a set differ by up to {spread:.1f} ms, of a frame period of {period_ms:.0f} ms"
-    if spread > period_ms / 4:
-        yield warning("sync", text, "aravis.sync: ptp, line or action instead of free_run; see docs/camera_pcs.md.")
-    else:
-        yield ok("sync", text)
+    remedy = "aravis.sync: ptp, line or action instead of free_run; see docs/camera_pcs.md."
+    yield graded("sync", text, (spread > period_ms / 4, warning, "spread", remedy))
     text = f"{sets.rate_hz:.1f} frame sets a second, {latency:.0f} ms from exposure to the hull"
     if latency > max(LATE_PERIODS * period_ms, LATE_MS):
         yield warning(
-            "latency", text, "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy."
+            "latency.late",
+            text,
+            "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy.",
         )
     else:
-        yield ok("frame sets", text)
+        yield ok("frame_sets", text)
     yield from _check_hull(sets, seen)
 
 
 def check_share_in_sets(camera: str, sets: FrameSetFacts | None) -> Iterator[Finding]:
-    """How often this camera was missing from the frame sets, or left out of the hull."""
+    """Check how often this camera was missing from the frame sets, or left out of the hull."""
     if sets is None or not sets.sets:
         return
     missing, left_out = sets.missing.get(camera, 0), sets.left_out.get(camera, 0)
     if missing > MISSING * sets.sets:
         yield warning(
-            "frame sets",
+            "frame_sets.missing_camera",
             f"it is missing from {missing} of {sets.sets}",
             "Frames come late, get lost, or have other stamps: see clock, sync and network.",
         )
     if left_out:
         yield warning(
-            "consensus",
+            "consistency.left_out",
             f"it contradicts the others: left out of {left_out} of {sets.sets} frame sets",
             "Was it moved? Is something before its lens? docs/camera_faults.md",
         )
@@ -148,24 +150,24 @@ def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
         yield ok("centerline", f"in {bodies} of {sets.sets} frame sets")
     elif seen >= ENOUGH_CAMERAS:
         yield error(
-            "centerline",
-            f"{seen} cameras see somebody, but the hull is empty",
+            "centerline.empty",
+            f"{seen} cameras see a person, but the hull is empty",
             "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live",
         )
     else:
-        yield note("centerline", "the hull is empty: nobody is there, as far as can be told")
+        yield note("centerline.nobody", "the hull is empty: probably the room is, too")
 
 
-def _nobody_is_heard(facts: GraphFacts) -> Finding:
+def _no_node_heard(facts: GraphFacts) -> Finding:
     announcing = facts.elsewhere(facts.domain)
     if announcing:
         return error(
-            "nodes",
+            "nodes.only_announced",
             f"no node is heard in ROS_DOMAIN_ID {facts.domain}, though {', '.join(announcing)} "
             "announces some: what follows the first small packets does not get here",
             f"{BIG_MESSAGES} Run it there, too.",
         )
-    return error("nodes", f"no node is heard in ROS_DOMAIN_ID {facts.domain}", _where_else(facts))
+    return error("nodes.none", f"no node is heard in ROS_DOMAIN_ID {facts.domain}", _where_else(facts))
 
 
 def _where_else(facts: GraphFacts) -> str:
@@ -179,7 +181,7 @@ def _where_else(facts: GraphFacts) -> str:
         hint += f"ROS_AUTOMATIC_DISCOVERY_RANGE = {facts.discovery_range} hears this machine only. "
     return (
         f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them, and "
-        "restart nodes that were started before their network was up: they stay deaf."
+        "restart nodes that were started before their network was up: they never connect."
     )
 
 
@@ -190,8 +192,8 @@ def _machines(facts: GraphFacts) -> str:
         where.setdefault(node.machine, []).append(camera_of(node.name) or node.name.strip("/"))
     if len(where) < MANY_MACHINES:
         return f", all {facts.machine_name(*where)}"
-    told = [f"{facts.machine_name(machine)}: {', '.join(names)}" for machine, names in where.items()]
-    return f", on {len(where)} machines ({'; '.join(told)})"
+    listed = [f"{facts.machine_name(machine)}: {', '.join(names)}" for machine, names in where.items()]
+    return f", on {len(where)} machines ({'; '.join(listed)})"
 
 
 def _high(values: Sequence[float]) -> float:
@@ -203,25 +205,25 @@ def _high(values: Sequence[float]) -> float:
 LIVE_S = 6.0
 SUBJECT = "graph"
 HULL = "/hull_server"
-REFUSED = "refused:"  # how its message begins
+REFUSED = "refused:"  # its message begins so
 
 
 def examine_graph(seconds: float, rig_file: Path | None, domain_id: int | None = None) -> Iterator[Finding]:
-    """Findings on the graph of this ROS domain, against the rig file where one is given."""
+    """Examine the graph of this ROS domain, against the rig file where one is given."""
     rig = None
     if rig_file is not None:
         try:
             rig = load_rig(rig_file)
-        except InputError as problem:  # the rig's examination says so too; the graph can be examined all the same
-            yield from on(SUBJECT, [note("rig", f"{problem.where}: {problem.what}", problem.remedy)])
+        except InputError as problem:  # the graph is examined all the same
+            yield from on(SUBJECT, [note("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy)])
     facts = collect_graph(seconds, rig.names if rig else (), domain_id)
     if rig_file is None:
         rig = _hulls_rig(facts)
-    yield from judge_graph(facts, rig)
+    yield from graph_findings(facts, rig)
 
 
-def judge_graph(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
-    """The findings on what was heard; ``rig`` says which cameras there should be, and their calibration."""
+def graph_findings(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
+    """The findings on the facts; ``rig`` holds the expected cameras and their calibration."""
     names = rig.names if rig else ()
     canvases = {camera.name: canvas_of(camera.undistorted_view().camera) for camera in rig.cameras} if rig else {}
     yield from on(SUBJECT, check_graph(facts, names))
@@ -231,8 +233,8 @@ def judge_graph(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
     yield from on(SUBJECT, check_frame_sets(facts.frame_sets, facts.node(HULL), len(seeing)))
     for node in facts.nodes:
         if not camera_of(node.name):
-            yield from on(node.name.strip("/"), _judge_node(node, facts, nobody))
-    yield from on(HULL.strip("/"), _judge_refusals(facts, canvases))
+            yield from on(node.name.strip("/"), _check_node(node, facts, nobody))
+    yield from on(HULL.strip("/"), _check_refusals(facts, canvases))
     published, hull = {camera.camera: camera for camera in facts.cameras}, facts.node(HULL)
     clients = {camera_of(node.name) for node in facts.nodes} - {""}
     for name in sorted({*names, *published, *clients}):
@@ -240,7 +242,7 @@ def judge_graph(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
         if name in names:
             yield from on(subject, check_camera_is_there(name, facts))
         if client is not None:
-            yield from on(subject, _judge_node(client, facts, nobody))
+            yield from on(subject, _check_node(client, facts, nobody))
         if name in published:
             others = [camera for camera in seeing if camera != name]
             rig_file = facts.rig_files.get(camera_node(name), "")
@@ -256,7 +258,7 @@ def canvas_of(camera: CameraModel) -> Canvas:
     return Canvas(camera.width, camera.height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
 
 
-def _judge_node(node: NodeFacts, facts: GraphFacts, nobody: bool) -> Iterator[Finding]:
+def _check_node(node: NodeFacts, facts: GraphFacts, nobody: bool) -> Iterator[Finding]:
     yield from check_node(node, nobody)
     yield from check_watch(node)
     if not facts.simulated_time:
@@ -264,7 +266,7 @@ def _judge_node(node: NodeFacts, facts: GraphFacts, nobody: bool) -> Iterator[Fi
         yield from check_clock(node, facts.machine, 1 / rate_hz if rate_hz else None)
 
 
-def _judge_refusals(facts: GraphFacts, canvases: dict[str, Canvas]) -> Iterator[Finding]:
+def _check_refusals(facts: GraphFacts, canvases: dict[str, Canvas]) -> Iterator[Finding]:
     """Cameras that the hull server refuses although they agree with the rig file: the server is wrong."""
     hull = facts.node(HULL)
     if hull is None or not hull.message.startswith(REFUSED):
@@ -275,7 +277,7 @@ def _judge_refusals(facts: GraphFacts, canvases: dict[str, Canvas]) -> Iterator[
         if f"{name}:" in hull.message and canvas is not None and not check_canvas_agrees(canvas, wanted):
             has = facts.rig_files.get(HULL, "unknown")
             yield error(
-                "rig",
+                "rig.refused",
                 f"it refuses {name}, which agrees with the rig file: the server has another one ({has})",
                 "Give it the same rig file: sagoma stop, sagoma up --rig RIG.",
             )
@@ -286,5 +288,5 @@ def _hulls_rig(facts: GraphFacts) -> Rig | None:
     path = facts.rig_files.get(HULL, "")
     try:
         return load_rig(path) if path and Path(path).is_file() else None
-    except InputError:  # the server says so itself
+    except InputError:  # the server reports it
         return None

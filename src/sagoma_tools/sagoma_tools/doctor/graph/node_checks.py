@@ -1,4 +1,4 @@
-"""One node: does it answer and report, is it well, and is its clock in step with ours?"""
+"""Checks one node: answers, diagnostics, lifecycle state, clock, background, camera movement, calibration."""
 
 from __future__ import annotations
 
@@ -36,85 +36,88 @@ def camera_node(camera: str) -> str:
 
 
 def camera_of(node: str) -> str:
-    """The camera whose client this node is; "" for another node."""
+    """The camera of a client node; "" for another node."""
     space, _, name = node.rpartition("/")
     return space.strip("/") if name == CAMERA_NODE else ""
 
 
 def check_node(node: NodeFacts, nobody: bool = False) -> Iterator[Finding]:
-    """Does it answer and report, is it active, and is it well? ``nobody``: no camera sees anybody, which explains
-    empty masks."""
+    """Check that it answers, reports, and is active and well. ``nobody``: no camera sees a person: masks are empty."""
     if node.copies > 1:
         yield error(
-            "node",
+            "node.duplicate",
             f"{node.copies} nodes call themselves {node.name}",
             "Stop all but one: the same camera or server was started twice.",
         )
     if node.state is None and not node.reports:
         yield error(
-            "node",
+            "node.silent",
             f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here",
             UNREACHABLE,
         )
         return
     if node.state is None:
-        yield warning("node", f"{node.name} reports, but does not answer questions: it is busy or hangs", UNREACHABLE)
+        yield warning(
+            "node.unresponsive", f"{node.name} reports, but does not answer questions: it is busy or hangs", UNREACHABLE
+        )
     elif not node.reports:
-        yield error("diagnostics", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
+        yield error("diagnostics.missing", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
     if node.state not in (None, ACTIVE):
-        yield warning("state", f"it is {node.state}", START)
+        yield warning("state.inactive", f"it is {node.state}", START)
     if node.reports:
-        yield _what_it_says(node, nobody)
+        yield _message_finding(node, nobody)
         yield from _check_work(node)
 
 
 def check_clock(node: NodeFacts, here: str, period_s: float | None) -> Iterator[Finding]:
-    """How far its clock is from ours: a report's way here takes between nothing and one round trip."""
+    """Bound its clock's offset from this machine's: a report takes between nothing and one round trip to arrive."""
     if not node.lead_s:
         return
     trip_s = node.round_trip_s or 0.0
     low, high = max(node.lead_s), max(node.lead_s) + trip_s
     off_s = low if low > 0 else min(high, 0.0)  # what is certain
-    whose = "its clock" if node.machine != here else "its clock (though it runs on this machine)"
+    clock = "its clock" if node.machine != here else "its clock (though it runs on this machine)"
     way = "ahead of" if off_s > 0 else "behind"
-    what = f"{whose} is {_time(abs(off_s))} {way} this machine's, at the least (known to {_time(trip_s)})"
+    what = f"{clock} is {_time(abs(off_s))} {way} this machine's, at the least (known to {_time(trip_s)})"
     remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
     if abs(off_s) > (period_s or USUAL_PERIOD_S) / 2:
-        yield error("clock", what, remedy)
+        yield error("clock.off", what, remedy)
     elif abs(off_s) > CLOCK_LIMIT_S:
-        yield warning("clock", what, remedy)
+        yield warning("clock.imprecise", what, remedy)
     elif trip_s > 2 * CLOCK_LIMIT_S:
-        yield note("clock", f"nothing says that it is off, but answers take {_time(trip_s)}: it cannot be told closer")
+        yield note(
+            "clock.unknown", f"no offset is found, but answers take {_time(trip_s)}: it cannot be measured more closely"
+        )
     else:
         yield ok("clock", f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms from this machine's")
 
 
-def _what_it_says(node: NodeFacts, nobody: bool) -> Finding:
+def _message_finding(node: NodeFacts, nobody: bool) -> Finding:
     if node.level >= ERROR:
-        return error("says", node.message, _remedy(node))
+        return error("says.error", node.message, _remedy(node))
     if node.level < WARN:
         return ok("says", node.message)
     if node.message.startswith(ACQUIRING):
-        return note("says", node.message, "" if nobody else "Stand in the T-pose: docs/acquisition.md.")
+        return note("says.acquiring", node.message, "" if nobody else "Stand in the T-pose: docs/acquisition.md.")
     if nobody and any(words in node.message for words in EMPTY):
-        return note("says", f"{node.message} (nobody is there)")
-    return warning("says", node.message, _remedy(node))
+        return note("says.nobody", f"{node.message} (the room is empty)")
+    return warning("says.warning", node.message, _remedy(node))
 
 
 def _check_work(node: NodeFacts) -> Iterator[Finding]:
     if node.reports >= FEW_REPORTS and node.rate_hz < RARE_HZ:
         yield warning(
-            "diagnostics",
+            "diagnostics.rare",
             f"come {node.rate_hz:.1f} times a second instead of {REPORT_HZ:.0f}: it is busy, or they get lost",
             BIG_MESSAGES,
         )
     busy = node.values.get("cpu_percent", "")
     if busy.isdigit() and float(busy) > BUSY_PERCENT:
-        yield note("load", f"it uses {busy} % of a core")
+        yield note("load.high", f"it uses {busy} % of a core")
     losses = NodeReport(bytes([node.level]), node.message, node.values).losses()
     if losses:
-        told = ", ".join(f"{count} {key}" for key, count in losses.items())
-        yield note("lost", f"since its start: {told}")
+        counters = ", ".join(f"{count} {key}" for key, count in losses.items())
+        yield note("lost.counted", f"since its start: {counters}")
 
 
 def _remedy(node: NodeFacts) -> str:
@@ -126,18 +129,16 @@ def _time(seconds: float) -> str:
     return f"{seconds:.2f} s" if seconds >= 1 else f"{1e3 * seconds:.1f} ms"
 
 
-# --- The running figures that nodes publish beside their message, which names the gravest trouble alone.
-
 OLD_BACKGROUND_H = 12.0
 LEARN = "sagoma background, while the room is empty"
 PUT_BACK = "Put the camera back as it was, or: sagoma calibrate extrinsics"
 
 
 def check_watch(node: NodeFacts) -> Iterator[Finding]:
-    """Age of the background, and whether the camera stands as it did when it was calibrated."""
+    """Check the background's age and verdict, and whether the camera moved since its background was trained."""
     age_h = _figure(node, "background_age_h")
     if age_h is not None and age_h > OLD_BACKGROUND_H:
-        yield warning("background", f"it is {age_h:.0f} h old: the light has changed since", LEARN)
+        yield warning("background.old", f"it is {age_h:.0f} h old: the light has changed since", LEARN)
     elif age_h is not None:
         yield ok("background", f"it is {age_h:.1f} h old")
     yield from _check_lesson(node)
@@ -146,13 +147,13 @@ def check_watch(node: NodeFacts) -> Iterator[Finding]:
         return
     text = f"its picture is shifted by {shift_px:.1f} px and turned by {turn_deg:.2f} degrees since its background"
     if node.values.get("camera_moved") == MovementState.MOVED.value:
-        yield warning("moved", text, PUT_BACK)
+        yield warning("moved.shifted", text, PUT_BACK)
     else:
         yield ok("moved", text)
 
 
 def _check_lesson(node: NodeFacts) -> Iterator[Finding]:
-    """What came of learning the background, if it was learned since the node's start."""
+    """Report the verdict of the last background training since the node's start."""
     try:
         lesson = json.loads(node.values["background_training"])
         grade, findings = lesson["grade"], lesson["findings"]
@@ -160,13 +161,13 @@ def _check_lesson(node: NodeFacts) -> Iterator[Finding]:
     except (KeyError, TypeError, ValueError):  # none was learned, or not by this version
         return
     if grade == REDO:
-        yield warning("background", f"the last lesson failed: {why}", LEARN)
+        yield warning("background.failed", f"the last training failed: {why}", LEARN)
     elif grade == USABLE:
-        yield note("background", f"usable, not good: {why}", LEARN)
+        yield note("background.usable", f"usable, not good: {why}", LEARN)
 
 
 def check_standing(hull: NodeFacts, camera: str) -> Iterator[Finding]:
-    """Whether this camera stands as its calibration says, by the silhouettes of the others (hull server)."""
+    """Check this camera's pose against the others' silhouettes, as the hull server estimates it."""
     push_deg = _figure(hull, f"calibration_rotation_error_deg_{camera}")
     if push_deg is None:
         return
@@ -178,13 +179,13 @@ def check_standing(hull: NodeFacts, camera: str) -> Iterator[Finding]:
     agrees = "" if share is None else f"; agrees with them in {100 * share:.0f} %"
     text = f"by the others' silhouettes it is {push_deg:.2f} degrees{known} off its calibration{agrees}"
     if camera in hull.values.get("calibration_suspects", "").split(","):
-        yield warning("calibration", text, PUT_BACK)
+        yield warning("calibration.off", text, PUT_BACK)
     else:
         yield ok("calibration", text)
 
 
 def _figure(node: NodeFacts, key: str) -> float | None:
-    """The number under ``key``; None where there is none, or the node cannot tell."""
+    """The number under ``key``; None where there is none."""
     try:
         return float(node.values[key])
     except (KeyError, ValueError):

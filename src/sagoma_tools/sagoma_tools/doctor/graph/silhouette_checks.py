@@ -1,4 +1,4 @@
-"""Are the silhouettes that a camera sends plausible, and made with the rig's calibration?"""
+"""Checks the silhouettes of one camera: arrival, plausible content, and the rig's calibration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BACKGROUND = "Learn the background of the empty room again: sagoma background --
 
 
 def sees_somebody(facts: SilhouetteFacts) -> bool:
-    """Whether a plausible amount of foreground is in most of its masks."""
+    """Whether most of its masks have a plausible share of foreground."""
     return bool(facts.shares) and SOMEBODY <= median(facts.shares) < FLOODED
 
 
@@ -33,13 +33,17 @@ def sees_nobody(facts: SilhouetteFacts) -> bool:
 def check_silhouettes(
     facts: SilhouetteFacts, node: NodeFacts | None, others_see: Sequence[str], rig: Canvas | None, rig_file: str = ""
 ) -> Iterator[Finding]:
-    """One camera's silhouettes.
+    """Check one camera's silhouettes.
 
-    others_see : the other cameras that see somebody. rig : the canvas that the rig gives this camera, when one is
+    others_see : the other cameras that see a person. rig : the canvas that the rig gives this camera, when one is
     known; rig_file : the one that its client was given.
     """
     if facts.publishers > 1:
-        yield error("silhouettes", f"{facts.publishers} nodes publish them", "Stop all but one client of this camera.")
+        yield error(
+            "silhouettes.duplicate_publisher",
+            f"{facts.publishers} nodes publish them",
+            "Stop all but one client of this camera.",
+        )
     if not facts.masks:
         yield from _check_absence(facts, node)
         return
@@ -49,10 +53,10 @@ def check_silhouettes(
 
 
 def check_canvas_agrees(canvas: Canvas, rig: Canvas) -> str:
-    """How the canvas that a camera publishes differs from the rig's; empty when it does not."""
+    """Differences of the canvas that a camera publishes from the rig's, in words; "" when there are none."""
     if (canvas.width, canvas.height) != (rig.width, rig.height):
         return f"its canvas is {canvas.width} x {canvas.height}, the rig's {rig.width} x {rig.height} pixels"
-    told = [
+    differences = [
         f"{name} {mine:.2f}, in the rig {theirs:.2f}"
         for name, mine, theirs in (
             ("fx", canvas.fx, rig.fx),
@@ -62,30 +66,34 @@ def check_canvas_agrees(canvas: Canvas, rig: Canvas) -> str:
         )
         if abs(mine - theirs) > SAME_PX
     ]
-    return ", ".join(told)
+    return ", ".join(differences)
 
 
 def _check_absence(facts: SilhouetteFacts, node: NodeFacts | None) -> Iterator[Finding]:
     uncalibrated = facts.canvas is not None and facts.canvas.fx == 0  # as camera_info says it (REP-104)
     if node is None or node.state != ACTIVE or not facts.publishers or uncalibrated:
-        return  # said already of the node
+        return  # the node's findings say so
     if facts.infos:
-        yield error("silhouettes", f"its camera_info arrives ({facts.infos}), its silhouettes do not", BIG_MESSAGES)
+        yield error(
+            "silhouettes.not_arriving", f"its camera_info arrives ({facts.infos}), its silhouettes do not", BIG_MESSAGES
+        )
     elif float(node.values.get("rate_hz", "0")) > 0:
-        yield error("silhouettes", f"it sends {node.values['rate_hz']} a second, none arrives here", BIG_MESSAGES)
+        yield error(
+            "silhouettes.not_arriving", f"it sends {node.values['rate_hz']} a second, none arrives here", BIG_MESSAGES
+        )
     else:
-        yield warning("silhouettes", "it sends none", "See what it says; without a background there are none.")
+        yield warning("silhouettes.none_sent", "it sends none", "See its message; without a background there are none.")
 
 
 def _check_canvas(facts: SilhouetteFacts, rig: Canvas | None, rig_file: str) -> Iterator[Finding]:
     canvas = facts.canvas
     if canvas is None:
-        yield warning("camera_info", "none arrives beside the silhouettes", "Is it camera_client that publishes them?")
+        yield warning("camera_info.missing", "none arrives beside the silhouettes", "Is camera_client the publisher?")
         return
     if any(size != (canvas.width, canvas.height) for size in facts.sizes):
         sizes = " and ".join(f"{width} x {height}" for width, height in facts.sizes)
         yield error(
-            "silhouettes",
+            "silhouettes.size_differs",
             f"they are {sizes}, camera_info says {canvas.width} x {canvas.height} pixels",
             "Two clients of one name, or a damaged one: restart it.",
         )
@@ -95,7 +103,7 @@ def _check_canvas(facts: SilhouetteFacts, rig: Canvas | None, rig_file: str) -> 
     if differs:
         where = f" (its rig_file: {rig_file})" if rig_file else ""
         yield error(
-            "camera_info",
+            "camera_info.differs",
             f"made with another calibration than the rig file: {differs}{where}",
             "Copy the newer of both rig files to both machines, configure both again; a calibration set "
             "by set_camera_info belongs into rig.yaml too.",
@@ -108,16 +116,18 @@ def _check_way(facts: SilhouetteFacts) -> Iterator[Finding]:
     sent = facts.masks + facts.lost
     if facts.lost > LOST * sent:
         large = " (larger than one packet)" if facts.largest_bytes > PACKET_BYTES else ""
-        yield warning("network", f"{facts.lost} of {sent} silhouettes{large} got lost on the way here", BIG_MESSAGES)
+        yield warning(
+            "network.loss", f"{facts.lost} of {sent} silhouettes{large} got lost on the way here", BIG_MESSAGES
+        )
     if facts.age_s is not None and facts.age_s < -EARLY_S:
         yield error(
-            "stamps",
+            "stamps.ahead",
             f"its frames are stamped {-facts.age_s:.3f} s ahead of this machine's clock",
             "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.",
         )
     elif facts.age_s is not None and facts.age_s > OLD_S:
         yield warning(
-            "latency",
+            "latency.old",
             f"its silhouettes are {facts.age_s:.1f} s old when they arrive",
             "Its clock is behind (see clock), footage plays late, or the machine is too busy.",
         )
@@ -128,26 +138,26 @@ def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterato
     share = median(facts.shares) if facts.shares else 0.0
     text = f"{100 * share:.1f} % foreground, {facts.rate_hz:.1f} a second"
     if facts.bad:
-        yield error("silhouettes", facts.bad, "The messages are damaged: see its log, and the network.")
+        yield error("silhouettes.undecodable", facts.bad, "The messages are damaged: see its log, and the network.")
     elif share >= FLOODED:
-        yield error("silhouettes", f"flooded: {text}", f"The light or the camera was changed. {learn}")
+        yield error("silhouettes.flooded", f"flooded: {text}", f"The light or the camera was changed. {learn}")
     elif facts.masks >= ENOUGH_MASKS and not facts.changes and share > NOTHING:
         yield error(
-            "silhouettes",
+            "silhouettes.frozen",
             f"frozen: the same one {facts.masks} times ({text})",
-            "Cycle the camera's power; see what its client says.",
+            "Cycle the camera's power; see its client's message.",
         )
     elif share < NOTHING and others_see:
         yield warning(
-            "silhouettes",
-            f"blank, while {', '.join(others_see)} see somebody",
-            f"Lens cap, wrong direction, or he was in the room while it learned. {learn}",
+            "silhouettes.blank",
+            f"blank, while {', '.join(others_see)} see a person",
+            f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}",
         )
     elif share < SOMEBODY and others_see:
         yield note(
-            "silhouettes",
-            f"nearly blank ({text}), while {', '.join(others_see)} see somebody",
-            "Well, if nobody is in its view.",
+            "silhouettes.nearly_blank",
+            f"nearly blank ({text}), while {', '.join(others_see)} see a person",
+            "Nothing, if nobody is in its view.",
         )
     else:
         yield ok("silhouettes", text)

@@ -1,4 +1,4 @@
-"""Subscriptions that keep what the doctor judges: one class a kind of topic."""
+"""Subscriptions that collect facts for the doctor: diagnostics, silhouettes, frame sets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LOOK_PERIOD_NS = 100_000_000  # a mask is decoded so often, at most
 
 
 class DiagnosticsSubscriber:
-    """All nodes' diagnostics, and how their stamps compare with the arrival here."""
+    """Collects all nodes' diagnostics, and the difference of their stamps from their arrival here."""
 
     def __init__(self, node: Node) -> None:
         self._lock = threading.Lock()
@@ -37,12 +37,12 @@ class DiagnosticsSubscriber:
 
     @property
     def names(self) -> set[str]:
-        """The nodes heard so far (a status that does not begin with "/" is no node's)."""
+        """The nodes heard so far (the status of a node begins with "/")."""
         with self._lock:
             return {name for name in self._last if name.startswith("/")}
 
     def facts(self, name: str, **known: Any) -> NodeFacts:
-        """What was heard of this node, beside what is known of it otherwise."""
+        """The facts of this node; ``known`` are those from elsewhere."""
         with self._lock:
             heard, last = list(self._heard.get(name, [])), self._last.get(name)
         if last is None:
@@ -68,7 +68,7 @@ class DiagnosticsSubscriber:
 
 
 class SilhouetteSubscriber:
-    """One camera's silhouettes and camera_info."""
+    """Collects one camera's silhouettes and camera_info."""
 
     def __init__(self, node: Node, camera: str) -> None:
         self.camera, self._node = camera, node
@@ -86,7 +86,7 @@ class SilhouetteSubscriber:
         node.create_subscription(CameraInfo, f"/{camera}{CAMERA_INFO_SUFFIX}", self._take_info, SILHOUETTE_SUBSCRIBER)
 
     def facts(self) -> SilhouetteFacts:
-        """What came so far."""
+        """The facts so far."""
         publishers = self._node.count_publishers(self._topic)
         with self._lock:
             arrivals, numbers = self._arrivals_ns, self._numbers
@@ -138,7 +138,7 @@ class SilhouetteSubscriber:
 
 
 class FrameSetSubscriber:
-    """What the hull server says of its frame sets."""
+    """Collects the hull server's diagnostics of its frame sets."""
 
     def __init__(self, node: Node) -> None:
         self._lock = threading.Lock()
@@ -146,20 +146,20 @@ class FrameSetSubscriber:
         _subscribe(node, DiagnosticArray, FRAME_SET_TOPIC, self._take, RESULT)
 
     def facts(self) -> FrameSetFacts | None:
-        """None when no frame set was heard of."""
+        """The facts so far; None when no frame set was heard."""
         with self._lock:
             sets = list(self._sets)
         if not sets:
             return None
-        said = [values for _, values in sets]
+        published = [values for _, values in sets]
         return FrameSetFacts(
             len(sets),
             _rate(len(sets), 1e-9 * (sets[-1][0] - sets[0][0])),
-            _floats(said, "spread_ms"),
-            _floats(said, "published_ms"),
-            tuple(int(value) for value in _floats(said, "points")),
-            _named(said, "missing"),
-            _named(said, "left_out"),
+            _floats(published, "spread_ms"),
+            _floats(published, "published_ms"),
+            tuple(int(value) for value in _floats(published, "points")),
+            _named(published, "missing"),
+            _named(published, "left_out"),
         )
 
     def _take(self, message: DiagnosticArray, info: Any) -> None:
@@ -169,7 +169,7 @@ class FrameSetSubscriber:
 
 
 def _subscribe(node: Node, kind: type, topic: str, take: Callable[[Any, Any], None], qos: QoSProfile) -> None:
-    """``take`` gets the message and when it was sent and received; rclpy's annotation knows of the message alone."""
+    """Subscribe with a callback that gets the message and its times; rclpy's annotation has the message alone."""
     node.create_subscription(kind, topic, cast(Callable[[Any], None], take), qos)
 
 
@@ -177,9 +177,9 @@ def _rate(count: int, span_s: float) -> float:
     return (count - 1) / span_s if count > 1 and span_s > 0 else 0.0
 
 
-def _floats(said: list[Mapping[str, str]], key: str) -> tuple[float, ...]:
-    return tuple(float(values[key]) for values in said if key in values)
+def _floats(published: list[Mapping[str, str]], key: str) -> tuple[float, ...]:
+    return tuple(float(values[key]) for values in published if key in values)
 
 
-def _named(said: list[Mapping[str, str]], key: str) -> dict[str, int]:
-    return dict(Counter(name for values in said for name in values.get(key, "").split(",") if name))
+def _named(published: list[Mapping[str, str]], key: str) -> dict[str, int]:
+    return dict(Counter(name for values in published for name in values.get(key, "").split(",") if name))

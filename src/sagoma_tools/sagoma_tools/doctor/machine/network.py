@@ -1,4 +1,9 @@
-"""Collects the facts of this machine's network: interfaces, firewalls, and the ROS domains with nodes here."""
+"""This machine's network: interfaces, firewalls, ROS domains with nodes here, and whether other machines answer.
+
+A UDP packet to a closed port is answered by the receiver's kernel (ICMP port unreachable), which a connected socket
+reports as "connection refused": proof, without privileges or a program at the other end, that the packet arrived. With
+the don't-fragment bit it proves that the whole path carries packets of that size.
+"""
 
 from __future__ import annotations
 
@@ -86,13 +91,7 @@ def _output(command: list[str]) -> str:
         return ""
 
 
-# --- Does another machine answer, and do packets as large as the interface sends get there whole?
-#
-# A UDP packet to a port where nobody listens is answered by its receiver's kernel (ICMP port unreachable), which a
-# connected socket sees as "connection refused": proof that the packet arrived, without privileges and without a program
-# at the other end. With the don't-fragment bit, it proves that the whole way carries packets of that size.
-
-CLOSED_PORT = 33434  # where traceroute begins: nobody listens there
+CLOSED_PORT = 33434  # where traceroute begins: a port without a listener
 HEADERS = 28  # IPv4 and UDP
 SMALL_BYTES = 64
 ATTEMPTS, REPLY_S = 3, 0.3
@@ -102,7 +101,7 @@ SIZES = (9000, 1500, 1400, 1280)
 
 @dataclass(frozen=True)
 class ReachFacts:
-    """The way to another machine: the interface it takes (None: none), whether a small packet is answered, and the
+    """The path to another machine: its interface here (None: none), whether a small packet is answered, and the
     largest packet of :data:`SIZES` (at most the interface's MTU) that gets there."""
 
     address: str
@@ -112,7 +111,7 @@ class ReachFacts:
 
 
 def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
-    """Findings on the ways to these machines."""
+    """Examine the network paths to these machines."""
     for address in addresses:
         yield from on(f"machine {address}", check_reach(collect_reach(address)))
 
@@ -128,16 +127,16 @@ def collect_reach(address: str) -> ReachFacts:
 
 
 def check_reach(facts: ReachFacts) -> Iterator[Finding]:
-    """Is there a way, does it answer, does it carry whole packets?"""
+    """Check that the machine can be reached, answers, and gets packets of the interface's MTU whole."""
     if facts.interface is None:
         yield error(
-            "way",
+            "way.none",
             f"there is no way to {facts.address} from this machine",
             f"Check the address; see: ip route get {facts.address}",
         )
     elif not facts.answers:
         yield warning(
-            "answer",
+            "answer.none",
             f"{facts.address} does not answer through {facts.interface.name}: it is off, or a firewall is silent",
             f"ping {facts.address}; open UDP between the machines.",
         )
@@ -146,18 +145,18 @@ def check_reach(facts: ReachFacts) -> Iterator[Finding]:
     else:
         name, reach = facts.interface.name, f"{facts.largest or f'less than {SIZES[-1]}'} bytes at most"
         yield error(
-            "mtu",
+            "mtu.too_large",
             f"{name} sends packets of {facts.interface.mtu} bytes, but {reach} reach {facts.address}: "
             "larger messages vanish",
             "Give both machines and the switch between them one MTU: "
             f"sudo ip link set {name} mtu {facts.largest or SIZES[-1]}, or raise the others'.",
         )
     if facts.interface is not None and facts.interface.loopback:
-        yield note("way", f"{facts.address} is this machine")
+        yield note("way.local", f"{facts.address} is this machine")
 
 
 def _arrives(address: str, size: int) -> bool:
-    """Whether a packet of ``size`` bytes, headers included, is answered by "nobody listens here"."""
+    """Whether a packet of ``size`` bytes, headers included, is answered by "port unreachable"."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(REPLY_S)
         link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)

@@ -1,0 +1,149 @@
+"""``sagoma up | start | suspend | stop | studio``: the node graph, and simulated cameras to run it on.
+
+``up`` starts the nodes as processes of its own. ``start``, ``suspend`` and ``stop`` change the lifecycle state of nodes
+that run already, on this machine or another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+
+from rclpy.node import Node
+from rich.console import Console
+from rich.live import Live
+
+from capture_rig.errors import InputError
+from sagoma_bringup.graph import CAMERA_NODE, NodeSpec
+from virtual_studio.gige import command as studio
+
+from ..arguments import add_graph_arguments, graph_from, new_run_folder, table_console
+from ..graph.lifecycle_client import LifecycleClient, State
+from ..graph.processes import Exit
+from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
+from ..graph.supervisor import GraphError, Supervisor
+from ..recording.recorder import GraphRecorder
+from ..recording.writer import require_new
+
+REFRESH_S = 0.5
+# verb -> (the state it leads to, whether the cameras go first, help)
+VERBS = {
+    "start": (State.ACTIVE, False, "configure and activate every node of the running graph"),
+    "suspend": (State.INACTIVE, True, "deactivate every node of the running graph; start goes on from there"),
+    "stop": (State.UNCONFIGURED, True, "deactivate and clean up every node of the running graph; processes stay"),
+}
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the five subcommands."""
+    parser = subparsers.add_parser("up", help="run the graph on a session of footage or on a rig of cameras")
+    add_graph_arguments(parser)
+    parser.add_argument("--record", metavar="BAG", help="record all topics into this bag")
+    parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
+    parser.add_argument("--run-folder", help="where logs and parameter files go (default: output/up-DATE-TIME)")
+    parser.set_defaults(run=up)
+    for verb, (goal, cameras_first, help_text) in VERBS.items():
+        parser = subparsers.add_parser(verb, help=help_text)
+        parser.add_argument("--expect", type=int, default=1, help="wait until so many sagoma nodes are found")
+        parser.add_argument("--wait", type=float, default=5.0, help="... but no longer than this, in seconds")
+        parser.add_argument("--timeout", type=float, help="seconds to wait for each answer")
+        parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
+    parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
+    studio.add_arguments(parser)
+    parser.set_defaults(run=studio.run)
+
+
+def up(args: argparse.Namespace) -> int:
+    """Start, configure, activate, watch, stop; 0 when every node ended cleanly."""
+    graph = graph_from(args)
+    if args.record:
+        require_new(args.record)
+    console, folder = table_console(), new_run_folder(args.run_folder, "up")
+    console.print(f"starting {len(graph)} nodes; logs in {folder}")
+
+    def report_exit(spec: NodeSpec, log_tail: str) -> None:
+        console.print(f"{spec.full_name} died. The end of {folder / spec.label}.log:", style="red")
+        console.print(log_tail, markup=False, highlight=False)
+
+    with StopOnSignal() as stop, Supervisor(graph, folder, on_exit=report_exit, cancel=stop) as supervisor:
+        recorder = bring_up(supervisor, args.record, stop)
+        watch(supervisor, console, stop, args.seconds)
+        supervisor.suspend()
+        if recorder is not None:
+            counts = recorder.close()
+            console.print(f"recorded {sum(counts.values())} messages on {len(counts)} topics in {args.record}")
+        supervisor.stop()
+    return print_exit_statuses(console, supervisor)
+
+
+def bring_up(supervisor: Supervisor, bag: str | None, stop: threading.Event) -> GraphRecorder | None:
+    """Configure, begin to record, activate. Raises GraphError, unless the user stopped it meanwhile."""
+    recorder = None
+    try:
+        supervisor.configure()
+        if bag:
+            recorder = GraphRecorder(supervisor.graph, bag)
+            recorder.wait_for_publishers()
+        supervisor.activate()
+    except GraphError:
+        if not stop.is_set():
+            raise
+    return recorder
+
+
+def watch(supervisor: Supervisor, console: Console, stop: threading.Event, seconds: float | None) -> None:
+    """Show one line a node, twice a second, until ``stop`` is set or the time is over; into a file, only the last."""
+    names = {spec.full_name: spec.label for spec in supervisor.graph}
+    if not console.is_terminal:
+        stop.wait(seconds)
+        console.print(supervisor.diagnostics.table(names, supervisor.states()))
+        return
+    end_s = None if seconds is None else time.monotonic() + seconds
+    with Live(console=console, auto_refresh=False) as live:
+        while not stop.wait(REFRESH_S) and (end_s is None or time.monotonic() < end_s):
+            live.update(supervisor.diagnostics.table(names, supervisor.states()), refresh=True)
+
+
+def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
+    """Print which nodes did not answer or did not end cleanly; 1 when one did not end cleanly."""
+    for answer in supervisor.stop_outcome.failures:
+        console.print(str(answer), style="yellow")
+    failed = [status for status in supervisor.exit_statuses if status.exit is not Exit.CLEAN]
+    for status in failed:
+        console.print(f"{status.name} {status.exit.value} (status {status.returncode})", style="yellow")
+    if not failed:
+        console.print(f"all {len(supervisor.exit_statuses)} nodes stopped")
+    return 1 if failed else 0
+
+
+def change_state(args: argparse.Namespace) -> int:
+    """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
+    with RosLink("sagoma_control") as link:
+        names = discover(link.node, args.expect, args.wait)
+        cameras = [name for name in names if name.endswith(f"/{CAMERA_NODE}")]
+        server = [name for name in names if name not in cameras]
+        groups = [cameras, server] if args.cameras_first else [server, cameras]
+        client = LifecycleClient(link.node)
+        outcome = client.bring(groups, args.goal, args.timeout)
+        states = client.states(names)
+    for name in names:
+        print(f"{name}: {states[name] or 'did not answer'}")
+    for failure in outcome.failures:
+        print(f"failed: {failure}")
+    return 0 if outcome.ok else 1
+
+
+def discover(node: Node, expect: int, wait_s: float) -> list[str]:
+    """Full names of the sagoma nodes, once ``expect`` are found and no more have joined for a second.
+
+    Raises InputError when fewer have announced themselves within ``wait_s``.
+    """
+    found = settled(lambda: our_nodes(node), expect, wait_s)
+    if len(found) < expect:
+        raise InputError(
+            f"found {len(found)} nodes of ours, expected {expect}",
+            where="the ROS graph",
+            remedy="Start them, or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.",
+        )
+    return found

@@ -1,0 +1,168 @@
+"""``sagoma record | replay | compare | recover``: bags of the graph's topics."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from pathlib import Path
+
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
+
+from ..arguments import add_settings_argument, new_run_folder, parse_settings
+from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
+from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics
+from ..recording.lockstep import lockstep_into, replay_through_graph
+from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
+from ..recording.recorder import Recorder, read_configuration
+from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
+from ..recording.writer import recover_bag, require_new
+
+PARAMETERS_TIMEOUT_S = 2.0
+SUBSCRIBER_TIMEOUT_S = 30.0
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the four subcommands."""
+    parser = subparsers.add_parser("record", help="record the running graph into a rosbag2 bag (mcap) until Ctrl-C")
+    parser.add_argument("bag", help="folder to make")
+    parser.add_argument("--rig", help="rig YAML: record its cameras from the first frame on, and copy it into the bag")
+    parser.add_argument("--no-diagnostics", action="store_true", help="leave /diagnostics out")
+    parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
+    parser.set_defaults(run=record)
+
+    parser = subparsers.add_parser("replay", help="play a bag through the graph: timed, or set by set (lockstep)")
+    parser.add_argument("bag", help="rosbag2 bag (mcap or sqlite3), ours or of `ros2 bag record`")
+    parser.add_argument("--rate", type=float, default=1.0, help="speed as a factor of the recorded timing")
+    help_topics = "inputs: what cameras send, for the graph; outputs: the rest, for viewers"
+    parser.add_argument("--topics", choices=("inputs", "outputs", "all"), default="inputs", help=help_topics)
+    parser.add_argument("--lockstep", action="store_true", help="send the next frame set when the EKF has answered")
+    parser.add_argument("--graph", action="store_true", help="with --lockstep: start the server's nodes for this run")
+    parser.add_argument("--output", metavar="BAG", help="with --graph: record the graph's output into this bag")
+    parser.add_argument("--rig", help="with --graph: rig YAML (default: the one in the bag's folder)")
+    parser.add_argument("--body", help="with --graph: body YAML for the trackers")
+    parser.add_argument("--run-folder", help="with --graph: where logs go (default: output/replay-DATE-TIME)")
+    add_settings_argument(parser)
+    parser.set_defaults(run=replay)
+
+    parser = subparsers.add_parser("compare", help="compare two bags byte for byte, topic by topic")
+    parser.add_argument("a", help="a bag")
+    parser.add_argument("b", help="another bag")
+    parser.add_argument("--topics", nargs="+", help="topics to compare (default: all that must be the same)")
+    parser.set_defaults(run=compare)
+
+    parser = subparsers.add_parser("recover", help="make a readable bag of one whose recorder was killed")
+    parser.add_argument("bag", help="folder with an .mcap file and no metadata.yaml")
+    parser.add_argument("target", nargs="?", help="folder to make (default: BAG_recovered)")
+    parser.set_defaults(run=recover)
+
+
+def record(args: argparse.Namespace) -> int:
+    """Record until stopped; cameras that the rig does not name are found as they appear."""
+    cameras = load_rig(args.rig).names if args.rig else ()
+    topics = [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS]
+    with StopOnSignal() as stop, RosLink("sagoma_recorder") as link:
+        recorder = Recorder(link.node, args.bag, topics if args.no_diagnostics else [*topics, DIAGNOSTICS])
+        recorder.follow_cameras()
+        print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
+        stop.wait(args.seconds)
+        configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)
+        counts = recorder.close({"graph": configuration}, Path(args.rig) if args.rig else None)
+    print_counts(counts)
+    return 0
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Replay a bag; 0 when everything was sent (and, in lockstep, answered)."""
+    check_replay(args)
+    with StopOnSignal() as stop:
+        if args.graph:
+            run_folder = new_run_folder(args.run_folder, "replay")
+            settings = parse_settings(args.settings)
+            report = replay_through_graph(
+                args.bag, args.output, run_folder, rig=args.rig, body=args.body, settings=settings, cancel=stop
+            )
+            return print_report(report)
+        with RosLink("sagoma_replayer") as link:
+            if args.lockstep:
+                return print_report(lockstep_into(link.node, args.bag, cancel=stop))
+            return replay_timed(args, link, stop)
+
+
+def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event) -> int:
+    """Publish the wanted topics with the timing of the bag."""
+    types = bag_topics(args.bag)
+    inputs = set(input_topics(args.bag))
+    wanted = {"inputs": inputs, "outputs": set(types) - inputs, "all": set(types)}[args.topics]
+    publishers = InputPublishers(link.node, {name: types[name] for name in sorted(wanted)})
+    if args.topics == "inputs":
+        silhouettes = [name for name in inputs if name.endswith(SILHOUETTE_SUFFIX)]
+        publishers.wait_for_subscribers(silhouettes, SUBSCRIBER_TIMEOUT_S)
+    count = play_timed(read_messages(args.bag, wanted.__contains__), publishers, MonotonicClock(stop), args.rate)
+    print(f"played {count} messages on {len(wanted)} topics")
+    return 0
+
+
+def check_replay(args: argparse.Namespace) -> None:
+    """Raises InputError for arguments that do not go together, before anything is started."""
+    if args.graph != (args.output is not None) or (args.graph and not args.lockstep):
+        raise InputError(
+            "--graph and --output belong together, with --lockstep",
+            where="arguments",
+            remedy="Write `sagoma replay BAG --graph --lockstep --output OUT`.",
+        )
+    if args.rate <= 0:
+        raise InputError(
+            f"--rate {args.rate:g} is not a speed",
+            where="arguments",
+            remedy="Give a factor above 0, or --lockstep for as fast as the graph can.",
+        )
+    if args.output is not None:
+        require_new(args.output)
+
+
+def print_report(report: LockstepReport) -> int:
+    """Print the result of a lockstep replay; 1 when a set was not answered."""
+    print(f"replayed {report.sets} frame sets in lockstep, {len(report.unanswered_ns)} not answered")
+    for stamp_ns in report.unanswered_ns[:10]:
+        print(f"  no answer to the set of {stamp_ns} ns")
+    if report.stray_answers:
+        print(f"  {report.stray_answers} answers to sets that were not sent: does something else feed this graph?")
+    for topic, count in report.unrecorded.items():
+        print(f"  {topic}: {count} messages are missing in the recording")
+    return 1 if report.unanswered_ns or report.stray_answers or report.unrecorded else 0
+
+
+def compare(args: argparse.Namespace) -> int:
+    """Print one line a topic with its SHA-256; 0 when all agree."""
+    topics = args.topics or sorted({*default_comparison(args.a), *default_comparison(args.b)})
+    if not topics:
+        raise InputError(
+            "neither bag holds an output of the graph",
+            where=f"{args.a}, {args.b}",
+            remedy="Name the topics to compare with --topics.",
+        )
+    digests_a, digests_b = bag_digest(args.a, topics), bag_digest(args.b, topics)
+    different = [topic for topic in topics if digests_a[topic] != digests_b[topic]]
+    for topic in topics:
+        verdict = "DIFFERENT" if topic in different else "identical"
+        print(f"{verdict}  {digests_a[topic].count:6d} messages  sha256 {digests_a[topic].sha256[:16]}  {topic}")
+    for topic in different:
+        print(first_difference(args.a, args.b, topic))
+    print("the bags differ" if different else f"identical on {len(topics)} topics")
+    return 1 if different else 0
+
+
+def recover(args: argparse.Namespace) -> int:
+    """Copy the readable messages of a damaged bag into a new one, and print their number by topic."""
+    target = args.target or args.bag.rstrip("/") + "_recovered"
+    counts = recover_bag(args.bag, target)
+    print_counts(counts)
+    print(f"recovered {sum(counts.values())} messages into {target}")
+    return 0
+
+
+def print_counts(counts: dict[str, int]) -> None:
+    """Print the number of messages of each topic."""
+    for name, count in sorted(counts.items()):
+        print(f"{count:7d}  {name}")
