@@ -8,8 +8,11 @@ target=${2:-demo}
 repository=$(git -C "$(dirname "$0")" rev-parse --show-toplevel)
 
 if [ ! -d "$root/usr" ]; then
-    mirror=$(sed -n 's/^URIs: *//p; s/^deb \(\[[^]]*\] \)\?\([^ ]*\).*/\2/p' /etc/apt/sources.list /etc/apt/sources.list.d/* 2>/dev/null | head -1)
-    debootstrap --variant=minbase --include=make,git,ca-certificates bookworm "$root" "$mirror" >"$root.log" 2>&1
+    # either form of apt's sources may be absent; without any, Debian's own mirror
+    mirror=$(cat /etc/apt/sources.list /etc/apt/sources.list.d/* 2>/dev/null |
+        sed -n 's/^URIs: *//p; s/^deb \(\[[^]]*\] \)\?\([^ ]*\).*/\2/p' | sed -n 1p || true)
+    debootstrap --variant=minbase --include=make,git,ca-certificates bookworm "$root" \
+        "${mirror:-http://deb.debian.org/debian}" >"$root.log" 2>&1 || { tail "$root.log" >&2; exit 1; }
 fi
 for file in /etc/pip.conf /etc/resolv.conf /etc/hosts; do [ -e "$file" ] && cp -L "$file" "$root$file"; done
 cp -rL /etc/apt/. "$root/etc/apt/"

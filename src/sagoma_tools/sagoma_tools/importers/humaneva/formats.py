@@ -180,9 +180,9 @@ def read_ofs(path: Path) -> Offset:
     return offset
 
 
-# the common clock of a sequence: which image of each camera and which motion capture instant belong together. Frames are
-# counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 to 876 training). All cameras of
-# the sequence take part, also those that are not imported.
+# The common clock of a sequence: which image of each camera and which motion capture instant belong together. Frames
+# are counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 to 876 training). All cameras
+# of the sequence take part, also those that are not imported.
 
 FIRST_USABLE_FRAME = 6
 """The codec repeats the first image of every movie: its first five frames show nothing new."""
