@@ -51,7 +51,7 @@ from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import camera_topics
 from sagoma_tools.recording.reader import header_stamp_ns
 from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
+from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
 
 PLAY_S, PLAY_FPS = 4.0, 60.0
@@ -117,7 +117,7 @@ PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.sil
 def built_in_session(folder: Path, args: argparse.Namespace) -> Path:
     """The studio's person in its room, a T-pose and some movement, with sensor noise and flicker."""
     rig, body = ring(args.cameras - 1, True), Body.from_stature(1.75)
-    return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, shadow=args.shadow)
+    return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, settings=RenderSettings(shadow=args.shadow))
 
 
 def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float, plain: bool = False) -> Run:

@@ -35,7 +35,7 @@ from stick_figure.body import Body
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.motions.catalogue import HARD_CASES
 from virtual_studio.people import person_of
-from virtual_studio.recording.session import write_session
+from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
 
 PICTURES = Path("output/hard_cases")
@@ -85,7 +85,12 @@ def filmed_clip(case: str, cameras: int, body: Body, build: float) -> Clip:
     """The case as footage, segmented by the camera client."""
     with tempfile.TemporaryDirectory() as folder:
         session = write_session(
-            Path(folder) / case, ring(cameras - 1), body, case, seconds=HARD_CASES[case].duration_s, build=build
+            Path(folder) / case,
+            ring(cameras - 1),
+            body,
+            case,
+            seconds=HARD_CASES[case].duration_s,
+            settings=RenderSettings(build=build),
         )
         return session_clip(session, exact=False)
 

@@ -30,8 +30,8 @@ from sagoma_tools.cli import main as sagoma
 from sagoma_tools.evaluation.chain import Configuration
 from sagoma_tools.evaluation.in_process import track_session
 from sagoma_tools.evaluation.scores import Scores, score
+from virtual_studio.__main__ import main as film
 from virtual_studio.recording.footage import TRUTH_RIG_FILE, CameraErrors, camera_errors, read_truth_floor
-from virtual_studio.recording.setup_command import main as film
 
 LENSES, RIG_FILE, TRUTH_FILE = "lenses", "rig.yaml", "truth.csv"
 SETTINGS = {"hull_server.backend": "cpu"}
@@ -112,7 +112,7 @@ def main() -> None:
     seconds, began = args.seconds or (3.0 if args.quick else 6.0), time.monotonic()
     if not (args.folder / "setup.yaml").is_file():
         words = [str(args.folder), "--cameras", str(args.cameras), "--seconds", str(seconds)]
-        if film(words + ["--quick"] * args.quick) != 0:
+        if film(["setup", *words] + ["--quick"] * args.quick) != 0:
             raise SystemExit(2)
     calibrate(args.folder)
     found, truth = load_rig(args.folder / "session" / RIG_FILE), load_rig(args.folder / TRUTH_RIG_FILE)

@@ -231,7 +231,7 @@ def main() -> None:
         return
     result: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory(prefix="sagoma_bench_") as folder:
-        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12, seed=1)
+        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12)
         sessions = {"studio": (Path(folder) / "studio", 24 if arguments.quick else 6)}
         if (SHARED / "sessions").is_dir():
             sessions |= {p.name: (p, 60 if arguments.quick else 15) for p in sorted((SHARED / "sessions").iterdir())}

@@ -28,7 +28,7 @@ from camera_client.settings import CameraClientSettings, CameraMovedSettings
 from camera_client.sources.grab_loop import GrabState
 from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.room import look
+from virtual_studio.scene.room import view_room
 
 REAL = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_4cam"
 NOISE, PERIOD_NS = 3.0, 500_000_000
@@ -49,7 +49,7 @@ def moved(camera, turn_deg=(0, 0, 0), push_m=(0, 0, 0)):
 
 @cache
 def light_of(number, turn_deg=(0, 0, 0), push_m=(0, 0, 0)):
-    return look(moved(studio_camera(number), turn_deg, push_m)).grey
+    return view_room(moved(studio_camera(number), turn_deg, push_m)).grey
 
 
 def picture(number=1, frame=0, light=1.0, **where):

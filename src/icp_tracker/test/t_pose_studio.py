@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -52,7 +51,7 @@ def standing(body, angles, heading=0.0, place=(0.0, 0.0), lean=0.0):
 def person(body, pose, build=1.0):
     """The parts of a person; ``build`` widens them."""
     parts = VolumetricBody(body).place(pose)
-    return replace(parts, radii=parts.radii * build)
+    return parts._replace(radii=parts.radii * build)
 
 
 def box(low, high, radius=0.15):

@@ -25,7 +25,7 @@ SETTINGS = {"cameras.background_frames": 30, "hull_server.deadline_s": 1.0, "hul
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory):
     folder = tmp_path_factory.mktemp("doctor_graph")
-    session = write_session(folder / "session", ring(3, False), Body.from_stature(1.75), fps=FPS, seconds=3.0, seed=1)
+    session = write_session(folder / "session", ring(3, False), Body.from_stature(1.75), fps=FPS, seconds=3.0)
     arguments = ("--session", str(session), "--fps", f"{FPS:g}", "--empty", "--address", free_first_address(3))
     with StudioProcess(folder / "studio", *arguments) as studio:
         yield studio

@@ -10,12 +10,12 @@ import pytest
 from rig_calibration.boards.board import CharucoBoard, Checkerboard
 from stick_figure.body import Body
 from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.board_camera import BoardCamera, FilmingCamera, Optics, PosedBoard, exposed
-from virtual_studio.rendering.board_caster import cast_board, sample_places
+from virtual_studio.rendering.board_camera import BoardCamera, FilmingCamera, Optics, exposure_poses
+from virtual_studio.rendering.board_caster import cast_board, sample_offsets
 from virtual_studio.rendering.camera import WHITE, Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import Wand, print_of
-from virtual_studio.scene.handling import FACING, carry, hands, on_floor, person_with, pose
+from virtual_studio.scene.boards import PosedBoard, Wand, print_of, transform
+from virtual_studio.scene.handling import FACING, carry, hands, on_floor, person_with
 
 RIG = ring(2, ceiling=True)
 CAMERA = RIG.cameras[0]
@@ -27,8 +27,8 @@ FLOOR = print_of(Checkerboard(7, 4, (0.12, 0.12)))
 def shown(distance_m, tilt_rad=0.0, about=(1.0, 0.0, 0.0), aside=(0.0, 0.0), board=HAND, camera=CAMERA):
     """T_world_board of a board before a camera; ``aside``: of its middle, in tangents of the viewing angle."""
     R = cv2.Rodrigues(tilt_rad * np.array(about, float))[0] @ FACING
-    T_camera_middle = pose(R, distance_m * np.array([*aside, 1.0]))
-    return np.linalg.inv(camera.T_camera_world) @ T_camera_middle @ pose(np.eye(3), -board.middle_board)
+    T_camera_middle = transform(R, distance_m * np.array([*aside, 1.0]))
+    return np.linalg.inv(camera.T_camera_world) @ T_camera_middle @ transform(np.eye(3), -board.middle_board)
 
 
 def held(T, board=HAND):
@@ -47,7 +47,7 @@ def among_corners(T):
 
 def homographies(T):
     """(1, 3, 3) from normalised image coordinates to the hand board's texels."""
-    return (HAND.texels_board @ np.linalg.inv((CAMERA.T_camera_world @ T)[:3, [0, 1, 3]]))[None]
+    return (HAND.H_texel_board @ np.linalg.inv((CAMERA.T_camera_world @ T)[:3, [0, 1, 3]]))[None]
 
 
 def cast_alone(T, greys, clear, samples):
@@ -60,7 +60,7 @@ def cast_alone(T, greys, clear, samples):
         np.array([greys]),
         HAND.texture,
         clear,
-        sample_places(samples),
+        sample_offsets(samples),
         np.array([0, 0, 640, 480]),
         far,
         light,
@@ -106,13 +106,13 @@ def test_sheet_covers_as_many_pixels_as_its_outline_holds():
     outline = np.concatenate([np.linspace(a, b, 200, endpoint=False) for a, b in pairwise(ring_of_corners)])
     x, y = CAMERA.project(outline @ T[:3, :3].T + T[:3, 3]).T
     area = 0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1))  # the polygon's
-    assert cast_alone(T, (1.0, 1.0), HAND.clear, 64).sum() == pytest.approx(area, rel=3e-4)
+    assert cast_alone(T, (1.0, 1.0), HAND.edge_distance, 64).sum() == pytest.approx(area, rel=3e-4)
 
 
 def test_shortcut_for_plain_pixels_changes_nothing():
     T = shown(0.7, 0.6, (0.3, 0.9, 0), (0.1, 0.0))
-    short = cast_alone(T, (0.1, 0.8), HAND.clear, 32)
-    every_pixel_sampled = cast_alone(T, (0.1, 0.8), np.zeros_like(HAND.clear), 32)
+    short = cast_alone(T, (0.1, 0.8), HAND.edge_distance, 32)
+    every_pixel_sampled = cast_alone(T, (0.1, 0.8), np.zeros_like(HAND.edge_distance), 32)
     np.testing.assert_allclose(short, every_pixel_sampled, atol=1e-5)
 
 
@@ -123,7 +123,7 @@ def test_board_that_faces_the_lamp_is_brighter():
 
 
 def test_back_of_a_board_shows_no_fields():
-    turned = pose(np.diag([-1.0, 1.0, -1.0]), 2.0 * HAND.middle_board * [1.0, 0.0, 0.0])
+    turned = transform(np.diag([-1.0, 1.0, -1.0]), 2.0 * HAND.middle_board * [1.0, 0.0, 0.0])
     T = shown(0.8) @ turned
     patch = picture(EYE.render([held(T)]))[among_corners(T)]
     assert patch.size > 10_000 and np.ptp(patch) == 0
@@ -136,7 +136,7 @@ def test_board_is_seen_before_the_person_who_carries_it_and_hidden_behind(side, 
     middle = T[:3, :3] @ FLOOR.middle_board + T[:3, 3]
     looking = -side * ahead
     R = np.array([np.cross(looking, [0, 0, 1.0]), [0, 0, -1.0], looking])
-    camera = replace(CAMERA, T_camera_world=pose(R, -R @ (middle + side * 2.4 * ahead)))
+    camera = replace(CAMERA, T_camera_world=transform(R, -R @ (middle + side * 2.4 * ahead)))
     image = picture(BoardCamera(camera).render([held(T, FLOOR)], person_with(body, FLOOR, T)))
     x, y = np.rint(camera.project(middle)).astype(int)
     assert (np.ptp(image[y - 20 : y + 20, x - 20 : x + 20]) > 60) == contrast_seen
@@ -171,8 +171,8 @@ def test_exposure_has_as_many_moments_as_the_motion_asks_for_and_the_middle_is_o
     def moving(speed):
         return lambda t: shown(0.8, aside=(speed * (t - 1.0), 0.0))
 
-    assert len(exposed(CAMERA, HAND, moving(0.01), 1.0, 0.008)) == 1
-    poses = exposed(CAMERA, HAND, moving(1.0), 1.0, 0.008)  # 3.7 px
+    assert len(exposure_poses(CAMERA, HAND, moving(0.01), 1.0, 0.008)) == 1
+    poses = exposure_poses(CAMERA, HAND, moving(1.0), 1.0, 0.008)  # 3.7 px
     assert len(poses) == 5
     np.testing.assert_allclose(poses[2], moving(1.0)(1.0), atol=1e-12)
 
@@ -192,8 +192,8 @@ def test_charuco_s_markers_are_read_in_the_picture():
 
 
 def test_balls_of_the_wand_are_round_spots_where_their_centres_project():
-    wand, T = Wand(), pose(np.roll(np.eye(3), 1, axis=0), np.array([-0.1, -0.2, 1.1]))  # along the world's y
-    image = EYE.see_wand(wand, T)
+    wand, T = Wand(), transform(np.roll(np.eye(3), 1, axis=0), np.array([-0.1, -0.2, 1.1]))  # along the world's y
+    image = EYE.render_wand(wand, T)
     bright = image > 0.6
     count, _, _, centroids = cv2.connectedComponentsWithStats(bright.astype(np.uint8))
     assert count == 1 + len(wand.marks_m)

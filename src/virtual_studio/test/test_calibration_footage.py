@@ -15,9 +15,8 @@ from virtual_studio.recording.footage import (
     read_truth_floor,
     write_calibration_footage,
 )
-from virtual_studio.rendering.board_camera import PosedBoard
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import Wand, print_of
+from virtual_studio.scene.boards import PosedBoard, Wand, print_of
 from virtual_studio.scene.handling import carry, on_floor, swing, wave
 
 RIG = ring(5, ceiling=True)

@@ -75,7 +75,7 @@ def session(tmp_path):
 
 def test_session_s_cameras_see_the_same_frame_at_one_instant(session):
     scene = load_session_scene(session)
-    epoch_ns = scene.stage.play(NOW_NS)
+    epoch_ns = scene.playback.play(NOW_NS)
     for frame in (0, 5, FRAMES - 1, FRAMES + 2):
         instant = epoch_ns + round((frame + 0.1) * SECOND_NS / FPS)
         expected = 20 + 10 * (frame % FRAMES)
@@ -93,17 +93,17 @@ def test_mono_footage_is_grey_and_coloured_footage_is_not(session):
 def test_empty_room_is_seen_while_nobody_is_there(session):
     scene = load_session_scene(session)
     assert scene.can_be_empty
-    scene.stage.occupy(False)
+    scene.playback.occupy(False)
     later = time.time_ns() + SECOND_NS
     assert scene.views["cam01"].image(later).max() == 7
-    scene.stage.occupy(True)
+    scene.playback.occupy(True)
     assert scene.views["cam01"].image(time.time_ns() + SECOND_NS).max() >= 20
 
 
 def test_frames_that_do_not_fit_into_memory_are_left_out_for_every_camera_alike(session):
     colour_frame_mb = 480 * 640 * 3 / 1e6
     scene = load_session_scene(session, memory_mb=2 * 4.1 * colour_frame_mb / 0.75)
-    assert (scene.stage.frames, scene.total_frames) == (4, FRAMES)
+    assert (scene.playback.frames, scene.total_frames) == (4, FRAMES)
     assert {len(view.frames) for view in scene.views.values()} == {4}
     with pytest.raises(InputError, match=r"one frame has 0\.9 MB.*--memory"):
         load_session_scene(session, memory_mb=1.0)
@@ -124,7 +124,7 @@ def room():
 
 
 def test_room_shows_the_body_with_its_shadow_through_each_camera_s_lens(room):
-    room.stage.hold()
+    room.playback.hold()
     body = Body.from_stature(1.75)
     capsules = VolumetricBody(body).place(MOTIONS["tour"](body, 0.1, 60.0).poses[0])
     for model in ring(1, ceiling=False).cameras:
@@ -139,7 +139,7 @@ def test_room_shows_the_body_with_its_shadow_through_each_camera_s_lens(room):
 
 
 def test_empty_room_has_nobody_in_it(room):
-    room.stage.occupy(False)
+    room.playback.occupy(False)
     later = time.time_ns() + SECOND_NS
     np.testing.assert_array_equal(room.views["cam01"].image(later), room.empty("cam01"))
 
@@ -149,7 +149,7 @@ def test_renderer_follows_the_cameras_and_says_how_many_pictures_were_fresh(room
         instant = time.time_ns()
         return [room.views["cam01"].image(instant) for _ in range(2)]
 
-    eventually(lambda: look() and room.counters["sets_rendered"] >= 3)
+    eventually(lambda: look() and room.counters["views_fresh"] >= 3)
     assert 3 <= room.counters["views_fresh"] <= room.counters["sets_rendered"] + 1
     assert room.counters["views_repeated"] >= room.counters["views_fresh"] - 1  # everyone looked twice at once
 

@@ -13,9 +13,8 @@ from virtual_studio.gige.command import request_from, write_rig_files
 from virtual_studio.live.rendered_scenes import PHASES, LiveScene, RenderedSet, SetupScene
 from virtual_studio.live.scenes import Playback
 from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD
-from virtual_studio.rendering.board_camera import PosedBoard
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import print_of
+from virtual_studio.scene.boards import PosedBoard, print_of
 from virtual_studio.scene.handling import on_floor
 
 SECOND_NS = 1_000_000_000
@@ -55,7 +54,7 @@ def test_each_camera_is_shown_a_board_of_its_own_in_the_phase_of_intrinsics(scen
 
 def test_phase_begins_for_all_cameras_at_the_same_instant(scene):
     scene.show("floor")
-    scene.stage.occupy(True)
+    scene.playback.occupy(True)
     scene.show("person")
     before, after = time.time_ns() - SECOND_NS, time.time_ns() + SECOND_NS
     assert (scene.render(before)["cam01"] != scene.render(after)["cam01"]).any()

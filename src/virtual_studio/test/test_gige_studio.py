@@ -105,7 +105,7 @@ def test_status_tells_who_controls_a_camera(aravis, studio, control):
         ({"do": "set", "cameras": ["cam09"], "faults": {}}, r"no camera cam09.*cam01"),
         ({"do": "set", "faults": {"stal": True}}, r"no fault 'stal'"),
         ({"do": "room", "state": "empty"}, r"empty room"),
-        ({"do": "play"}, r"test pattern has no stage"),
+        ({"do": "play"}, r"test pattern has no playback"),
         ({"do": "wire", "rate": -1}, r"rate = -1"),
     ],
 )
@@ -165,10 +165,10 @@ def test_written_files_describe_the_studio(studio, tmp_path):
 def test_room_s_person_leaves_and_enters_for_all_cameras(tmp_path):
     with Studio(StudioSettings(cameras=2, address=first_of_free(2)), tmp_path / "s") as studio:
         assert studio.handle({"do": "room", "state": "empty"}) == {"room": "empty"}
-        assert not studio.stage.occupied
+        assert not studio.playback.occupied
         answer = studio.handle({"do": "play", "at_ns": 10**18, "loop": False})
-        assert studio.stage.occupied and answer["epoch_ns"] == 10**18
-        assert studio.handle({"do": "status"})["stage"]["epoch_ns"] == 10**18
+        assert studio.playback.occupied and answer["epoch_ns"] == 10**18
+        assert studio.handle({"do": "status"})["playback"]["epoch_ns"] == 10**18
 
 
 @pytest.mark.parametrize(

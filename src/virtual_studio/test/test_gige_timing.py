@@ -134,41 +134,41 @@ def test_free_run_timer_takes_effect_when_it_is_updated():
 
 @given(st.integers(-5, 50), rates)
 def test_stage_shows_each_frame_for_its_period_from_the_epoch_on(frame, rate):
-    stage = Playback(frames=40, fps=rate)
-    epoch_ns = stage.play(NOW_NS, loop=False)
+    playback = Playback(frames=40, fps=rate)
+    epoch_ns = playback.play(NOW_NS, loop=False)
     period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
     middle = epoch_ns + round((frame + Fraction(1, 2)) * period_ns)
-    assert stage.frame_at(middle) == min(max(frame, 0), 39)
-    stage.loop = True
-    assert stage.frame_at(middle) == (frame % 40 if frame >= 0 else 0)
+    assert playback.frame_at(middle) == min(max(frame, 0), 39)
+    playback.loop = True
+    assert playback.frame_at(middle) == (frame % 40 if frame >= 0 else 0)
 
 
 @pytest.mark.parametrize("rate", [25.0, 59.94, 60.0, 100.0])
 def test_free_running_camera_at_the_stage_s_rate_sees_every_frame_once(rate):
-    stage = Playback(frames=1000, fps=rate)
-    start = stage.play(NOW_NS)
+    playback = Playback(frames=1000, fps=rate)
+    start = playback.play(NOW_NS)
     period_ns = SECOND_NS / Fraction(rate).limit_denominator(1000)
     seen, instant = [], start - 1
     for _ in range(500):
         instant = next_multiple(instant, period_ns)
-        seen.append(stage.frame_at(instant + 2_000_000))  # the middle of 4 ms of exposure
+        seen.append(playback.frame_at(instant + 2_000_000))  # the middle of 4 ms of exposure
     assert seen == list(range(500))
 
 
 def test_person_comes_and_goes_at_one_instant_for_all():
-    stage = Playback(10, 60.0)
+    playback = Playback(10, 60.0)
     before = time.time_ns()
-    stage.occupy(False)
-    assert stage.occupied_at(before)
-    assert not stage.occupied_at(time.time_ns() + SECOND_NS)
+    playback.occupy(False)
+    assert playback.occupied_at(before)
+    assert not playback.occupied_at(time.time_ns() + SECOND_NS)
 
 
 def test_held_stage_stays_at_its_first_frame():
-    stage = Playback(10, 60.0)
-    stage.hold()
-    assert {stage.frame_at(NOW_NS + k * 50_000_000) for k in range(20)} == {0}
-    stage.play(NOW_NS)
-    assert stage.frame_at(NOW_NS + 100_000_000) == 6
+    playback = Playback(10, 60.0)
+    playback.hold()
+    assert {playback.frame_at(NOW_NS + k * 50_000_000) for k in range(20)} == {0}
+    playback.play(NOW_NS)
+    assert playback.frame_at(NOW_NS + 100_000_000) == 6
 
 
 @pytest.fixture

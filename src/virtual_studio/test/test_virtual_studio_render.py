@@ -21,7 +21,7 @@ from virtual_studio.rendering.capsules import (
     hit_capsule,
 )
 from virtual_studio.rig import ring
-from virtual_studio.scene.room import look
+from virtual_studio.scene.room import view_room
 
 BODY = Body.from_stature(1.72)
 PERSON = VolumetricBody(BODY)
@@ -69,8 +69,7 @@ def test_mask_equals_brute_force_rays_against_parts(frame):
 def test_part_around_the_camera_does_not_break_the_picture():
     camera, capsules = CAMERAS[0], PERSON.place(MOTION.poses[0])
     centre = camera.camera.centre_world
-    behind = replace(
-        capsules,
+    behind = capsules._replace(
         starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
         ends=capsules.ends - capsules.starts[0] + 1.2 * centre,
     )
@@ -88,7 +87,7 @@ def test_hit_distance_lies_on_the_surface_for_any_taper():
         origin = 4.0 * rng.normal(size=3)
         ray = a + rng.normal(size=3) * 0.5 - origin
         ray /= np.linalg.norm(ray)
-        t = hit_capsule(*origin, *ray, *a, *b, ra, rb)
+        t = hit_capsule(tuple(origin), tuple(ray), tuple(a), tuple(b), ra, rb)
         u = np.linspace(0, 1, 2001)
         radii = ra + u * (rb - ra)
 
@@ -177,7 +176,7 @@ def test_shadow_falls_where_the_lamps_are_hidden():
 
 def test_rays_of_the_view_project_back_onto_their_pixels():
     camera = ring(1, ceiling=False).cameras[0]
-    view = look(camera)
+    view = view_room(camera)
     y, x = np.mgrid[0:480:37, 0:640:41]
     pixels = camera.project(camera.centre_world + 3.0 * view.rays[y, x])
     np.testing.assert_allclose(pixels, np.stack([x, y], -1), atol=1e-3)
@@ -185,7 +184,7 @@ def test_rays_of_the_view_project_back_onto_their_pixels():
 
 def test_room_looks_the_same_place_by_place_from_two_cameras():
     rig = ring(2, ceiling=True)
-    views = [look(camera) for camera in rig.cameras]
+    views = [view_room(camera) for camera in rig.cameras]
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.uniform(-1.3, 1.3, (4000, 2)), np.zeros(4000)])
     greys = []

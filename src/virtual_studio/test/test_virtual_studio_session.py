@@ -14,7 +14,7 @@ from stick_figure.rotations import rotation_matrix
 from virtual_studio.__main__ import main
 from virtual_studio.motions.catalogue import tour
 from virtual_studio.recording.files import read_grey
-from virtual_studio.recording.session import TORSO_COLUMNS, write_session
+from virtual_studio.recording.session import TORSO_COLUMNS, RenderSettings, write_session
 from virtual_studio.rig import ring
 
 BODY = Body.from_stature(1.80)
@@ -24,7 +24,7 @@ SETTINGS = dict(rig=RIG, body=BODY, motion="tour", fps=10, seconds=2.5)
 
 @pytest.fixture(scope="module")
 def session_folder(tmp_path_factory):
-    return write_session(tmp_path_factory.mktemp("studio") / "session", seed=4, **SETTINGS)
+    return write_session(tmp_path_factory.mktemp("studio") / "session", settings=RenderSettings(seed=4), **SETTINGS)
 
 
 def test_session_reads_back_as_it_was_written(session_folder):
@@ -79,7 +79,7 @@ def test_footage_keeps_noise_after_decoding(session_folder):
 
 
 def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path):
-    again = write_session(tmp_path / "again", seed=4, **SETTINGS)
+    again = write_session(tmp_path / "again", settings=RenderSettings(seed=4), **SETTINGS)
     for kind in ("videos", "masks", "backgrounds"):
         first, second = getattr(load_session(session_folder), kind), getattr(load_session(again), kind)
         for name in first:
@@ -89,7 +89,7 @@ def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path)
 
 @pytest.mark.slow
 def test_another_seed_changes_noise_but_not_truth_or_masks(session_folder, tmp_path):
-    other = write_session(tmp_path / "other", seed=5, **SETTINGS)
+    other = write_session(tmp_path / "other", settings=RenderSettings(seed=5), **SETTINGS)
     first, second = load_session(session_folder), load_session(other)
     assert read_grey(first.masks["cam01"]).tobytes() == read_grey(second.masks["cam01"]).tobytes()
     assert read_grey(first.videos["cam01"]).tobytes() != read_grey(second.videos["cam01"]).tobytes()
@@ -136,7 +136,9 @@ def test_interrupted_writing_leaves_the_older_session_and_no_rest(tmp_path):
 )
 def test_impossible_settings_are_refused_before_anything_is_written(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
-        write_session(tmp_path / "session", **(SETTINGS | change))
+        given = SETTINGS | change
+        settings = RenderSettings(**{key: given.pop(key) for key in ("seed", "noise", "flicker") if key in given})
+        write_session(tmp_path / "session", **given, settings=settings)
     assert list(tmp_path.iterdir()) == []
 
 

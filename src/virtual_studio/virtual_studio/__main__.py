@@ -1,88 +1,70 @@
-"""python -m virtual_studio FOLDER: render a session of the built-in person; setup FOLDER: the boards as well."""
+"""python -m virtual_studio FOLDER: render a session of the built-in person; setup FOLDER: film boards as well."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
+from rig_calibration.boards.specification import board_text, read_board
 
 from .motion_files.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.catalogue import MOTIONS, MotionFunction
 from .people import person_of
-from .recording.session import write_session
-from .recording.setup_command import main as setup
+from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
+from .recording.session import RenderSettings, write_session
 from .rig import ring
+from .scene.boards import Wand
+
+QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Returns the exit code: 0, or 2 with one clear line on standard error."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    if arguments[:1] == ["setup"]:
-        return setup(arguments[1:])
-    options = _parser().parse_args(arguments)
-    started = time.monotonic()
+    is_setup = arguments[:1] == ["setup"]
+    options = _setup_parser().parse_args(arguments[1:]) if is_setup else _session_parser().parse_args(arguments)
     try:
-        rig = ring(options.cameras - options.ceiling, options.ceiling)
-        body = person_of(options.stature, options.arms, options.legs)
-        folder = write_session(
-            options.folder,
-            rig,
-            body,
-            _motion(options),
-            options.fps,
-            options.seconds,
-            options.seed,
-            options.noise,
-            options.shadow,
-            options.flicker,
-            options.build,
-            _show_progress if sys.stderr.isatty() else lambda done, total: None,
-        )
+        return _setup(options) if is_setup else _session(options)
     except InputError as error:
         print(f"virtual_studio: {error}", file=sys.stderr)
         return 2
+
+
+def _session(options: argparse.Namespace) -> int:
+    started = time.monotonic()
+    rig = ring(options.cameras - options.ceiling, options.ceiling)
+    body = person_of(options.stature, options.arms, options.legs)
+    look = RenderSettings(options.seed, options.noise, options.flicker, options.shadow, options.build)
+    progress = _show_progress if sys.stderr.isatty() else lambda done, total: None
+    folder = write_session(options.folder, rig, body, _motion(options), options.fps, options.seconds, look, progress)
     frames = len((folder / "truth.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"{folder}: {len(rig.cameras)} cameras x {frames} frames in {time.monotonic() - started:.1f} s")
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m virtual_studio",
-        description="Render a session of the built-in person: videos, empty room, exact silhouettes, rig, truth.",
-        epilog="python -m virtual_studio setup FOLDER films calibration boards as well (--help tells more)",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+def _setup(options: argparse.Namespace) -> int:
+    started = time.monotonic()
+    rig = ring(options.cameras - options.ceiling, options.ceiling)
+    hand, floor = read_board(options.board), read_board(options.floor_board)
+    wand = Wand() if options.wand else None
+    plan = FootagePlan(hand_board=hand, floor_board=floor, wand=wand, seed=options.seed, noise=options.noise)
+    if options.quick:
+        plan = replace(plan, brief=True, fps=QUICK_FPS, moving_s=QUICK_MOVING_S)
+    progress = _say if sys.stderr.isatty() else lambda what: None
+    folder = write_setup(options.folder, rig, plan, motion=options.motion, seconds=options.seconds, progress=progress)
+    print(f"{folder}: {len(rig.cameras)} cameras in {time.monotonic() - started:.0f} s; now:")
+    given = options.folder
+    print(f"  sagoma calibrate intrinsics {given}/intrinsics --board {given}/board.yaml --output {given}/lenses")
+    print(
+        f"  sagoma calibrate extrinsics --intrinsics {given}/lenses --board {given}/floor_board.yaml"
+        f" --floor {given}/floor --moving {given}/moving --output {given}/session/rig.yaml"
     )
-    parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
-    parser.add_argument("--cameras", type=int, default=6, help="number of cameras in all")
-    parser.add_argument(
-        "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
-    )
-    parser.add_argument("--seconds", type=float, default=6.0, help="length, s (of a file: at most); first a T-pose")
-    parser.add_argument("--fps", type=float, default=60.0, help="frames a second")
-    parser.add_argument(
-        "--motion",
-        default="tour",
-        metavar="NAME|FILE",
-        help=f"what the person does: {', '.join(MOTIONS)}; or a BVH or AMC file",
-    )
-    parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of the file to leave out")
-    parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
-    parser.add_argument("--motion-fps", type=float, help="frames a second of an AMC file")
-    parser.add_argument("--motion-skeleton", type=Path, help="ASF file of an AMC file, if it is not beside it")
-    parser.add_argument("--motion-joints", type=Path, help="YAML that says which of the file's joints is which")
-    parser.add_argument("--stature", type=float, default=1.75, help="standing height, m")
-    parser.add_argument("--build", type=float, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
-    parser.add_argument("--arms", type=float, default=1.0, help="length of the arms over the average's")
-    parser.add_argument("--legs", type=float, default=1.0, help="length of the legs over the average's")
-    parser.add_argument("--seed", type=int, default=1, help="of noise and flicker")
-    parser.add_argument("--noise", type=float, default=3.0, help="standard deviation of a pixel, grey levels")
-    parser.add_argument("--flicker", type=float, default=0.005, help="relative deviation of a frame's brightness")
-    parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
-    return parser
+    print(f"  sagoma up {given}/session")
+    return 0
 
 
 def _motion(options: argparse.Namespace) -> str | MotionFunction:
@@ -98,8 +80,65 @@ def _motion(options: argparse.Namespace) -> str | MotionFunction:
     return RecordedMotion(Path(options.motion), reading)
 
 
+def _session_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m virtual_studio",
+        description="Render a session of the built-in person: videos, empty room, exact silhouettes, rig, truth.",
+        epilog="python -m virtual_studio setup FOLDER films calibration boards as well (--help tells more)",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    motions = ", ".join(MOTIONS)
+    parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
+    _add_common_arguments(parser, f"what the person does: {motions}; or a BVH or AMC file", "of noise and flicker")
+    parser.add_argument("--seconds", type=float, default=6.0, help="length, s (of a file: at most); first a T-pose")
+    parser.add_argument("--fps", type=float, default=60.0, help="frames a second")
+    parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of the file to leave out")
+    parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
+    parser.add_argument("--motion-fps", type=float, help="frames a second of an AMC file")
+    parser.add_argument("--motion-skeleton", type=Path, help="ASF file of an AMC file, if it is not beside it")
+    parser.add_argument("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
+    parser.add_argument("--stature", type=float, default=1.75, help="standing height, m")
+    parser.add_argument("--build", type=float, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
+    parser.add_argument("--arms", type=float, default=1.0, help="length of the arms over the average's")
+    parser.add_argument("--legs", type=float, default=1.0, help="length of the legs over the average's")
+    parser.add_argument("--flicker", type=float, default=0.005, help="relative deviation of a frame's brightness")
+    parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
+    return parser
+
+
+def _setup_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m virtual_studio setup",
+        description="Film what setting up a room takes: boards before each camera, on the floor and carried, the empty "
+        "room, a person. The truth lies apart, in truth*.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("folder", help="folder to write (new, empty, or an older one of this command)")
+    _add_common_arguments(parser, "what the person does", "of noise, flicker and hands")
+    parser.add_argument("--seconds", type=float, default=6.0, help="length of the session, s")
+    parser.add_argument("--board", default=board_text(HAND_BOARD), help="waved before each camera")
+    parser.add_argument("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
+    parser.add_argument("--wand", action="store_true", help="swing a wand of three balls, too")
+    parser.add_argument("--quick", action="store_true", help="fewer places and frames of the boards")
+    return parser
+
+
+def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: str) -> None:
+    parser.add_argument("--cameras", type=int, default=6, help="number of cameras in all")
+    parser.add_argument(
+        "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
+    )
+    parser.add_argument("--motion", default="tour", metavar="NAME|FILE", help=motion)
+    parser.add_argument("--seed", type=int, default=1, help=seed)
+    parser.add_argument("--noise", type=float, default=3.0, help="standard deviation of a pixel, grey levels")
+
+
 def _show_progress(done: int, total: int) -> None:
     print(f"\rrendering {done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
+
+
+def _say(what: str) -> None:
+    print(f"filmed {what}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

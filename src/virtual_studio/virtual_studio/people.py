@@ -1,4 +1,4 @@
-"""A body with volume on the stick figure: tapered capsules with radii, each with its own grey.
+"""People of any size: a stick figure with volume, made of tapered capsules, each with its own grey.
 
 A part is the hull of two spheres fixed to one stick. Sizes scale with the stature; the trunk is made of side-by-side
 capsules, so that it is wider than deep. Feet have no joint: near the floor they lie level, lifted they follow the calf.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +44,13 @@ LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
 FREE_FOOT_TILT, LEVEL_FOOT_TILT = 0.15, 0.40
 """Cosine of a calf's tilt between which its foot turns from following it (lying) to level (standing, squatting)."""
 LEAST_BUILD, GREATEST_BUILD = 0.6, 1.6
+ARMS, LEGS = [L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM], [L_THIGH, R_THIGH, L_CALF, R_CALF]
+LEAST_LENGTH, GREATEST_LENGTH = 0.85, 1.15
+"""Of arms and legs over the average's."""
 
 
-@dataclass(frozen=True)
-class Capsules:
-    """Parts of a body in one pose: the hulls of the spheres (starts, radii[:, 0]) and (ends, radii[:, 1]).
+class Capsules(NamedTuple):
+    """A body's parts in one pose: the hulls of the spheres (starts, radii[:, 0]) and (ends, radii[:, 1]).
 
     starts, ends (P, 3) world frame, metres; radii (P, 2) metres; albedo (P,) between 0 and 1.
     """
@@ -69,10 +72,10 @@ class _Part:
 
 @dataclass(frozen=True, eq=False)
 class VolumetricBody:
-    """The parts of a person of the given sizes; `place` puts them into a pose.
+    """A person of the given sizes; `place` puts the parts into a pose.
 
     build: thickness of trunk and limbs over the average's, 0.85 slim, 1.2 heavy; head and hands vary less, feet not.
-    Raises InputError for a build that is nobody's.
+    Raises InputError for a build that no person has.
     """
 
     body: Body
@@ -97,21 +100,12 @@ class VolumetricBody:
 
     @cached_property
     def _parts(self) -> list[_Part]:
-        thick, thin = self.scale * self.build, self.scale * self._slight_build
-        return [
-            *_trunk(self.body, thick),
-            *_head(self.body, thin),
-            *_arms(self.body, thick, thin),
-            *_legs(self.body, thick),
-        ]
-
-    @property
-    def _slight_build(self) -> float:
-        """Thickness of head and hands over the average's."""
-        return 1.0 + 0.3 * (self.build - 1.0)
+        thick, thin = self.scale * self.build, self.scale * (1.0 + 0.3 * (self.build - 1.0))
+        trunk_and_head = [*_trunk(self.body, thick), *_head(self.body, thin)]
+        return [*trunk_and_head, *_arms(self.body, thick, thin), *_legs(self.body, thick)]
 
     def place(self, pose: Pose) -> Capsules:
-        """The parts in the world."""
+        """Returns the parts in the world."""
         G, A, B = _frames(self.body, pose)
         parts = self._parts
         sticks = np.array([part.stick for part in parts])
@@ -129,7 +123,7 @@ class VolumetricBody:
         )
 
     def contact_spheres(self, pose: Pose) -> tuple[Array, Array]:
-        """Spheres that may rest on the floor: centres (c, 3) m in the world, radii (c,) m.
+        """Returns the spheres that may rest on the floor: centres (c, 3) m in the world, radii (c,) m.
 
         The first two stand for the feet: ankles, as high above the floor as of a standing person. The others end the
         parts above the knees.
@@ -142,13 +136,13 @@ class VolumetricBody:
 
     @cached_property
     def _above_the_knees(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """Sticks (e,), places (e, 3) m in the stick's frame, and radii (e,) m of the ends of the parts."""
+        """Ends of those parts: sticks (e,), places (e, 3) m in the stick's frame, radii (e,) m."""
         parts = [part for part in self._parts if part.stick not in (L_CALF, R_CALF)]
         ends = np.array([end for part in parts for end in (part.start, part.end)])
         return np.repeat([part.stick for part in parts], 2), ends, np.array([part.radii for part in parts]).ravel()
 
     def _foot(self, R_world_calf: Array, ankle: Array) -> tuple[Array, Array]:
-        """Starts and ends (2, 3) of a foot's two capsules: heel to toes, and the outer edge."""
+        """Starts and ends (2, 3) of a foot's two capsules: heel to toes, and its outer edge."""
         s, stature = self.scale, self.body.stature
         lifted = (ankle[2] / stature - LEVEL_FOOT_BELOW) / (FREE_FOOT_ABOVE - LEVEL_FOOT_BELOW)
         tilted = (LEVEL_FOOT_TILT - R_world_calf[2, 2]) / (LEVEL_FOOT_TILT - FREE_FOOT_TILT)
@@ -164,6 +158,26 @@ class VolumetricBody:
             sole + 0.140 * s * forward - 0.014 * s * up - 0.02 * s * side,
         ]
         return np.array(starts), np.array(ends)
+
+
+def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
+    """Returns a body of this standing height, m, with arms and legs so many times as long as the average's.
+
+    The torso takes up what the legs leave of the stature. Raises InputError for proportions that no person has.
+    """
+    for name, factor in (("arms", arms), ("legs", legs)):
+        if not LEAST_LENGTH <= factor <= GREATEST_LENGTH:
+            raise InputError(
+                f"{name} {factor:g} times as long as the average's are not a person's",
+                remedy=f"Give {LEAST_LENGTH} to {GREATEST_LENGTH}.",
+            )
+    average = Body.from_stature(stature_m)
+    halves = average.half_lengths.copy()
+    halves[ARMS] *= arms
+    halves[LEGS] *= legs
+    longer = 2.0 * float(np.sum(halves[[L_THIGH, L_CALF]] - average.half_lengths[[L_THIGH, L_CALF]]))
+    halves[TORSO] -= 0.5 * longer
+    return Body(halves, average.half_shoulder_width, average.shoulder_height_ratio, average.hip_width_ratio)
 
 
 def _trunk(body: Body, s: float) -> list[_Part]:
@@ -237,29 +251,3 @@ def _frames(body: Body, pose: Pose) -> tuple[Array, Array, Array]:
 
 def _unit(vector: Array) -> Array:
     return vector / np.linalg.norm(vector)
-
-
-# --- People who are not average: longer or shorter arms and legs at the same stature.
-
-ARMS, LEGS = [L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM], [L_THIGH, R_THIGH, L_CALF, R_CALF]
-LEAST, GREATEST = 0.85, 1.15
-
-
-def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
-    """A body of this standing height, m, with arms and legs so many times as long as the average's.
-
-    The torso takes up what the legs leave of the stature. Raises InputError for proportions that are nobody's.
-    """
-    for name, factor in (("arms", arms), ("legs", legs)):
-        if not LEAST <= factor <= GREATEST:
-            raise InputError(
-                f"{name} {factor:g} times as long as the average's are not a person's",
-                remedy=f"Give {LEAST} to {GREATEST}.",
-            )
-    average = Body.from_stature(stature_m)
-    halves = average.half_lengths.copy()
-    halves[ARMS] *= arms
-    halves[LEGS] *= legs
-    longer = 2.0 * float(np.sum(halves[[L_THIGH, L_CALF]] - average.half_lengths[[L_THIGH, L_CALF]]))
-    halves[TORSO] -= 0.5 * longer
-    return Body(halves, average.half_shoulder_width, average.shoulder_height_ratio, average.hip_width_ratio)

@@ -1,4 +1,7 @@
-"""A studio: the cameras of a rig, all in one process, looking at one stage, exposing in step."""
+"""A studio: the simulated cameras of a rig in one process, which see one scene and expose in step.
+
+The scene is a session's footage, the built-in room with a person or a set-up in it, rendered live, or a test pattern.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
@@ -27,8 +29,6 @@ from .server.settings import CameraSettings
 from .simulated_camera.camera import SimulatedCamera
 from .simulated_camera.timing import TriggerWire
 
-# --- What a studio shows: a session's footage, the built-in room with a person or a set-up in it, or a test pattern.
-
 PERSON_SCENE, SETUP_SCENE = "person", "setup"
 
 
@@ -40,7 +40,7 @@ class StudioSettings:
     cameras: int = setting(5, "Cameras of the built-in rig, the last one on the ceiling", low=1, high=32)
     scene: str = setting(
         PERSON_SCENE,
-        "What goes on in the built-in room: somebody moves, or a set-up in phases",
+        "What goes on in the built-in room: a person moves, or a set-up in phases",
         choices=(PERSON_SCENE, SETUP_SCENE),
     )
     pattern: bool = setting(False, "Show a test pattern instead, which carries frame number and time")
@@ -56,11 +56,11 @@ class StudioSettings:
 
 @dataclass(frozen=True, eq=False)
 class StudioScene:
-    """What the cameras see: their views by name, the stage behind them, what to start and to end with it."""
+    """What the cameras see: their views by name, the playback behind them, what to start and to end with it."""
 
     rig: Rig
     views: Mapping[str, CameraScene]
-    stage: Playback | None = None
+    playback: Playback | None = None
     can_be_empty: bool = False
     notes: tuple[str, ...] = ()
     start: Callable[[], None] = lambda: None
@@ -70,51 +70,38 @@ class StudioScene:
 
 
 def make_studio_scene(settings: StudioSettings) -> StudioScene:
-    """Raises InputError for a session that cannot be read, or a board that is none."""
+    """Makes the scene that the settings name. Raises InputError for a session or board that cannot be read."""
+    if settings.session and not settings.pattern:
+        session = load_session(settings.session)
+        scene = load_session_scene(session, settings.memory_mb)
+        frames, total = scene.playback.frames, scene.total_frames
+        cut = f"only the first {frames} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
+        notes = () if frames >= total else (cut,)
+        return StudioScene(session.rig, scene.views, scene.playback, scene.can_be_empty, notes)
+    rig = built_in_rig(settings.cameras)
     if settings.pattern:
-        rig = built_in_rig(settings.cameras)
         return StudioScene(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
-    if settings.session:
-        return _session_scene(settings)
-    return _setup_scene(settings) if settings.scene == SETUP_SCENE else _person_scene(settings)
-
-
-def _session_scene(settings: StudioSettings) -> StudioScene:
-    session = load_session(settings.session)
-    scene = load_session_scene(session, settings.memory_mb)
-    played, total = scene.stage.frames, scene.total_frames
-    cut = f"only the first {played} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
-    notes = () if played >= total else (cut,)
-    return StudioScene(session.rig, scene.views, scene.stage, scene.can_be_empty, notes)
-
-
-def _person_scene(settings: StudioSettings) -> StudioScene:
-    rig = built_in_rig(settings.cameras)
-    scene = RoomScene(rig, settings.motion, most_hz=settings.render_hz)
-    return _rendered_scene(rig, scene, settings.render_hz)
-
-
-def _setup_scene(settings: StudioSettings) -> StudioScene:
-    rig = built_in_rig(settings.cameras)
-    boards = read_board(settings.hand_board), read_board(settings.floor_board)
-    scene = SetupScene(rig, settings.motion, most_hz=settings.render_hz, hand_board=boards[0], floor_board=boards[1])
-    return replace(_rendered_scene(rig, scene, settings.render_hz), phases=scene)
-
-
-def _rendered_scene(rig: Rig, scene: LiveScene, most_hz: float) -> StudioScene:
-    note = f"rendered live, at most {most_hz:g} times a second: pictures in between are repeated"
-    return StudioScene(rig, scene.views, scene.stage, True, (note,), scene.start, scene.close, scene.counters)
+    if settings.scene != SETUP_SCENE:
+        return _rendered(RoomScene(rig, settings.motion, most_hz=settings.render_hz), rig, settings)
+    hand, floor = read_board(settings.hand_board), read_board(settings.floor_board)
+    setup = SetupScene(rig, settings.motion, most_hz=settings.render_hz, hand_board=hand, floor_board=floor)
+    return replace(_rendered(setup, rig, settings), phases=setup)
 
 
 def built_in_rig(cameras: int) -> Rig:
-    """So many cameras, the last one on the ceiling; a single one stands."""
+    """Returns a ring of so many cameras, the last one on the ceiling; a single one stands."""
     return ring(cameras - 1, ceiling=True) if cameras > 1 else ring(1, ceiling=False)
 
 
-class Studio:
-    """N simulated cameras in one process and one thread; start() and close(), or a context manager.
+def _rendered(scene: LiveScene, rig: Rig, settings: StudioSettings) -> StudioScene:
+    note = f"rendered live, at most {settings.render_hz:g} times a second: pictures in between are repeated"
+    return StudioScene(rig, scene.views, scene.playback, True, (note,), scene.start, scene.close, scene.counters)
 
-    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``stage`` what they see.
+
+class Studio:
+    """Runs N simulated cameras in one process and one thread; start() and close(), or a context manager.
+
+    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``playback`` what they see.
     Raises InputError for a session that cannot be read, or an address that is taken.
     """
 
@@ -139,9 +126,9 @@ class Studio:
         return self._scene.rig
 
     @property
-    def stage(self) -> Playback | None:
-        """The stage, which can be emptied and played from the start; None for the test pattern."""
-        return self._scene.stage
+    def playback(self) -> Playback | None:
+        """The playback, which can be emptied and played from the start; None for the test pattern."""
+        return self._scene.playback
 
     @property
     def can_be_empty(self) -> bool:
@@ -149,17 +136,17 @@ class Studio:
 
     @property
     def is_calibrated(self) -> bool:
-        """Do the users of these cameras know their calibration? Not while they set them up."""
+        """False for a set-up: its cameras are still to be calibrated."""
         return self._scene.phases is None
 
     @property
     def boards(self) -> tuple[Board, Board]:
-        """Of a set-up: the board that is waved before the cameras, and the one on the floor."""
+        """Boards of a set-up: the one waved before the cameras, and the one on the floor."""
         return read_board(self.settings.hand_board), read_board(self.settings.floor_board)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know about what is shown."""
+        """Limits of what is shown, for the user."""
         return self._scene.notes
 
     @property
@@ -167,10 +154,10 @@ class Studio:
         """Frame rate of the cameras at power-on, Hz."""
         if self.settings.frame_rate:
             return self.settings.frame_rate
-        return self.stage.fps if self.stage is not None and self.settings.session else 60.0
+        return self.playback.fps if self.playback is not None and self.settings.session else 60.0
 
     def start(self) -> Studio:
-        """Every camera on, or none."""
+        """Switches every camera on, or none."""
         self.loop.start()
         try:
             self._scene.start()
@@ -184,7 +171,7 @@ class Studio:
         return self
 
     def close(self) -> None:
-        """Every camera off."""
+        """Switches every camera off."""
         if self._control is not None:
             self._control.close()
             self._control = None
@@ -194,7 +181,7 @@ class Studio:
         self.loop.stop()
 
     def handle(self, request: Request) -> Request:
-        """Answer one request of the control channel. Raises InputError for one that makes no sense."""
+        """Answers one request of the control channel. Raises InputError for an impossible one."""
         verbs = {
             "status": self._status,
             "set": self._set,
@@ -210,9 +197,8 @@ class Studio:
         }
         verb = request.get("do")
         if verb not in verbs:
-            raise InputError(
-                f"'{verb}' is nothing a studio does", where="studio", remedy=f"It does {', '.join(verbs)}."
-            )
+            remedy = f"It does {', '.join(verbs)}."
+            raise InputError(f"'{verb}' is nothing a studio does", where="studio", remedy=remedy)
         return verbs[verb](request)
 
     def __enter__(self) -> Studio:
@@ -225,38 +211,29 @@ class Studio:
 
     def _camera_settings(self, number: int, name: str) -> CameraSettings:
         given = self.settings.camera
-        changes: dict[str, Any] = {
+        changes = {
             "serial": f"STUDIO{number:03d}",
             "user_id": name,
             "seed": given.seed + number,
             "frame_rate": self.frame_rate,
             "drift_ppm": given.drift_ppm + 3.0 * number,
         }
-        return build_settings(CameraSettings, {**_plain(given), **changes}, f"camera {name}")
+        return build_settings(CameraSettings, {**vars(given), **changes}, f"camera {name}")
 
     def _chosen(self, request: Request) -> list[SimulatedCamera]:
         """The cameras that a request names; all, where it names none."""
         names = request.get("cameras") or list(self.cameras)
         unknown = [name for name in names if name not in self.cameras]
         if unknown:
-            raise InputError(
-                f"there is no camera {', '.join(map(str, unknown))}",
-                where="studio",
-                remedy=f"Known cameras: {', '.join(self.cameras)}.",
-            )
+            remedy = f"Known cameras: {', '.join(self.cameras)}."
+            raise InputError(f"there is no camera {', '.join(map(str, unknown))}", where="studio", remedy=remedy)
         return [self.cameras[name] for name in names]
 
     def _status(self, request: Request) -> Request:
-        stage = self.stage
         state: Request = {"cameras": {name: camera.status() for name, camera in self.cameras.items()}}
-        if stage is not None:
-            state["stage"] = {
-                "occupied": stage.occupied,
-                "epoch_ns": stage.epoch_ns,
-                "frames": stage.frames,
-                "fps": stage.fps,
-                "loop": stage.loop,
-            }
+        if self.playback is not None:
+            keys = ("occupied", "epoch_ns", "frames", "fps", "loop")
+            state["playback"] = {key: getattr(self.playback, key) for key in keys}
         if self._scene.phases is not None:
             state["shows"] = self._scene.phases.phase
         return state | ({"room": dict(self._scene.counters)} if self._scene.counters is not None else {})
@@ -276,35 +253,28 @@ class Studio:
 
     def _power(self, request: Request) -> Request:
         for camera in self._chosen(request):
-            if request["do"] == "on":
-                camera.power_on()
-            else:
-                camera.power_off()
+            (camera.power_on if request["do"] == "on" else camera.power_off)()
         return {"power": request["do"]}
 
     def _room(self, request: Request) -> Request:
-        if request.get("state") not in ("empty", "occupied"):
-            raise InputError(
-                f"the room cannot be {request.get('state')!r}", where="studio", remedy="It can be empty or occupied."
-            )
-        occupied = request["state"] == "occupied"
+        state = request.get("state")
+        if state not in ("empty", "occupied"):
+            raise InputError(f"the room cannot be {state!r}", where="studio", remedy="It can be empty or occupied.")
+        occupied = state == "occupied"
         if not occupied and not self.can_be_empty:
-            raise InputError(
-                "nobody knows what the empty room looks like",
-                where="studio",
-                remedy="Use a session with a background for every camera.",
-            )
-        self._playing_stage().occupy(occupied)
+            remedy = "Use a session with a background for every camera."
+            raise InputError("the session has no pictures of the empty room", where="studio", remedy=remedy)
+        self._required_playback().occupy(occupied)
         return {"room": request["state"]}
 
     def _play(self, request: Request) -> Request:
-        stage = self._playing_stage()
+        playback = self._required_playback()
         if self._scene.phases is not None:
             self._scene.phases.show(PERSON)
-        epoch_ns = stage.play(request.get("at_ns"), bool(request.get("loop", True)))
-        if not stage.occupied:
-            stage.occupy(True)
-        return {"epoch_ns": epoch_ns, "frames": stage.frames, "fps": stage.fps}
+        epoch_ns = playback.play(request.get("at_ns"), bool(request.get("loop", True)))
+        if not playback.occupied:
+            playback.occupy(True)
+        return {"epoch_ns": epoch_ns, "frames": playback.frames, "fps": playback.fps}
 
     def _switch(self, request: Request) -> Request:
         if self._scene.phases is None:
@@ -312,7 +282,7 @@ class Studio:
         return {"shows": self._scene.phases.show(str(request.get("phase")))}
 
     def _hold(self, request: Request) -> Request:
-        self._playing_stage().hold()
+        self._required_playback().hold()
         return {"held": True}
 
     def _pulse(self, request: Request) -> Request:
@@ -328,11 +298,7 @@ class Studio:
             self.wire.stop()
         return {"rate": rate}
 
-    def _playing_stage(self) -> Playback:
-        if self.stage is None:
-            raise InputError("a test pattern has no stage", where="studio", remedy="Show a session or the room.")
-        return self.stage
-
-
-def _plain(settings: CameraSettings) -> dict[str, Any]:
-    return dict(vars(replace(settings)))
+    def _required_playback(self) -> Playback:
+        if self.playback is None:
+            raise InputError("a test pattern has no playback", where="studio", remedy="Show a session or the room.")
+        return self.playback

@@ -1,4 +1,4 @@
-"""What a camera sees at an instant."""
+"""What a simulated camera sees at an instant: the interface, a test pattern, and the playback that a rig shares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
-from ..gige.simulated_camera.imaging import Image
+from ..rendering.camera import Image
+
+SECOND_NS = 1_000_000_000
+SWITCH_AFTER_NS = 50_000_000
+"""Switching takes effect so long after the request, so that no camera is ahead of another."""
 
 
 class CameraScene(Protocol):
@@ -21,7 +25,7 @@ class CameraScene(Protocol):
         """(H, W) of grey pictures, (H, W, 3) of coloured ones (BGR)."""
 
     def image(self, instant_ns: int) -> Image:
-        """The picture at an instant (UTC, ns), uint8; nobody changes it afterwards. Must not take long."""
+        """Returns the picture at an instant (UTC, ns), uint8; nobody changes it afterwards. Must not take long."""
 
 
 class PatternScene:
@@ -53,7 +57,7 @@ class PatternScene:
         return picture
 
     def picture(self, number: int, instant_ns: int) -> Image:
-        """The picture with this number, taken at this instant."""
+        """Draws the picture with this number, taken at this instant."""
         shift = number % 256
         picture = self._stripes[shift : shift + self._height].copy()
         bits = [(number % (1 << 32)) >> bit & 1 for bit in range(32)] + [instant_ns >> bit & 1 for bit in range(64)]
@@ -68,7 +72,7 @@ class PatternScene:
 
     @classmethod
     def read(cls, picture: Image) -> tuple[int, int]:
-        """Number and instant (UTC, ns) in a picture of the pattern, in any format that keeps black from white."""
+        """Reads number and instant (UTC, ns) from a picture, in any format that keeps black from white."""
         grey = picture if picture.ndim == 2 else picture[..., 1]
         middle = cls.SQUARE_PX // 2
         squares = grey[middle :: cls.SQUARE_PX, middle :: cls.SQUARE_PX][: cls.ROWS, : cls.PER_ROW]
@@ -76,15 +80,8 @@ class PatternScene:
         return sum(bit << i for i, bit in enumerate(bits[:32])), sum(bit << i for i, bit in enumerate(bits[32:]))
 
 
-# --- What happens in the studio, for all its cameras alike: is somebody there, and how far is the play.
-
-SECOND_NS = 1_000_000_000
-SWITCH_AFTER_NS = 50_000_000
-"""People come and go so long after they were told to, so that no camera is ahead of another."""
-
-
 class Playback:
-    """A play of ``frames`` frames at ``fps``, seen as a function of the instant: every camera sees the same frame.
+    """Which of ``frames`` frames at ``fps`` is seen at an instant, the same for every camera; who is in the room.
 
     Until play() is called it runs for ever, from frame 0 at the start of 1970. The room can be emptied meanwhile.
     """
@@ -103,7 +100,7 @@ class Playback:
         return self._occupied
 
     def play(self, at_ns: int | None = None, loop: bool = True) -> int:
-        """Begin anew: frame 0 at ``at_ns`` (UTC; None: the next whole second but one), which is returned.
+        """Begins anew: frame 0 at ``at_ns`` (UTC; None: the next whole second but one), which is returned.
 
         It is rounded to a whole multiple of the frame period, where free-running cameras expose. Before, frame 0 is
         seen; without ``loop`` the last frame stays.
@@ -115,11 +112,11 @@ class Playback:
         return self.epoch_ns
 
     def hold(self) -> None:
-        """Stay at frame 0."""
+        """Stays at frame 0."""
         self._held = True
 
     def occupy(self, occupied: bool) -> None:
-        """Let the person in, or out."""
+        """Lets the person in, or out."""
         self._before, self._occupied = self._occupied, occupied
         self._since_ns = time.time_ns() + SWITCH_AFTER_NS
 
@@ -127,7 +124,7 @@ class Playback:
         return self._occupied if instant_ns >= self._since_ns else self._before
 
     def frame_at(self, instant_ns: int) -> int:
-        """The number of the frame that is seen at an instant."""
+        """Returns the number of the frame that is seen at an instant."""
         if self._held:
             return 0
         frame = (instant_ns - self.epoch_ns) * self._fps.numerator // (self._fps.denominator * SECOND_NS)

@@ -1,4 +1,4 @@
-"""The footage of a session as what the cameras see."""
+"""Serves the footage of a session, decoded into memory, as what the cameras see."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES, Session
 
-from ..gige.simulated_camera.imaging import Image
+from ..rendering.camera import Image
 from .scenes import Playback
 
 MONO_TOLERANCE = 3
@@ -26,7 +26,7 @@ LOADERS = 2
 class SessionView:
     """One camera's pictures of a session, all in memory: frames (F of them), and of the empty room (none, or more)."""
 
-    stage: Playback
+    playback: Playback
     frames: tuple[Image, ...]
     background: tuple[Image, ...]
 
@@ -35,17 +35,17 @@ class SessionView:
         return self.frames[0].shape
 
     def image(self, instant_ns: int) -> Image:
-        if self.background and not self.stage.occupied_at(instant_ns):
-            number = int(instant_ns * self.stage.fps // 1_000_000_000)
+        if self.background and not self.playback.occupied_at(instant_ns):
+            number = int(instant_ns * self.playback.fps // 1_000_000_000)
             return self.background[number % len(self.background)]
-        return self.frames[self.stage.frame_at(instant_ns)]
+        return self.frames[self.playback.frame_at(instant_ns)]
 
 
 @dataclass(frozen=True, eq=False)
 class SessionScene:
-    """A session on the stage: views by camera name; total_frames in the footage, of which stage.frames are played."""
+    """A session as a scene: views by camera name; of total_frames in the footage playback.frames are shown."""
 
-    stage: Playback
+    playback: Playback
     views: dict[str, SessionView]
     total_frames: int
 
@@ -56,7 +56,7 @@ class SessionScene:
 
 
 def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionScene:
-    """Decode a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
+    """Decodes a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
 
     Raises InputError when not even one frame a camera fits, or a video cannot be read.
     """
@@ -66,12 +66,12 @@ def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionSce
         footage = list(pool.map(lambda n: _decode(session.videos[n], budget * (1 - BACKGROUND_SHARE)), names))
         backgrounds = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE), names))
     count = min(len(frames) for frames in footage)
-    stage = Playback(count, session.fps)
+    playback = Playback(count, session.fps)
     views = {
-        name: SessionView(stage, tuple(frames[:count]), tuple(_alike(frames[0], background)))
+        name: SessionView(playback, tuple(frames[:count]), tuple(_alike(frames[0], background)))
         for name, frames, background in zip(names, footage, backgrounds, strict=True)
     }
-    return SessionScene(stage, views, min(_length(session.videos[name]) for name in names))
+    return SessionScene(playback, views, min(_length(session.videos[name]) for name in names))
 
 
 def _background(session: Session, name: str, budget: float) -> list[Image]:
@@ -100,11 +100,8 @@ def _decode(path: Path, budget: float) -> list[Image]:
     if not frames:
         raise InputError("holds no frame that can be decoded", where=str(path), remedy="Check the file, or its codec.")
     if frames[0].nbytes > budget:
-        raise InputError(
-            f"one frame has {frames[0].nbytes / 1e6:.1f} MB",
-            where=str(path),
-            remedy="Give the studio more memory (--memory).",
-        )
+        size, remedy = f"one frame has {frames[0].nbytes / 1e6:.1f} MB", "Give the studio more memory (--memory)."
+        raise InputError(size, where=str(path), remedy=remedy)
     return frames
 
 

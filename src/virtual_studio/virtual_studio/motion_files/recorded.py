@@ -73,7 +73,7 @@ class ReadingOptions:
 
 @dataclass(frozen=True, eq=False)
 class StickMotion:
-    """Poses of a body of its own at a steady rate; fit_error_m: mean distance of the file's points from the figure's."""
+    """Poses of a body of its own at a steady rate; fit_error_m: mean distance of the file's points to the figure's."""
 
     body: Body
     poses: tuple[Pose, ...]

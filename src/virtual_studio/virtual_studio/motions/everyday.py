@@ -1,4 +1,4 @@
-"""The everyday motions: walking in a circle, and a tour that also raises the arms, squats and turns."""
+"""Walking, turning, running, and a tour that also raises the arms and squats."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from .timeline import Activity, Timeline, hold
 
 STEP_HZ = 0.85
 """Full walking cycles (two steps) per second."""
+AWAY_RAD = -0.28
+"""Heading on which somebody leaves: between two cameras of the studio's rings."""
+TURN_S, AWAY_S = 1.5, 3.0
+RUN_HZ, RUN_RAD_S = 1.5, 2.6
 
 STANDING = both_sides(
     shoulder_x=-np.pi / 2 + 0.16, shoulder_z=-0.05, shoulder_y=0.25, elbow=-0.28, hip_x=0.04, hip_y=-0.10, knee=0.16
@@ -49,11 +53,16 @@ def _raising_arms(t: float) -> Array:
         knee=0.2,
         neck_y=-0.12 * lift,
     )
-    for phase, leg in ((0.0, left), (np.pi, right)):  # stepping on the spot
-        step = (0.5 + 0.5 * np.cos(2 * np.pi * STEP_HZ * t + phase)) ** 2
-        angles[leg("hip_y")] -= 0.45 * step
-        angles[leg("knee")] += 0.75 * step
+    _step_on_spot(angles, t, 0.45, 0.75)
     return angles
+
+
+def _step_on_spot(angles: Array, t: float, hip: float, knee: float) -> None:
+    """Lifts one leg after the other: bends hip and knee in angles (18,) by so much, rad."""
+    for phase, leg in ((0.0, left), (np.pi, right)):
+        step = (0.5 + 0.5 * np.cos(2 * np.pi * STEP_HZ * t + phase)) ** 2
+        angles[leg("hip_y")] -= hip * step
+        angles[leg("knee")] += knee * step
 
 
 def _squatting(t: float) -> Array:
@@ -110,16 +119,8 @@ T_POSE_ONLY = Timeline((), t_pose_s=np.inf)
 """Standing still in the T-pose."""
 
 
-# --- Turning and going places: round on the spot, out of the volume and back, running in a circle.
-
-AWAY_RAD = -0.28
-"""Heading on which somebody leaves: between two cameras of the studio's rings."""
-TURN_S, AWAY_S = 1.5, 3.0
-RUN_HZ, RUN_RAD_S = 1.5, 2.6
-
-
 def turn_on_spot(person: VolumetricBody) -> Timeline:
-    """Two whole turns to the left, stepping, in five seconds."""
+    """Turns twice to the left, stepping, in five seconds."""
     return Timeline((hold(0.9, STANDING), Activity(5.0, stepping, turning=4 * np.pi / 5.0), hold(0.8, STANDING)))
 
 
@@ -129,34 +130,20 @@ def leave_and_return(person: VolumetricBody) -> Timeline:
     def turned(angle: float) -> Activity:
         return Activity(TURN_S, stepping, turning=angle / TURN_S)
 
-    def ahead() -> Activity:
-        return Activity(AWAY_S, walking, lean=walking_lean)
-
-    return Timeline(
-        (
-            hold(0.9, STANDING),
-            turned(AWAY_RAD),
-            ahead(),
-            turned(np.pi),
-            ahead(),
-            turned(-np.pi - AWAY_RAD),
-            hold(1.2, STANDING),
-        )
-    )
+    ahead, around = Activity(AWAY_S, walking, lean=walking_lean), turned(np.pi)
+    back = turned(-np.pi - AWAY_RAD)
+    return Timeline((hold(0.9, STANDING), turned(AWAY_RAD), ahead, around, ahead, back, hold(1.2, STANDING)))
 
 
 def run(person: VolumetricBody) -> Timeline:
-    """Jogs in a circle."""
+    """Runs in a circle."""
     return Timeline((hold(0.9, STANDING), Activity(6.0, _running, lean=_running_lean, turning=RUN_RAD_S)))
 
 
 def stepping(t: float) -> Array:
     """Angles (18,) of steps on the spot at time t, s."""
     angles = STANDING.copy()
-    for phase, leg in ((0.0, left), (np.pi, right)):
-        step = (0.5 + 0.5 * np.cos(2 * np.pi * STEP_HZ * t + phase)) ** 2
-        angles[leg("hip_y")] -= 0.35 * step
-        angles[leg("knee")] += 0.60 * step
+    _step_on_spot(angles, t, 0.35, 0.60)
     return angles
 
 

@@ -1,13 +1,13 @@
-"""Activities one after another: the T-pose, a blend, then each activity fading into the next, round and round.
+"""Activities one after another: the T-pose, a blend, then each activity fading into the next, over and over.
 
-All angles stay inside the joint ranges because every activity's do and fading is a weighted mean.
+An activity gives joint angles as a function of time, or goes through key postures. All angles stay inside the joint
+ranges because every activity's do and fading is a weighted mean.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Activity:
-    """A stretch of doing one thing. Its functions take seconds since it began, down to -FADE_S while it fades in.
+    """One thing to do for a while. Its functions take seconds since it began, down to -FADE_S while it fades in.
 
     angles: (18,) rad; lean: rotation vector of the torso in its heading frame; turning: rad/s of the heading;
     lift: metres of the lower foot above the floor. walking: share of the circle's walking speed (`everyday`).
@@ -53,7 +53,7 @@ class Activity:
 
 @dataclass(frozen=True)
 class BlendedActivity:
-    """What the body does at one instant, mixed from its activities; units as in `Activity`."""
+    """What the body does at one instant, blended from its activities; units as in `Activity`."""
 
     angles: Array
     lean: Array
@@ -64,18 +64,18 @@ class BlendedActivity:
 
 @dataclass(frozen=True)
 class Timeline:
-    """The T-pose for `t_pose_s` (for ever, if infinite), then the activities, round and round."""
+    """The T-pose for `t_pose_s` (for ever, if infinite), then the activities, over and over."""
 
     activities: tuple[Activity, ...]
     t_pose_s: float = T_POSE_S
 
     def at(self, t: float) -> BlendedActivity:
-        """The mixture at time t, s; it has two continuous derivatives where the activities have."""
-        cues = self._cues(t)
-        rest = 1.0 - sum(weight for _, _, weight in cues)
+        """Blends the activities at time t, s; two derivatives are continuous where the activities' are."""
+        active = self._active(t)
+        rest = 1.0 - sum(weight for _, _, weight in active)
         angles, lean = rest * T_POSE_ANGLES, np.zeros(3)
         turning = lift = walking = 0.0
-        for activity, local, weight in cues:
+        for activity, local, weight in active:
             clock = local if activity.own_clock else t
             angles = angles + weight * activity.angles(clock)
             lean = lean + weight * activity.lean(clock)
@@ -84,8 +84,8 @@ class Timeline:
             walking += weight * activity.walking
         return BlendedActivity(angles, lean, turning, lift, walking)
 
-    def _cues(self, t: float) -> list[tuple[Activity, float, float]]:
-        """Who acts at time t: activity, its own time, its weight (the T-pose has the rest)."""
+    def _active(self, t: float) -> list[tuple[Activity, float, float]]:
+        """The activities at time t: each with its own time and its weight (the T-pose has the rest)."""
         start = ease((t - self.t_pose_s) / BLEND_S) if np.isfinite(self.t_pose_s) else 0.0
         if not self.activities or start == 0.0:
             return []
@@ -95,18 +95,18 @@ class Timeline:
         left = ends[current] - phase
         onward = ease(1.0 - left / FADE_S)
         activity, following = self.activities[current], self.activities[(current + 1) % len(ends)]
-        cues = [(activity, activity.duration_s - left, start * (1.0 - onward))]
-        return cues if onward == 0.0 else [*cues, (following, -left, start * onward)]
+        active = [(activity, activity.duration_s - left, start * (1.0 - onward))]
+        return active if onward == 0.0 else [*active, (following, -left, start * onward)]
 
 
 def ease(x: float) -> float:
-    """0 to 1 with zero first and second derivative at both ends."""
+    """Goes from 0 to 1 with zero first and second derivative at both ends."""
     x = min(max(x, 0.0), 1.0)
     return x * x * x * (x * (6.0 * x - 15.0) + 10.0)
 
 
 def frame_count(seconds: float, fps: float) -> int:
-    """How many frames a motion has. Raises InputError for times that make none."""
+    """Counts a motion's frames. Raises InputError for times that make none."""
     for name, value in (("seconds", seconds), ("fps", fps)):
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name} is {value!r}", remedy="Give a positive number.")
@@ -116,33 +116,30 @@ def frame_count(seconds: float, fps: float) -> int:
     return frames
 
 
-# --- Postures that follow each other: an activity from key poses.
-
-
 @dataclass(frozen=True, eq=False)
 class Key:
-    """Be in a posture at a time (s since the activity began); angles (18,) rad, forward: lean of the torso, rad."""
+    """A posture at a time (s since the activity began); angles (18,) rad, forward: lean of the torso, rad."""
 
     at_s: float
     angles: Array
     forward: float = 0.0
 
 
-def activity_of(keys: Sequence[Key], duration_s: float, turning: float = 0.0) -> Activity:
+def key_postures(keys: Sequence[Key], duration_s: float) -> Activity:
     """Goes from key to key, smoothly and with a stop at each; holds the first before it and the last after it."""
     times = np.array([key.at_s for key in keys])
 
-    def between(values: list, t: float) -> Any:
+    def between(values: list[Array], t: float) -> Array:
         after = int(np.searchsorted(times, t))
         if after == 0 or after == len(times):
             return values[min(after, len(times) - 1)]
-        share = ease((t - times[after - 1]) / (times[after] - times[after - 1]))
-        return (1.0 - share) * values[after - 1] + share * values[after]
+        fraction = ease((t - times[after - 1]) / (times[after] - times[after - 1]))
+        return (1.0 - fraction) * values[after - 1] + fraction * values[after]
 
     angles, leans = [key.angles for key in keys], [np.array([0.0, key.forward, 0.0]) for key in keys]
-    return Activity(duration_s, lambda t: between(angles, t), lean=lambda t: between(leans, t), turning=turning)
+    return Activity(duration_s, lambda t: between(angles, t), lean=lambda t: between(leans, t))
 
 
-def hold(duration_s: float, angles: Array, forward: float = 0.0) -> Activity:
-    """Stays in a posture."""
-    return activity_of([Key(0.0, angles, forward)], duration_s)
+def hold(duration_s: float, angles: Array) -> Activity:
+    """Stays in a posture (18,)."""
+    return key_postures([Key(0.0, angles)], duration_s)

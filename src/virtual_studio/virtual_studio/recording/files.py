@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all, and replace only what the virtual studio wrote itself."""
+"""Writes videos, and folders that appear whole or not at all and replace only what the virtual studio wrote itself."""
 
 from __future__ import annotations
 
@@ -10,17 +10,22 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.settings import read_mapping
 
 MADE_BY = "virtual_studio"
+FOOTAGE = ("mp4v", ".mp4")
+"""Codec and suffix of footage: MPEG-4 part 2, which every OpenCV wheel can write (H.264 is not in them)."""
+LOSSLESS = ("FFV1", ".mkv")
+"""Codec and suffix of exact silhouettes, under 1 KB each (OpenCV 4.8 refuses FFV1 in mp4)."""
 
 
 @contextmanager
-def whole_folder(folder: Path, description: str) -> Iterator[Path]:
-    """A folder to write into, which is put in the place of ``folder`` when all went well.
+def atomic_folder(folder: Path, description: str) -> Iterator[Path]:
+    """Gives a folder to write into, which takes the place of ``folder`` when all went well.
 
     ``description`` names the YAML file in it that says ``made_by: virtual_studio``.
     Raises InputError when ``folder`` is no folder, or holds something that the studio did not write.
@@ -48,10 +53,9 @@ def _check(folder: Path, description: str) -> None:
 
 def _is_own(description: Path) -> bool:
     try:
-        document = yaml.safe_load(description.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return read_mapping(description, "").get("made_by") == MADE_BY
+    except InputError:
         return False
-    return isinstance(document, dict) and document.get("made_by") == MADE_BY
 
 
 def _put_in_place(partial: Path, folder: Path) -> None:
@@ -63,25 +67,18 @@ def _put_in_place(partial: Path, folder: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-# --- Video files that OpenCV's own FFmpeg writes and reads on every supported platform, without an ffmpeg binary.
-
-FOOTAGE = ("mp4v", ".mp4")
-"""Codec and suffix of footage: MPEG-4 part 2, which every OpenCV wheel can write (H.264 is not in them)."""
-LOSSLESS = ("FFV1", ".mkv")
-"""Codec and suffix of exact silhouettes, under 1 KB each (OpenCV 4.8 refuses FFV1 in mp4)."""
-
-
 class VideoFile:
-    """A grey video being written (`stem` plus the kind's suffix); use it as a context manager.
+    """Writes a camera's grey video, NAME + tail + the kind's suffix; use it as a context manager.
 
+    OpenCV's own FFmpeg writes it on every supported platform, without an ffmpeg binary.
     Raises InputError when it cannot be opened.
     """
 
-    def __init__(self, stem: Path, kind: tuple[str, str], fps: float, width: int, height: int) -> None:
+    def __init__(self, folder: Path, camera: CameraModel, kind: tuple[str, str], fps: float, tail: str = "") -> None:
         codec, suffix = kind
-        path = stem.with_name(stem.name + suffix)
+        path, size = folder / f"{camera.name}{tail}{suffix}", (camera.width, camera.height)
         fourcc = cv2.VideoWriter.fourcc(*codec)
-        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), (width, height), False)
+        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, False)
         if not self._writer.isOpened():
             raise InputError(
                 f"a video with codec {codec} cannot be written",

@@ -1,7 +1,6 @@
 """Writes a session folder: footage, empty room, exact silhouettes, rig, truth and body of the built-in person.
 
 Files: camNN.mp4, camNN_background.mp4, camNN_mask.mkv (lossless), rig.yaml, truth.csv, body.yaml, session.yaml.
-
 Everything follows from the arguments: the same seed gives the same pictures. The folder appears whole or not at all.
 """
 
@@ -17,9 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, save_rig
 from stick_figure.body import Body
@@ -30,37 +27,89 @@ from stick_figure.skeleton import ANGLE_NAMES
 
 from ..motions.catalogue import MOTIONS, Motion, MotionFunction
 from ..people import Capsules, VolumetricBody
-from ..rendering.camera import Sensor, VirtualCamera
+from ..rendering.camera import Light, Sensor, VirtualCamera
 from ..rendering.capsules import floor_shadow
-from .files import FOOTAGE, LOSSLESS, MADE_BY, VideoFile, whole_folder
+from .files import FOOTAGE, LOSSLESS, MADE_BY, VideoFile, atomic_folder
 
-# --- The truth of a session as truth.csv: points of the stick figure, its 18 angles, and the torso's pose.
-#
-# Points carry the names rendered sessions use (left is the person's left), metres; angles are in radians.
-
+BACKGROUND_S = 1.5
+FIRST_BACKGROUND_FRAME = 1_000_000
+"""Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
 POINT_COLUMNS = {
-    "neck": 2,
-    "head_top": 1,
-    "l_shoulder": 3,
-    "r_shoulder": 4,
-    "l_elbow": 7,
-    "r_elbow": 8,
-    "l_hand_tip": 11,
-    "r_hand_tip": 12,
-    "l_hip": 5,
-    "r_hip": 6,
-    "l_knee": 9,
-    "r_knee": 10,
-    "l_ankle": 13,
-    "r_ankle": 14,
-}
+    "neck": 2, "head_top": 1, "l_shoulder": 3, "r_shoulder": 4, "l_elbow": 7, "r_elbow": 8, "l_hand_tip": 11,
+    "r_hand_tip": 12, "l_hip": 5, "r_hip": 6, "l_knee": 9, "r_knee": 10, "l_ankle": 13, "r_ankle": 14,
+}  # fmt: skip
 """Column name of each reference point; the pelvis (mid-hips) comes before them, p1 is the torso's position."""
 TORSO_COLUMNS = ("torso_x", "torso_y", "torso_z", "torso_rx_rad", "torso_ry_rad", "torso_rz_rad")
 """p1 (m) and the rotation vector of R_world_torso (rad)."""
 
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """How a session looks.
+
+    seed: of noise and flicker; noise: standard deviation of a pixel, grey levels; flicker: relative deviation of a
+    frame's brightness; shadow: on the floor; build: thickness of the body over the average's.
+    Raises InputError for impossible numbers.
+    """
+
+    seed: int = 1
+    noise: float = 3.0
+    flicker: float = 0.005
+    shadow: bool = True
+    build: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}", remedy="Give a whole number from 0.")
+        for name, value, high in (("noise", self.noise, 100.0), ("flicker", self.flicker, 0.5)):
+            if not 0.0 <= value <= high:
+                raise InputError(f"{name} is {value!r}", remedy=f"Give a number from 0 to {high:g}.")
+
+
+def write_session(
+    folder: str | Path,
+    rig: Rig,
+    body: Body,
+    motion: str | MotionFunction = "tour",
+    fps: float = 60.0,
+    seconds: float = 6.0,
+    settings: RenderSettings | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Renders a session into `folder` and returns its path.
+
+    motion: one of `motions.catalogue.MOTIONS`, or a function such as `motion_files.recorded.RecordedMotion`; progress
+    is called with (frames done, frames in all). An older session of the virtual studio in `folder` is replaced.
+    Raises InputError for an unknown motion, impossible numbers, or a folder that holds anything else.
+    """
+    folder, settings = Path(folder), settings or RenderSettings()
+    if isinstance(motion, str) and motion not in MOTIONS:
+        raise InputError(f"there is no motion '{motion}'", remedy=f"Known motions: {', '.join(MOTIONS)}.")
+    person = VolumetricBody(body, settings.build)
+    moved = (MOTIONS[motion] if isinstance(motion, str) else motion)(body, seconds, fps, settings.build)
+    with atomic_folder(folder, "session.yaml") as partial:
+        save_rig(rig, partial / "rig.yaml")
+        save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
+        write_truth(partial / "truth.csv", body, moved)
+        recipe = {
+            "motion": str(motion),
+            "seconds": seconds,
+            "seed": settings.seed,
+            "noise_grey_levels": settings.noise,
+            "flicker": settings.flicker,
+            "shadow": settings.shadow,
+            "build": settings.build,
+            "stature_m": round(body.stature, 4),
+        }
+        _write_description(partial / "session.yaml", fps, recipe)
+        _film(partial, rig, person, moved, settings, progress)
+    return folder
+
 
 def write_truth(path: Path, body: Body, motion: Motion) -> None:
-    """Writes one row a frame."""
+    """Writes truth.csv, one row a frame: reference points (m; left is the person's left), torso pose, 18 angles."""
     names = ["pelvis", *POINT_COLUMNS]
     header = ["frame", *(f"{name}_{axis}" for name in names for axis in "xyz"), *TORSO_COLUMNS]
     header += [f"{name}_rad" for name in ANGLE_NAMES]
@@ -75,102 +124,36 @@ def write_truth(path: Path, body: Body, motion: Motion) -> None:
             writer.writerow([frame, *(f"{value:.7f}" for value in numbers)])
 
 
-BACKGROUND_S = 1.5
-FIRST_BACKGROUND_FRAME = 1_000_000
-"""Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
-
-Progress = Callable[[int, int], None]
-
-
-def write_session(
-    folder: str | Path,
-    rig: Rig,
-    body: Body,
-    motion: str | MotionFunction = "tour",
-    fps: float = 60.0,
-    seconds: float = 6.0,
-    seed: int = 1,
-    noise: float = 3.0,
-    shadow: bool = True,
-    flicker: float = 0.005,
-    build: float = 1.0,
-    progress: Progress = lambda done, total: None,
-) -> Path:
-    """Renders a session into `folder` and returns its path.
-
-    motion: one of `motion.MOTIONS`, or a player such as `motion_files.recorded.RecordedMotion`; noise: standard
-    deviation in grey levels; flicker: relative; build: thickness over the average's; progress is called with (frames
-    done, frames in all). An older session of the virtual studio in `folder` is replaced.
-    Raises InputError for an unknown motion, impossible numbers, or a folder that holds anything else.
-    """
-    folder = Path(folder)
-    _check(motion, seed, noise, flicker)
-    person = VolumetricBody(body, build)
-    played = (MOTIONS[motion] if isinstance(motion, str) else motion)(body, seconds, fps, build)
-    with whole_folder(folder, "session.yaml") as partial:
-        save_rig(rig, partial / "rig.yaml")
-        save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
-        write_truth(partial / "truth.csv", body, played)
-        recipe = {
-            "motion": str(motion),
-            "seconds": seconds,
-            "seed": seed,
-            "noise_grey_levels": noise,
-            "flicker": flicker,
-            "shadow": shadow,
-            "build": build,
-            "stature_m": round(body.stature, 4),
-        }
-        _write_description(partial / "session.yaml", fps, recipe)
-        _film(partial, rig, person, played, Sensor(noise, flicker, seed), shadow, progress)
-    return folder
-
-
-@dataclass(frozen=True)
-class _CameraRecorder:
-    """One camera at work and its open videos."""
-
-    number: int
-    camera: VirtualCamera
-    footage: VideoFile
-    masks: VideoFile
-    sensor: Sensor
-
-    def shoot(self, frame: int, capsules: Capsules, shade: NDArray[np.float32] | None) -> None:
-        light, mask = self.camera.render(capsules, shade)
-        self.footage.write(self.sensor.expose(light, self.number, frame))
-        self.masks.write(mask)
-
-
 def _film(
-    folder: Path, rig: Rig, body: VolumetricBody, motion: Motion, sensor: Sensor, shadow: bool, progress: Progress
+    folder: Path, rig: Rig, person: VolumetricBody, motion: Motion, settings: RenderSettings, progress: Progress
 ) -> None:
-    frames = len(motion.poses)
+    sensor = Sensor(settings.noise, settings.flicker, settings.seed)
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
         cameras = list(pool.map(VirtualCamera, rig.cameras))
+        footage, masks = [], []
         for number, camera in enumerate(cameras):
             _film_empty_room(folder, number, camera, motion.fps, sensor)
-        stations = []
-        for number, camera in enumerate(cameras):
-            footage = stack.enter_context(_open(folder, camera.camera, "", FOOTAGE, motion.fps))
-            masks = stack.enter_context(_open(folder, camera.camera, "_mask", LOSSLESS, motion.fps))
-            stations.append(_CameraRecorder(number, camera, footage, masks, sensor))
+            footage.append(stack.enter_context(VideoFile(folder, camera.camera, FOOTAGE, motion.fps)))
+            masks.append(stack.enter_context(VideoFile(folder, camera.camera, LOSSLESS, motion.fps, "_mask")))
+
+        def shoot(number: int, frame: int, capsules: Capsules, shadow: Light | None) -> None:
+            light, mask = cameras[number].render(capsules, shadow)
+            footage[number].write(sensor.expose(light, number, frame))
+            masks[number].write(mask)
+
         for frame, pose in enumerate(motion.poses):
-            capsules = body.place(pose)
-            shade = floor_shadow(capsules) if shadow else None
-            list(pool.map(lambda s, f=frame, c=capsules, d=shade: s.shoot(f, c, d), stations))
-            progress(frame + 1, frames)
+            capsules = person.place(pose)
+            shadow = floor_shadow(capsules) if settings.shadow else None
+            for done in [pool.submit(shoot, number, frame, capsules, shadow) for number in range(len(cameras))]:
+                done.result()
+            progress(frame + 1, len(motion.poses))
 
 
 def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:
-    with _open(folder, camera.camera, "_background", FOOTAGE, fps) as video:
+    with VideoFile(folder, camera.camera, FOOTAGE, fps, "_background") as video:
         for frame in range(max(round(BACKGROUND_S * fps), 1)):
             video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
-
-
-def _open(folder: Path, camera: CameraModel, tail: str, kind: tuple[str, str], fps: float) -> VideoFile:
-    return VideoFile(folder / f"{camera.name}{tail}", kind, fps, camera.width, camera.height)
 
 
 def _write_description(path: Path, fps: float, recipe: dict) -> None:
@@ -183,13 +166,3 @@ def _write_description(path: Path, fps: float, recipe: dict) -> None:
         "body": "body.yaml",
     }
     path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-
-
-def _check(motion: str | MotionFunction, seed: int, noise: float, flicker: float) -> None:
-    if isinstance(motion, str) and motion not in MOTIONS:
-        raise InputError(f"there is no motion '{motion}'", remedy=f"Known motions: {', '.join(MOTIONS)}.")
-    if seed < 0:
-        raise InputError(f"seed is {seed}", remedy="Give a whole number from 0.")
-    for name, value, high in (("noise", noise, 100.0), ("flicker", flicker, 0.5)):
-        if not 0.0 <= value <= high:
-            raise InputError(f"{name} is {value!r}", remedy=f"Give a number from 0 to {high:g}.")

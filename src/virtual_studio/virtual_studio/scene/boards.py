@@ -1,20 +1,23 @@
-"""A board as a thing: its print on a stiff sheet, of which the studio's cameras see the front or the back."""
+"""Calibration targets as objects in the room: boards printed on stiff sheets, and a wand of glowing balls."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rig_calibration.boards.board import Board, CharucoBoard
 from rig_calibration.boards.drawing import draw_board, print_size_m
 
 from ..people import Capsules
-from ..rendering.board_caster import Array
+
+Array = NDArray[np.float64]
+PosePath = Callable[[float], Array]
+"""Time, s, to a pose (4, 4)."""
 
 BLACK, WHITE, BACK = 0.06, 0.85, 0.35
 """Albedos of ink, of paper, and of the sheet's other side."""
@@ -24,23 +27,28 @@ TEXELS_PER_M = 1000.0
 """One a millimetre: edges of fields that measure whole millimetres lie between texels, which need no blending then."""
 FINE_TEXELS_PER_M = 3000.0
 """For markers, whose cells are small."""
+DIMMED = 0.2
+"""Of the room's light, while the wand is swung."""
+GLOW = 1.2
+"""Light of a ball; beyond what the sensor takes."""
+STICK_ALBEDO, STICK_RADIUS_M = 0.10, 0.008
 
 
 @dataclass(frozen=True, eq=False)
 class BoardPrint:
-    """A board and its picture at true scale.
+    """A board and its print at true scale.
 
-    texture (r, c): 0 black to 255 white; texels_board (3, 3) maps [x, y, 1] of the board frame, m, to [column, row, 1];
-    texel (i, j) covers [j, j + 1) x [i, i + 1).
+    texture (r, c): 0 black to 255 white; H_texel_board (3, 3) maps [x, y, 1] of the board frame, m, to
+    [column, row, 1]; texel (i, j) covers [j, j + 1) x [i, i + 1).
     """
 
     board: Board
     texture: NDArray[np.uint8]
-    texels_board: Array
+    H_texel_board: Array
 
     @cached_property
-    def clear(self) -> NDArray[np.uint8]:
-        """(r, c) texels around that have the same grey and are on the print; at most 255."""
+    def edge_distance(self) -> NDArray[np.uint8]:
+        """(r, c) texels to the nearest change of grey or end of the print; at most 255."""
         edge = np.zeros(self.texture.shape, bool)
         for axis in (0, 1):
             differs = np.diff(self.texture, axis=axis) != 0
@@ -50,10 +58,10 @@ class BoardPrint:
 
     @cached_property
     def sheet_board(self) -> Array:
-        """(4, 3) the sheet's corners, board frame, m, in reading order: first row's, then the last's."""
+        """(4, 3) the sheet's corners, board frame, m: the first row's from left to right, then the last row's."""
         rows, columns = self.texture.shape
         texels = np.array([[0, 0, 1], [columns, 0, 1], [0, rows, 1], [columns, rows, 1]], float)
-        places = texels @ np.linalg.inv(self.texels_board).T
+        places = texels @ np.linalg.inv(self.H_texel_board).T
         return np.column_stack([places[:, :2], np.zeros(4)])
 
     @cached_property
@@ -67,9 +75,20 @@ class BoardPrint:
         """(3,) the middle of the corners, board frame, m."""
         return self.board.corners_board.mean(axis=0)
 
+    def centred(self, T_frame_middle: Array) -> Array:
+        """Returns the board's pose T_frame_board (4, 4) that puts its middle into a pose."""
+        return T_frame_middle @ transform(np.eye(3), -self.middle_board)
+
+
+def transform(R: Array, position: Array) -> Array:
+    """Returns the pose (4, 4) of a rotation (3, 3) and a position (3,), m."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, position
+    return T
+
 
 def print_of(board: Board) -> BoardPrint:
-    """The print of a board, with a white margin."""
+    """Prints a board, with a white margin."""
     charuco = isinstance(board, CharucoBoard)
     field = board.square_m if isinstance(board, CharucoBoard) else max(board.field_m)
     drawn = draw_board(board, FINE_TEXELS_PER_M if charuco else TEXELS_PER_M, MARGIN * field)
@@ -77,13 +96,22 @@ def print_of(board: Board) -> BoardPrint:
     return BoardPrint(board, np.ascontiguousarray(drawn.image), centre_to_corner @ drawn.T_pixel_board)
 
 
-# --- A wand of bright balls, in a room with dimmed lamps.
+@dataclass(frozen=True, eq=False)
+class PosedBoard:
+    """A board in the room: ``T_world_board`` (K, 4, 4), one pose for each instant of the exposure (1: it is still)."""
 
-DIMMED = 0.2
-"""Of the room's light, while the wand is swung."""
-GLOW = 1.2
-"""Light of a ball; beyond what the sensor takes."""
-STICK_ALBEDO, STICK_RADIUS_M = 0.10, 0.008
+    print: BoardPrint
+    T_world_board: Array
+
+    @property
+    def middle(self) -> Array:
+        """(4, 4) the pose in the middle of the exposure."""
+        return self.T_world_board[len(self.T_world_board) // 2]
+
+    @property
+    def corners_world(self) -> Array:
+        """(n, 3) the inner corners, m, in the middle of the exposure."""
+        return self.print.board.corners_board @ self.middle[:3, :3].T + self.middle[:3, 3]
 
 
 @dataclass(frozen=True)
@@ -101,31 +129,3 @@ class Wand:
         """The stick between the balls."""
         balls = self.balls_world(T_world_wand)
         return Capsules(balls[:1], balls[-1:], np.full((1, 2), STICK_RADIUS_M), np.array([STICK_ALBEDO]))
-
-
-@njit(cache=True, nogil=True)
-def cast_ball(ideal, centre, radius, glow, places, box, light):
-    """Draws a glowing ball: ``centre`` (3,) camera frame, m; the other arguments as of ``cast_board``."""
-    c2 = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius**2
-    for py in range(box[1], box[3]):
-        for px in range(box[0], box[2]):
-            covered = 0.0
-            for i in range(len(places)):
-                sx, sy = places[i, 0], places[i, 1]
-                a, b, c, d = (1.0 - sy) * (1.0 - sx), (1.0 - sy) * sx, sy * (1.0 - sx), sy * sx
-                x = a * ideal[py, px, 0] + b * ideal[py, px + 1, 0] + c * ideal[py + 1, px, 0]
-                y = a * ideal[py, px, 1] + b * ideal[py, px + 1, 1] + c * ideal[py + 1, px, 1]
-                x, y = x + d * ideal[py + 1, px + 1, 0], y + d * ideal[py + 1, px + 1, 1]
-                ahead = x * centre[0] + y * centre[1] + centre[2]
-                if ahead > 0.0 and ahead * ahead > c2 * (1.0 + x * x + y * y):
-                    covered += 1.0 / len(places)
-            light[py, px] = (1.0 - covered) * light[py, px] + covered * glow
-
-
-def ball_box(pixel: Array, reach_px: float, width: int, height: int) -> NDArray[np.int64]:
-    """Pixels x0, y0, x1, y1 (end excluded) around a ball's picture; none where it is not in the picture."""
-    if not np.isfinite(pixel).all():
-        return np.zeros(4, np.int64)
-    size = np.array([width, height])
-    low, high = np.floor(pixel - reach_px - 1), np.ceil(pixel + reach_px + 2)
-    return np.concatenate([np.clip(low, 0, size), np.clip(high, 0, size)]).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The empty room: floor, four walls and a ceiling with painted textures, seen through a camera's own lens."""
+"""Paints the empty room, floor, four walls and a ceiling with textures, as a camera's own lens sees it."""
 
 from __future__ import annotations
 
@@ -30,11 +30,18 @@ class View:
     floor_xy: NDArray[np.float32]
 
 
-def look(camera: CameraModel) -> View:
-    """The room through a camera, lens distortion included. The camera must be inside the room."""
-    h, w = camera.height, camera.width
-    y, x = np.mgrid[:h, :w]
+def pixel_rays(camera: CameraModel) -> Array:
+    """Returns the unit viewing directions (h, w, 3) of a camera's pixels, world frame."""
+    y, x = np.mgrid[: camera.height, : camera.width]
     rays = camera.rays_world(np.column_stack([x.ravel(), y.ravel()]).astype(float))
+    return np.ascontiguousarray(rays.reshape(camera.height, camera.width, 3))
+
+
+def view_room(camera: CameraModel) -> View:
+    """Returns the room through a camera, lens distortion included. The camera must be inside the room."""
+    h, w = camera.height, camera.width
+    pixels = pixel_rays(camera)
+    rays = pixels.reshape(-1, 3)
     distance, surface = _first_surface(camera.centre_world, rays)
     hits = camera.centre_world + distance[:, None] * rays
     grey = np.zeros(len(rays))  # black where the lens model reaches nothing
@@ -42,15 +49,11 @@ def look(camera: CameraModel) -> View:
         on = (surface == s) & np.isfinite(distance)
         grey[on] = _paint(s, hits[on])
     floor = np.where((surface == FLOOR)[:, None], hits[:, :2], np.nan)
-    return View(
-        rays=np.ascontiguousarray(rays.reshape(h, w, 3)),
-        grey=grey.reshape(h, w).astype(np.float32),
-        floor_xy=floor.reshape(h, w, 2).astype(np.float32),
-    )
+    return View(pixels, grey.reshape(h, w).astype(np.float32), floor.reshape(h, w, 2).astype(np.float32))
 
 
 def _first_surface(origin: Array, rays: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Distance (n,) to the first surface from inside the room, and which: walls +x -x +y -y, floor, ceiling."""
+    """Distance (n,) to the first surface from inside the room, and its number: walls +x -x +y -y, floor, ceiling."""
     planes = [(0, HALF_WIDTH_M), (0, -HALF_WIDTH_M), (1, HALF_WIDTH_M), (1, -HALF_WIDTH_M), (2, 0.0), (2, HEIGHT_M)]
     with np.errstate(divide="ignore"):
         distances = np.stack([(place - origin[axis]) / rays[:, axis] for axis, place in planes], axis=1)
