@@ -111,7 +111,7 @@ class Ear:
             self._ages_ns.append(age_ns)
 
 
-PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.silhouette.rim": 0.0}
+PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.silhouette.outline_contrast": 0.0}
 
 
 def built_in_session(folder: Path, args: argparse.Namespace) -> Path:

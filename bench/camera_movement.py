@@ -115,7 +115,7 @@ def film(studio: Studio) -> Film:
         seen = {name: seen_by(chains[name], picture, frame) for name, (picture, _) in shot.items()}
         begin = time.thread_time()
         for name, (picture, _) in shot.items():
-            watches[name].look(picture, stamp_ns(frame))
+            watches[name].update(picture, stamp_ns(frame))
         spent_s += time.thread_time() - begin
         alarms += sum(
             s.movement is not None and s.movement.state in (MovementState.MOVED, MovementState.LOST)
@@ -259,7 +259,7 @@ def honest_pictures(honest: Honest, only: str) -> None:
                     background = read_background(session.backgrounds[camera], shape, BackgroundSettings())
                     watch = CameraMovedDetector(session.rig.camera(camera), background)
                 picture = np.ascontiguousarray(image[..., 0]) if grey else image
-                movement = watch.look(picture, round(frame / session.fps * 1e9))
+                movement = watch.update(picture, round(frame / session.fps * 1e9))
                 found += movement.state in (MovementState.MOVED, MovementState.LOST)
                 frame += 1
             honest.pictures += frame

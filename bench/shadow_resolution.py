@@ -127,13 +127,14 @@ def frames(session: Session, every: int) -> Iterator[Frame]:
             break
         if k % every != every // 2:
             continue
-        levels: dict[float, Masks] = {0.0: {}, SilhouetteSettings().rim: {}}
+        levels: dict[float, Masks] = {0.0: {}, SilhouetteSettings().outline_contrast: {}}
         for camera in cameras:
             for rim, masks in levels.items():
                 if (camera.name, rim) not in chains:
                     shape = images[camera.name].shape
                     background = read_background(session.backgrounds[camera.name], shape, BackgroundSettings())
-                    chains[camera.name, rim] = SilhouettePipeline(camera, background, SilhouetteSettings(rim=rim))
+                    settings = SilhouetteSettings(outline_contrast=rim)
+                    chains[camera.name, rim] = SilhouettePipeline(camera, background, settings)
                 masks[camera.name] = chains[camera.name, rim].run(images[camera.name]).mask
         canvas = {c.name: c.undistorted_view() for c in cameras}
         shown = {n: np.where(m > 127, np.uint8(255), np.uint8(0)) for n, m in truth.items()}

@@ -41,7 +41,7 @@ from scipy.stats import norm
 from camera_client.background.model import BackgroundModel, Provenance, read_background
 from camera_client.settings import BackgroundSettings, LightDriftSettings, SilhouetteSettings
 from camera_client.silhouettes.masks import keep_person, majority
-from camera_client.silhouettes.pipeline import SilhouettePipeline, outline
+from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline, outline
 from camera_client.sources.footage_reader import open_footage
 from camera_client.sources.frame_checks import FrameChecks
 from capture_rig.camera import CameraModel
@@ -137,7 +137,7 @@ def methods(clip: Clip) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         raw = subtractor.apply(image, None, 0)
         mask = majority(np.where(raw > MOG2_SHADOW, np.uint8(255), np.uint8(0)), settings.median_px)
         area = image.shape[0] ** 2
-        return keep_person(mask, settings.min_area * area, settings.near * image.shape[0], settings.max_hole * area)
+        return keep_person(mask, MIN_AREA * area, settings.near * image.shape[0], settings.max_hole * area)
 
     return {
         "iou": lambda image: np.where(pipeline.run(image).image_mask == FOREGROUND, np.uint8(255), np.uint8(0)),
@@ -245,7 +245,7 @@ def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
             "subtraction alone": limits.subtract,
             "MOG2 (subtraction alone)": lambda image: mog2.apply(image, None, 0),
             "KNN (subtraction alone)": lambda image: knn.apply(image, None, 0),
-            "frame checks": lambda image: checks.look(image, now_ns[0]),
+            "frame checks": lambda image: checks.check(image, now_ns[0]),
         },
         clip.frames,
         rounds,

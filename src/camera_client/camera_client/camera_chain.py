@@ -133,12 +133,12 @@ class CameraChain:
         silhouette, gain = None, 1.0
         if tools.pipeline is not None:
             silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
-        flags = tools.checks.look(frame.image, frame.stamp_ns, gain)
+        flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
         if tools.watch is not None and not flags:
-            tools.watch.look(frame.image, frame.stamp_ns, gain)
+            tools.watch.update(frame.image, frame.stamp_ns, gain)
         moved = tools.moved
         if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
-            moved.look(frame.image, frame.stamp_ns)
+            moved.update(frame.image, frame.stamp_ns)
         return FrameResult(canvas, flags, silhouette, gain, None if moved is None else moved.movement)
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import datetime
 import sys
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import cv2
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 from sensor_msgs.msg import CameraInfo, JointState
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
@@ -25,7 +27,8 @@ from sagoma_ros.node import SagomaNode, run_node
 from sagoma_ros.qos import RESULT
 
 from .background.model import BackgroundModel
-from .background.training import BackgroundTrainingService, describe
+from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
+from .background.verdict import describe_background
 from .camera_chain import CameraChain, FrameResult
 from .camera_topics_ros import CameraTopics, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
@@ -33,11 +36,11 @@ from .diagnostics import (
     CameraState,
     Level,
     RecentStatistics,
+    assess,
     background_concerns,
     background_mismatch,
     background_values,
     frame_values,
-    judge,
     source_values,
 )
 from .frame_source import Frame, FrameSource
@@ -77,6 +80,7 @@ T = TypeVar("T")
 
 REPORT_PERIOD_S = 0.5
 LEARNING_PATIENCE_S = 10.0  # a camera that comes back sooner goes on being learned from
+PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
 
 
@@ -88,10 +92,10 @@ class CameraNode(SagomaNode):
     def __init__(self, name: str = "camera_client", **options: object) -> None:
         super().__init__(name, **options)
         cv2.setNumThreads(1)
-        self._source: FrameSource | None = None
-        self._loop: GrabLoop | None = None
-        self._chain: CameraChain | None = None
-        self._learning = BackgroundTrainingService(self.health, self._use_background)
+        self.source: FrameSource | None = None
+        self.loop: GrabLoop | None = None
+        self.chain: CameraChain | None = None
+        self.trainer = BackgroundTrainer(self._use_background)
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
@@ -109,11 +113,11 @@ class CameraNode(SagomaNode):
         settings: CameraClientSettings = self.settings
         name = settings.camera_name or self.get_namespace().rsplit("/", 1)[-1]
         known = self._calibration = load_calibration(settings, name)
-        self._chain = CameraChain(known.camera, settings, known.volume, known.placed)
+        self.chain = CameraChain(known.camera, settings, known.volume, known.placed)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
-        self._source = connect_source(settings, self._accept)
-        if not self._source.shape:
-            self._chain.check_background_file()
+        self.source = connect_source(settings, self._accept)
+        if not self.source.shape:
+            self.chain.check_background_file()
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report))
         if settings.source == "footage" and settings.footage.rate == 0:
             topic = settings.footage.pace_topic
@@ -123,53 +127,53 @@ class CameraNode(SagomaNode):
         info_file = settings.camera_info_file
         if info_file and not Path(info_file).exists() and settings.rig_file:
             self.get_logger().warning(f"{info_file} does not exist yet: the rig's intrinsics are in use")
-        self.get_logger().info(f"camera {name}: {self._source.description}")
+        self.get_logger().info(f"camera {name}: {self.source.description}")
 
     def activate(self) -> None:
-        assert self._source is not None
+        assert self.source is not None
         live = self.settings.source != "footage"
         self._matched_s, self._said, self._recent = None, "", RecentStatistics()
-        self._loop = GrabLoop(
-            self._source,
+        self.loop = GrabLoop(
+            self.source,
             self._on_frame,
             self._on_error,
             ready=lambda: live or self._consumer_listens(),
             ready_timeout_s=0.0 if live else self.settings.footage.wait_for_consumer_s,
         )
         if live:
-            self._source.start()  # so that a camera that refuses fails the transition
-        self._loop.start()
+            self.source.start()  # so that a camera that refuses fails the transition
+        self.loop.start()
 
     def deactivate(self) -> None:
-        if self._loop is not None:
-            self._loop.stop()
-            self._loop = None
-        self._learning.cancel("the camera was suspended")
+        if self.loop is not None:
+            self.loop.stop()
+            self.loop = None
+        self.trainer.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
         for destroy, entity in self._held:
             destroy(entity)
         self._held = []
-        self._chain = self._last = None
-        if self._source is not None:
-            self._source.close()
-            self._source = None
+        self.chain = self._last = None
+        if self.source is not None:
+            self.source.close()
+            self.source = None
 
     def _accept(self, source: FrameSource) -> None:
         """Look at a connection before its first frame, and take the background that fits it."""
-        assert self._chain is not None
+        assert self.chain is not None
         for warning in source.warnings:
             self.get_logger().warning(warning)
-        if self._chain.camera is not None:
-            check_size(source, self._chain.camera)
-        if self._chain.use_shape(source.shape) or self._takes_saved_background(source):
+        if self.chain.camera is not None:
+            check_size(source, self.chain.camera)
+        if self.chain.use_shape(source.shape) or self._takes_saved_background(source):
             self._show_background()
         release_free_memory()
 
     def _takes_saved_background(self, source: FrameSource) -> bool:
-        assert self._chain is not None
+        assert self.chain is not None
         try:
-            return self._chain.use_saved_background(source.shape)
+            return self.chain.use_saved_background(source.shape)
         except InputError as error:  # it was to be replaced anyway
             self.get_logger().warning(f"the background learned last is not used: {error}")
             return False
@@ -192,11 +196,11 @@ class CameraNode(SagomaNode):
     # --- one frame, on the grab loop's thread --------------------------------------------------------------------
 
     def _on_frame(self, frame: Frame) -> None:
-        assert self._chain is not None
+        assert self.chain is not None
         began = time.perf_counter()
         self._topics.publish_image(frame)
-        self._learning.add(frame.image)
-        seen = self._chain.run(frame)
+        self.trainer.add(frame.image)
+        seen = self.chain.run(frame)
         self._last = (frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
@@ -228,13 +232,13 @@ class CameraNode(SagomaNode):
         self.get_logger().error(text, throttle_duration_sec=5.0)
 
     def _on_acknowledgement(self, message: JointState) -> None:
-        if self._source is not None:
-            self._source.acknowledge(to_ns(message.header.stamp))
+        if self.source is not None:
+            self.source.acknowledge(to_ns(message.header.stamp))
 
     # --- background and calibration ------------------------------------------------------------------------------
 
     async def _on_learn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        source, loop, chain, settings = self._source, self._loop, self._chain, self.settings
+        source, loop, chain, settings = self.source, self.loop, self.chain, self.settings
         if source is None or loop is None or chain is None or loop.state is not GrabState.RUNNING:
             response.message = "no frames are coming: activate the camera first"
             return response
@@ -242,36 +246,50 @@ class CameraNode(SagomaNode):
             reason = source.link.reason if source.link is not None else ""
             response.message = f"no frames are coming: {reason or 'the camera is away'}"
             return response
-        await self._learning.train(
-            response, source, settings.background_frames, chain.background, settings.background_file
+        details = source.details
+        about = {key: details[key] for key in PROVENANCE if key in details}
+        about["created"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        request = TrainingRequest(
+            settings.background_frames, source.description, settings.background_file, chain.background, about
         )
+        learned = Future()
+        try:
+            self.trainer.begin(request).add_done_callback(lambda over: learned.set_result(over.result()))
+        except InputError as error:
+            response.message = str(error)
+            return response
+        report = await learned
+        response.success, response.message = report.success, report.text
+        self.health.set(KEY, report.to_json())
+        self.health.set(PROGRESS_KEY, self.trainer.progress)
+        self.health.publish()  # before the answer, for programs that wait for both
         self.get_logger().info(response.message)
         return response
 
     def _use_background(self, model: BackgroundModel) -> BackgroundModel:
-        assert self._chain is not None
-        used = self._chain.use_learned_background(model)
+        assert self.chain is not None
+        used = self.chain.use_learned_background(model)
         self._show_background()
         release_free_memory()
         return used
 
     def _show_background(self) -> None:
-        assert self._chain is not None and self._chain.background is not None
-        self._topics.publish_background(self._chain.background)
-        self.health.set("background", describe(self._chain.background))
+        assert self.chain is not None and self.chain.background is not None
+        self._topics.publish_background(self.chain.background)
+        self.health.set("background", describe_background(self.chain.background))
 
     def _on_set_camera_info(
         self, request: SetCameraInfo.Request, response: SetCameraInfo.Response
     ) -> SetCameraInfo.Response:
-        if self._chain is None:
+        if self.chain is None:
             response.status_message = "not configured: configure the node first"
             return response
         try:
-            camera = camera_from_message(request.camera_info, self._chain.camera or self._blank(request.camera_info))
+            camera = camera_from_message(request.camera_info, self.chain.camera or self._blank(request.camera_info))
             path = self.settings.camera_info_file
             if path:
                 save_camera_info(path, camera)
-            self._chain.use_camera(camera)
+            self.chain.use_camera(camera)
         except InputError as error:
             response.status_message = str(error)
             return response
@@ -282,22 +300,22 @@ class CameraNode(SagomaNode):
 
     def _blank(self, info: CameraInfo) -> CameraModel:
         """This camera before its intrinsics are known; of the source's size, or of any size while it is away."""
-        shape = self._source.shape if self._source is not None else ()
+        shape = self.source.shape if self.source is not None else ()
         height, width = shape[:2] or (info.height, info.width)
         return unplaced_camera(self._calibration.name, width, height)
 
     # --- diagnostics ---------------------------------------------------------------------------------------------
 
     def _report(self) -> None:
-        source, loop, chain = self._source, self._loop, self._chain
+        source, loop, chain = self.source, self.loop, self.chain
         if loop is None or source is None or chain is None:
             return
         link, last = source.link, self._last
-        self._learning.report()
+        self.health.set(PROGRESS_KEY, self.trainer.progress)
         values = source_values(source) | (frame_values(*last) if last else {}) | background_values(chain, time.time())
         for key, value in values.items():
             self.health.set(key, value)
-        recent = self._recent.look(time.monotonic(), source.account)
+        recent = self._recent.update(time.monotonic(), source.account)
         state = CameraState(
             loop.state,
             loop.frames,
@@ -310,11 +328,11 @@ class CameraNode(SagomaNode):
             mismatch=background_mismatch(chain, source),
             concerns=background_concerns(chain, source, self.settings, time.time()),
         )
-        self._say(*judge(state.with_result(last[1]) if last else state))
+        self._say(*assess(state.with_result(last[1]) if last else state))
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
-            self._learning.cancel(f"{loop.state.value} {loop.reason}".strip())
+            self.trainer.cancel(f"{loop.state.value} {loop.reason}".strip())
         elif link is not None and link.state.away and link.down_s > LEARNING_PATIENCE_S:
-            self._learning.cancel(f"the camera went away ({link.reason})")
+            self.trainer.cancel(f"the camera went away ({link.reason})")
 
     def _say(self, level: Level, text: str) -> None:
         """Show it in the diagnostics; a new kind of trouble, and its end, go to the log."""

@@ -22,6 +22,8 @@ from .frame_source import Frame
 from .settings import CameraClientSettings
 from .silhouettes.pipeline import Silhouette, outline
 
+PREVIEW_PERIOD_S = 0.2
+
 # --- sensor_msgs/CameraInfo: as the calibration of one of our cameras, and of one that has none yet.
 
 
@@ -61,7 +63,7 @@ class CameraTopics:
         self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if offered else None
         self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
         self._info: tuple[CameraModel, CameraInfo] | None = None
-        self._preview_period_s, self._last_preview_s = 1 / settings.preview_rate, -np.inf
+        self._last_preview_s = -np.inf
 
     @property
     def has_listener(self) -> bool:
@@ -87,7 +89,7 @@ class CameraTopics:
         self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
         self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
         now_s = time.monotonic()
-        if self._previews is not None and now_s - self._last_preview_s >= self._preview_period_s:
+        if self._previews is not None and now_s - self._last_preview_s >= PREVIEW_PERIOD_S:
             self._last_preview_s = now_s
             outlined = outline(frame.image, silhouette.image_mask)
             self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))

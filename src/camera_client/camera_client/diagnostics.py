@@ -63,7 +63,7 @@ class CameraState:
         return replace(seen_so, moved=seen.movement.describe(seen.canvas.name), severe=seen.movement.severe)
 
 
-def judge(state: CameraState) -> tuple[Level, str]:
+def assess(state: CameraState) -> tuple[Level, str]:
     """Level and text of what the camera is doing: the gravest trouble alone, with its remedy where there is one."""
     if state.grab is GrabState.FAILED:
         return Level.ERROR, state.failure
@@ -157,14 +157,14 @@ class RecentStatistics:
 
     def __init__(self, window_s: float = LOSS_WINDOW_S) -> None:
         self._window_s = window_s
-        self._looks: deque[tuple[float, FrameStatistics]] = deque()
+        self._totals: deque[tuple[float, FrameStatistics]] = deque()
 
-    def look(self, now_s: float, total: FrameStatistics) -> FrameStatistics:
+    def update(self, now_s: float, total: FrameStatistics) -> FrameStatistics:
         """Take note of the totals; returns the difference to those of a window ago."""
-        self._looks.append((now_s, total.snapshot()))
-        while len(self._looks) > 1 and self._looks[1][0] <= now_s - self._window_s:
-            self._looks.popleft()
-        then = self._looks[0][1]
+        self._totals.append((now_s, total.snapshot()))
+        while len(self._totals) > 1 and self._totals[1][0] <= now_s - self._window_s:
+            self._totals.popleft()
+        then = self._totals[0][1]
         return FrameStatistics(
             total.expected - then.expected,
             total.delivered - then.delivered,

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from capture_rig.settings import setting
 
-from .gige.pixel_formats import FORMATS
+PIXEL_FORMATS = (
+    *("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "YUV422_8", "YUV422_8_UYVY", "BGR8", "RGB8"),
+    *("Mono8", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed", "Mono10", "Mono12"),
+)
+"""What gige.pixel_formats converts, in the order of preference."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class AravisSettings:
     pixel_format: str = setting(
         "auto",
         "GenICam pixel format; auto prefers 8-bit Bayer, then YUV422, BGR8, RGB8, Mono8, deeper mono",
-        choices=("auto", *FORMATS),
+        choices=("auto", *PIXEL_FORMATS),
     )
     exposure_us: float = setting(-1.0, "Exposure time", unit="us", low=-1, high=1e7)
     gain: float = setting(-1.0, "Gain in the camera's own unit (mostly dB)", low=-1, high=1e6)
@@ -99,12 +105,6 @@ class AravisSettings:
 
     packet_size: int = setting(0, "Bytes of a stream packet; 0: the largest that gets through", low=0, high=16404)
     packet_delay_ns: int = setting(-1, "Pause between the packets of a frame", unit="ns", low=-1, high=10**9)
-    packet_resend: bool = setting(True, "Ask for lost packets again, where the camera can")
-    resend_share: float = setting(1.0, "At most this share of a frame's packets is asked for again", low=0, high=2)
-    first_packet_timeout_ms: float = setting(
-        1.0, "A missing packet is asked for after this", unit="ms", low=0, high=1000
-    )
-    packet_timeout_ms: float = setting(5.0, "... and again after this", unit="ms", low=1, high=1000)
     frame_retention_ms: float = setting(40.0, "An incomplete frame is given up after this", unit="ms", low=5, high=5000)
     buffers: int = setting(16, "Frame buffers in the pool", low=2, high=256)
     socket_buffer_bytes: int = setting(4 << 20, "Receive buffer of the stream's socket", unit="bytes", low=65536)
@@ -119,15 +119,6 @@ class LightDriftSettings:
         "none: the background stays as learned; slow: it follows lamps that warm up, the sun, dust",
         choices=("none", "slow"),
     )
-    max_gain: float = setting(0.5, "The whole image may become brighter or darker by at most this share", low=0, high=4)
-    max_local: float = setting(
-        12.0, "On top of it a single pixel may move by at most this much", unit="grey levels", low=0, high=255
-    )
-    local_time_s: float = setting(60.0, "Time constant of a single pixel's drift", unit="s", low=1, high=86400)
-    quiet_s: float = setting(
-        30.0, "A pixel is followed when no foreground has been near for so long", unit="s", low=0, high=86400
-    )
-    margin: float = setting(0.06, "What counts as near", unit="share of height", low=0, high=1)
 
 
 @dataclass(frozen=True)
@@ -153,9 +144,7 @@ class BackgroundSettings:
 class ColourShadowSettings:
     """Colour cameras: what is darker than the background by one factor in all channels is taken for its shadow."""
 
-    enabled: bool = setting(True, "Remove shadows from the masks of colour cameras")
     darkest: float = setting(0.6, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
-    lightest: float = setting(0.97, "... and at most this share", low=0.5, high=1.2)
     chromaticity: float = setting(
         3.0, "A shadow's colour departs from the darkened background by at most this many sigma", low=0.1, high=100
     )
@@ -172,12 +161,7 @@ class ColourShadowSettings:
 class FloorShadowSettings:
     """Mono cameras: floor that is darkened by a locally constant factor, its texture unchanged, is in shadow."""
 
-    enabled: bool = setting(True, "Look for shadows on the floor (z = 0) in the masks of mono cameras")
     darkest: float = setting(0.45, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
-    lightest: float = setting(0.97, "... and at most this share", low=0.5, high=1.2)
-    window: float = setting(
-        0.0105, "Side of the window that tells texture from brightness", unit="share of height", low=0.004, high=0.2
-    )
     residual: float = setting(
         3.0,
         "In a shadow, image and darkened background differ by at most this many sigma (root mean square)",
@@ -208,7 +192,6 @@ class SilhouetteSettings:
     closing: float = setting(
         0.0085, "Cracks in the silhouette up to about this width are closed", unit="share of height", low=0, high=0.1
     )
-    min_area: float = setting(2e-4, "Components smaller than this are dropped", unit="share of height^2", low=0, high=1)
     near: float = setting(
         0.12,
         "Components are kept within this gap of the largest one (or of one kept)",
@@ -216,16 +199,14 @@ class SilhouetteSettings:
         low=0,
         high=10,
     )
-    rim: float = setting(
+    outline_contrast: float = setting(
         0.3,
-        "Pixels of the outline go that differ from the background by less than this share of what those beside "
-        "them do; 0 keeps all",
+        "A pixel of the outline stays if it differs from the background by this share of what its neighbours do; "
+        "0 keeps all",
         low=0,
         high=0.9,
     )
     max_hole: float = setting(1e-3, "Holes smaller than this are filled", unit="share of height^2", low=0, high=1)
-    empty_below: float = setting(2e-4, "A mask with a smaller share of foreground is flagged empty", low=0, high=1)
-    full_above: float = setting(0.6, "A mask with a larger share of foreground is flagged full", low=0, high=1)
     colour_shadow: ColourShadowSettings = setting(ColourShadowSettings, "Shadow removal of colour cameras")
     floor_shadow: FloorShadowSettings = setting(FloorShadowSettings, "Shadow removal of mono cameras")
 
@@ -240,27 +221,21 @@ class SupervisionSettings:
     triggered_stall_timeout_s: float = setting(
         10.0, "The same while frames wait for somebody else's trigger; 0: never", unit="s", low=0, high=86400
     )
-    first_retry_s: float = setting(
-        0.25, "Pause after the first attempt that failed; it doubles", unit="s", low=0.01, high=60
+    longest_retry_s: float = setting(
+        2.0,
+        "Longest pause between attempts to connect, which begin at a quarter of a second",
+        unit="s",
+        low=0.01,
+        high=3600,
     )
-    longest_retry_s: float = setting(2.0, "... up to this, for ever", unit="s", low=0.01, high=3600)
 
 
 @dataclass(frozen=True)
 class FrameCheckSettings:
     """When a frame is no picture of the scene: black, white, frozen, or under other lights."""
 
-    dark_level: float = setting(
-        16.0, "A frame is dark when nearly all of it is no brighter", unit="grey levels", low=0, high=255
-    )
     lights_change: float = setting(
         0.25, "The lights changed when the typical pixel is brighter or darker by this share", low=0.02, high=10
-    )
-    saturated_share: float = setting(
-        0.2,
-        "A frame is saturated when a larger share than this is white, and was not in the background",
-        low=0.001,
-        high=1,
     )
     frozen_s: float = setting(
         1.0,
@@ -299,12 +274,37 @@ class CameraMovedSettings:
         low=0,
         high=10,
     )
-    period_s: float = setting(0.5, "How often a frame is compared with the background", unit="s", low=0.05, high=60)
 
 
 @dataclass(frozen=True)
 class CameraClientSettings:
     """Everything one camera client needs."""
+
+    renamed: ClassVar[Mapping[str, str]] = {"silhouette.rim": "silhouette.outline_contrast"}
+    removed: ClassVar[Mapping[str, str]] = {
+        "preview_rate": "a preview comes five times a second",
+        "aravis.packet_resend": "lost packets are asked for again wherever the camera can",
+        "aravis.resend_share": "every packet of a frame may be asked for again",
+        "aravis.first_packet_timeout_ms": "a missing packet is asked for after 1 ms",
+        "aravis.packet_timeout_ms": "a missing packet is asked for again after 5 ms",
+        "supervision.first_retry_s": "the first pause is a quarter of a second",
+        "background_model.drift.max_gain": "the whole image may become 50 % brighter or darker",
+        "background_model.drift.max_local": "a single pixel may move by 12 grey levels",
+        "background_model.drift.local_time_s": "a single pixel follows within a minute",
+        "background_model.drift.quiet_s": "a pixel is followed half a minute after the last foreground near it",
+        "background_model.drift.margin": "near is 6 % of the image height",
+        "silhouette.min_area": "parts below 0.0002 of the squared image height are dropped",
+        "silhouette.empty_below": "a mask with less than 0.02 % foreground is flagged empty",
+        "silhouette.full_above": "a mask with more than 60 % foreground is flagged full",
+        "silhouette.colour_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
+        "silhouette.colour_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
+        "silhouette.floor_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
+        "silhouette.floor_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
+        "silhouette.floor_shadow.window": "texture is told from brightness in windows of 1 % of the image height",
+        "frame_checks.dark_level": "a frame is dark when 99 % of it is no brighter than 16 grey levels",
+        "frame_checks.saturated_share": "a frame is saturated when 20 % more of it is white than of the background",
+        "camera_moved.period_s": "a frame is compared with the background twice a second",
+    }
 
     rig_file: str = setting(
         "", "Rig YAML with the calibration of all cameras; empty: not calibrated yet, images instead of silhouettes"
@@ -328,7 +328,6 @@ class CameraClientSettings:
     background_file: str = setting("", "Where ~/learn_background saves the model (.npz); empty: nowhere")
     publish_raw: bool = setting(False, "Publish image_raw (without a rig it is there in any case, for calibration)")
     publish_preview: bool = setting(False, "Publish preview/compressed: the image with the silhouette's outline")
-    preview_rate: float = setting(5.0, "At most so many previews", unit="Hz", low=0.1, high=1000)
     footage: FootageSettings = setting(FootageSettings, "Footage source")
     aravis: AravisSettings = setting(AravisSettings, "GigE Vision source")
     supervision: SupervisionSettings = setting(SupervisionSettings, "Stalls and reconnections of a live camera")

@@ -49,7 +49,7 @@ class CameraProbe(NodeProbe):
 
     def ask_to_learn(self, meanwhile=lambda: None):
         response = self.call(Trigger, "camera_client/learn_background")
-        self.until(lambda: self.node._learning.busy or response.done())
+        self.until(lambda: self.node.trainer.busy or response.done())
         meanwhile()
         self.until(response.done)
         return response.result()

@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import hypothesis
 import numpy as np
@@ -165,6 +166,27 @@ def test_saved_model_comes_back_with_its_provenance(tmp_path, scene):
     assert loaded.provenance.mean_noise == pytest.approx(1.5, rel=0.1)
     with np.load(tmp_path / "deep" / "bg.npz") as file:
         assert json.loads(str(file["about"]))["image"] == "160 x 120 colour"
+
+
+DATA = Path(__file__).parent / "data"
+
+
+def test_background_that_version_0_1_saved_is_read():
+    model = load_background(DATA / "background_0_1.npz")
+    assert model.shape == (12, 16) and model.mean[0, :3] == pytest.approx([99.84, 99.88, 99.74], abs=1e-4)
+    assert model.sigma[0, :3] == pytest.approx([2.13197, 1.90209, 2.40586], abs=1e-4)
+    about = model.provenance
+    assert (about.source, about.frames, about.camera_serial, about.exposure_us) == ("camera 10.0.0.5", 50, "S1", "5000")
+    assert (about.verdict, about.calibration, about.created) == ("good", "1a2b3c4d", "2026-03-01T08:00:00+00:00")
+    assert about.turn_rad == pytest.approx([0.0, 0.0349, 0.0])
+
+
+def test_background_that_was_saved_without_a_verdict_is_read(tmp_path):
+    with np.load(DATA / "background_0_1.npz") as file:
+        arrays, about = {"mean": file["mean"], "sigma": file["sigma"]}, str(file["about"])
+    older = about[: about.index(', "verdict"')] + "}"
+    np.savez(tmp_path / "old.npz", about=np.array(older), **arrays)
+    assert load_background(tmp_path / "old.npz").provenance.verdict == ""
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])

@@ -5,6 +5,7 @@ import datetime
 import numpy as np
 import pytest
 
+from camera_client.background import light_drift
 from camera_client.background.model import BackgroundLearner, Provenance, read_background
 from camera_client.background.watch import BackgroundFit, BackgroundWatch, age_h, concerns
 from camera_client.settings import BackgroundSettings, BackgroundWatchSettings, LightDriftSettings
@@ -35,7 +36,7 @@ class Room:
     def see(self, seconds, change=lambda image, second: image):
         for _ in range(round(2 * seconds)):
             self.k += 1
-            self.watch.look(change(self.frames[self.k % 20].copy(), self.k / 2), 1 + self.k * PERIOD_NS)
+            self.watch.update(change(self.frames[self.k % 20].copy(), self.k / 2), 1 + self.k * PERIOD_NS)
         return self.watch.found
 
     def concerns(self):
@@ -71,8 +72,9 @@ def test_drift_is_told_when_it_has_used_up_half_of_what_the_noise_bears(scene):
     assert "the light changed by +3." in room.concerns()[0] and "run sagoma background" in room.concerns()[0]
 
 
-def test_drift_that_is_followed_is_no_concern_until_it_reaches_the_end(scene):
-    settings = BackgroundSettings(drift=LightDriftSettings(mode="slow", max_gain=0.1))
+def test_drift_that_is_followed_is_no_concern_until_it_reaches_the_end(scene, monkeypatch):
+    monkeypatch.setattr(light_drift, "MAX_GAIN", 0.1)
+    settings = BackgroundSettings(drift=LightDriftSettings(mode="slow"))
     background = learned(scene.empty(60))
     pipeline = SilhouettePipeline(scene.camera(), background, None, settings)
     watch = BackgroundWatch(background, pipeline.limits, SETTINGS)
@@ -81,7 +83,7 @@ def test_drift_that_is_followed_is_no_concern_until_it_reaches_the_end(scene):
         image = brighter(1 + 0.3 * k / 400)(scene.empty(1, seed=k % 5)[0], 0)
         stamp_ns = 1 + 2 * k * PERIOD_NS
         pipeline.run(image, stamp_ns)
-        watch.look(image, stamp_ns, pipeline.gain)
+        watch.update(image, stamp_ns, pipeline.gain)
         found[k] = watch.found
     said = {k: concerns(background.provenance, {}, found[k], SETTINGS, background.shape, followed=True) for k in found}
     assert said[100] == ()  # + 7.5 %
@@ -196,6 +198,6 @@ def test_rendered_dance_on_the_spot_for_ten_minutes_raises_no_concern(shared_dat
         frames.append(image)
     video.close()
     for k in range(1200):
-        watch.look(frames[7 * k % len(frames)], 1 + k * PERIOD_NS)
+        watch.update(frames[7 * k % len(frames)], 1 + k * PERIOD_NS)
     assert watch.found.gain_drift is not None
     assert concerns(background.provenance, {}, watch.found, SETTINGS, background.shape) == ()

@@ -10,9 +10,9 @@ from camera_client.diagnostics import (
     CameraState,
     Level,
     RecentStatistics,
+    assess,
     connection_values,
     frame_values,
-    judge,
     source_values,
 )
 from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics, Outage
@@ -66,7 +66,7 @@ def mask(*flags):
     ],
 )
 def test_level_and_text_follow_the_state(state, level, text):
-    got = judge(CameraState(**{**RUNNING, **state}))
+    got = assess(CameraState(**{**RUNNING, **state}))
     assert got[0] is level and got[1].startswith(text)
 
 
@@ -78,19 +78,19 @@ def test_gravest_trouble_is_told_alone():
         "mask_flags": ("full",),
     }
     away = Connection(ConnectionState.WAITING, "off")
-    assert judge(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
-    assert judge(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
+    assert assess(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
+    assert assess(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
 
 
 def test_setting_that_changed_explains_why_the_scene_looks_brighter():
     changed = {"mismatch": "the exposure is 8000 us", "concerns": ("the exposure is 8000 us",)}
-    assert judge(CameraState(**RUNNING, frame_flags=("lights",), **changed))[1] == "the exposure is 8000 us"
-    assert judge(CameraState(**RUNNING, frame_flags=("dark",), **changed))[1].startswith("dark: ")
-    assert judge(CameraState(**RUNNING, has_background=False, concerns=("old",)))[1].startswith("no background")
+    assert assess(CameraState(**RUNNING, frame_flags=("lights",), **changed))[1] == "the exposure is 8000 us"
+    assert assess(CameraState(**RUNNING, frame_flags=("dark",), **changed))[1].startswith("dark: ")
+    assert assess(CameraState(**RUNNING, has_background=False, concerns=("old",)))[1].startswith("no background")
 
 
 def test_frames_missing_in_footage_do_not_blame_the_network():
-    assert judge(CameraState(GrabState.RUNNING, link=None, recent=FrameStatistics(9, 8, 1)))[0] is Level.OK
+    assert assess(CameraState(GrabState.RUNNING, link=None, recent=FrameStatistics(9, 8, 1)))[0] is Level.OK
 
 
 def test_flags_of_the_newest_frame_and_mask_are_taken_over():
@@ -106,9 +106,9 @@ def test_recent_losses_are_forgotten_after_the_window():
         for k in range(10):
             if not (second == 2 and k in (3, 4)):
                 total.add(second * 10 + k)
-        lost.append(recent.look(float(second), total).lost)
+        lost.append(recent.update(float(second), total).lost)
     assert lost == [0, 0, 2, 2, 2, 0, 0, 0, 0, 0]
-    window = recent.look(9.5, total)
+    window = recent.update(9.5, total)
     assert window.expected == window.delivered + window.incomplete + window.lost
 
 

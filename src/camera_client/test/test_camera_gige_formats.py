@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camera_client.gige.pixel_formats import (
-    FORMATS,
+    LAYOUTS,
     choose_format,
     find_format,
     image_bytes,
@@ -14,6 +14,12 @@ from camera_client.gige.pixel_formats import (
     standard_name,
     to_image,
 )
+from camera_client.settings import PIXEL_FORMATS
+
+
+def test_settings_offer_every_format_that_is_converted_in_the_order_of_preference():
+    assert tuple(LAYOUTS) == PIXEL_FORMATS
+
 
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 
@@ -95,7 +101,7 @@ def test_bayer_finds_red_where_the_name_says(name, red_at):
     assert red > 190 and blue < 10 and green < 10
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", PIXEL_FORMATS)
 def test_image_has_memory_of_its_own_and_more_bytes_do_no_harm(name):
     data = np.full(image_bytes(name, 8, 4) + 100, 100, np.uint8)
     image = to_image(data, name, 8, 4)
@@ -105,7 +111,7 @@ def test_image_has_memory_of_its_own_and_more_bytes_do_no_harm(name):
     assert image.shape == image_shape(name, 8, 4) and image.flags.c_contiguous
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", PIXEL_FORMATS)
 def test_too_few_bytes_are_no_image(name):
     with pytest.raises(ValueError, match="too few"):
         to_image(bytes(image_bytes(name, 8, 4) - 1), name, 8, 4)

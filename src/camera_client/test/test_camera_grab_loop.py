@@ -1,11 +1,9 @@
-"""The grab loop and live learning, with a source made of lists."""
+"""The grab loop, with a source made of lists."""
 
 import threading
 
 import numpy as np
-import pytest
 
-from camera_client.background.training import TrainingRun
 from camera_client.frame_source import EndOfFootage, Frame, FrameSource
 from camera_client.sources.grab_loop import GrabLoop, GrabState
 from capture_rig.errors import InputError
@@ -109,46 +107,3 @@ def test_stop_while_waiting_never_starts_the_source():
     loop.stop()
     assert not loop._thread.is_alive()
     assert source.calls == ["stop"] and loop.frames == 0
-
-
-def images(count, moving=False):
-    rng = np.random.default_rng(0)
-    for k in range(count):
-        image = np.clip(np.rint(rng.normal(100, 2, (40, 50))), 0, 255).astype(np.uint8)
-        if moving:
-            image[:, 4 * k : 4 * k + 8] = 250
-        yield image
-
-
-def test_learning_takes_the_wanted_frames_and_no_more():
-    learning = TrainingRun(10, "camera x", camera_serial="S1")
-    for k, image in enumerate(images(12)):
-        assert learning.done == (k >= 10)
-        learning.add(image)
-    assert learning.model.provenance.frames == 10
-    assert learning.model.provenance.mean_noise == pytest.approx(2.0, rel=0.1)
-    assert (learning.model.provenance.source, learning.model.provenance.camera_serial) == ("camera x", "S1")
-    assert "camera_client" in learning.model.provenance.software
-
-
-def test_learning_while_something_moves_is_refused_with_the_share():
-    learning = TrainingRun(10, "camera x")
-    for image in images(10, moving=True):
-        learning.add(image)
-    assert learning.model is None
-    assert "something moved" in learning.refusal and "% of the pixels" in learning.refusal
-
-
-def test_cancelled_learning_says_how_far_it_came():
-    learning = TrainingRun(10, "camera x")
-    for image in images(4):
-        learning.add(image)
-    learning.cancel("the camera was suspended")
-    assert learning.done and learning.refusal == "the camera was suspended after 4 of 10 frames"
-
-
-def test_learning_from_changing_sizes_is_refused():
-    learning = TrainingRun(10, "camera x")
-    learning.add(np.zeros((4, 5), np.uint8))
-    learning.add(np.zeros((5, 5), np.uint8))
-    assert learning.done and "5 x 5 mono" in learning.refusal

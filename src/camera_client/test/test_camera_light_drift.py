@@ -45,7 +45,7 @@ class Room:
     def noise(self, light=1.0):
         """Share of the pixels of an empty frame that leave the limits."""
         image = lit(self.empty[0].astype(float), light)
-        return float((self.pipeline._limits.subtract(image) > 0).mean())
+        return float((self.pipeline.limits.subtract(image) > 0).mean())
 
 
 def iou(mask, truth):
@@ -103,7 +103,7 @@ def test_lights_switched_off_are_flagged_and_not_absorbed(scene):
         assert silhouette.flags == (FULL,)
     assert room.pipeline.gain == pytest.approx(1.0, rel=0.01)
     dark = lit(room.empty[0].astype(float), 0.45)
-    assert checks.look(dark, 0, room.pipeline.gain) == (LIGHTS,)
+    assert checks.check(dark, 0, room.pipeline.gain) == (LIGHTS,)
     assert room.see().foreground_fraction == 0  # switched on again, all is as before
 
 
@@ -123,8 +123,8 @@ def test_without_following_the_limits_stay_as_learned(scene):
     expected = room.background.limits(BackgroundSettings())
     for light in np.linspace(1.0, 0.8, 60):
         room.see(light)
-    assert np.array_equal(room.pipeline._limits.lo, expected.lo)
-    assert np.array_equal(room.pipeline._limits.hi, expected.hi)
+    assert np.array_equal(room.pipeline.limits.lo, expected.lo)
+    assert np.array_equal(room.pipeline.limits.hi, expected.hi)
     assert room.pipeline.gain == 1.0
 
 
@@ -148,7 +148,7 @@ def test_a_frame_costs_a_band_of_rows_and_not_the_whole_image(scene):
     """Counted in rows whose limits may change, at 60 frames a second; time is measured by the benchmark."""
     room = Room(scene)
     room.pipeline.run(room.empty[0], 0)
-    before = room.pipeline._limits.lo.copy()
+    before = room.pipeline.limits.lo.copy()
     room.pipeline._drift.gain = 0.9
     room.pipeline.run(room.empty[1], SECOND_NS // 60)
-    assert 0 < (before != room.pipeline._limits.lo).any(axis=1).sum() <= 3
+    assert 0 < (before != room.pipeline.limits.lo).any(axis=1).sum() <= 3

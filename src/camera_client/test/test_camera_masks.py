@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance
-from camera_client.settings import SilhouetteSettings
+from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.masks import (
     BLOCK_PX,
     Box,
@@ -18,7 +18,8 @@ from camera_client.silhouettes.masks import (
     majority_count,
     trim_outline,
 )
-from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline
+from camera_client.silhouettes.shadows import make_shadow_test
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 
@@ -32,8 +33,8 @@ def holds(box, mask):
 def test_box_grows_to_multiples_within_the_image():
     assert Box(10, 20, 30, 40).grown(3, (100, 100), 8) == Box(0, 16, 40, 48)
     assert Box(2, 2, 98, 99).grown(3, (100, 100)) == Box(0, 0, 100, 100)
-    assert Box(1, 2, 3, 4).outside(Box(10, 20, 30, 40)) == Box(11, 22, 13, 24)
-    assert Box(11, 22, 13, 24).within(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
+    assert Box(1, 2, 3, 4).moved_into(Box(10, 20, 30, 40)) == Box(11, 22, 13, 24)
+    assert Box(11, 22, 13, 24).relative_to(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
 
 
 def test_box_around_holds_every_pixel_and_nothing_is_empty():
@@ -79,15 +80,15 @@ def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
         assert np.array_equal(undistorter.undistort(mask, box), view.undistort_mask(mask))
 
 
-def whole_image(pipeline, image, settings):
+def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image: slow, and plain enough to be believed."""
-    raw = majority(cv2.bitwise_not(cv2.inRange(image, pipeline._limits.lo, pipeline._limits.hi)), settings.median_px)
-    shadow = pipeline._shadow.shadow(image, raw)
-    person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, pipeline._closing)
+    raw = majority(background.limits(BackgroundSettings()).subtract(image), settings.median_px)
+    shadow = make_shadow_test(camera, background, settings, BackgroundSettings().sigma_floor).shadow(image, raw)
     height = len(image)
-    area = height**2
-    person = keep_person(person, settings.min_area * area, settings.near * height, settings.max_hole * area)
-    person = trim_outline(person, image, pipeline._mean, settings.rim)
+    side, area = 2 * round(settings.closing * height / 2) + 1, height**2
+    person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
+    person = keep_person(person, MIN_AREA * area, settings.near * height, settings.max_hole * area)
+    person = trim_outline(person, image, np.rint(background.mean).astype(np.uint8), settings.outline_contrast)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
 
 
@@ -111,7 +112,8 @@ def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour)
     for image in scene.empty(40, colour=colour):
         learner.add(cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST))
     model = learner.model("test")
-    pipeline = SilhouettePipeline(larger(scene.camera(distortion=(-0.2, 0.05, 0, 0, 0)), 3), model)
+    camera = larger(scene.camera(distortion=(-0.2, 0.05, 0, 0, 0)), 3)
+    pipeline = SilhouettePipeline(camera, model)
     for k in range(12):
         shift = int(rng.integers(-90, 90))  # over the border, too
         person = np.roll(scene.person_mask(), shift, axis=1)
@@ -119,7 +121,7 @@ def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour)
         image[90:112, 20:75] = np.rint(image[90:112, 20:75] * 0.7)
         image = cv2.resize(scene.with_person(image, person), None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST)
         silhouette = pipeline.run(image)
-        expected = whole_image(pipeline, image, settings)
+        expected = whole_image(camera, model, image, settings)
         assert np.array_equal(silhouette.image_mask, expected)
         assert (expected == 255).any() and (expected == SHADOW_CANDIDATE).any()
         assert silhouette.foreground_fraction == pytest.approx((expected == 255).mean())
@@ -233,7 +235,7 @@ def test_limb_survives_that_is_cut_off_as(cut):
     mask[cut] = 0
     settings = SilhouetteSettings()
     area = mask.shape[0] ** 2
-    kept = keep_person(mask, settings.min_area * area, settings.near * mask.shape[0], settings.max_hole * area)
+    kept = keep_person(mask, MIN_AREA * area, settings.near * mask.shape[0], settings.max_hole * area)
     assert cv2.connectedComponents(mask)[0] > 2  # it is cut off
     assert np.array_equal(kept, mask)
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance, load_background
+from camera_client.background.verdict import turn_findings
 from camera_client.camera_chain import CameraChain, FrameResult
-from camera_client.diagnostics import CameraState, Level, frame_values, judge
+from camera_client.diagnostics import CameraState, Level, assess, frame_values
 from camera_client.frame_source import Frame
 from camera_client.movement.alignment import PictureAlignment
 from camera_client.movement.detector import (
@@ -21,7 +22,6 @@ from camera_client.movement.detector import (
     Movement,
     MovementState,
     carry_turn_over,
-    describe_turn,
     turn_when_learned,
 )
 from camera_client.settings import CameraClientSettings, CameraMovedSettings
@@ -77,7 +77,7 @@ def with_person(image, share=0.5, seed=0):
 
 def watched(watch, pictures, start=0):
     for number, image in enumerate(pictures, start):
-        movement = watch.look(image, (number + 1) * PERIOD_NS)
+        movement = watch.update(image, (number + 1) * PERIOD_NS)
     return movement
 
 
@@ -159,11 +159,11 @@ def test_picture_of_another_place_is_told_after_three_seconds_and_not_as_a_turn(
 def test_looks_are_half_a_second_apart_and_go_on_when_stamps_go_back():
     watch, image = CameraMovedDetector(studio_camera(), background()), picture(frame=1)
     for stamp_ms in (0, 100, 400, 500, 900, 1000):
-        movement = watch.look(image, stamp_ms * 1_000_000)
+        movement = watch.update(image, stamp_ms * 1_000_000)
     assert movement.state is MovementState.STILL  # at 0, 500 and 1000 ms
     bumped = picture(frame=2, turn_deg=(0, 1.0, 0))
     for stamp_ms in (0, 500):
-        movement = watch.look(bumped, stamp_ms * 1_000_000)
+        movement = watch.update(bumped, stamp_ms * 1_000_000)
     assert movement.state is MovementState.MOVED
 
 
@@ -184,10 +184,11 @@ def test_limit_of_zero_switches_the_watch_off():
 def test_background_learned_anew_after_a_bump_remembers_the_turn_until_the_camera_is_calibrated(tmp_path):
     camera, turn_deg = studio_camera(), (0.0, 1.0, 0.0)
     first = carry_turn_over(background(), None, camera)
-    assert describe_turn(first.provenance) == ""
+    assert turn_findings(first.provenance) == ()
     again = carry_turn_over(background(turn_deg=turn_deg), first, camera)
     assert np.degrees(turn_when_learned(again.provenance, camera)) == pytest.approx(turn_deg, abs=0.05)
-    assert "turned by 1.0 degrees: calibrate it again" in describe_turn(again.provenance)
+    (finding,) = turn_findings(again.provenance)
+    assert "turned by 1.0 degrees" in finding.what and finding.remedy == "calibrate it again"
     third = carry_turn_over(background(turn_deg=turn_deg), again, camera)  # and once more, without touching the camera
     third.save(tmp_path / "background.npz")
     about = load_background(tmp_path / "background.npz").provenance
@@ -228,7 +229,7 @@ def test_diagnostics_tell_of_the_movement_with_a_level_by_its_size(turn_rad, sev
     camera = studio_camera()
     movement = Movement(MovementState.MOVED, np.array([turn_rad, 0, 0]), np.array([0.0, -5.0]), 0.6, severe)
     result = FrameResult(camera, (), movement=movement)
-    told, text = judge(CameraState(GrabState.RUNNING).with_result(result))
+    told, text = assess(CameraState(GrabState.RUNNING).with_result(result))
     assert told is level and text == movement.describe(camera.name)
     values = frame_values(Frame(picture(), 1, 1, "a test"), result)
     assert values["camera_shift_px"] == 5.0 and values["camera_turn_deg"] == 0.0

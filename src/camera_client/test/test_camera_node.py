@@ -76,7 +76,7 @@ def test_suspended_node_publishes_nothing_and_cleanup_lets_it_configure_again(be
     camera.until(lambda: len(camera.masks) == FRAMES)
     assert camera.node.trigger_deactivate() == SUCCESS
     assert camera.node.trigger_cleanup() == SUCCESS
-    assert camera.node._source is None and camera.peer.count_publishers(f"{NAMESPACE}/camera_info") == 0
+    assert camera.node.source is None and camera.peer.count_publishers(f"{NAMESPACE}/camera_info") == 0
 
 
 def test_background_is_learned_live_saved_and_used(bench, session, scene):
@@ -111,10 +111,10 @@ def test_learning_while_somebody_moves_keeps_the_old_background(bench, session, 
     parameters["footage.path"] = scene.write_video(session.folder / "moving.avi", images)
     camera = bench(**parameters).start()
     camera.until(lambda: camera.masks)
-    before = camera.node._chain.pipeline
+    before = camera.node.chain.pipeline
     answer = camera.ask_to_learn()
     assert not answer.success and "something moved" in answer.message
-    assert camera.node._chain.pipeline is before
+    assert camera.node.chain.pipeline is before
 
 
 def test_learning_without_frames_is_refused(bench, session):
@@ -162,7 +162,7 @@ def test_frame_of_another_size_is_dropped_and_counted(bench, session, scene):
 
 
 def test_raw_images_and_previews_are_published_on_request(bench, session, scene):
-    camera = bench(**{**session.parameters, "publish_raw": True, "publish_preview": True, "preview_rate": 1000.0})
+    camera = bench(**{**session.parameters, "publish_raw": True, "publish_preview": True})
     camera.listen(Image, "image_raw", SILHOUETTE_RELIABLE_SUBSCRIBER)
     camera.listen(CompressedImage, "preview/compressed", RESULT)
     camera.start()
@@ -199,7 +199,7 @@ def test_configure_fails_with_a_clear_error(bench, session, scene, changed, text
     camera = bench(**{**session.parameters, **filled})
     assert camera.node.trigger_configure() == FAILURE
     camera.until_said(text)
-    assert camera.node._source is None
+    assert camera.node.source is None
 
 
 def test_footage_of_another_size_than_the_calibration_fails_configure(bench, session, scene):

@@ -94,7 +94,7 @@ def test_intrinsics_set_by_service_are_saved_and_used_at_the_next_start(bench, u
     assert answer.success and np.array_equal(load_camera_info(path, scene.camera()).K, lens(scene).K)
     assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
     assert camera.node.trigger_configure() == SUCCESS
-    assert np.array_equal(camera.node._chain.camera.K, lens(scene).K)
+    assert np.array_equal(camera.node.chain.camera.K, lens(scene).K)
 
 
 def test_intrinsics_of_another_camera_fail_configure(bench, unknown, session, scene):
@@ -163,8 +163,8 @@ def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room
     room.bar = "sweeps"
     answer = camera.ask_to_learn()
     assert not answer.success and "something moved" in answer.message
-    room.bar, seen = "stands", camera.node._loop.frames
-    camera.until(lambda: camera.node._loop.frames > seen + 20)  # frames under way show the sweep
+    room.bar, seen = "stands", camera.node.loop.frames
+    camera.until(lambda: camera.node.loop.frames > seen + 20)  # frames under way show the sweep
     answer = camera.ask_to_learn()
     assert answer.success and "something else than in the background of" in answer.message
     assert "in the middle at 100..139, 60..149: 7.3 %" in answer.message  # 40 x 90 of 256 x 192 pixels
@@ -188,7 +188,7 @@ def test_background_of_the_last_lesson_is_used_at_the_next_start(bench, session,
     camera.masks.clear()
     camera.start()
     camera.until(lambda: camera.masks)
-    assert camera.node._chain.background.provenance.frames == 20
+    assert camera.node.chain.background.provenance.frames == 20
 
 
 def test_damaged_background_of_the_last_lesson_keeps_no_camera_from_starting(bench, session):

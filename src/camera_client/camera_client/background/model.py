@@ -1,4 +1,4 @@
-"""The background of a fixed camera: one Gaussian a pixel and channel (thesis 6.2), and who does not fit it (6.3)."""
+"""The background of a fixed camera: one Gaussian a pixel and channel (thesis 6.2), and what does not fit it (6.3)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import zipfile
 import zlib
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
@@ -21,6 +21,7 @@ from .. import __version__
 from ..frame_source import Image, UndecodableFrame
 from ..settings import BackgroundSettings
 from ..sources.footage_reader import FootageReader, open_footage
+from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
 
 FORMAT = "sagoma background 1"
 MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise ...
@@ -33,10 +34,9 @@ SQRT_2_PI = math.sqrt(2 * math.pi)
 class Provenance:
     """Where a background model comes from.
 
-    ``mean_noise`` is the mean standard deviation, grey levels; ``verdict`` what was thought of it when it was learned.
-    ``created`` is the time in ISO 8601. ``calibration`` names the camera's calibrated place, and ``camera_turn_rad``
-    tells how far the camera had turned since then (see camera_moved_history). What the camera did not tell, or nobody
-    asked, is "".
+    ``mean_noise`` is the mean standard deviation, grey levels; ``verdict`` the one given when it was learned.
+    ``created`` is the time in ISO 8601. ``calibration`` is a checksum of the camera's calibrated pose, and
+    ``camera_turn_rad`` how far the camera had turned since then (see movement.detector). What is unknown is "".
     """
 
     source: str
@@ -54,6 +54,16 @@ class Provenance:
     calibration: str = ""
     camera_turn_rad: str = ""
 
+    @property
+    def turn_rad(self) -> npt.NDArray[np.float64]:
+        """(3,) rotation vector, radians, of the camera when this was learned, from when it was calibrated; zero where
+        that is unknown."""
+        try:
+            turn_rad = np.array([float(part) for part in self.camera_turn_rad.split()])
+        except ValueError:
+            return np.zeros(3)
+        return turn_rad if turn_rad.shape == (3,) and np.isfinite(turn_rad).all() else np.zeros(3)
+
 
 @dataclass(frozen=True, eq=False)
 class BackgroundModel:
@@ -66,6 +76,10 @@ class BackgroundModel:
     @property
     def shape(self) -> tuple[int, ...]:
         return self.mean.shape
+
+    def with_provenance(self, **changes: str) -> BackgroundModel:
+        """The same arrays with some fields of the provenance changed."""
+        return BackgroundModel(self.mean, self.sigma, replace(self.provenance, **changes))
 
     @property
     def moving_pixels(self) -> npt.NDArray[np.bool_]:
@@ -87,11 +101,7 @@ class BackgroundModel:
         collapse exactly to two images of whole grey levels, lo = ceil(mu - half) and hi = floor(mu + half).
         """
         mean, sigma = self.mean.astype(float), np.maximum(self.sigma.astype(float), settings.sigma_floor)
-        half = half_width(sigma, settings.rule, settings.risk)
-        lo, hi = np.ceil(mean - half), np.floor(mean + half)
-        never = ~(half >= 0) | (lo > hi)
-        lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
-        return BackgroundLimits(lo.astype(np.uint8), hi.astype(np.uint8))
+        return BackgroundLimits(*whole_limits(mean, half_width(sigma, settings.rule, settings.risk)))
 
     def save(self, path: str | Path) -> None:
         """Write an .npz with the arrays and the provenance. Raises InputError when the file cannot be written."""
@@ -120,10 +130,15 @@ class BackgroundLimits:
 
 
 class BackgroundLearner:
-    """Accumulates frames of the empty scene (thesis 6.2) with sums in float64, exact for whole grey levels."""
+    """Accumulates frames of the empty scene (thesis 6.2) with sums in float64, exact for whole grey levels.
+
+    ``brightness`` of each frame relative to the first: the median over a sparse grid of pixels.
+    """
 
     def __init__(self) -> None:
         self.frames = 0
+        self.brightness: list[float] = []
+        self._first: npt.NDArray[np.float32] | None = None
         self._sum: npt.NDArray[np.float64] | None = None
         self._sum_of_squares: npt.NDArray[np.float64] | None = None
 
@@ -139,6 +154,11 @@ class BackgroundLearner:
         cv2.accumulate(image, self._sum)
         cv2.accumulateSquare(image, self._sum_of_squares)
         self.frames += 1
+        sample = grid_sample(image).astype(np.float32)
+        if self._first is None:
+            self._first = sample
+        lit = self._first >= MIN_LIT_LEVEL
+        self.brightness.append(float(np.median(sample[lit] / self._first[lit])) if lit.any() else 1.0)
 
     def model(self, source: str, **about: str) -> BackgroundModel:
         """The model of the frames so far (two at least); ``about`` fills further fields of the provenance."""
@@ -172,6 +192,14 @@ def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.ND
         return sigma * -NormalDist().inv_cdf(risk / 2)
     log_ratio = np.log(risk * sigma * SQRT_2_PI)
     return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)
+
+
+def whole_limits(mean: npt.NDArray, half: npt.NDArray) -> tuple[Image, Image]:
+    """Lowest and highest whole grey level (uint8) within ``half`` of ``mean``; 255 and 0 where there is none."""
+    lo, hi = np.ceil(mean - half), np.floor(mean + half)
+    never = (half < 0) | (lo > hi)
+    lo, hi = np.where(never, 255, np.clip(lo, 0, 255)), np.where(never, 0, np.clip(hi, 0, 255))
+    return lo.astype(np.uint8), hi.astype(np.uint8)
 
 
 def load_background(path: str | Path) -> BackgroundModel:
@@ -216,7 +244,7 @@ def shape_text(shape: tuple[int, ...]) -> str:
     return f"{shape[1]} x {shape[0]} {kind}"
 
 
-# --- A background model from whatever the user has: a saved model, one still, a video or stills of the empty scene.
+# --- reading a background from a saved model, one still, a video or stills of the empty scene
 
 SOFTWARE = f"sagoma camera_client {__version__}"
 
@@ -233,14 +261,14 @@ def read_background(path: str | Path, shape: tuple[int, ...], settings: Backgrou
     else:
         reader = open_footage(path, "mono" if len(shape) == 2 else "colour")
         try:
-            model = _learned(reader, settings)
+            model = _learn(reader, settings)
         finally:
             reader.close()
     check_shape(model, shape, str(path))
     return model
 
 
-def _learned(reader: FootageReader, settings: BackgroundSettings) -> BackgroundModel:
+def _learn(reader: FootageReader, settings: BackgroundSettings) -> BackgroundModel:
     reader.probe()
     learner, last = BackgroundLearner(), None
     while True:

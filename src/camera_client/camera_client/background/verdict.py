@@ -1,4 +1,10 @@
-"""Is a background that was just learned good enough to work with, and if not, what to do about it."""
+"""Judges a background that was just learned: good, usable or redo, with reasons and remedies.
+
+The recipe is :func:`judge_background`. Each finding looks for one fault: black, white or dim picture, too few frames,
+movement while it was learned, somebody who stood still all the time (against the background before), noise, and lamps
+that flicker or warm up. The thresholds were set on rendered and recorded rooms: tests/test_camera_background_verdict.py
+holds what each has to find and has to pass.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +17,162 @@ import numpy.typing as npt
 
 from capture_rig.verdict import REDO, USABLE, Finding, Verdict, judge
 
-from ..frame_source import Image
-from ..sources.frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL, grid_sample
-from .model import BackgroundModel
+from ..sources.frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL
+from .model import BackgroundModel, Provenance
 
-# --- Where in the image something is: boxes around what was marked, and words for them.
+FEW_FRAMES = 25  # sigma is known to 14 %
+HIGH_NOISE, LOW_NOISE = 6.0, 0.3  # grey levels, of the typical pixel
+MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
+WHITE_SHARE, WHITE_MUCH_SHARE = 0.02, 0.3
+BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
+FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, change from first to last
+REPORTED_TURN_DEG = 0.2  # as the default of camera_moved.limit_deg
 
-BRIDGE_OF_HEIGHT = 1 / 30  # what is marked this near to each other is one place
-SMALLEST_PLACE = 2e-4  # of the pixels; fewer are marked by chance
-MAX_PLACES = 3
+
+def judge_background(
+    model: BackgroundModel, brightness: Sequence[float], before: BackgroundModel | None = None
+) -> Verdict:
+    """Judge ``model``.
+
+    brightness : of each frame that it was learned from, relative to the first. before : the background to replace.
+    """
+    return judge(
+        [
+            *_exposure_findings(model),
+            *_frame_count_findings(model),
+            *_movement_findings(model),
+            *_emptiness_findings(model, before),
+            *_noise_findings(model),
+            *_steadiness_findings(brightness),
+        ]
+    )
+
+
+def describe_background(model: BackgroundModel) -> str:
+    """One line on a background: the verdict on it, if there was one, and where it comes from."""
+    about = model.provenance
+    noise = "assumed" if about.frames == 1 else "mean"
+    verdict = f"{about.verdict}; " if about.verdict else ""
+    turned = "".join(f"; {finding.what}: {finding.remedy}" for finding in turn_findings(about))
+    return (
+        f"{verdict}{about.frames} frames of {about.source}, {noise} noise {about.mean_noise:.2f} grey levels, "
+        f"{100 * model.moving_share:.2f} % of the pixels moved{turned}"
+    )
+
+
+def turn_findings(about: Provenance) -> tuple[Finding, ...]:
+    """A finding on the background of a camera that was moved after its calibration."""
+    turn_deg = float(np.degrees(np.linalg.norm(about.turn_rad)))
+    if turn_deg < REPORTED_TURN_DEG:
+        return ()
+    what = f"since it was calibrated the camera has turned by {turn_deg:.1f} degrees"
+    return (Finding(USABLE, what, "calibrate it again"),)
+
+
+def _exposure_findings(model: BackgroundModel) -> list[Finding]:
+    if float(np.percentile(model.mean, 99)) <= BLACK_LEVEL:
+        return [Finding(REDO, "the image is black", "take the lens cap off, or switch the light on")]
+    found = []
+    white, typical = float((model.mean >= WHITE_LEVEL).mean()), float(np.median(model.mean))
+    if white > WHITE_SHARE:
+        grade = REDO if white > WHITE_MUCH_SHARE else USABLE
+        what = f"{100 * white:.0f} % of the image is white"
+        found.append(Finding(grade, what, "shorten the exposure or lower the gain"))
+    if typical < DIM_LEVEL:
+        what = f"the image is dim, {typical:.0f} grey levels on the median"
+        found.append(Finding(USABLE, what, "lengthen the exposure, open the iris, or add light"))
+    return found
+
+
+def _frame_count_findings(model: BackgroundModel) -> list[Finding]:
+    frames = model.provenance.frames
+    if frames >= FEW_FRAMES:
+        return []
+    error = 100 / np.sqrt(2 * max(frames - 1, 1))
+    return [Finding(USABLE, f"{frames} frames tell the noise to {error:.0f} % only", "set background_frames to 100")]
+
+
+def _movement_findings(model: BackgroundModel) -> list[Finding]:
+    regions = find_regions(model.moving_pixels)
+    share = sum(region.share for region in regions)
+    if share <= MOVED_SHARE:
+        return []
+    grade = REDO if share > MOVED_MUCH_SHARE else USABLE
+    what = f"something moved: {describe_regions(regions, model.shape)}"
+    return [Finding(grade, what, "clear the scene, see that the camera stands firm, and call again")]
+
+
+def _noise_findings(model: BackgroundModel) -> list[Finding]:
+    typical = float(np.median(model.sigma))
+    if typical > HIGH_NOISE:
+        what = f"the noise is high, {typical:.1f} grey levels on the median"
+        return [Finding(USABLE, what, "lower the gain and add light; check that the camera stands firm")]
+    if typical < LOW_NOISE:
+        what = f"the noise is suspiciously low, {typical:.2f} grey levels on the median"
+        return [Finding(USABLE, what, "check that the camera sends new pictures and does not smooth them")]
+    return []
+
+
+def _steadiness_findings(brightness: Sequence[float]) -> list[Finding]:
+    if len(brightness) < 3:
+        return []
+    values, time = np.array(brightness), np.linspace(-0.5, 0.5, len(brightness))
+    slope, level = np.polyfit(time, values, 1)
+    flicker, drift, found = float(np.std(values - level - slope * time) / level), float(slope / level), []
+    if flicker > FLICKER:
+        what = f"the brightness flickers by {100 * flicker:.1f} %"
+        remedy = "expose for whole periods of the lamps: 10 ms at 50 Hz, 8.33 ms at 60 Hz"
+        found.append(Finding(USABLE, what, remedy))
+    if abs(drift) > DRIFT:
+        what = f"the brightness changed by {100 * drift:+.1f} % while it was learned"
+        found.append(Finding(USABLE, what, "wait until lamps are warm and automatic exposure is off"))
+    return found
+
+
+# --- was the room empty? Somebody who stood still did not move, but was not there before
+
+CHANGE_LEVELS, CHANGE_SIGMAS = 10.0, 5.0  # a pixel shows something else when it differs by as much as both say
+THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
+SMALLEST_CHANGE = 2e-3  # of the pixels; a person who is far away covers more
+MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
+
+
+def _emptiness_findings(model: BackgroundModel, before: BackgroundModel | None) -> list[Finding]:
+    """A finding where something stands that the background ``before`` did not have."""
+    regions = [] if before is None else changed_regions(model, before)
+    if before is None or not regions:
+        return []
+    since = f" of {before.provenance.created}" if before.provenance.created else ""
+    what = f"something else than in the background{since}: {describe_regions(regions, model.shape)}"
+    remedy = "if somebody stood there, clear the room and learn again; moved furniture is all right"
+    return [Finding(USABLE, what, remedy)]
+
+
+def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[ImageRegion]:
+    """Where ``model`` shows something else than the background ``before``, the largest region first.
+
+    The light may be brighter or darker as a whole. None where most of the picture changed, or its size did.
+    """
+    if model.shape != before.shape:
+        return []
+    lit = before.mean >= MIN_LIT_LEVEL
+    gain = float(np.median(model.mean[lit] / before.mean[lit])) if lit.any() else 1.0
+    if gain <= 0:
+        return []
+    change = np.abs(model.mean / gain - before.mean)
+    differs = change > np.maximum(CHANGE_LEVELS, CHANGE_SIGMAS * np.hypot(model.sigma / gain, before.sigma))
+    differs &= np.maximum(model.mean, gain * before.mean) < WHITE_LEVEL  # what was cut off cannot be compared
+    mask = (differs if differs.ndim == 2 else differs.any(axis=2)).astype(np.uint8)
+    side = max(2 * round(THIN_OF_HEIGHT * mask.shape[0] / 2) + 1, 3)
+    changed = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
+    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), SMALLEST_CHANGE)
+
+
+# --- regions of the image: boxes around marked pixels, and words for them
+
+BRIDGE_OF_HEIGHT = 1 / 30  # marked pixels this near to each other are one region
+SMALLEST_REGION = 2e-4  # of the pixels; fewer are marked by chance
+MAX_REGIONS = 3
 
 
 @dataclass(frozen=True)
@@ -35,13 +188,19 @@ class ImageRegion:
     def __str__(self) -> str:
         return f"{self.left}..{self.right}, {self.top}..{self.bottom}: {100 * self.share:.1f} %"
 
+    def whereabouts(self, shape: tuple[int, ...]) -> str:
+        """ "lower left" of an image of that shape; in thirds."""
+        row = ("upper", "", "lower")[min(int(1.5 * (self.top + self.bottom) / shape[0]), 2)]
+        column = ("left", "", "right")[min(int(1.5 * (self.left + self.right) / shape[1]), 2)]
+        return f"{row} {column}".strip() or "in the middle"
+
 
 def find_regions(
-    marked: npt.NDArray[np.bool_], smallest: float = SMALLEST_PLACE, step_px: int = 1
+    marked: npt.NDArray[np.bool_], smallest: float = SMALLEST_REGION, step_px: int = 1
 ) -> list[ImageRegion]:
-    """Where ``marked`` (h, w) is true, the largest place first.
+    """Where ``marked`` (h, w) is true, the largest region first.
 
-    smallest : share of the pixels below which a place is left out.
+    smallest : share of the pixels below which a region is left out.
     step_px : ``marked`` has a pixel for each square of so many of the image, whose pixels the boxes are given in.
     """
     mask = marked.astype(np.uint8)
@@ -49,199 +208,18 @@ def find_regions(
     together = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((reach, reach), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(together)
     pixels = np.bincount(labels[mask > 0], minlength=count)
-    places = []
+    regions = []
     for label in sorted(range(1, count), key=lambda label: -pixels[label]):
         if pixels[label] < smallest * mask.size:
             break
         x, y, width, height = (step_px * int(n) for n in stats[label][:4])
-        places.append(ImageRegion(x, x + width - 1, y, y + height - 1, float(pixels[label] / mask.size)))
-    return places
+        regions.append(ImageRegion(x, x + width - 1, y, y + height - 1, float(pixels[label] / mask.size)))
+    return regions
 
 
-def describe_regions(places: Sequence[ImageRegion], shape: tuple[int, ...]) -> str:
-    """ "lower left at 5..43, 70..109: 8.1 %" for the largest of ``places`` in an image of ``shape``."""
-    what = ", ".join(f"{_whereabouts(place, shape)} at {place}" for place in places[:MAX_PLACES])
-    if len(places) <= MAX_PLACES:
+def describe_regions(regions: Sequence[ImageRegion], shape: tuple[int, ...]) -> str:
+    """ "lower left at 5..43, 70..109: 8.1 %" for the largest of ``regions`` in an image of ``shape``."""
+    what = ", ".join(f"{region.whereabouts(shape)} at {region}" for region in regions[:MAX_REGIONS])
+    if len(regions) <= MAX_REGIONS:
         return what
-    return f"{len(places)} places ({100 * sum(place.share for place in places):.1f} %), the largest {what}"
-
-
-def _whereabouts(place: ImageRegion, shape: tuple[int, ...]) -> str:
-    """ "lower left" for a box there; thirds of the image."""
-    row = ("upper", "", "lower")[min(int(1.5 * (place.top + place.bottom) / shape[0]), 2)]
-    column = ("left", "", "right")[min(int(1.5 * (place.left + place.right) / shape[1]), 2)]
-    return f"{row} {column}".strip() or "in the middle"
-
-
-# --- Was the room empty while the background was learned? Who stood still did not move, but was not there before.
-
-CHANGE_LEVELS, CHANGE_SIGMAS = 10.0, 5.0  # a pixel shows something else when it differs by as much as both say
-THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
-SMALLEST_CHANGE = 2e-3  # of the pixels; a person who is far away covers more
-MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
-
-
-def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[ImageRegion]:
-    """Where ``model`` shows something else than the background ``before``, the largest place first.
-
-    The light may be brighter or darker as a whole. None where most of the picture changed, or its size did.
-    """
-    if model.shape != before.shape:
-        return []
-    lit = before.mean >= MIN_LIT_LEVEL
-    gain = float(np.median(model.mean[lit] / before.mean[lit])) if lit.any() else 1.0
-    if gain <= 0:
-        return []
-    change = np.abs(model.mean / gain - before.mean)
-    differs = change > np.maximum(CHANGE_LEVELS, CHANGE_SIGMAS * np.hypot(model.sigma / gain, before.sigma))
-    differs &= np.maximum(model.mean, gain * before.mean) < WHITE_LEVEL  # what was cut off cannot be compared
-    changed = _without_thin(differs if differs.ndim == 2 else differs.any(axis=2))
-    return [] if changed.mean() > MOST_CHANGED else find_regions(changed, SMALLEST_CHANGE)
-
-
-def emptiness_findings(model: BackgroundModel, before: BackgroundModel | None) -> list[Finding]:
-    """A finding where something stands that the background ``before`` did not have."""
-    places = [] if before is None else changed_regions(model, before)
-    if before is None or not places:
-        return []
-    since = f" of {before.provenance.created}" if before.provenance.created else ""
-    what = f"something else than in the background{since}: {describe_regions(places, model.shape)}"
-    remedy = "if somebody stood there, clear the room and learn again; moved furniture is all right"
-    return [Finding(USABLE, what, remedy)]
-
-
-def _without_thin(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    side = max(2 * round(THIN_OF_HEIGHT * mask.shape[0] / 2) + 1, 3)
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
-    return np.asarray(opened > 0)
-
-
-FEW_FRAMES = 25  # sigma is known to 14 %
-HIGH_NOISE, LOW_NOISE = 6.0, 0.3  # grey levels, of the typical pixel
-MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
-WHITE_SHARE, WHITE_MUCH_SHARE = 0.02, 0.3
-BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
-FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, change from first to last
-
-
-class LearningJudge:
-    """Watches the frames that a background is learned from, and judges it."""
-
-    def __init__(self) -> None:
-        self._first: npt.NDArray[np.float32] | None = None
-        self._brightness: list[float] = []  # of each frame, relative to the first
-
-    def add(self, image: Image) -> None:
-        """Take one frame (H, W) or (H, W, 3)."""
-        sample = grid_sample(image).astype(np.float32)
-        if self._first is None:
-            self._first = sample
-        if sample.shape == self._first.shape:
-            lit = self._first >= MIN_LIT_LEVEL
-            self._brightness.append(float(np.median(sample[lit] / self._first[lit])) if lit.any() else 1.0)
-
-    def verdict(self, model: BackgroundModel, before: BackgroundModel | None = None) -> Verdict:
-        """On the model learned from the frames so far; ``before`` is the background that it is to replace."""
-        return judge(
-            [
-                *_light(model),
-                *_frames(model),
-                *_moved(model),
-                *emptiness_findings(model, before),
-                *_noise(model),
-                *_steadiness(self._brightness),
-            ]
-        )
-
-
-def _light(model: BackgroundModel) -> list[Finding]:
-    if float(np.percentile(model.mean, 99)) <= BLACK_LEVEL:
-        return [Finding(REDO, "the image is black", "take the lens cap off, or switch the light on")]
-    white, found = float((model.mean >= WHITE_LEVEL).mean()), []
-    if white > WHITE_SHARE:
-        found.append(
-            Finding(
-                REDO if white > WHITE_MUCH_SHARE else USABLE,
-                f"{100 * white:.0f} % of the image is white",
-                "shorten the exposure or lower the gain",
-            )
-        )
-    typical = float(np.median(model.mean))
-    if typical < DIM_LEVEL:
-        found.append(
-            Finding(
-                USABLE,
-                f"the image is dim, {typical:.0f} grey levels on the median",
-                "lengthen the exposure, open the iris, or add light",
-            )
-        )
-    return found
-
-
-def _frames(model: BackgroundModel) -> list[Finding]:
-    frames = model.provenance.frames
-    if frames >= FEW_FRAMES:
-        return []
-    error = 100 / np.sqrt(2 * max(frames - 1, 1))
-    return [Finding(USABLE, f"{frames} frames tell the noise to {error:.0f} % only", "set background_frames to 100")]
-
-
-def _moved(model: BackgroundModel) -> list[Finding]:
-    places = find_regions(model.moving_pixels)
-    share = sum(place.share for place in places)
-    if share <= MOVED_SHARE:
-        return []
-    what = describe_regions(places, model.shape)
-    return [
-        Finding(
-            REDO if share > MOVED_MUCH_SHARE else USABLE,
-            f"something moved: {what}",
-            "clear the scene, see that the camera stands firm, and call again",
-        )
-    ]
-
-
-def _noise(model: BackgroundModel) -> list[Finding]:
-    typical = float(np.median(model.sigma))
-    if typical > HIGH_NOISE:
-        return [
-            Finding(
-                USABLE,
-                f"the noise is high, {typical:.1f} grey levels on the median",
-                "lower the gain and add light; check that the camera stands firm",
-            )
-        ]
-    if typical < LOW_NOISE:
-        return [
-            Finding(
-                USABLE,
-                f"the noise is suspiciously low, {typical:.2f} grey levels on the median",
-                "check that the camera sends new pictures and does not smooth them",
-            )
-        ]
-    return []
-
-
-def _steadiness(brightness: list[float]) -> list[Finding]:
-    if len(brightness) < 3:
-        return []
-    values, time = np.array(brightness), np.linspace(-0.5, 0.5, len(brightness))
-    slope, level = np.polyfit(time, values, 1)
-    flicker, drift, found = float(np.std(values - level - slope * time) / level), float(slope / level), []
-    if flicker > FLICKER:
-        found.append(
-            Finding(
-                USABLE,
-                f"the brightness flickers by {100 * flicker:.1f} %",
-                "expose for whole periods of the lamps: 10 ms at 50 Hz, 8.33 ms at 60 Hz",
-            )
-        )
-    if abs(drift) > DRIFT:
-        found.append(
-            Finding(
-                USABLE,
-                f"the brightness changed by {100 * drift:+.1f} % while it was learned",
-                "wait until lamps are warm and automatic exposure is off",
-            )
-        )
-    return found
+    return f"{len(regions)} places ({100 * sum(region.share for region in regions):.1f} %), the largest {what}"

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from capture_rig.stamps import StampThrottle
+
 from ..frame_source import Image
 from ..settings import BackgroundWatchSettings
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_step
 from .model import BackgroundLimits, BackgroundModel, Provenance
 from .verdict import ImageRegion, describe_regions, find_regions
 
-LOOK_S = 0.5
+PERIOD_S = 0.5
 DRIFT_TIME_S = 10.0  # the drift is the mean over about so long; a person passes faster
 MAX_STEP_S = 2.0  # a gap between frames counts as this
 NEAR_RATIO = 0.3  # a pixel that is brighter or darker by more shows something else than the background
@@ -69,22 +71,19 @@ class BackgroundWatch:
         self._static_time_s = settings.static_s / -math.log(1 - ALWAYS)
         self._always = np.zeros(self._mean.shape[:2], np.float32)
         self._stays = self._mean.copy()  # the grey level that a pixel has had for some time
-        self._drift, self._drift_s, self._last_ns = 0.0, 0.0, 0
+        self._drift, self._drift_s = 0.0, 0.0
+        self._throttle = StampThrottle(PERIOD_S, longest_s=MAX_STEP_S)
         self.found = BackgroundFit(tolerance=self._tolerance)
 
-    def look(self, image: Image, stamp_ns: int, gain: float = 1.0) -> None:
+    def update(self, image: Image, stamp_ns: int, gain: float = 1.0) -> None:
         """Take a frame (H, W) or (H, W, 3) of ``stamp_ns``; most are not looked at.
 
         gain : how much brighter than learned the scene is already taken to be.
         """
-        if not self._last_ns or stamp_ns < self._last_ns:
-            self._last_ns = stamp_ns
+        step_s = self._throttle.step_s(stamp_ns) if image.shape == self._limits.lo.shape else 0.0
+        if not step_s:
             return
-        step_s = (stamp_ns - self._last_ns) * 1e-9
-        if step_s < LOOK_S or image.shape != self._limits.lo.shape:
-            return
-        self._last_ns = stamp_ns
-        step_s, seen = min(step_s, MAX_STEP_S), np.ascontiguousarray(image[self._grid])
+        seen = np.ascontiguousarray(image[self._grid])
         self._follow_light(seen, gain, step_s)
         self._follow_foreground(seen, step_s)
         self.found = self._summary()

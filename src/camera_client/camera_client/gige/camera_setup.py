@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from capture_rig.errors import InputError
 
-from ..settings import AravisSettings
+from ..settings import PIXEL_FORMATS, AravisSettings
 from .features import Features
-from .pixel_formats import FORMATS, choose_format, find_format, standard_name
+from .pixel_formats import choose_format, find_format, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
@@ -65,7 +65,7 @@ def _set_format(features: Features, settings: AravisSettings, channels: str) -> 
         raise InputError(
             f"does not offer pixel format {wanted!r} but {', '.join(available)}",
             where=features.where,
-            remedy=f"aravis.pixel_format can be {', '.join(FORMATS)}.",
+            remedy=f"aravis.pixel_format can be {', '.join(PIXEL_FORMATS)}.",
         )
     features.set("PixelFormat", chosen, "aravis.pixel_format")
     return chosen

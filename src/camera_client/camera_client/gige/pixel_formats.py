@@ -91,7 +91,8 @@ def _yuv422(luma: int, blue: int, red: int) -> Callable[[Bytes, int, int], Image
     return convert
 
 
-# in the order of preference; OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is "BG"
+# in the order of preference, as settings.PIXEL_FORMATS;
+# OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is "BG"
 LAYOUTS: dict[str, Layout] = {
     "BayerRG8": Layout(8, True, _opencv(cv2.COLOR_BayerBG2BGR, 1)),
     "BayerGR8": Layout(8, True, _opencv(cv2.COLOR_BayerGB2BGR, 1)),
@@ -109,7 +110,6 @@ LAYOUTS: dict[str, Layout] = {
     "Mono10": Layout(16, False, _upper_byte_of(10)),
     "Mono12": Layout(16, False, _upper_byte_of(12)),
 }
-FORMATS = tuple(LAYOUTS)
 _OLD_NAMES = {
     "BGR8Packed": "BGR8",
     "RGB8Packed": "RGB8",

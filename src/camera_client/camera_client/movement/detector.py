@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import zlib
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.stamps import StampThrottle
 
 from ..background.model import BackgroundModel, Provenance
 from ..frame_source import Image
@@ -25,6 +26,7 @@ MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on 
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = 0.1  # when fewer agree on anything, the picture is another one ...
 LOST_S = 3.0  # ... and that is said when it lasts
+PERIOD_S = 0.5  # a frame is compared with the background so often
 SEARCH_S = 3.0  # a search costs as much as ten looks
 SIGMAS = 4.0
 SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
@@ -112,7 +114,7 @@ class CameraMovedDetector:
         self._alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
         self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
         self._looks: deque[Alignment] = deque(maxlen=LOOKS)
-        self._last_ns: int | None = None
+        self._throttle = StampThrottle(PERIOD_S)
         self._searched_ns, self._unlike_s = -(10**18), 0.0
         self.movement = Movement()
 
@@ -120,9 +122,9 @@ class CameraMovedDetector:
     def enabled(self) -> bool:
         return self._settings.limit_deg > 0 and self._alignment.has_enough_edges
 
-    def look(self, image: Image, stamp_ns: int) -> Movement:
+    def update(self, image: Image, stamp_ns: int) -> Movement:
         """Take a frame (H, W) or (H, W, 3) of ``stamp_ns``; most are not looked at."""
-        step_s = self._step_s(stamp_ns)
+        step_s = self._throttle.step_s(stamp_ns)
         if step_s == 0.0 or not self.enabled:
             return self.movement
         search = stamp_ns - self._searched_ns >= SEARCH_S * 1e9 or not self._looks
@@ -140,17 +142,6 @@ class CameraMovedDetector:
             self._looks.clear()
             self.movement = Movement(MovementState.LOST, severe=True)
         return self.movement
-
-    def _step_s(self, stamp_ns: int) -> float:
-        """Time since the last look; 0 when it is too early for another."""
-        if self._last_ns is None or stamp_ns < self._last_ns:
-            self._last_ns = stamp_ns
-            return self._settings.period_s
-        step_s = (stamp_ns - self._last_ns) * 1e-9
-        if step_s < self._settings.period_s:
-            return 0.0
-        self._last_ns = stamp_ns
-        return min(step_s, 2 * self._settings.period_s)
 
     def _measured(self) -> Movement:
         """The median of the last looks; moved when that is certain, and more than the limit."""
@@ -181,13 +172,11 @@ class CameraMovedDetector:
         return np.array([u / w, v / w]) - middle if w > 0 else np.full(2, np.inf)
 
 
-# --- How far the camera had turned when a background was learned: a new background must not make that forgotten.
+# --- how far the camera had turned when a background was learned
 #
-# Learning the background of a bumped camera again repairs its silhouettes, but not its calibration. So each background is
-# compared with the one before, and tells how far the camera had turned since the first that was learned with the same
-# calibration. Another calibration of the camera's place begins anew.
-
-REPORTED_TURN_DEG = 0.2
+# Learning the background of a bumped camera again repairs its silhouettes, but not its calibration. So each background
+# is compared with the one before, and its provenance says how far the camera had turned since the first one that was
+# learned with the same calibration. Another calibration of the camera's pose begins anew.
 
 
 def pose_checksum(camera: CameraModel) -> str:
@@ -197,24 +186,8 @@ def pose_checksum(camera: CameraModel) -> str:
 
 def turn_when_learned(about: Provenance, camera: CameraModel) -> Array:
     """(3,) rotation vector, radians, of the camera when this background was learned, from when it was calibrated; zero
-    where the background tells of none, or of another calibration."""
-    return _turn(about) if about.calibration == pose_checksum(camera) else np.zeros(3)
-
-
-def _turn(about: Provenance) -> Array:
-    try:
-        turn_rad = np.array([float(part) for part in about.camera_turn_rad.split()])
-    except ValueError:
-        return np.zeros(3)
-    return turn_rad if turn_rad.shape == (3,) and np.isfinite(turn_rad).all() else np.zeros(3)
-
-
-def describe_turn(about: Provenance) -> str:
-    """A clause for people about a background of a camera that was moved after its calibration; else ""."""
-    turn_deg = float(np.degrees(np.linalg.norm(_turn(about))))
-    if turn_deg < REPORTED_TURN_DEG:
-        return ""
-    return f"; since it was calibrated the camera has turned by {turn_deg:.1f} degrees: calibrate it again"
+    where that is unknown, or ``camera`` has been calibrated again since."""
+    return about.turn_rad if about.calibration == pose_checksum(camera) else np.zeros(3)
 
 
 def carry_turn_over(model: BackgroundModel, before: BackgroundModel | None, camera: CameraModel) -> BackgroundModel:
@@ -226,7 +199,7 @@ def carry_turn_over(model: BackgroundModel, before: BackgroundModel | None, came
         if step_rad is not None:
             turn_rad = rotation_vector(rotation_matrix(step_rad) @ rotation_matrix(turn_rad))
     text = " ".join(f"{angle:.6f}" for angle in turn_rad)
-    return replace(model, provenance=replace(model.provenance, calibration=place, camera_turn_rad=text))
+    return model.with_provenance(calibration=place, camera_turn_rad=text)
 
 
 def turn_between(before: BackgroundModel, model: BackgroundModel, camera: CameraModel) -> Array | None:

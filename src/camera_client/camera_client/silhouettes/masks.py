@@ -1,7 +1,13 @@
-"""Boxes of pixels: a person fills a tenth of the image, and the rest need not be worked on."""
+"""Operations on masks that look only where foreground is: a person fills a tenth of the image.
+
+In the order of the pipeline: :class:`ForegroundLocator` finds the box to work in, :func:`majority` filters noise,
+:func:`keep_person` drops specks and far components, :func:`trim_outline` puts the outline at half contrast, and
+:class:`BoxUndistorter` maps the result onto the canvas.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -51,12 +57,12 @@ class Box(NamedTuple):
         bottom, right = (-(-(end + by_px) // multiple) * multiple for end in self[2:])
         return Box(top, left, min(bottom, shape[0]), min(right, shape[1]))
 
-    def within(self, outer: Box) -> Box:
+    def relative_to(self, outer: Box) -> Box:
         """The same box, counted from the corner of ``outer``."""
         return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)
 
-    def outside(self, outer: Box) -> Box:
-        """The inverse of :meth:`within`."""
+    def moved_into(self, outer: Box) -> Box:
+        """The inverse of :meth:`relative_to`: this box is counted from the corner of ``outer``."""
         return Box(self.top + outer.top, self.left + outer.left, self.bottom + outer.top, self.right + outer.left)
 
 
@@ -75,7 +81,7 @@ class ForegroundLocator:
         self._sparse = 255 - _PIXEL_OF_BLOCK * least_px + 1
         height, width = (-(-n // BLOCK_PX) * BLOCK_PX for n in shape[:2])
         self._padded = np.full((height, width), 255, np.uint8)
-        self.busy = np.zeros((height // BLOCK_PX, width // BLOCK_PX), np.uint8)
+        self.dense = np.zeros((height // BLOCK_PX, width // BLOCK_PX), np.uint8)
         """Blocks (of the last call of :meth:`box`) that the box was made for are 1, the others 0."""
 
     @property
@@ -93,12 +99,29 @@ class ForegroundLocator:
         pixels = np.bincount(labels.reshape(-1), (255 - blocks).reshape(-1), count) / _PIXEL_OF_BLOCK
         large = (pixels >= self._min_area_px).astype(np.uint8)
         large[0] = 0  # what is not dense
-        self.busy = large[labels]
-        top, left, bottom, right = (BLOCK_PX * side for side in Box.around(self.busy))
+        self.dense = large[labels]
+        top, left, bottom, right = (BLOCK_PX * side for side in Box.around(self.dense))
         return Box(top, left, min(bottom, self._shape[0]), min(right, self._shape[1]))
 
 
-# --- Which parts of a raw mask belong to the person: the largest one and its neighbours, never the largest alone.
+# --- filters: which parts of a raw mask belong to the person
+
+
+def majority(mask: Mask, side_px: int) -> Mask:
+    """The median filter of a mask of 0 and 255, as a box filter: several times faster, and equal for odd sides."""
+    if side_px <= 1:
+        return mask
+    mean = cv2.blur(mask, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
+    return cv2.threshold(mean, 127, 255, cv2.THRESH_BINARY)[1]
+
+
+def majority_count(side_px: int) -> int:
+    """A pixel that survives the filter has so many pixels of foreground in one 8 x 8 block that its window meets.
+
+    The window lies in four blocks at most, which leaves (side^2 + 1) / 8 for one of them; fewer at the image's border,
+    where a pixel also stands for its neighbours outside: in the corner, (side + 1) / 2 of them outvote all others.
+    """
+    return side_px // 2 + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +130,7 @@ class _Part:
 
     contour: np.ndarray
     area_px: float
-    box: tuple[int, int, int, int]
+    box: Sequence[int]
 
 
 def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float) -> Mask:
@@ -131,28 +154,12 @@ def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: flo
     return kept
 
 
-def majority(mask: Mask, side_px: int) -> Mask:
-    """The median filter of a mask of 0 and 255, as a box filter: several times faster, and equal for odd sides."""
-    if side_px <= 1:
-        return mask
-    mean = cv2.blur(mask, (side_px, side_px), borderType=cv2.BORDER_REPLICATE)
-    return cv2.threshold(mean, 127, 255, cv2.THRESH_BINARY)[1]
-
-
-def majority_count(side_px: int) -> int:
-    """A pixel that survives the filter has so many pixels of foreground in one 8 x 8 block that its window meets.
-
-    The window lies in four blocks at most, which leaves (side^2 + 1) / 8 for one of them; fewer at the image's border,
-    where a pixel also stands for its neighbours outside: in the corner, (side + 1) / 2 of them outvote all others.
-    """
-    return side_px // 2 + 1
-
-
 def _parts(outers: list[np.ndarray], min_area_px: float) -> list[_Part]:
     """Components of at least ``min_area_px``, the largest first (ties: in the order found, so deterministic)."""
-    large = [(_outer_area_px(c), c) for c in outers]
-    large = [(area, contour) for area, contour in large if area >= min_area_px]
-    parts = [_Part(contour, area, tuple(cv2.boundingRect(contour))) for area, contour in large]  # type: ignore[arg-type]
+    areas_px = [cv2.contourArea(c) + len(c) / 2 + 1 for c in outers]  # Pick's theorem, border included
+    parts = [
+        _Part(c, area, cv2.boundingRect(c)) for c, area in zip(outers, areas_px, strict=True) if area >= min_area_px
+    ]
     return sorted(parts, key=lambda part: -part.area_px)
 
 
@@ -166,16 +173,11 @@ def _near_the_largest(parts: list[_Part], near_px: float) -> list[_Part]:
     return kept
 
 
-def _gap_px(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> float:
+def _gap_px(a: Sequence[int], b: Sequence[int]) -> float:
     """Distance between two boxes (x, y, w, h), 0 where they touch or overlap."""
     dx = max(a[0] - (b[0] + b[2]), b[0] - (a[0] + a[2]), 0)
     dy = max(a[1] - (b[1] + b[3]), b[1] - (a[1] + a[3]), 0)
     return float(np.hypot(dx, dy))
-
-
-def _outer_area_px(contour: np.ndarray) -> float:
-    """Pixels within an outer contour, border included: Pick's theorem, A + B / 2 + 1."""
-    return cv2.contourArea(contour) + len(contour) / 2 + 1
 
 
 def _hole_area_px(contour: np.ndarray) -> float:
@@ -183,13 +185,13 @@ def _hole_area_px(contour: np.ndarray) -> float:
     return cv2.contourArea(contour) - len(contour) / 2 + 1
 
 
-# --- Where the person's outline runs: at half contrast, not where the background ends.
+# --- the outline: at half contrast, not where the background ends
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 
 
 def trim_outline(person: Mask, image: Image, mean: Image, least_share: float) -> Mask:
-    """``person`` (h, w) without pixels of its rim that are mostly background.
+    """``person`` (h, w) without pixels of its outline that are mostly background.
 
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
     that notices a few grey levels calls all of it foreground, and everybody gets a pixel wider all around. So a pixel
@@ -206,7 +208,7 @@ def trim_outline(person: Mask, image: Image, mean: Image, least_share: float) ->
     return cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
 
 
-# --- Undistorts what lies in a part of the image, without looking at the rest of the canvas.
+# --- undistortion of a part of the image, without looking at the rest of the canvas
 
 CELL_PX = 16
 BAND_PX = 4 * CELL_PX  # arms make a person wide, but only in few rows
@@ -232,7 +234,7 @@ class BoxUndistorter:
             band = Box(max(top, box.top), box.left, min(top + BAND_PX, box.bottom), box.right)
             marked = Box.around(mask[band.slices])
             if not marked.empty:
-                self._look_up(mask, marked.outside(band), canvas)
+                self._look_up(mask, marked.moved_into(band), canvas)
         return canvas
 
     def _look_up(self, mask: Mask, box: Box, canvas: Mask) -> None:

@@ -1,10 +1,13 @@
-"""From a frame to the silhouette of the person, on the undistorted canvas (thesis 6.1, 6.3)."""
+"""Segments a frame: the silhouette of the person on the undistorted canvas (thesis 6.1, 6.3).
+
+:meth:`SilhouettePipeline.run` is the recipe: subtract the background, filter, find shadow, keep the person, trim the
+outline, mark what may be floor in shadow, undistort.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,29 +22,12 @@ from ..background.model import BackgroundLimits, BackgroundModel, check_shape, s
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
-from .shadows import ALIGNMENT_PX, AttenuationMarker, ColourShadow, FloorShadow
+from .shadows import ALIGNMENT_PX, AttenuationMarker, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
 LEAST_GAIN = 0.005  # shadow tests need it no finer
-
-
-class ShadowTest(Protocol):
-    """Tells which foreground pixels show only the background in shadow."""
-
-    alignment_px: int
-    """Boxes that begin at multiples of this give what the whole image gives."""
-
-    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
-        """255 at pixels of ``mask`` that are shadow, else 0; ``mask`` covers ``box`` of ``image``, or all of it."""
-
-
-class NoShadow:
-    """Finds no shadow anywhere."""
-
-    alignment_px = 1
-
-    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
-        return np.zeros_like(mask)
+MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
+EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +68,20 @@ class SilhouettePipeline:
         background_settings: BackgroundSettings | None = None,
         volume: Volume | None = None,
     ) -> None:
-        """``volume``: the capture volume; floor far from it need not be doubted."""
+        """``volume``: the capture volume; what may be floor far from it stays the person."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
         self._settings, self._shape = settings, background.shape
         self._limits = background.limits(background_settings)
         self._drift: LightDrift | None = None
         if background_settings.drift.mode == "slow":
-            self._drift = LightDrift(background, self._limits, background_settings)
-        self._shadow = _shadow_test(camera, background, settings, background_settings.sigma_floor)
-        self._darkness = AttenuationMarker(camera, background, volume) if settings.shadow == "mark" else None
+            self._drift = LightDrift(background, self._limits, background_settings, BLOCK_PX)
+        self._shadow = make_shadow_test(camera, background, settings, background_settings.sigma_floor)
+        self._attenuation = AttenuationMarker(camera, background, volume) if settings.shadow == "mark" else None
         self._mean = np.rint(background.mean).clip(0, 255).astype(np.uint8)
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
-        min_area_px = settings.min_area * camera.height**2
-        self._surroundings = ForegroundLocator(self._shape, min_area_px, majority_count(settings.median_px))
+        min_area_px = MIN_AREA * camera.height**2
+        self._locator = ForegroundLocator(self._shape, min_area_px, majority_count(settings.median_px))
         self._undistorter = BoxUndistorter(camera.undistorted_view())
         self._levels = np.zeros(self._shape[:2], np.uint8)
         side = 2 * round(settings.closing * camera.height / 2) + 1
@@ -121,18 +107,18 @@ class SilhouettePipeline:
         self._check(image)
         box, raw = self._subtract(image)
         if self._drift is not None and stamp_ns is not None:
-            self._drift.follow(image, self._surroundings.buffer, self._surroundings.busy, stamp_ns)
+            self._drift.follow(image, self._locator.buffer, self._locator.dense, stamp_ns)
         if box.empty:
             return self._silhouette(np.zeros((0, 0), np.uint8), box)
         image = self._as_learned(image)
         shadow = self._shadow.shadow(image, raw, box)
         person = self._keep_person(cv2.subtract(raw, shadow))
-        if self._settings.rim > 0:
-            person = trim_outline(person, image[box.slices], self._mean[box.slices], self._settings.rim)
-        if self._darkness is None:
+        if self._settings.outline_contrast > 0:
+            person = trim_outline(person, image[box.slices], self._mean[box.slices], self._settings.outline_contrast)
+        if self._attenuation is None:
             return self._silhouette(person, box)
         levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(levels, box, self._darkness.mark(image, person, shadow, box))
+        return self._silhouette(levels, box, self._attenuation.mark(image, person, shadow, box))
 
     def _as_learned(self, image: Image) -> Image:
         """As bright as it would be under the light that the background was learned in."""
@@ -149,24 +135,24 @@ class SilhouettePipeline:
 
     def _subtract(self, image: Image) -> tuple[Box, Mask]:
         """A box of the image that holds all foreground which survives the majority filter, and that foreground."""
-        within, side = self._surroundings.buffer, self._settings.median_px
+        within, side = self._locator.buffer, self._settings.median_px
         cv2.inRange(image, self._limits.lo, self._limits.hi, dst=within)
-        busy = self._surroundings.box()
-        if busy.empty:
+        dense = self._locator.box()
+        if dense.empty:
             return Box(0, 0, 0, 0), np.zeros((0, 0), np.uint8)
-        survivors = busy.grown(BLOCK_PX, self._shape)
+        survivors = dense.grown(BLOCK_PX, self._shape)
         seen = survivors.grown(side // 2, self._shape)
         filtered = majority(cv2.bitwise_not(within[seen.slices]), side)
         box = survivors.grown(self._margin_px, self._shape, self._alignment_px)
         mask = np.zeros((box.bottom - box.top, box.right - box.left), np.uint8)
-        mask[survivors.within(box).slices] = filtered[survivors.within(seen).slices]
+        mask[survivors.relative_to(box).slices] = filtered[survivors.relative_to(seen).slices]
         return box, mask
 
     def _keep_person(self, mask: Mask) -> Mask:
         s, height = self._settings, self._shape[0]
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
         area = height * height
-        return keep_person(mask, s.min_area * area, s.near * height, s.max_hole * area)
+        return keep_person(mask, MIN_AREA * area, s.near * height, s.max_hole * area)
 
     def _silhouette(self, levels: Mask, box: Box, canvas_levels: Mask | None = None) -> Silhouette:
         """Back to the whole image, and onto the canvas, there with ``canvas_levels`` if any."""
@@ -183,34 +169,22 @@ class SilhouettePipeline:
         return Silhouette(canvas, image_mask, fraction, self._flags(fraction), (anything - person) / image_mask.size)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:
-        if fraction < self._settings.empty_below:
+        if fraction < EMPTY_BELOW:
             return (EMPTY,)
-        return (FULL,) if fraction > self._settings.full_above else ()
+        return (FULL,) if fraction > FULL_ABOVE else ()
 
 
-def _shadow_test(
-    camera: CameraModel, background: BackgroundModel, settings: SilhouetteSettings, sigma_floor: float
-) -> ShadowTest:
-    colour = len(background.shape) == 3
-    if settings.shadow == "keep":
-        return NoShadow()
-    if colour and settings.colour_shadow.enabled:
-        return ColourShadow(background, sigma_floor, settings.colour_shadow)
-    if not colour and settings.floor_shadow.enabled:
-        return FloorShadow(camera, background, sigma_floor, settings.floor_shadow)
-    return NoShadow()
-
-
-# --- The picture to look at: what the camera sees, with the outline of what it took for the person.
+# --- the picture to look at
 
 PERSON_BGR, CANDIDATE_BGR = (0, 255, 0), (0, 140, 255)
 LINE_PX = 2
 
 
 def outline(image: Image, mask: Mask) -> Image:
-    """The image (H, W[, 3]) at half size, BGR: the person's outline green, that of shadow candidates orange.
+    """Draw the outlines of a silhouette into its image.
 
-    ``mask`` (H, W) is :attr:`camera_client.silhouettes.pipeline.Silhouette.image_mask`, of two or three levels.
+    Gives the image (H, W[, 3]) at half size, BGR, the person's outline green, that of shadow candidates orange.
+    ``mask`` (H, W) is :attr:`Silhouette.image_mask`, of two or three levels.
     """
     shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     for level, colour in ((SHADOW_CANDIDATE, CANDIDATE_BGR), (FOREGROUND, PERSON_BGR)):

@@ -1,6 +1,13 @@
-"""Shadows in mono images: floor that is darker by a locally constant factor and keeps its texture."""
+"""Finds what may be only shadow: on the floor in mono images, anywhere in colour images.
+
+A single camera decides what is most likely shadow (:func:`make_shadow_test`); :class:`AttenuationMarker` writes into
+the silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with all cameras.
+The thresholds were set with ``bench/silhouette.py`` on its clips.
+"""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -18,11 +25,13 @@ from capture_rig.rig import Volume
 
 from ..background.model import BackgroundModel
 from ..frame_source import Image, Mask
-from ..settings import ColourShadowSettings, FloorShadowSettings
+from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from .masks import Box
 
+LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
 MAX_FLOOR_DISTANCE_M = 20.0
+WINDOW_OF_HEIGHT = 0.0105  # side of the window that tells texture from brightness
 MIN_WINDOW_PX = 5  # 3 x 3 pixels hold too little texture to tell anything apart
 BLOCK_OF_HEIGHT = 1 / 120  # sums are formed over square blocks of this share of the image height
 TEXTURE_BLOCKS = 7  # a square of so many blocks decides whether texture persists
@@ -32,8 +41,38 @@ MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
 _THREE = np.ones((3, 3), np.uint8)
 
 
+class ShadowTest(Protocol):
+    """Tells which foreground pixels show only the background in shadow."""
+
+    alignment_px: int
+    """Boxes that begin at multiples of this give what the whole image gives."""
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        """255 at pixels of ``mask`` that are shadow, else 0; ``mask`` covers ``box`` of ``image``, or all of it."""
+
+
+def make_shadow_test(
+    camera: CameraModel, background: BackgroundModel, settings: SilhouetteSettings, sigma_floor: float
+) -> ShadowTest:
+    """The test for mono or colour images, or none, as the settings ask; ``sigma_floor`` in grey levels."""
+    if settings.shadow == "keep":
+        return NoShadow()
+    if len(background.shape) == 3:
+        return ColourShadow(background, sigma_floor, settings.colour_shadow)
+    return FloorShadow(camera, background, sigma_floor, settings.floor_shadow)
+
+
+class NoShadow:
+    """Finds no shadow anywhere."""
+
+    alignment_px = 1
+
+    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+        return np.zeros_like(mask)
+
+
 class FloorShadow:
-    """Tells which foreground pixels only show the floor in shadow.
+    """Tells which foreground pixels of a mono image show only the floor in shadow.
 
     Around each pixel, in a small window, image x and background mu have means X and M; a = X / M is how much darker it
     is here. A shadow keeps the floor's texture, x - X = a (mu - M) + noise; a body covers it and brings its own. Two
@@ -44,17 +83,17 @@ class FloorShadow:
     - the persistence, the regression of x - X on a (mu - M), is 1 in a shadow and 0 on smooth clothes.
 
     Both also hold for each connected patch as a whole, or the patch is none: by chance they hold in small ones. The
-    rim of a shadow, where windows reach out of it, is thin, and goes with the patch it borders.
+    border of a shadow, where windows reach out of it, is thin, and goes with its patch.
     """
 
     def __init__(
         self, camera: CameraModel, background: BackgroundModel, sigma_floor: float, settings: FloorShadowSettings
     ) -> None:
         """``sigma_floor``: smallest sigma that a pixel is taken to have, grey levels."""
-        side = max(2 * round((settings.window * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
+        side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
         self._settings, self._window = settings, (side, side)
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
-        self._rim = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
+        self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
         self._mean = _thinned(background.mean)
         mean_window = cv2.blur(background.mean, self._window)
         self._per_mean_window = _thinned(1 / np.maximum(mean_window, np.float32(1e-3)))
@@ -72,7 +111,7 @@ class FloorShadow:
         inner = Box.around(cv2.bitwise_and(mask, self._floor[box.slices]))
         if not inner.empty:
             inner = inner.grown(self._block, mask.shape, self._block)
-            at = inner.outside(box).slices
+            at = inner.moved_into(box).slices
             found[inner.slices] = self._patches(image[at], mask[inner.slices], at)
         return found
 
@@ -85,14 +124,14 @@ class FloorShadow:
         candidates = cv2.bitwise_and(_enlarged(dark, 2, mask.shape), looked_at)
         patches = cv2.bitwise_and(_enlarged(blocks, self._block, mask.shape), candidates)
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
-        return cv2.bitwise_or(patches, self._rims(patches, candidates, mask))
+        return cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
 
     def _details(self, image: Image, mask: Mask, at: tuple[slice, slice]) -> tuple[Mask, np.ndarray, np.ndarray]:
         """Of every second row and column: pixels that may be shadow; x - X and a (mu - M) there, else 0 (float32)."""
         x, X = _thinned(image).astype(np.float32), _thinned(cv2.boxFilter(image, cv2.CV_32F, self._window))
         half = tuple(slice(s.start // 2, s.start // 2 + n) for s, n in zip(at, x.shape, strict=True))
         a = cv2.multiply(X, self._per_mean_window[half])
-        dark = cv2.bitwise_and(cv2.inRange(a, self._settings.darkest, self._settings.lightest), mask)
+        dark = cv2.bitwise_and(cv2.inRange(a, self._settings.darkest, LIGHTEST), mask)
         detail = cv2.copyTo(cv2.subtract(x, X), dark)
         expected = cv2.copyTo(cv2.subtract(cv2.multiply(a, self._mean[half]), X), dark)
         return dark, detail, expected
@@ -114,7 +153,7 @@ class FloorShadow:
         return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float32, copy=False)
 
     def _large_patches(self, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray) -> Mask:
-        """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond doubt."""
+        """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
         s = self._settings
         quiet = _near(rest) <= _near(count) * np.float32((s.residual * self._sigma) ** 2)
         fits = quiet & (_around(shared) >= np.float32(s.persistence) * _around(power)) & (2 * count > self._block**2)
@@ -128,15 +167,15 @@ class FloorShadow:
         large[0] = False  # what does not fit
         return np.where(large, np.uint8(255), np.uint8(0))[labels]
 
-    def _rims(self, patches: Mask, candidates: Mask, mask: Mask) -> Mask:
+    def _borders(self, patches: Mask, candidates: Mask, mask: Mask) -> Mask:
         """Candidates beside a patch that are too thin to be a part of a body."""
-        reach = len(self._rim)
+        reach = len(self._border)
         at = Box.around(patches).grown(reach, mask.shape).slices
         rest = cv2.subtract(mask[at], patches[at])
-        thin = cv2.subtract(rest, cv2.morphologyEx(rest, cv2.MORPH_OPEN, self._rim))
-        rims = np.zeros_like(mask)
-        rims[at] = cv2.bitwise_and(cv2.bitwise_and(thin, candidates[at]), cv2.dilate(patches[at], self._rim))
-        return rims
+        thin = cv2.subtract(rest, cv2.morphologyEx(rest, cv2.MORPH_OPEN, self._border))
+        borders = np.zeros_like(mask)
+        borders[at] = cv2.bitwise_and(cv2.bitwise_and(thin, candidates[at]), cv2.dilate(patches[at], self._border))
+        return borders
 
 
 def _thinned(values: np.ndarray) -> np.ndarray:
@@ -179,13 +218,11 @@ def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: flo
     return np.ascontiguousarray(full[: camera.height, : camera.width])
 
 
-# --- Shadows in colour images: darker than the background by one factor in all channels (Horprasert et al. 1999).
-
-_THREE_BY_THREE = np.ones((3, 3), np.uint8)
+# --- colour images
 
 
 class ColourShadow:
-    """Tells which foreground pixels only show the background in shadow.
+    """Tells which foreground pixels of a colour image show only the background in shadow.
 
     With x the pixel, mu and s its background's mean and sigma, the brightness factor is the a that minimises
     sum ((x - a mu) / s)^2 over the channels, and the chromaticity distance is the root of that minimum (Horprasert,
@@ -207,7 +244,7 @@ class ColourShadow:
         slack = settings.chromaticity * sigma
         bright = mean.mean(axis=2, keepdims=True) >= settings.min_brightness
         lo = np.where(bright, np.clip(np.floor(settings.darkest * mean - slack), 0, 255), 255)
-        hi = np.where(bright, np.clip(np.ceil(settings.lightest * mean + slack), 0, 255), 0)
+        hi = np.where(bright, np.clip(np.ceil(LIGHTEST * mean + slack), 0, 255), 0)
         self._lo, self._hi = lo.astype(np.uint8), hi.astype(np.uint8)
 
     def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
@@ -223,11 +260,8 @@ class ColourShadow:
         fits = self._fits(small[row, column], row + rows.start, column + columns.start)
         found[:] = 0
         found[row[fits], column[fits]] = 255
-        found = cv2.morphologyEx(
-            found, cv2.MORPH_OPEN, _THREE_BY_THREE
-        )  # the person's rim is a blend that can look like shadow
-        full = cv2.resize(found, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-        return np.ascontiguousarray(full[: mask.shape[0], : mask.shape[1]])
+        found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
+        return _enlarged(found, 2, mask.shape)
 
     def _fits(self, x: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Which pixels x (n, 3), at ``row`` and ``column`` (n,) of the half-size image, are a darkened background."""
@@ -237,7 +271,7 @@ class ColourShadow:
         factor = np.einsum("ij,ij->i", x_sigmas, mu) / np.maximum(power, 1e-9)
         departure = x_sigmas - factor[:, None] * mu
         distance2 = np.einsum("ij,ij->i", departure, departure)
-        return (factor >= s.darkest) & (factor <= s.lightest) & (distance2 <= s.chromaticity**2)
+        return (factor >= s.darkest) & (factor <= LIGHTEST) & (distance2 <= s.chromaticity**2)
 
 
 def halve(image: np.ndarray) -> np.ndarray:
@@ -248,29 +282,29 @@ def halve(image: np.ndarray) -> np.ndarray:
     return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
 
 
-# --- How much darker than the floor behind them the person's pixels are: what the hull server needs to doubt them.
+# --- what may be floor in shadow, and how dark it is
 
 RATIO_SCALE = 200.0  # grey levels that stand for an unchanged brightness: steps of half a percent
 ALIGNMENT_PX = 2
 
 
 class AttenuationMarker:
-    """Replaces what may be floor in shadow by its degree of darkness (``capture_rig.mask_levels``).
+    """Writes into a silhouette how dark everything is that may be floor in shadow (``capture_rig.mask_levels``).
 
     A single camera cannot tell a dark sock from the shadow beside it. Several can: shadow lies on the floor, where all
     cameras see the same place equally dark. So every shadow candidate, and every pixel of the person whose ray meets
-    the floor, tells how bright it is, as a share of what the background was, in few steps. Brightness is the mean
+    the floor, says how bright it is, as a share of what the background was, in few steps. Brightness is the mean
     of 2 x 2 pixels and of the channels: wider windows would mix legs with the shadow beside them.
     """
 
     def __init__(self, camera: CameraModel, background: BackgroundModel, volume: Volume | None = None) -> None:
-        """``volume``: where floor matters; pixels whose ray meets it farther away are not doubted."""
+        """``volume``: the capture volume; pixels whose ray meets the floor far from it stay the person."""
         self._scale = np.float32(RATIO_SCALE) / np.maximum(_halved_grey(background.mean), np.float32(1.0))
         self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
-        degrees = [attenuation_step(step / RATIO_SCALE) for step in range(256)]
-        self._dark = np.array([FOREGROUND if d is None else ATTENUATED_LEVELS[d] for d in degrees], np.uint8)
+        steps = [attenuation_step(ratio / RATIO_SCALE) for ratio in range(256)]
+        self._attenuated = np.array([FOREGROUND if s is None else ATTENUATED_LEVELS[s] for s in steps], np.uint8)
         self._candidate = np.array(
-            [SHADOW_CANDIDATE if d is None else CANDIDATE_LEVELS[d // 2] for d in degrees], np.uint8
+            [SHADOW_CANDIDATE if s is None else CANDIDATE_LEVELS[s // 2] for s in steps], np.uint8
         )
 
     def mark(self, image: Image, person: Mask, candidates: Mask, box: Box) -> Mask:
@@ -278,17 +312,17 @@ class AttenuationMarker:
 
         The box begins and ends at even pixels, or at the image's end. What is both is the person.
         """
-        doubted = cv2.bitwise_and(person, self._floor[box.slices])
+        ambiguous = cv2.bitwise_and(person, self._floor[box.slices])
         levels = person.copy()
-        inner = Box.around(cv2.bitwise_or(doubted, candidates))
+        inner = Box.around(cv2.bitwise_or(ambiguous, candidates))
         if inner.empty:
             return levels
         inner = inner.grown(2 * ALIGNMENT_PX, person.shape, ALIGNMENT_PX)
         part = inner.slices
-        ratio = self._ratio(image, inner.outside(box))
-        cv2.copyTo(_doubled(cv2.LUT(ratio, self._candidate), levels[part].shape), candidates[part], levels[part])
+        ratio, shape = self._ratio(image, inner.moved_into(box)), levels[part].shape
+        cv2.copyTo(_enlarged(cv2.LUT(ratio, self._candidate), 2, shape), candidates[part], levels[part])
         levels = cv2.max(levels, person)
-        cv2.copyTo(_doubled(cv2.LUT(ratio, self._dark), levels[part].shape), doubted[part], levels[part])
+        cv2.copyTo(_enlarged(cv2.LUT(ratio, self._attenuated), 2, shape), ambiguous[part], levels[part])
         return levels
 
     def _ratio(self, image: Image, at: Box) -> np.ndarray:
@@ -297,18 +331,9 @@ class AttenuationMarker:
         return cv2.convertScaleAbs(cv2.multiply(_halved_grey(image[at.slices]), self._scale[rows, columns]))
 
 
-def _doubled(small: Mask, shape: tuple[int, ...]) -> Mask:
-    """Each pixel repeated both ways, cut to ``shape``."""
-    full = cv2.resize(small, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-    return full[: shape[0], : shape[1]]
-
-
 def _halved_grey(image: np.ndarray) -> np.ndarray:
-    """(ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels; odd sides are continued."""
-    down, right = image.shape[0] % 2, image.shape[1] % 2
-    if down or right:
-        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
-    half = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    """(ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels."""
+    half = halve(image)
     if half.ndim == 3:
         half = cv2.transform(half, np.full((1, 3), 1 / 3, np.float32))
     return half.astype(np.float32)

@@ -159,6 +159,11 @@ def first_of_run(arrived: int, last_of_former_run: int | None) -> int:
 
 COUNTER_PERIOD_S = 0.25
 US_TO_NS = 1000
+RESEND_SHARE = 1.0  # of a frame's packets may be asked for again
+FIRST_PACKET_TIMEOUT_US, PACKET_TIMEOUT_US = (
+    1000,
+    5000,
+)  # a missing packet is asked for after this, and again after that
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,13 +339,13 @@ class AravisStream:
         Aravis, s, stream = self._Aravis, self._settings, self._stream
         warnings = []
         able = self._device.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.PACKET_RESEND
-        resend = Aravis.GvStreamPacketResend.ALWAYS if s.packet_resend and able else Aravis.GvStreamPacketResend.NEVER
-        if s.packet_resend and not able:
+        if not able:
             warnings.append("the camera cannot send lost packets again: every lost packet costs a frame")
-        stream.set_property("packet-resend", resend)
-        stream.set_property("packet-request-ratio", s.resend_share)
-        stream.set_property("initial-packet-timeout", round(s.first_packet_timeout_ms * 1000))
-        stream.set_property("packet-timeout", round(s.packet_timeout_ms * 1000))
+        resend = Aravis.GvStreamPacketResend
+        stream.set_property("packet-resend", resend.ALWAYS if able else resend.NEVER)
+        stream.set_property("packet-request-ratio", RESEND_SHARE)
+        stream.set_property("initial-packet-timeout", FIRST_PACKET_TIMEOUT_US)
+        stream.set_property("packet-timeout", PACKET_TIMEOUT_US)
         stream.set_property("frame-retention", round(s.frame_retention_ms * 1000))
         # FIXED, or Aravis would shrink the buffer that we enlarge here to one frame when the first one comes
         stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)

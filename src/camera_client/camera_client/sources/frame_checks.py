@@ -3,7 +3,7 @@
 The node asks once a frame, before the silhouette:
 
     checks = FrameChecks(settings.frame_checks, background.mean)    # without a background yet: FrameChecks(settings)
-    flags = checks.look(frame.image, frame.stamp_ns, pipeline.gain)    # () for a sound frame
+    flags = checks.check(frame.image, frame.stamp_ns, pipeline.gain)    # () for a sound frame
     for flag in flags: WARN with REMEDIES[flag]
 
 A flag says what the frame looks like now; it is gone as soon as the frames are sound again.
@@ -30,7 +30,8 @@ REMEDIES = {
 NO_PICTURE_FLAGS = frozenset({DARK, FROZEN, SATURATED})  # such a frame says nothing about where the camera stands
 SAMPLES = 2500
 WHITE_LEVEL = 250
-DARK_SHARE = 0.99  # so much of the sample must be black
+DARK_LEVEL, DARK_SHARE = 16, 0.99  # a frame is dark when so much of it is no brighter than this grey level
+SATURATED_SHARE = 0.2  # a frame is saturated when so much more of it is white than of the background
 MIN_REPEATS = 5  # two equal frames and a jump of the clock are no frozen camera
 MIN_LIT_LEVEL = 24  # darker backgrounds tell nothing about the lights
 
@@ -53,13 +54,13 @@ class FrameChecks:
 
     def _remember(self, background: npt.NDArray[np.float32]) -> None:
         self._sampled = len(background)
-        self._black_share = float((background <= 1.5 * self._settings.dark_level).mean())
+        self._black_share = float((background <= 1.5 * DARK_LEVEL).mean())
         self._white_share = float((background >= WHITE_LEVEL).mean())
         lit = np.flatnonzero(background >= MIN_LIT_LEVEL)
         if len(lit):
             self._lit, self._lit_mean = lit, background[lit]
 
-    def look(self, image: Image, stamp_ns: int, gain: float = 1.0) -> tuple[str, ...]:
+    def check(self, image: Image, stamp_ns: int, gain: float = 1.0) -> tuple[str, ...]:
         """Flags of ``image`` (H, W) or (H, W, 3) uint8, taken at ``stamp_ns``: some of the keys of REMEDIES.
 
         ``gain`` is how much brighter than the background as learned the scene is known to be (slow drift that is
@@ -75,7 +76,7 @@ class FrameChecks:
         return tuple(flag for flag, yes in found if yes)
 
     def _is_dark(self, sample: npt.NDArray[np.uint8]) -> bool:
-        black = int(np.count_nonzero(sample <= self._settings.dark_level))
+        black = int(np.count_nonzero(sample <= DARK_LEVEL))
         return black >= DARK_SHARE * len(sample) and self._black_share < DARK_SHARE
 
     def _lights_changed(self, sample: npt.NDArray[np.uint8], gain: float) -> bool:
@@ -89,7 +90,7 @@ class FrameChecks:
 
     def _is_saturated(self, sample: npt.NDArray[np.uint8]) -> bool:
         white = int(np.count_nonzero(sample >= WHITE_LEVEL))
-        return white > (self._white_share + self._settings.saturated_share) * len(sample)
+        return white > (self._white_share + SATURATED_SHARE) * len(sample)
 
     def _is_frozen(self, sample: npt.NDArray[np.uint8], stamp_ns: int) -> bool:
         """Sensor noise makes every frame differ somewhere: equal ones are one frame sent again."""

@@ -93,6 +93,7 @@ START_S = 2.0  # a living camera starts within this
 STOP_S = 0.5  # ... stops within this
 RELEASE_S = 1.0  # ... and gives its resources back within this
 ROUNDING_S = 1e-3
+FIRST_RETRY_S = 0.25  # the pause after the first attempt that failed; it doubles
 
 
 class SupervisedSource(FrameSource):
@@ -104,7 +105,7 @@ class SupervisedSource(FrameSource):
     clock : seconds, monotonic; wait : sleeps so many seconds (a test may give its own).
 
     A connection that delivered and stopped is made anew at once. An attempt that fails with SourceUnavailable, and a
-    connection that never delivered, are followed by another after ``first_retry_s``, then twice that, and so on up to
+    connection that never delivered, are followed by another after a quarter of a second, then twice that, and so on to
     ``longest_retry_s``; an attempt that fails with a plain InputError by one at this slowest pace. ``account`` and
     ``counters`` add up over all connections; the counters include reconnects, stalls, control_losses, failed_attempts.
     """
@@ -131,7 +132,7 @@ class SupervisedSource(FrameSource):
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
-        self._backoff = Backoff(settings.first_retry_s, settings.longest_retry_s)
+        self._backoff = Backoff(FIRST_RETRY_S, settings.longest_retry_s)
         self._downtime = Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
