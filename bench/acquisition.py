@@ -20,7 +20,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from capture_rig import FrameSet
 from capture_rig.session import Session, footage_stamp_ns, load_session
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
@@ -35,7 +34,8 @@ from icp_tracker.acquisition.body_sizes import (
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.acquisition.upright import PoseRejected
-from mocap_packets.hull_products import HullProducts, VoxelCloud
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import HullProducts, VoxelSamples
 from sagoma_tools.evaluation.in_process import EPOCH_NS, Configuration, exact_silhouettes, silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -58,9 +58,10 @@ def of_session(session: Session, exact: bool) -> dict[str, object]:
     points = session.truth.stick_figure_points()
     for frame, frame_masks in enumerate(islice(masks, LONGEST)):
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
-        hull = pipeline.run(FrameSet(stamp_ns, frame_masks, dict.fromkeys(frame_masks, stamp_ns), ()))
-        voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        answer = source.find_pose(HullProducts(stamp_ns, hull.centerline.points_world, voxels=voxels))
+        hull = pipeline.run(FrameSet.of_instant(stamp_ns, frame_masks))
+        voxels = VoxelSamples.checked(hull.products.voxels.points_world, hull.products.voxels.surface)
+        line = hull.products.centerline.points_world
+        answer = source.find_pose(HullProducts.of_points(stamp_ns, line, voxels=voxels))
         if answer.pose is not None:
             truth = points[frame]
             left = truth[3] - truth[4]
@@ -122,8 +123,8 @@ def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -
         parts.radii[:] *= rng.uniform(0.85, 1.25)
         masks = {name: view.undistort_mask(eye.render(parts, None)[1]) for name, eye, view in eyes}
         stamp_ns = (k + 1) * 1_000_000_000
-        hull = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ()))
-        yield body, pose, hull.voxels.points_world, rig.volume
+        hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
+        yield body, pose, hull.products.voxels.points_world, rig.volume
 
 
 def t_pose(body: Body, rng: np.random.Generator) -> Pose:

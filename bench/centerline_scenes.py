@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from capture_rig import FrameSet, Rig
+from capture_rig import Rig
 from capture_rig.session import load_session
 from hull_server.grid import BrickVolume
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
+from mocap_packets.frame_set import FrameSet
 from sagoma_tools.evaluation.in_process import Configuration, exact_silhouettes, silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -208,7 +209,7 @@ def _carver(rig: Rig, voxel_m: float) -> Callable[[dict[str, np.ndarray]], Brick
 
     def carve(masks: dict[str, np.ndarray]) -> BrickVolume:
         stamp_ns = next(seconds) * 1_000_000_000
-        volume = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ())).volume
+        volume = pipeline.run(FrameSet.of_instant(stamp_ns, masks)).volume
         return BrickVolume(volume.grid, volume.index.copy(), volume.leaves.copy())
 
     return carve

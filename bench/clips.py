@@ -13,7 +13,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import footage_stamp_ns, load_session
-from mocap_packets.hull_products import HullProducts
+from mocap_packets.hull import HullProducts
 from sagoma_tools.evaluation.chain import Chain, Configuration, Masks
 from sagoma_tools.evaluation.in_process import EPOCH_NS, exact_silhouettes, silhouettes
 from sagoma_tools.evaluation.live_run import start_settings

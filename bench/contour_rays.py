@@ -31,12 +31,13 @@ from shadow_resolution import SHARED, VOXEL_M, Frame, Masks, frames
 
 from capture_rig.session import Session, load_session
 from hull_server.carve_backends import make_backend
-from hull_server.contour_rays.contour_tracer import ContourRays, ContourTracer
+from hull_server.contour_rays.contour_tracer import ContourTracer
 from hull_server.grid import VoxelGrid
 from hull_server.settings import ContourSettings, ShadowSettings
 from hull_server.shadows import ShadowResolver
 from hull_server.slicing.skeletonisation import slice_hull
 from hull_server.views import RigViews, min_seeing
+from mocap_packets.hull import ContourRays
 
 FAR_PX, SURE_PX = 3.0, 0.52  # a ray of a larger sigma has doubtful pixels around it
 KEYS = ("rays", "offset_px", "spread_px", "far_percent", "honest_percent")
@@ -70,7 +71,7 @@ class Tracer:
         """(n, 2) where the rays are in their cameras' canvases, moved along their normals in the world."""
         P, points_world = (
             self.views.P[rims.camera],
-            rims.point_world + np.reshape(along_normal_m, (-1, 1)) * rims.normal,
+            rims.points_world + np.reshape(along_normal_m, (-1, 1)) * rims.normals,
         )
         u, v, depth = (np.einsum("nij,nj->ni", P[:, :, :3], points_world) + P[:, :, 3]).T
         return np.stack([u, v], axis=1) / depth[:, None]

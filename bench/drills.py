@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from clips import Clip
 
-from ekf_tracker.state import Tracking
 from icp_tracker.tracker import TRACKING
-from mocap_packets.hull_products import HullProducts
+from mocap_packets.hull import HullProducts
+from mocap_packets.state import Tracking
 from sagoma_tools.evaluation.chain import Chain, ChainStep
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse

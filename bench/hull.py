@@ -42,13 +42,14 @@ import numpy as np
 from hull_baselines import RIVALS, PlainNumpy
 from hull_scene import VOLUME, Masks, scene
 
-from capture_rig import FrameSet, InputError
+from capture_rig import InputError
 from hull_server.carve_backends import CarveBackend, make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import BlobSettings, HullSettings
 from hull_server.slicing.skeletonisation import find_centerline, slice_blobs
 from hull_server.views import RigViews, min_seeing
+from mocap_packets.frame_set import FrameSet
 
 MEMORY_OPTION = "--memory-of-one-process"
 OURS = {"ours, cpu": "cpu", "ours, OpenGL": "gl"}
@@ -234,7 +235,7 @@ def memory_of_one_process() -> None:
     rig, frames = scene(8, 2)
     pipeline = HullPipeline(rig, HullSettings(voxel_size_m=0.01))
     for masks in frames:
-        pipeline.run(FrameSet(0, masks, dict.fromkeys(masks, 0), ()))
+        pipeline.run(FrameSet.of_instant(0, masks))
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     print(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
 

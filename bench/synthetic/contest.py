@@ -10,7 +10,7 @@ import numpy as np
 
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
-from ekf_tracker.state import EkfState
+from mocap_packets.state import BodyState
 
 from .clips import FPS, Clip, clouds
 from .rivals import Solver, our_inverse_kinematics, our_solve, scipy_inverse_kinematics, scipy_solve
@@ -52,7 +52,7 @@ def _filter(clip: Clip, model: str) -> Solver:
         nonlocal frame
         frame += 1
         state = ekf.step(round(frame * 1e9 / FPS), z, LABELLED_SIGMA_M**2 * covariance, np.ones(15, bool))
-        return state.points_world if isinstance(state, EkfState) else np.full((15, 3), np.nan)
+        return state.points_world if isinstance(state, BodyState) else np.full((15, 3), np.nan)
 
     return step
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_packets.hull_products import VoxelCloud
+from mocap_packets.hull import VoxelSamples
 from virtual_studio.people import Capsules, VolumetricBody
 
 from .clips import Clip, clouds
@@ -30,7 +30,7 @@ def times_ms(clip: Clip) -> dict[str, float]:
     return {"icp_ms": round(icp_ms, 3), "ekf_ms": round(ekf_ms, 3)}
 
 
-def surface_voxels(capsules: Capsules, rng: np.random.Generator) -> VoxelCloud:
+def surface_voxels(capsules: Capsules, rng: np.random.Generator) -> VoxelSamples:
     """`VOXELS` surface voxels of a body: random points on the capsules' skins that no other one covers."""
     area = np.linalg.norm(capsules.ends - capsules.starts, axis=1) * capsules.radii.sum(1)
     part = rng.choice(len(area), 8 * VOXELS, p=area / area.sum())
@@ -49,4 +49,4 @@ def surface_voxels(capsules: Capsules, rng: np.random.Generator) -> VoxelCloud:
         outside &= distance > r0 + v * (r1 - r0) - 1e-3
     voxels = np.unique((skin[outside] / VOXEL_M).astype(int), axis=0) * VOXEL_M
     chosen = rng.permutation(voxels)[:VOXELS]
-    return VoxelCloud.checked(chosen, np.ones(len(chosen)))
+    return VoxelSamples.checked(chosen, np.ones(len(chosen)))

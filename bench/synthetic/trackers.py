@@ -9,12 +9,11 @@ import numpy as np
 
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
-from ekf_tracker.state import EkfState
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull_products import NO_VOXELS, HullProducts, VoxelCloud
-from stick_figure.pose import Pose
+from mocap_packets.hull import NO_VOXELS, HullProducts, VoxelSamples
+from mocap_packets.state import BodyState, Prediction
 
 from .clips import FPS, Clip
 
@@ -31,15 +30,6 @@ class Method:
     icp: TrackerSettings = field(default_factory=TrackerSettings)
     ekf: EkfSettings = field(default_factory=EkfSettings)
     feedback: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Feedback:
-    """The filter's state, as the fit takes it."""
-
-    stamp_ns: int
-    pose: Pose
-    velocity: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,22 +74,22 @@ def chain_for_sticks() -> Method:
 
 
 def track(
-    method: Method, clip: Clip, points: list[np.ndarray], sigma_m: float, voxels: list[VoxelCloud] | None = None
+    method: Method, clip: Clip, points: list[np.ndarray], sigma_m: float, voxels: list[VoxelSamples] | None = None
 ) -> Run:
     """Follow the clouds (n, 3) m of a clip; sigma_m: what the points say of their own noise."""
     icp, ekf = IcpTracker(KnownPose(clip.poses[0], clip.body), method.icp), ArticulatedEkf(clip.body, method.ekf)
-    feedback: Feedback | None = None
+    feedback: Prediction | None = None
     errors, times, inside = [], [], []
     for frame, (cloud, true) in enumerate(zip(points, clip.points_world, strict=True)):
         stamp_ns, samples = round(frame * NS / FPS), voxels[frame] if voxels else NO_VOXELS
         began = time.thread_time()
-        fit = icp.step(HullProducts(stamp_ns, cloud, sigma_m, samples), feedback if method.feedback else None)
+        fit = icp.step(HullProducts.of_points(stamp_ns, cloud, sigma_m, samples), feedback if method.feedback else None)
         fitted = time.thread_time()
-        state = ekf.step(stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
+        state = ekf.step(stamp_ns, *fit.reference_points)
         times.append((1e3 * (fitted - began), 1e3 * (time.thread_time() - fitted)))
-        if not isinstance(state, EkfState):
+        if not isinstance(state, BodyState):
             raise RuntimeError(f"{clip.name}, frame {frame}: the filter has no state: {state.reason}")
-        feedback = Feedback(stamp_ns, state.pose, state.predicted_velocity)
+        feedback = state.prediction
         error = state.points_world - true
         errors.append((np.linalg.norm(fit.reference_points_world - true, axis=1), np.linalg.norm(error, axis=1)))
         inside.append(np.einsum("pi,pij,pj->p", error, np.linalg.inv(state.point_covariance), error) < INSIDE_95)

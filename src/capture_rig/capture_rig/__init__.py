@@ -1,16 +1,13 @@
-"""Camera models, rig calibration, session folders and frame sets of a multi-camera capture rig."""
+"""Camera models, rig calibration and session folders of a multi-camera capture rig."""
 
 from .camera import CameraModel, UndistortedView
 from .errors import InputError
-from .frame_set import FrameSet, FrameSetCollector
 from .rig import Rig, Volume, load_rig, save_rig
 from .session import Session, Truth, footage_stamp_ns, load_session, load_truth
 from .settings import as_dict, build_settings, setting
 
 __all__ = [
     "CameraModel",
-    "FrameSet",
-    "FrameSetCollector",
     "InputError",
     "Rig",
     "Session",

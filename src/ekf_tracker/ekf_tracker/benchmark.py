@@ -8,13 +8,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mocap_packets.state import BodyState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .filter import ArticulatedEkf, warm_up
 from .settings import EkfSettings, MeasurementBiasSettings
-from .state import EkfState
 
 FPS = 60.0
 FRAMES = 1200
@@ -53,7 +53,7 @@ def measure(model: str) -> dict[str, float]:
         began = time.perf_counter()
         state = ekf.step(round(k * 1e9 / FPS), points, covariance, np.ones(15, bool))
         cost.append(1e3 * (time.perf_counter() - began))
-        if k >= SETTLED and isinstance(state, EkfState):
+        if k >= SETTLED and isinstance(state, BodyState):
             error = state.points_world - true
             raw.append(np.linalg.norm(points - true, axis=1).mean())
             filtered.append(np.linalg.norm(error, axis=1).mean())

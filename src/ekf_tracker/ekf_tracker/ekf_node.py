@@ -6,7 +6,6 @@ import sys
 from collections import deque
 from dataclasses import dataclass, field
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
@@ -18,11 +17,18 @@ from visualization_msgs.msg import MarkerArray
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, split_reference_points
+from mocap_packets.fit import NOTHING_SEEN, ReferencePoints
+from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.health import ERROR, OK, WARN
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode, run_node
-from sagoma_ros.packets import covariance_message, joint_state_message, prediction_message
+from sagoma_ros.packets import (
+    covariance_message,
+    joint_state_message,
+    packet_cloud,
+    prediction_message,
+    read_reference_points,
+)
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, parse_body
@@ -31,13 +37,12 @@ from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 from .filter import ArticulatedEkf, warm_up
 from .humans_ros import Humans, NoHumans, make_humans
 from .settings import EkfSettings
-from .state import POSE, EkfState, NoState, Tracking
-from .state_ros import reference_points_message, skeleton_markers, state_message, torso_message
+from .state import POSE
+from .state_ros import skeleton_markers, state_message, torso_message
 
 POINTS_TOPIC, BODY_TOPIC = "icp/reference_points", "icp/body"
 NS_PER_S = 1_000_000_000
 HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}
-NOTHING_SEEN = (np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,9 @@ class EkfNode(SagomaNode):
         if not self._active:
             return
         measured = self._read(cloud)
-        if self._filter is None and measured[2].any():  # the body was measured with this very set, and is on its way
+        if (
+            self._filter is None and measured.visible.any()
+        ):  # the body was measured with this very set, and is on its way
             self._waiting.append(cloud)
             if len(self._waiting) > RESULT.depth:
                 self._answer(self._waiting.popleft())
@@ -156,39 +163,31 @@ class EkfNode(SagomaNode):
         while self._waiting:
             self._answer(self._waiting.popleft())
 
-    def _read(self, cloud: PointCloud2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _read(self, cloud: PointCloud2) -> ReferencePoints:
         """Points, covariances, visibility of a cloud; of one that cannot be used, that nothing was seen."""
         try:
             if cloud.header.frame_id != self.settings.frame_id:
                 remedy = f"Publish in '{self.settings.frame_id}', or set the parameter frame_id."
                 raise InputError(f"frame_id is '{cloud.header.frame_id}'", where=POINTS_TOPIC, remedy=remedy)
-            array = from_cloud(cloud, REFERENCE_POINTS, POINTS_TOPIC)
-            if len(array) != len(NOTHING_SEEN[2]):
-                raise InputError(f"{len(array)} points", where=POINTS_TOPIC, remedy="Publish the 15 reference points.")
-            return split_reference_points(array)
+            return read_reference_points(cloud, POINTS_TOPIC)
         except InputError as error:
             self._drop("bad_points", error)
             return NOTHING_SEEN
 
-    def _answer(self, cloud: PointCloud2, measured: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> None:
+    def _answer(self, cloud: PointCloud2, measured: ReferencePoints | None = None) -> None:
         """The one answer that every set gets."""
         stamp_ns = to_ns(cloud.header.stamp)
-        result = self._filtered(stamp_ns, *(measured or self._read(cloud)))
-        if self._filter is not None and isinstance(result, EkfState) and result.tracking != Tracking.LOST:
+        result = self._filtered(stamp_ns, measured or self._read(cloud))
+        if self._filter is not None and isinstance(result, BodyState) and result.tracking != Tracking.LOST:
             self._publish_body(result, self._filter.body)
         else:
             self._humans.absent(stamp_ns)
         self._state.publish(state_message(result, self.get_fully_qualified_name()))
-        pose, predicted_velocity = (
-            (result.pose, result.predicted_velocity) if isinstance(result, EkfState) else (None, np.zeros(24))
-        )
-        self._prediction.publish(prediction_message(pose, predicted_velocity, stamp_ns, self.settings.frame_id))
+        self._prediction.publish(prediction_message(result.prediction, self.settings.frame_id))
         self.health.status(HEALTH[result.tracking], f"{result.tracking}: {result.reason}")
         self.health.tick(stamp_ns)
 
-    def _filtered(
-        self, stamp_ns: int, points: np.ndarray, covariance: np.ndarray, visible: np.ndarray
-    ) -> EkfState | NoState:
+    def _filtered(self, stamp_ns: int, measured: ReferencePoints) -> BodyState | NoState:
         if self._filter is None:
             self.health.count("without_body")
             return NoState(stamp_ns, f"waiting for the body on {BODY_TOPIC}")
@@ -196,7 +195,7 @@ class EkfNode(SagomaNode):
             return self._out_of_order(stamp_ns)
         self._backwards = 0
         try:
-            return self._filter.step(stamp_ns, points, covariance, visible)
+            return self._filter.step(stamp_ns, *measured)
         except InputError as error:
             self._drop("bad_points", error)
             return self._filter.step(stamp_ns, *NOTHING_SEEN)
@@ -210,12 +209,12 @@ class EkfNode(SagomaNode):
             self._start_anew()
         return NoState(stamp_ns, "stamp is not later than the last set's")
 
-    def _publish_body(self, state: EkfState, body: Body) -> None:
+    def _publish_body(self, state: BodyState, body: Body) -> None:
         frame = self.settings.frame_id
         self._joint_states.publish(joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame))
         self._torso.publish(torso_message(state, frame))
         self._joint_covariance.publish(covariance_message(TANGENT_NAMES, state.covariance[POSE, POSE]))
-        self._reference_points.publish(reference_points_message(state, frame))
+        self._reference_points.publish(packet_cloud(state.reference_points, state.stamp_ns, frame))
         if state.stamp_ns >= self._next_skeleton_ns:
             rate = self.settings.skeleton_rate_hz
             self._next_skeleton_ns = state.stamp_ns + (round(NS_PER_S / rate) if rate else 0)

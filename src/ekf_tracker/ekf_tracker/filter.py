@@ -6,6 +6,7 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rigid import rigid_transform
+from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -25,7 +26,7 @@ from .kernels import (
 from .measurement import GateDecision, InnovationGate, Measurement, linearised
 from .motion_model import MotionModel
 from .settings import EkfSettings, limit_weight, motion_model
-from .state import DIMENSION, POSE, VELOCITY, EkfState, NoState, assess, per_slot
+from .state import DIMENSION, POSE, VELOCITY, assess, per_slot
 
 # --- The first estimate, from one measurement and nothing else.
 
@@ -125,7 +126,7 @@ class Track:
             self._forget_velocity()
         self._advance(stamp_ns)
 
-    def update(self, z: Measurement) -> EkfState | None:
+    def update(self, z: Measurement) -> BodyState | None:
         """Correct the estimate with points of the predicted stamp (thesis Table 5.7).
 
         None when the torso's points have contradicted the prediction for so long that the track has to start anew.
@@ -182,7 +183,7 @@ class Track:
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
         return Estimate(prior.arrays, velocity, P)
 
-    def _report(self, accepted: np.ndarray, gated: np.ndarray, distances: np.ndarray) -> EkfState:
+    def _report(self, accepted: np.ndarray, gated: np.ndarray, distances: np.ndarray) -> BodyState:
         x, pose = self._estimate, self._estimate.pose
         self._angles = pose.angles(self._angles)
         points_world, point_covariance, covariance, rates = report(
@@ -196,7 +197,7 @@ class Track:
             self._angles,
         )
         tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
-        return EkfState(
+        return BodyState(
             stamp_ns=self._stamp_ns,
             pose=pose,
             velocity=x.velocity,
@@ -259,7 +260,7 @@ class ArticulatedEkf:
 
     def step(
         self, stamp_ns: int, points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray
-    ) -> EkfState | NoState:
+    ) -> BodyState | NoState:
         """Predict to a frame set's stamp, then update with its points: the thesis's Algorithm 3 for one set.
 
         Arguments as for :meth:`predict` and :meth:`update`; both are checked before the filter moves.
@@ -283,7 +284,7 @@ class ArticulatedEkf:
         self._stamp_ns = stamp_ns
         return stamp_ns
 
-    def update(self, points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray) -> EkfState | NoState:
+    def update(self, points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray) -> BodyState | NoState:
         """Correct the state with measured points at the stamp of the last :meth:`predict` (thesis Table 5.7).
 
         points_world (15, 3) m; covariance (15, 3, 3) m^2; visible (15,) bool: the others are not looked at.
@@ -294,7 +295,7 @@ class ArticulatedEkf:
         z = Measurement.checked(points_world, covariance, visible, self.settings.point_sd_floor_m)
         return self._update(self._stamp_ns, z)
 
-    def _update(self, stamp_ns: int, z: Measurement) -> EkfState | NoState:
+    def _update(self, stamp_ns: int, z: Measurement) -> BodyState | NoState:
         if self._track is None:
             if not enough_to_start(z):
                 return NoState(stamp_ns, f"waiting for the torso: {z.visible.sum()} of 15 points visible")
@@ -304,7 +305,7 @@ class ArticulatedEkf:
             return self._start(stamp_ns, z)
         return self._track.update(z) or self._start(stamp_ns, z)
 
-    def _start(self, stamp_ns: int, z: Measurement) -> EkfState:
+    def _start(self, stamp_ns: int, z: Measurement) -> BodyState:
         """Take the state from this measurement alone."""
         self._track = Track(self.body, self.settings, stamp_ns, z)
         return self._track.first_report

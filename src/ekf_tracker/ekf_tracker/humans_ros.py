@@ -12,12 +12,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
+from mocap_packets.state import BodyState
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
 
 from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, human_urdf
-from .state import EkfState
 from .state_ros import quaternion
 
 try:  # not part of common_interfaces: REP-155 listeners have it, others do not need it
@@ -35,7 +35,7 @@ BODY_ID = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 class Humans(Protocol):
     """Publishes what REP-155 says of a tracked body."""
 
-    def present(self, state: EkfState, body: Body) -> None:
+    def present(self, state: BodyState, body: Body) -> None:
         """The body is tracked, in this state."""
         ...
 
@@ -51,7 +51,7 @@ class Humans(Protocol):
 class NoHumans:
     """Publishes nothing."""
 
-    def present(self, state: EkfState, body: Body) -> None:
+    def present(self, state: BodyState, body: Body) -> None:
         """Nothing."""
 
     def absent(self, stamp_ns: int) -> None:
@@ -84,7 +84,7 @@ class HumansPublisher:
         self._tracked = node.create_publisher(IdsList, "/humans/bodies/tracked", RESULT) if IdsList else None
         self._tf = node.create_publisher(TFMessage, "/tf", RESULT) if TFMessage else None
 
-    def present(self, state: EkfState, body: Body) -> None:
+    def present(self, state: BodyState, body: Body) -> None:
         """Publish joints, frame and presence; the URDF whenever the body changed."""
         if body is not self._body:
             self._body, self._angles = body, None
@@ -114,7 +114,7 @@ class HumansPublisher:
             message.header.stamp = to_stamp(stamp_ns)
             self._tracked.publish(message)
 
-    def _body_transform(self, state: EkfState, body: Body) -> TransformStamped:
+    def _body_transform(self, state: BodyState, body: Body) -> TransformStamped:
         origin, R = body_frame(state.pose, float(body.half_lengths[0]))
         message = TransformStamped(child_frame_id=f"body_{self._id}")
         message.header.stamp, message.header.frame_id = to_stamp(state.stamp_ns), self._frame_id

@@ -7,17 +7,14 @@ import math
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from sagoma_ros.clouds import reference_points_array, to_cloud
+from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.messages import to_stamp
 from stick_figure.body import Body
 from stick_figure.kernels import rotation_log
 from stick_figure.kinematics import sticks
-
-from .state import EkfState, NoState, Tracking
 
 LEVELS = {
     Tracking.ACQUIRING: DiagnosticStatus.WARN,
@@ -37,7 +34,7 @@ _COLOURS = {
 _ELLIPSOID_COLOUR = ColorRGBA(r=0.4, g=0.6, b=1.0, a=0.3)
 
 
-def torso_message(state: EkfState, frame_id: str) -> PoseWithCovarianceStamped:
+def torso_message(state: BodyState, frame_id: str) -> PoseWithCovarianceStamped:
     """Pose of the torso's frame, with the 6x6 covariance in ROS's order x y z rx ry rz about the fixed axes."""
     message = PoseWithCovarianceStamped(header=_header(state.stamp_ns, frame_id))
     message.pose.pose.position = _point(state.pose.position_world)
@@ -46,16 +43,10 @@ def torso_message(state: EkfState, frame_id: str) -> PoseWithCovarianceStamped:
     return message
 
 
-def reference_points_message(state: EkfState, frame_id: str) -> PointCloud2:
-    """The 15 filtered points; a point is visible when its own measurement was used in this set."""
-    array = reference_points_array(state.points_world, state.point_covariance, state.accepted)
-    return to_cloud(array, state.stamp_ns, frame_id)
-
-
-def state_message(state: EkfState | NoState, node_name: str) -> DiagnosticStatus:
+def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatus:
     """What the tracker thinks of itself: message = state, values = reason and the innovation."""
     values = {"reason": state.reason, "stamp_ns": str(state.stamp_ns)}
-    if isinstance(state, EkfState):
+    if isinstance(state, BodyState):
         values["points_used"] = str(int(state.accepted.sum()))
         values["points_left_out"] = str(int(state.gated.sum()))
         values["normalised_innovation"] = f"{state.normalised_innovation:.3f}"
@@ -67,7 +58,7 @@ def state_message(state: EkfState | NoState, node_name: str) -> DiagnosticStatus
     )
 
 
-def skeleton_markers(state: EkfState, body: Body, frame_id: str, with_ellipsoids: bool) -> MarkerArray:
+def skeleton_markers(state: BodyState, body: Body, frame_id: str, with_ellipsoids: bool) -> MarkerArray:
     """Sticks as one line list, joints as one sphere list, and if wanted one ellipsoid of covariance a point.
 
     Namespaces and ids stay the same from set to set, so a viewer replaces what it shows.
@@ -92,7 +83,7 @@ def quaternion(R: np.ndarray) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=math.cos(angle / 2.0))
 
 
-def _ellipsoids(header: Header, state: EkfState) -> list[Marker]:
+def _ellipsoids(header: Header, state: BodyState) -> list[Marker]:
     markers = []
     variances, axes = np.linalg.eigh(state.point_covariance)
     for i, (point, variance, axis) in enumerate(zip(state.points_world, variances, axes, strict=True)):

@@ -25,7 +25,8 @@ from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.kernels import JOINT_SLOTS
 from ekf_tracker.motion_model import DampedVelocity
 from ekf_tracker.settings import DampedVelocitySettings, EkfSettings
-from ekf_tracker.state import POSE, VELOCITY, EkfState, NoState, Tracking
+from ekf_tracker.state import POSE, VELOCITY
+from mocap_packets.state import BodyState, NoState, Tracking
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -126,7 +127,7 @@ def test_two_runs_give_the_same_bytes(body, person):
             b"".join(np.asarray(value).tobytes() for value in dataclasses.astuple(s) if isinstance(value, np.ndarray))
             + b"".join(array.tobytes() for array in s.pose.arrays)
             for s in states
-            if isinstance(s, EkfState)
+            if isinstance(s, BodyState)
         ]
 
     assert digest() == digest()

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
-from ekf_tracker.state import EkfState, Tracking
+from mocap_packets.state import BodyState, Tracking
 from stick_figure.skeleton import POINT_NAMES
 
 GAP_AT, FPS = 60, 60.0
@@ -93,7 +93,7 @@ def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, pers
     """Rates against central differences of the true angles, points with 5 mm of noise; lag by cross-correlation."""
     frames, settled = round(8 * fps), round(0.5 * fps)
     states, _ = run(ArticulatedEkf(body), person, frames, noise=0.005, fps=fps)
-    assert all(isinstance(s, EkfState) for s in states)
+    assert all(isinstance(s, BodyState) for s in states)
     published = np.array([s.rates for s in states])[settled:]
     times, step = np.arange(settled, frames) / fps, 1e-3
     true = np.array([(person.pose(t + step).angles() - person.pose(t - step).angles()) / (2 * step) for t in times])

@@ -17,9 +17,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ekf_tracker.ekf_node import EkfNode
 from ekf_tracker.filter import ArticulatedEkf
-from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, reference_points_array, split_reference_points, to_cloud
+from mocap_packets.fit import ReferencePoints
+from sagoma_ros.clouds import to_cloud
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import read_prediction
+from sagoma_ros.packets import packet_cloud, read_prediction, read_reference_points
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
 from stick_figure.body_file import format_body, save_body
@@ -59,8 +60,8 @@ class EkfProbe(NodeProbe):
         return self
 
     def send(self, stamp_ns, points, visible=ALL, frame_id="map", sd=0.01):
-        array = reference_points_array(points, isotropic(sd), visible)
-        self.points.publish(to_cloud(array, stamp_ns, frame_id))
+        measured = ReferencePoints(points, isotropic(sd), visible)
+        self.points.publish(packet_cloud(measured, stamp_ns, frame_id))
 
     def fit(self, stamp_ns, points, **options):
         """Send a set and wait for its answer; returns what was published from the sending on."""
@@ -95,7 +96,7 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
         points = person.points(k / 60)
         got = b.fit(stamp(k), points)
         # float32 on the wire: the reference filter gets the same numbers
-        sent = split_reference_points(reference_points_array(points, isotropic(0.01), ALL))
+        sent = ReferencePoints(points, isotropic(0.01), ALL).as_sent()
         expected = reference.step(stamp(k), *sent)
         assert [topic for topic, _ in got][-1] == "ekf/prediction"
         assert {topic for topic, _ in got} == set(OUTPUTS)
@@ -111,9 +112,7 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     assert [d.size for d in covariance.layout.dim] == [24, 24]
     assert covariance.layout.dim[0].label.split(",") == list(TANGENT_NAMES)
     np.testing.assert_array_equal(np.reshape(covariance.data, (24, 24)), expected.covariance[:24, :24])
-    points, covariances, used = split_reference_points(
-        from_cloud(by_topic.mocap_reference_points, REFERENCE_POINTS, "test")
-    )
+    points, covariances, used = read_reference_points(by_topic.mocap_reference_points, "test")
     np.testing.assert_allclose(points, expected.points_world, atol=1e-6)
     np.testing.assert_allclose(covariances, expected.point_covariance, rtol=1e-5, atol=1e-12)
     assert used.all()
@@ -198,7 +197,7 @@ def test_body_from_the_topic_is_used_when_no_file_is_given(bench, body, person):
     b.body.publish(String(data=format_body(body)))
     got = b.fit(stamp(0), person.points(0.0))  # the set may overtake the body: it is held until the body is there
     assert read_prediction(got[-1][1], "test").pose is not None
-    points, _, _ = split_reference_points(from_cloud(b.latest("mocap/reference_points"), REFERENCE_POINTS, "test"))
+    points, _, _ = read_reference_points(b.latest("mocap/reference_points"), "test")
     assert np.linalg.norm(points - person.points(0.0), axis=1).max() < 5e-3
 
 
@@ -240,7 +239,7 @@ def test_another_body_starts_the_filter_anew_and_the_same_one_does_not(bench, bo
 def test_unusable_set_is_counted_answered_with_its_stamp_and_the_next_one_is_tracked(bench, body_file, person, case):
     b = bench(body_file=body_file).start()
     b.fit(stamp(0), person.points(0.0))
-    array = reference_points_array(person.points(1 / 60), isotropic(0.01), ALL)
+    array = ReferencePoints(person.points(1 / 60), isotropic(0.01), ALL).to_table()
     if case == "nan":
         array["x"][3] = np.nan
     if case == "covariance":
@@ -284,7 +283,7 @@ def test_reset_service_lets_the_next_set_start_anew(bench, body_file, person):
     assert b.ask(Trigger, "/ekf_tracker/reset").success
     got = b.fit(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
     assert got[-1][1].name
-    points, _, _ = split_reference_points(from_cloud(b.latest("mocap/reference_points"), REFERENCE_POINTS, "test"))
+    points, _, _ = read_reference_points(b.latest("mocap/reference_points"), "test")
     assert np.linalg.norm(points - person.points(5.0), axis=1).max() < 5e-3
 
 

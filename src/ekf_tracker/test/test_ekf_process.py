@@ -15,7 +15,7 @@ from ekf_tracker import bias, joint_limits, measurement
 from ekf_tracker import kernels as ekf_kernels
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.filter import warm_up
-from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, reference_points_array, split_reference_points, to_cloud
+from mocap_packets.fit import ReferencePoints
 from stick_figure import kernels
 from stick_figure.body import Body
 
@@ -30,8 +30,7 @@ person, digest = Person(Body.from_stature(1.75)), hashlib.sha256()
 ekf, rng = ArticulatedEkf(person.body), np.random.default_rng(0)
 for k in range(60):
     points = person.points(k / 60) + 0.02 * rng.standard_normal((15, 3))
-    cloud = to_cloud(reference_points_array(points, isotropic(0.02), rng.random(15) < 0.8), stamp(k), "map")
-    state = ekf.step(stamp(k), *split_reference_points(from_cloud(cloud, REFERENCE_POINTS, "test")))
+    state = ekf.step(stamp(k), *ReferencePoints(points, isotropic(0.02), rng.random(15) < 0.8).as_sent())
     for array in (*state.pose.arrays, state.velocity, state.covariance, state.angles, state.rates):
         digest.update(array.tobytes())
 print(digest.hexdigest(), compilations() - before)

@@ -10,26 +10,19 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 
-from capture_rig import CameraModel, FrameSet, FrameSetCollector, InputError, load_rig
+from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
+from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.packets import packet_cloud
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
-from .hull_ros import (
-    SaveMeshService,
-    calibration_mismatch,
-    calibration_values,
-    centerline_cloud,
-    contour_ray_cloud,
-    frame_set_message,
-    summarise,
-    voxel_cloud,
-)
+from .hull_ros import SaveMeshService, calibration_mismatch, calibration_values, frame_set_message, summarise
 from .settings import NodeSettings
 
 POLL_PERIOD_S = (0.002, 0.05)  # shortest and longest; a fifth of the deadline between them
@@ -220,9 +213,10 @@ class HullNode(SagomaNode):
         result = self._pipeline.finish(carved.under_way)
         self._mesh.keep(result)
         # first of all: whoever fits starts when the centerline is there, and takes what else it has
-        self._contour_rays.publish(contour_ray_cloud(result, frame_id))
-        self._centerline.publish(centerline_cloud(result, frame_id))
-        self._voxels.publish(voxel_cloud(result, frame_id))
+        products = result.products
+        self._contour_rays.publish(packet_cloud(products.contour_rays, products.stamp_ns, frame_id))
+        self._centerline.publish(packet_cloud(products.centerline, products.stamp_ns, frame_id))
+        self._voxels.publish(packet_cloud(products.voxels, products.stamp_ns, frame_id))
         published_ns = self.get_clock().now().nanoseconds
         times_ms = {
             "spread_ms": frame_set.spread_ns / 1e6,

@@ -10,18 +10,20 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig import FrameSet, Rig
+from capture_rig import Rig
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import HullProducts
 
 from .carve_backends import make_backend
 from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults
 from .consistency.extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
-from .contour_rays.contour_tracer import ContourRays, ContourTracer
+from .contour_rays.contour_tracer import ContourTracer
 from .grid import BrickVolume, VoxelGrid
 from .settings import HullSettings
 from .shadows import ShadowResolver
 from .slicing.bodies import Bodies, BodyTracker
-from .slicing.skeletonisation import Centerline, find_centerline, slice_hull
-from .slicing.voxel_samples import VoxelSamples, sample_runs
+from .slicing.skeletonisation import find_centerline, slice_hull
+from .slicing.voxel_samples import sample_runs
 from .views import RigViews, min_seeing
 
 Mask = npt.NDArray[np.uint8]
@@ -31,19 +33,16 @@ Mask = npt.NDArray[np.uint8]
 class HullResult:
     """The hull of one frame set.
 
-    stamp_ns : capture stamp of the set. cameras, missing : cameras that had a say, and those that delivered nothing.
-    blank : cameras whose silhouette is empty; they empty the hull wherever they see. verdict : cameras that contradict
-    the others; those left out had no say. calibration : how well all cameras stand. bodies : the parts of the hull
-    large enough to be somebody, numbered.
-    rims : rays along the silhouettes' rims, which touch the body. min_seeing : how many cameras had to see a voxel.
-    stage_ms : time spent in each stage.
+    stamp_ns : capture stamp of the set. products : what travels on to the tracker. cameras, missing : cameras that took
+    part, and those that delivered nothing. blank : cameras whose silhouette is empty; they empty the hull wherever they
+    see. verdict : cameras that contradict the others; those left out took no part. calibration : how well all cameras
+    stand. bodies : the parts of the hull large enough to be a person, numbered. min_seeing : how many cameras had to
+    see a voxel. stage_ms : time spent in each stage.
     """
 
     stamp_ns: int
+    products: HullProducts
     volume: BrickVolume
-    centerline: Centerline
-    voxels: VoxelSamples
-    contour_rays: ContourRays
     bodies: Bodies
     cameras: tuple[str, ...]
     missing: tuple[str, ...]
@@ -126,21 +125,20 @@ class HullPipeline:
         # connected components of all slices along x, y and z (3.2)
         slices = slice_hull(volume, blob.erosion_voxels, blob.growth_step_m)
         watch.lap("slice")
-        # centroids of the blobs that look like a limb or trunk cut across (3.2)
-        centerline = find_centerline(slices.blobs, self.grid, blob)
-        watch.lap("filter")
         bodies = self._bodies.step(frame_set.stamp_ns, slices.runs, self.grid)
-        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels)
+        whose = bodies.number_of_part
+        # centroids of the blobs that look like a limb or trunk cut across (3.2)
+        centerline = find_centerline(slices.blobs, self.grid, blob, whose)
+        watch.lap("filter")
+        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels, whose)
         watch.lap("sample")
         # rays along the silhouettes' rims: wherever the hull is too fat, they still touch the body
-        contour_rays = self._contour.trace(under_way.masks, slices.runs, frame_set.frames)
+        contour_rays = self._contour.trace(under_way.masks, slices.runs, frame_set.frames, whose)
         watch.lap("contour_rays")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
+            products=HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays),
             volume=volume,
-            centerline=centerline,
-            voxels=voxels,
-            contour_rays=contour_rays,
             bodies=bodies,
             cameras=tuple(under_way.masks),
             missing=frame_set.missing,
@@ -163,7 +161,7 @@ class HullPipeline:
                 radius = min(width, height) // 8
                 cv2.circle(mask, (round(u / w), round(v / w)), radius, 255, -1)
             masks[name] = mask
-        self.run(FrameSet(0, masks, dict.fromkeys(masks, 0), ()))
+        self.run(FrameSet.of_instant(0, masks))
 
     def close(self) -> None:
         """Release the backend."""

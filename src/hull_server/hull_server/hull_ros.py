@@ -9,49 +9,17 @@ import numpy as np
 import rclpy.task
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, PointCloud2
+from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import Trigger
 
 from capture_rig import InputError
 from capture_rig.camera import CameraModel
-from sagoma_ros.clouds import CENTERLINE, CONTOUR_RAYS, VOXELS, to_cloud
 from sagoma_ros.messages import to_stamp
 
 from .hull_pipeline import HullResult
 from .settings import MeshSettings
 
 INTRINSICS_TOLERANCE_PX = 1e-3
-
-
-def centerline_cloud(result: HullResult, frame_id: str) -> PointCloud2:
-    """The centerline points with sigma, axis, area, elongation, fill, and the number of the body they belong to."""
-    line = result.centerline
-    body = result.bodies.number_of_part[line.part]
-    columns = (*line.points_world.T, line.sigma, line.axis, line.area_m2, line.elongation, line.fill, body)
-    return _cloud(columns, CENTERLINE, result.stamp_ns, frame_id)
-
-
-def voxel_cloud(result: HullResult, frame_id: str) -> PointCloud2:
-    """The decimated voxels; surface is 1 on the hull's surface, 0 inside; body is a number."""
-    samples = result.voxels
-    body = result.bodies.number_of_part[samples.part]
-    return _cloud((*samples.points_world.T, samples.surface, body), VOXELS, result.stamp_ns, frame_id)
-
-
-def contour_ray_cloud(result: HullResult, frame_id: str) -> PointCloud2:
-    """The rays along the silhouettes' rims; camera is a place in the rig, body a number."""
-    contour_rays = result.contour_rays
-    body = result.bodies.number_of_part[contour_rays.part]
-    columns = (
-        contour_rays.point_world,
-        contour_rays.direction,
-        contour_rays.normal,
-        contour_rays.half_length,
-        contour_rays.sigma,
-        contour_rays.camera,
-        body,
-    )
-    return _cloud(columns, CONTOUR_RAYS, result.stamp_ns, frame_id)
 
 
 def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
@@ -64,8 +32,8 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
         "backend": result.backend,
         "voxels": str(result.volume.count),
         "litres": f"{result.volume.litres:.2f}",
-        "points": str(len(result.centerline)),
-        "contour_rays": str(len(result.contour_rays)),
+        "points": str(len(result.products.centerline)),
+        "contour_rays": str(len(result.products.contour_rays)),
         "bodies": str(len(result.bodies)),
         "bodies_numbers": _row(result.bodies.number, "d"),
         "bodies_litres": _row(result.bodies.litres, ".1f"),
@@ -136,11 +104,6 @@ def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
 
 def _row(values: np.ndarray, spec: str) -> str:
     return ",".join(format(value, spec) for value in values.tolist())
-
-
-def _cloud(columns: tuple, layout: np.dtype, stamp_ns: int, frame_id: str) -> PointCloud2:
-    table = np.column_stack(columns).astype(np.float32)
-    return to_cloud(np.ascontiguousarray(table).view(layout).reshape(-1), stamp_ns, frame_id)
 
 
 # --- The service that writes the hull's mesh: on a thread of its own, so that the node goes on taking silhouettes.

@@ -49,11 +49,10 @@ def test_small_parts_belong_to_the_nearest_body():
     volume = boxes(person(10, 10), person(60, 50, width=12), hand, ghost)
     runs = slice_hull(volume).runs
     bodies = BodyTracker(BodySettings()).step(0, runs, volume.grid)
-    samples = sample_runs(runs, volume.grid, 10**6)
-    number = bodies.number_of_part[samples.part]
+    samples = sample_runs(runs, volume.grid, 10**6, bodies.number_of_part)
     assert len(bodies) == 2 and len(bodies.number_of_part) == 4
     near_second = samples.points_world[:, 0] > 0.2
-    assert np.array_equal(number, np.where(near_second, 0, 1))
+    assert np.array_equal(samples.body, np.where(near_second, 0, 1))
 
 
 def test_nobody_is_there_when_all_parts_are_small_or_the_hull_is_empty():
@@ -123,11 +122,10 @@ def test_two_carved_people_are_two_bodies_with_points_and_voxels_of_their_own():
     bodies = BodyTracker(BodySettings()).step(0, slices.runs, grid)
     assert len(bodies) == 2 and (np.abs(bodies.centroid_world[:, 0]) > 0.5).all()
     left = bodies.number[np.argmin(bodies.centroid_world[:, 0])]
-    line = find_centerline(slices.blobs, grid, BlobSettings())
-    samples = sample_runs(slices.runs, grid, 2000)
+    line = find_centerline(slices.blobs, grid, BlobSettings(), bodies.number_of_part)
+    samples = sample_runs(slices.runs, grid, 2000, bodies.number_of_part)
     for cloud in (line, samples):
-        number = bodies.number_of_part[cloud.part]
         by_place = np.where(cloud.points_world[:, 0] < 0, left, 1 - left)
-        assert (number == by_place).mean() > 0.97
+        assert (cloud.body == by_place).mean() > 0.97
     litres = measure_parts(slices.runs, grid).litres
     assert litres.sum() == pytest.approx(volume.litres) and bodies.litres.sum() > 0.98 * volume.litres

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
-from capture_rig import FrameSet, Rig
+from capture_rig import Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.consistency.epipolar_tangents import EpipolarTangentFinder
 from hull_server.consistency.extrinsic_monitor import ExtrinsicMonitor, estimate_extrinsic_errors
@@ -16,6 +16,7 @@ from hull_server.hull_pipeline import HullPipeline
 from hull_server.hull_ros import frame_set_message, summarise
 from hull_server.settings import CalibrationSettings, CameraFaultSettings, HullSettings
 from hull_server.views import RigViews
+from mocap_packets.frame_set import FrameSet
 
 SETS, SET_NS = 24, 200_000_000
 FOCAL_PX = 235.0
@@ -206,7 +207,7 @@ def test_messages_of_a_frame_set_tell_degrees_consistency_and_the_remedy():
     pipeline = HullPipeline(rig_of(), HullSettings(voxel_size_m=0.04, backend="cpu"))
     for frame in range(SETS):
         masks = turned(walking()[frame], "cam02", (0, 1.5, 0))
-        result = pipeline.run(FrameSet(frame * SET_NS, masks, dict.fromkeys(masks, 0), ()))
+        result = pipeline.run(FrameSet.of_instant(frame * SET_NS, masks))
     values = {pair.key: pair.value for pair in frame_set_message(result, {}).status[0].values}
     assert float(values["calibration_rotation_error_deg_cam02"]) == pytest.approx(1.5, rel=0.25)
     assert 0.0 < float(values["calibration_rotation_error_sd_deg_cam02"]) < 0.3

@@ -14,14 +14,16 @@ from plyfile import PlyData
 from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 
-from capture_rig import FrameSet, load_rig, save_rig
+from capture_rig import load_rig, save_rig
 from hull_server import hull_node
 from hull_server.hull_node import HullNode
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from sagoma_ros.clouds import CENTERLINE, CONTOUR_RAYS, VOXELS, from_cloud, xyz
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import read_packet
 from sagoma_ros.qos import SILHOUETTE_PUBLISHER
 
 PERIOD_NS = 16_666_667
@@ -115,29 +117,30 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     bench.send(masks, 0, cam02=300_000, cam04=900_000)
     (values,) = bench.answers(1)
     expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(
-        FrameSet(stamp(0), masks, dict.fromkeys(masks, stamp(0)), ())
+        FrameSet.of_instant(stamp(0), masks)
     )
     cloud = bench.heard["hull/centerline"][0]
-    line = from_cloud(cloud, CENTERLINE, "test")
+    line = read_packet(cloud, Centerline, "test")
     assert to_ns(cloud.header.stamp) == stamp(0) and cloud.header.frame_id == "map"
-    np.testing.assert_allclose(xyz(line), expected.centerline.points_world, atol=1e-6)
-    np.testing.assert_allclose(line["sigma"], expected.centerline.sigma, atol=1e-7)
-    np.testing.assert_array_equal(line["axis"], expected.centerline.axis)
-    np.testing.assert_allclose(line["area"], expected.centerline.area_m2, rtol=1e-6)
-    np.testing.assert_allclose(line["elongation"], expected.centerline.elongation, rtol=1e-6)
-    np.testing.assert_allclose(line["fill"], expected.centerline.fill, rtol=1e-6)
-    voxels = from_cloud(bench.heard["hull/voxels"][0], VOXELS, "test")
-    np.testing.assert_allclose(xyz(voxels), expected.voxels.points_world, atol=1e-6)
-    np.testing.assert_array_equal(voxels["surface"] > 0.5, expected.voxels.surface)
-    rims = from_cloud(bench.heard["hull/contour_rays"][0], CONTOUR_RAYS, "test")
-    assert bench.heard["hull/contour_rays"][0].header == cloud.header and len(rims) > 100
-    np.testing.assert_allclose(xyz(rims), expected.contour_rays.point_world, atol=1e-6)
-    for name, column in (("d", expected.contour_rays.direction), ("n", expected.contour_rays.normal)):
-        np.testing.assert_allclose(np.stack([rims[name + axis] for axis in "xyz"], axis=1), column, atol=1e-7)
-    np.testing.assert_allclose(rims["half"], expected.contour_rays.half_length, rtol=1e-6)
-    np.testing.assert_allclose(rims["sigma"], expected.contour_rays.sigma, rtol=1e-6)
-    np.testing.assert_array_equal(rims["camera"], expected.contour_rays.camera)
-    assert set(rims["body"]) == {0.0} and int(values["contour_rays"]) == len(rims)
+    found = expected.products.centerline
+    np.testing.assert_allclose(line.points_world, found.points_world, atol=1e-6)
+    np.testing.assert_allclose(line.sigma, found.sigma, atol=1e-7)
+    np.testing.assert_array_equal(line.axis, found.axis)
+    for name in ("area_m2", "elongation", "fill"):
+        np.testing.assert_allclose(getattr(line, name), getattr(found, name), rtol=1e-6)
+    voxels = read_packet(bench.heard["hull/voxels"][0], VoxelSamples, "test")
+    np.testing.assert_allclose(voxels.points_world, expected.products.voxels.points_world, atol=1e-6)
+    np.testing.assert_array_equal(voxels.surface, expected.products.voxels.surface)
+    rays = read_packet(bench.heard["hull/contour_rays"][0], ContourRays, "test")
+    assert bench.heard["hull/contour_rays"][0].header == cloud.header and len(rays) > 100
+    found = expected.products.contour_rays
+    np.testing.assert_allclose(rays.points_world, found.points_world, atol=1e-6)
+    for name in ("directions", "normals"):
+        np.testing.assert_allclose(getattr(rays, name), getattr(found, name), atol=1e-7)
+    for name in ("half_lengths", "sigma"):
+        np.testing.assert_allclose(getattr(rays, name), getattr(found, name), rtol=1e-6)
+    np.testing.assert_array_equal(rays.camera, found.camera)
+    assert set(rays.body) == {0} and int(values["contour_rays"]) == len(rays)
     assert to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(0)
     assert values["cameras"] == "cam01,cam02,cam03,cam04" and values["missing"] == values["blank"] == ""
     assert float(values["spread_ms"]) == pytest.approx(0.9) and values["backend"] == "cpu"
@@ -341,14 +344,14 @@ def test_node_counts_people_and_says_whose_each_point_is(make_bench, scene):
         number: [float(v) for v in place.split(",")]
         for number, place in zip(values["bodies_numbers"].split(","), values["bodies_at"].split("; "), strict=True)
     }
-    for topic, layout in (
-        ("hull/contour_rays", CONTOUR_RAYS),
-        ("hull/centerline", CENTERLINE),
-        ("hull/voxels", VOXELS),
+    for topic, kind in (
+        ("hull/contour_rays", ContourRays),
+        ("hull/centerline", Centerline),
+        ("hull/voxels", VoxelSamples),
     ):
-        cloud = from_cloud(bench.heard[topic][0], layout, "test")
+        packet = read_packet(bench.heard[topic][0], kind, "test")
         for number, (x, y, _) in centres.items():
-            mine = xyz(cloud[cloud["body"] == float(number)])
+            mine = packet.points_world[packet.body == int(number)]
             nearest = min(places, key=lambda place: np.hypot(place[0] - x, place[1] - y))
             assert len(mine) > 20 and np.hypot(*(mine[:, :2].mean(axis=0) - nearest)) < 0.25
     assert len({min(places, key=lambda p: np.hypot(p[0] - x, p[1] - y)) for x, y, _ in centres.values()}) == 2
@@ -423,7 +426,7 @@ def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
     assert answer.success
     vertices = PlyData.read(str(tmp_path / f"hull_{stamp(1)}.ply"))["vertex"]
     assert f"{tmp_path}/hull_{stamp(1)}.ply" in answer.message
-    line = xyz(from_cloud(bench.heard["hull/centerline"][1], CENTERLINE, "test"))
+    line = read_packet(bench.heard["hull/centerline"][1], Centerline, "test").points_world
     for axis, name in enumerate("xyz"):  # the centerline runs inside the mesh
         assert vertices[name].min() < line[:, axis].min() and line[:, axis].max() < vertices[name].max()
     said_litres = float(answer.message.split(",")[-1].removesuffix("litres"))

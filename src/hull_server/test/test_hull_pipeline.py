@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
-from capture_rig import FrameSet, InputError
+from capture_rig import InputError
 from capture_rig.settings import build_settings
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings, NodeSettings
+from mocap_packets.frame_set import FrameSet
 
 CPU = HullSettings(backend="cpu")
 
 
 def frame_set(masks, missing=(), stamp_ns=1_000_000_000):
-    return FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), tuple(missing))
+    return FrameSet.of_instant(stamp_ns, masks, tuple(missing))
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +37,10 @@ def test_pipeline_finds_the_hull_and_the_centerline_of_a_person(scene):
     rig, body, masks = scene
     result = HullPipeline(rig, CPU).run(frame_set(masks))
     assert 60 < result.volume.litres < 130
-    assert len(result.centerline) > 60
-    distances = distance_to_axes(result.centerline.points_world, body)
+    assert len(result.products.centerline) > 60
+    distances = distance_to_axes(result.products.centerline.points_world, body)
     assert np.median(distances) < 0.02 and np.mean(distances < 0.06) > 0.85
-    assert len(result.voxels) == 3000
+    assert len(result.products.voxels) == 3000
     assert result.cameras == rig.names and result.missing == () and result.blank == () and not result.empty
     assert result.min_seeing == 3 and result.backend == "cpu" and result.stamp_ns == 1_000_000_000
     assert list(result.stage_ms) == [
@@ -79,7 +80,8 @@ def test_pipeline_goes_on_with_fewer_cameras_and_says_so(scene):
 def test_pipeline_of_one_camera_is_empty_and_needs_two(scene):
     rig, _, masks = scene
     result = HullPipeline(rig, CPU).run(frame_set({"cam01": masks["cam01"]}, missing=rig.names[1:]))
-    assert result.empty and result.min_seeing == 2 and len(result.centerline) == len(result.voxels) == 0
+    assert result.empty and result.min_seeing == 2
+    assert len(result.products.centerline) == len(result.products.voxels) == 0
 
 
 def test_pipeline_names_the_camera_whose_silhouette_is_empty(scene):
@@ -100,10 +102,10 @@ def test_pipeline_gives_the_same_bytes_twice(scene):
     first, second = (HullPipeline(rig, CPU).run(frame_set(masks)) for _ in range(2))
     for a, b in (
         (first.volume.leaves, second.volume.leaves),
-        (first.centerline.points_world, second.centerline.points_world),
-        (first.centerline.sigma, second.centerline.sigma),
-        (first.voxels.points_world, second.voxels.points_world),
-        (first.contour_rays.table, second.contour_rays.table),
+        (first.products.centerline.points_world, second.products.centerline.points_world),
+        (first.products.centerline.sigma, second.products.centerline.sigma),
+        (first.products.voxels.points_world, second.products.voxels.points_world),
+        *zip(*(vars(result.products.contour_rays).values() for result in (first, second)), strict=True),
     ):
         assert a.tobytes() == b.tobytes()
 

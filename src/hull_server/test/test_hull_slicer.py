@@ -144,7 +144,7 @@ def test_parts_equal_scipy_components(shape, share, seed):
     samples = sample_voxels(volume, dense.size)
     assert len(samples) == dense.sum()
     voxels = np.round((samples.points_world - volume.grid.origin) / 0.02 - 0.5).astype(int)
-    pairs = set(zip(expected[tuple(voxels.T)].tolist(), samples.part.tolist(), strict=True))
+    pairs = set(zip(expected[tuple(voxels.T)].tolist(), samples.body.tolist(), strict=True))
     assert len(pairs) == count == len({part for _, part in pairs})
     label_of_part = {part: label for label, part in pairs}
     blobs = slice_blobs(volume)

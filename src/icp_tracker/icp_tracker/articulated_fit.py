@@ -20,8 +20,7 @@ from functools import lru_cache
 import numpy as np
 
 from capture_rig.settings import setting
-from mocap_packets.contour_rays import NO_CONTOUR_RAYS, ContourRays
-from mocap_packets.hull_products import NO_VOXELS, VoxelCloud
+from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
@@ -213,7 +212,7 @@ def fit_articulated(
     start: Pose,
     points_world: np.ndarray,
     sigma_m: np.ndarray | float = 0.0,
-    voxels: VoxelCloud = NO_VOXELS,
+    voxels: VoxelSamples = NO_VOXELS,
     settings: ArticulatedSettings | None = None,
     contour_rays: ContourRays = NO_CONTOUR_RAYS,
 ) -> FitResult:
@@ -288,7 +287,7 @@ def assess(
 def make_data(
     points_world: np.ndarray,
     sigma_m: np.ndarray | float,
-    voxels: VoxelCloud,
+    voxels: VoxelSamples,
     settings: ArticulatedSettings,
     contour_rays: ContourRays = NO_CONTOUR_RAYS,
 ) -> Data:

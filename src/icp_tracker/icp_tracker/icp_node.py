@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,23 +16,12 @@ from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from mocap_packets.contour_rays import NO_CONTOUR_RAYS, ContourRays
-from mocap_packets.hull_products import NO_VOXELS, BodyNumbers, HullProducts, VoxelCloud
-from sagoma_ros.clouds import (
-    CENTERLINE,
-    CONTOUR_RAYS,
-    REFERENCE_POINTS,
-    VOXELS,
-    from_cloud,
-    only_finite,
-    reference_points_array,
-    to_cloud,
-    xyz,
-)
+from mocap_packets.fit import Fit
+from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
 from sagoma_ros.health import OK, WARN
 from sagoma_ros.messages import to_ns, to_stamp
 from sagoma_ros.node import SagomaNode, run_node
-from sagoma_ros.packets import read_prediction
+from sagoma_ros.packets import packet_cloud, read_finite, read_prediction
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_ros.worker import Mailbox, Worker
 from stick_figure.body import Body
@@ -40,9 +30,10 @@ from stick_figure.body_file import format_body
 from .acquisition.pose_source import InitialPoseSettings, make_pose_source
 from .icp_ros import FilterFeedback, SaveBodyService, SaveBodySettings, SavedBody
 from .monitor.evidence import PART_NAMES
-from .tracker import ACQUIRING, TRACKING, IcpResult, IcpTracker, TrackerSettings, warm_up
+from .tracker import ACQUIRING, TRACKING, IcpTracker, TrackerSettings, warm_up
 
 CLOUDS_KEPT = 8
+T = TypeVar("T", Centerline, VoxelSamples, ContourRays)
 
 
 @dataclass(frozen=True)
@@ -167,11 +158,8 @@ class IcpNode(SagomaNode):
         if stamp_ns <= self._last_stamp_ns:
             self.health.count("backward_stamps")
             return
-        line = self._table(message, CENTERLINE, "centerline")
-        voxels, voxels_body = self._voxels_of(stamp_ns)
-        numbers = BodyNumbers(line["body"], voxels_body)
-        sigma_m = line["sigma"].astype(np.float64)
-        seen = HullProducts(stamp_ns, xyz(line), sigma_m, voxels, numbers, self._contour_rays_of(stamp_ns))
+        line = self._read(message, Centerline, "centerline")
+        seen = HullProducts(stamp_ns, line, self._voxels_of(stamp_ns), self._contour_rays_of(stamp_ns))
         prediction = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:
@@ -185,39 +173,37 @@ class IcpNode(SagomaNode):
         self._publish_body(stamp_ns, body)
         self._publish(result, message.header.frame_id)
 
-    def _voxels_of(self, stamp_ns: int) -> tuple[VoxelCloud, np.ndarray]:
-        """The set's voxels, if they are wanted and there, and the body each belongs to."""
+    def _voxels_of(self, stamp_ns: int) -> VoxelSamples:
+        """The set's voxels, if they are wanted and there."""
         if self._tracker is None or not self._tracker.needs_voxels:
-            return NO_VOXELS, np.empty(0)
+            return NO_VOXELS
         message = self._voxels.take(stamp_ns)
         if message is None:
             self.health.count("sets_without_voxels")
-            return NO_VOXELS, np.empty(0)
-        table = self._table(message, VOXELS, "voxels")
-        return VoxelCloud.checked(xyz(table), table["surface"] > 0.5), table["body"]
+            return NO_VOXELS
+        return self._read(message, VoxelSamples, "voxels")
 
     def _contour_rays_of(self, stamp_ns: int) -> ContourRays:
-        """The set's rims, if they are wanted and there."""
+        """The set's contour rays, if they are wanted and there."""
         if self._tracker is None or not self._tracker.needs_contour_rays:
             return NO_CONTOUR_RAYS
         message = self._contour_rays.take(stamp_ns)
         if message is None:
             self.health.count("sets_without_contour_rays")
             return NO_CONTOUR_RAYS
-        return ContourRays.of(self._table(message, CONTOUR_RAYS, "rims"))
+        return self._read(message, ContourRays, "contour_rays")
 
-    def _table(self, message: PointCloud2, layout: np.dtype, name: str) -> np.ndarray:
+    def _read(self, message: PointCloud2, kind: type[T], name: str) -> T:
         """A cloud's rows of finite numbers; none when the cloud is damaged: the set still gets its answer, so that
         nobody waits for it."""
         try:
-            cloud, dropped = only_finite(message, layout.names or ())
-            table = from_cloud(cloud, layout, self.resolve_topic_name(f"hull/{name}"))
+            packet, dropped = read_finite(message, kind, self.resolve_topic_name(f"hull/{name}"))
         except InputError as error:
             self._refuse(f"bad_{name}", error)
-            return np.empty(0, layout)
+            return kind.from_table(np.empty(0, kind.LAYOUT))
         if dropped:
             self.health.count("dropped_points" if name == "centerline" else f"dropped_{name}", dropped)
-        return table
+        return packet
 
     def _publish_body(self, stamp_ns: int, body: Body | None) -> None:
         """The body as latched YAML, before the first points that were fitted with it: the filter takes the same."""
@@ -228,11 +214,9 @@ class IcpNode(SagomaNode):
             known = refined is not None and refined.keyframes > 0  # else thickness is but the average's
             self._save_body.keep(SavedBody(stamp_ns, body, refined.girths if refined and known else None))
 
-    def _publish(self, result: IcpResult, frame_id: str) -> None:
+    def _publish(self, result: Fit, frame_id: str) -> None:
         self._fit_publisher.publish(fit_message(result, self.settings.method))
-        table = reference_points_array(result.reference_points_world, result.covariance, result.visible)
-        assert table.dtype == REFERENCE_POINTS
-        self._points_publisher.publish(to_cloud(table, result.stamp_ns, frame_id))
+        self._points_publisher.publish(packet_cloud(result.reference_points, result.stamp_ns, frame_id))
         self.health.tick(result.stamp_ns)
         self.health.set("late_predictions", self._feedback.mailbox.timeouts)
         summary = f"{result.state}: {result.reason}" if result.reason else result.state
@@ -255,25 +239,25 @@ class IcpNode(SagomaNode):
         self.get_logger().error(f"a frame set failed: {error!r}", throttle_duration_sec=5.0)
 
 
-def fit_message(result: IcpResult, method: str) -> DiagnosticArray:
+def fit_message(result: Fit, method: str) -> DiagnosticArray:
     """How the fit of one set went, for icp/fit. Holds no clock times, so equal inputs give equal bytes."""
     values: dict[str, object] = {"state": result.state, "method": method, "started_from": result.started_from}
-    if result.fit is not None:
+    if result.solution is not None:
         values |= {
-            "rms_mm": f"{1e3 * result.fit.rms_m:.3f}",
-            "points": result.fit.points,
-            "inliers": result.fit.inliers,
-            "iterations": result.fit.iterations,
-            "converged": result.fit.converged,
+            "rms_mm": f"{1e3 * result.solution.rms_m:.3f}",
+            "points": result.solution.points,
+            "inliers": result.solution.inliers,
+            "iterations": result.solution.iterations,
+            "converged": result.solution.converged,
         }
     values |= {"visible": int(result.visible.sum()), "dropped_points": result.dropped_points}
-    if result.fit is not None:
+    if result.solution is not None:
         quality = result.quality
         values |= {"explained": f"{quality.explained:.3f}", "recovered": result.recovered}
         values |= dict(zip(PART_NAMES, quality.parts, strict=True))
         if quality.hypothesis_margin is not None:
             values["hypothesis_margin"] = f"{quality.hypothesis_margin:.1f}"
-    trusted = result.fit is not None and result.state == TRACKING
+    trusted = result.solution is not None and result.state == TRACKING
     status = DiagnosticStatus(
         level=DiagnosticStatus.OK if trusted else DiagnosticStatus.WARN,
         name="icp_tracker: fit",

@@ -9,12 +9,12 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from capture_rig.settings import setting
+from mocap_packets.state import Prediction
 from sagoma_ros.worker import Mailbox
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 
 from .acquisition.body_sizes import LimbGirths
-from .tracker import Predicted
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ class FilterFeedback:
     """Hands the fit of set k the filter's state after set k-1; what comes too late serves as the newest there is."""
 
     def __init__(self, wait_s: float) -> None:
-        self.mailbox: Mailbox[Predicted] = Mailbox(KEPT, wait_s)
+        self.mailbox: Mailbox[Prediction] = Mailbox(KEPT, wait_s)
         self._asked_ns: int | None = None
 
-    def put(self, prediction: Predicted) -> None:
+    def put(self, prediction: Prediction) -> None:
         """A state arrived (any thread)."""
         self.mailbox.put(prediction.stamp_ns, prediction)
 
@@ -87,7 +87,7 @@ class FilterFeedback:
         """The reference points of this set went out: the filter will answer with its stamp."""
         self._asked_ns = stamp_ns
 
-    def after_previous_set(self) -> Predicted | None:
+    def after_previous_set(self) -> Prediction | None:
         """The state after the set last asked for, or the newest one when it did not come in time, or None."""
         if self._asked_ns is None:
             return None

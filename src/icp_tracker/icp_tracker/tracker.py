@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from capture_rig.settings import setting
-from mocap_packets.contour_rays import NO_CONTOUR_RAYS, ContourRays
-from mocap_packets.hull_products import NO_VOXELS, HullProducts, VoxelCloud
+from mocap_packets.fit import GOOD, LOST, Fit, Solution
+from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
+from mocap_packets.state import Prediction
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
@@ -18,7 +18,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .articulated_fit import ArticulatedSettings, FitResult, assess, make_data, minimise, unknown_covariance
 from .monitor.track_monitor import RecoverySettings, TrackMonitor
-from .monitor.track_quality import GOOD, LOST, UNKNOWN, TrackQuality, widened_covariance
+from .monitor.track_quality import widened_covariance
 from .refinement.body_refiner import BodyRefiner, RefinedBody, RefinementSettings, warm_up_refiner
 from .thesis.hierarchical_icp import HierarchicalSettings, fit_hierarchical
 
@@ -50,44 +50,6 @@ class TrackerSettings:
     acquire_inliers: float = setting(
         0.4, "share of the points that the first fit must explain to be believed", low=0.0, high=1.0
     )
-
-
-class Predicted(Protocol):
-    """The filter's state after an earlier frame set: a pose and the rate (24,) of its tangent, 1/s."""
-
-    @property
-    def stamp_ns(self) -> int: ...
-    @property
-    def pose(self) -> Pose | None: ...
-    @property
-    def velocity(self) -> np.ndarray: ...
-
-
-@dataclass(frozen=True, eq=False)
-class IcpResult:
-    """What one frame set gave.
-
-    state : "acquiring", "tracking", "doubtful" or "lost"; started_from : "nothing", "initial", "own", or the stamp (ns)
-    of the filter's state; reason : why there is no fit, or why it is not quite believed, else empty;
-    dropped_points : points that were not finite.
-    reference_points_world (15, 3) m, covariance (15, 3, 3) m^2, visible (15,): zeros, huge and False before the first
-    pose; the unmoved prediction, huge and False when the set has too few points; not visible when lost.
-    fit : the solver's result, if any. quality : how far it explains what the cameras saw; recovered : what was found
-    anew with this set, else empty.
-    """
-
-    stamp_ns: int
-    state: str
-    started_from: str
-    reason: str
-    dropped_points: int
-    reference_points_world: np.ndarray
-    covariance: np.ndarray
-    visible: np.ndarray
-    pose: Pose | None
-    fit: FitResult | None
-    quality: TrackQuality = UNKNOWN
-    recovered: str = ""
 
 
 class IcpTracker:
@@ -131,7 +93,7 @@ class IcpTracker:
         self._monitor.reset()
         self._own_sets = 0
 
-    def step(self, seen: HullProducts, prediction: Predicted | None = None) -> IcpResult:
+    def step(self, seen: HullProducts, prediction: Prediction | None = None) -> Fit:
         """Fit what one frame set shows. Of several people one is followed."""
         seen, dropped = seen.finite()
         if self._pose is None or self._body is None:
@@ -141,7 +103,7 @@ class IcpTracker:
             return self._acquire(found, seen, dropped)
         start, started_from = self._start(seen.stamp_ns, self._pose, prediction)
         seen = seen.of_body_at(forward(self._body, start))
-        if len(seen.points_world) < self._settings.min_points:
+        if len(seen.centerline.points_world) < self._settings.min_points:
             self._pose = start
             reason = f"nobody in the volume: {self._too_few(seen)}"
             return _unseen(seen.stamp_ns, LOST, started_from, reason, dropped, start, forward(self._body, start))
@@ -150,9 +112,9 @@ class IcpTracker:
         return self._monitored(seen.stamp_ns, started_from, dropped, fit, data)
 
     def _too_few(self, seen: HullProducts) -> str:
-        return f"{len(seen.points_world)} centerline points, {self._settings.min_points} needed"
+        return f"{len(seen.centerline.points_world)} centerline points, {self._settings.min_points} needed"
 
-    def _monitored(self, stamp_ns: int, started_from: str, dropped: int, fit: FitResult, data: Data) -> IcpResult:
+    def _monitored(self, stamp_ns: int, started_from: str, dropped: int, fit: FitResult, data: Data) -> Fit:
         """What comes of a fit once it is judged: itself, a better one, or that the body is lost."""
         assert self._body is not None
         found = self._monitor.examine(self._body, fit.pose, data, self._settings.articulated)
@@ -186,10 +148,10 @@ class IcpTracker:
             return None
         return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
 
-    def _acquire(self, found: InitialPose, seen: HullProducts, dropped: int) -> IcpResult:
+    def _acquire(self, found: InitialPose, seen: HullProducts, dropped: int) -> Fit:
         reason = found.reason
         if found.pose is not None and found.body is not None:
-            if len(seen.points_world) >= self._settings.min_points:
+            if len(seen.centerline.points_world) >= self._settings.min_points:
                 fit = self._fit(found.body, found.pose, self._data(seen), self._patient())
                 explained = fit.inliers / fit.points
                 if explained >= self._settings.acquire_inliers:
@@ -207,7 +169,7 @@ class IcpTracker:
         articulated = replace(self._settings.articulated, max_iterations=self._settings.acquire_iterations)
         return replace(self._settings, articulated=articulated)
 
-    def _start(self, stamp_ns: int, own: Pose, prediction: Predicted | None) -> tuple[Pose, str]:
+    def _start(self, stamp_ns: int, own: Pose, prediction: Prediction | None) -> tuple[Pose, str]:
         if prediction is None or prediction.pose is None:
             return own, FROM_OWN
         ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
@@ -224,7 +186,9 @@ class IcpTracker:
         """What the fit looks at."""
         all_joints = self._settings.method == "articulated"
         voxels, contour_rays = (seen.voxels, seen.contour_rays) if all_joints else (NO_VOXELS, NO_CONTOUR_RAYS)
-        return make_data(seen.points_world, np.asarray(seen.sigma_m), voxels, self._settings.articulated, contour_rays)
+        return make_data(
+            seen.centerline.points_world, seen.centerline.sigma, voxels, self._settings.articulated, contour_rays
+        )
 
     @staticmethod
     def _fit(body: Body, start: Pose, data: Data, settings: TrackerSettings) -> FitResult:
@@ -241,17 +205,17 @@ def warm_up(settings: TrackerSettings) -> None:
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     tracker = IcpTracker(KnownPose(pose, body), replace(settings, acquire_inliers=0.0))
     points = forward(body, pose)
-    voxels = VoxelCloud.checked(points, np.ones(len(points)))
+    voxels = VoxelSamples.checked(points, np.ones(len(points)))
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
     contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), np.zeros(15))
     for k in range(3):  # acquisition, a fit, and a look for another pose
-        tracker.step(HullProducts(k, points, 0.01, voxels, contour_rays=contour_rays))
+        tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays))
     if settings.refinement.keyframes > 0:
         warm_up_refiner(settings.refinement, settings.articulated.prior)
 
 
-def _seen(stamp_ns: int, started_from: str, dropped: int, fit: FitResult) -> IcpResult:
-    return IcpResult(
+def _seen(stamp_ns: int, started_from: str, dropped: int, fit: FitResult) -> Fit:
+    return Fit(
         stamp_ns,
         TRACKING,
         started_from,
@@ -261,12 +225,12 @@ def _seen(stamp_ns: int, started_from: str, dropped: int, fit: FitResult) -> Icp
         fit.covariance,
         fit.visible,
         fit.pose,
-        fit,
+        Solution(fit.points, fit.inliers, fit.rms_m, fit.iterations, fit.converged),
     )
 
 
 def _unseen(
     stamp_ns: int, state: str, started_from: str, reason: str, dropped: int, pose: Pose | None, points: np.ndarray
-) -> IcpResult:
+) -> Fit:
     unseen = np.zeros(15, dtype=bool)
-    return IcpResult(stamp_ns, state, started_from, reason, dropped, points, unknown_covariance(), unseen, pose, None)
+    return Fit(stamp_ns, state, started_from, reason, dropped, points, unknown_covariance(), unseen, pose, None)

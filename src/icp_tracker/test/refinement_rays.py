@@ -3,8 +3,7 @@
 import numpy as np
 
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data
-from mocap_packets.contour_rays import ContourRays
-from mocap_packets.hull_products import NO_VOXELS
+from mocap_packets.hull import NO_VOXELS, ContourRays
 from stick_figure.kinematics import sticks
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES

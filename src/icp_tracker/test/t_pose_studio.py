@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from capture_rig import FrameSet
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from mocap_packets.hull_products import BodyNumbers, HullProducts, VoxelCloud
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import Centerline, HullProducts
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, mirror_angles
@@ -78,10 +78,9 @@ class Studio:
         for name, eye, view in self._eyes:
             seen = [eye.render(parts, None)[1] for parts in people]
             masks[name] = view.undistort_mask(np.maximum.reduce(seen))
-        hull = self._pipeline.run(FrameSet(self._stamp_ns, masks, dict.fromkeys(masks, self._stamp_ns), ()))
-        numbers = BodyNumbers(*(hull.bodies.number_of_part[part] for part in (hull.centerline.part, hull.voxels.part)))
-        voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        return HullProducts(self._stamp_ns, hull.centerline.points_world, 0.0, voxels, numbers)
+        hull = self._pipeline.run(FrameSet.of_instant(self._stamp_ns, masks))
+        line = Centerline.of_points(hull.products.centerline.points_world, 0.0, hull.products.centerline.body)
+        return HullProducts(self._stamp_ns, line, hull.products.voxels)
 
 
 @lru_cache

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, VolumeSettings, fit_articulated
-from mocap_packets.contour_rays import ContourRays
+from mocap_packets.hull import ContourRays
 from stick_figure import kernels
 from stick_figure.body_surface import BodySurface, place_capsules
 from stick_figure.kinematics import forward

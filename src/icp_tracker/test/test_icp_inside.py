@@ -15,7 +15,7 @@ from icp_tracker.articulated_fit import (
     make_weights,
 )
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull_products import HullProducts, VoxelCloud
+from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure import kernels
 from stick_figure.kinematics import forward, sticks
 from stick_figure.least_squares.placed_figure import Figure, State
@@ -52,7 +52,7 @@ def hull_of(body, pose, synthetic):
     cells = {tuple(c) for c in np.round(points / 0.03).astype(int)}
     steps = np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])
     around = [[tuple(np.round(p / 0.03).astype(int) + s) in cells for s in steps] for p in points]
-    return VoxelCloud.checked(points, ~np.all(around, axis=1))
+    return VoxelSamples.checked(points, ~np.all(around, axis=1))
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_fat_hull_is_trusted_less_than_a_tight_one(body, synthetic):
     truth, settings = synthetic.t_pose(), ArticulatedSettings()
     tight = hull_of(body, truth, synthetic)
     centre = truth.position_world
-    fat = VoxelCloud.checked(centre + (tight.points_world - centre) * [2.5, 1.3, 1.0], tight.surface)
+    fat = VoxelSamples.checked(centre + (tight.points_world - centre) * [2.5, 1.3, 1.0], tight.surface)
 
     def trust(hull):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
@@ -146,8 +146,8 @@ def test_first_pose_shows_all_points(body, synthetic):
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(8), 300, 0.01)
     points = points[points[:, 1] < 0.25]
     tracker = IcpTracker(KnownPose(truth, body), TrackerSettings())
-    assert tracker.step(HullProducts(1, points)).visible.all()
-    assert not tracker.step(HullProducts(2, points)).visible.all()
+    assert tracker.step(HullProducts.of_points(1, points)).visible.all()
+    assert not tracker.step(HullProducts.of_points(2, points)).visible.all()
 
 
 def test_same_hull_gives_the_same_bytes(body, synthetic, away):

@@ -13,10 +13,10 @@ from std_srvs.srv import Trigger
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker
-from mocap_packets.hull_products import HullProducts
-from sagoma_ros.clouds import CENTERLINE, REFERENCE_POINTS, VOXELS, from_cloud, split_reference_points, to_cloud
+from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
+from mocap_packets.state import Prediction
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import prediction_message
+from sagoma_ros.packets import packet_cloud, prediction_message, read_packet, read_reference_points
 from sagoma_ros.qos import RESULT
 from stick_figure.kinematics import forward
 
@@ -31,18 +31,11 @@ def stamp(k):
 
 
 def centerline(points, k, sigma=0.005):
-    table = np.zeros(len(points), CENTERLINE)
-    for axis, name in enumerate("xyz"):
-        table[name] = points[:, axis]
-    table["sigma"] = sigma
-    return to_cloud(table, stamp(k), "map")
+    return packet_cloud(Centerline.of_points(points, sigma), stamp(k), "map")
 
 
 def voxel_cloud(points, k):
-    table = np.zeros(len(points), VOXELS)
-    for axis, name in enumerate("xyz"):
-        table[name] = points[:, axis]
-    return to_cloud(table, stamp(k), "map")
+    return packet_cloud(VoxelSamples(points, np.zeros(len(points))), stamp(k), "map")
 
 
 class IcpProbe(NodeProbe):
@@ -71,7 +64,7 @@ class IcpProbe(NodeProbe):
         count = len(self.points)
         self.centerlines.publish(message)
         self.until(lambda: len(self.points) > count and len(self.fits) > count)
-        points, covariance, visible = split_reference_points(from_cloud(self.points[-1], REFERENCE_POINTS, "test"))
+        points, covariance, visible = read_reference_points(self.points[-1], "test")
         values = values_of(self.fits[-1])
         return SimpleNamespace(
             points=points,
@@ -125,7 +118,7 @@ def test_fit_starts_from_the_prediction_of_the_previous_set(bench, walk):
     node.centerlines.publish(centerline(walk.clouds[1], 1))
     node.until(lambda: node.node._feedback.mailbox.waiting)
     assert len(node.points) == 1  # no fit without the filter's word
-    node.predictions.publish(prediction_message(walk.poses[0], np.zeros(24), stamp(0)))
+    node.predictions.publish(prediction_message(Prediction(stamp(0), walk.poses[0], np.zeros(24))))
     node.until(lambda: len(node.fits) == 2)
     assert values_of(node.fits[1])["started_from"] == str(stamp(0))
 
@@ -135,7 +128,7 @@ def test_filter_that_never_answers_is_waited_for_once(bench, walk):
     answers = [node.answer(centerline(cloud, k)) for k, cloud in enumerate(walk.clouds)]
     assert [answer.started_from for answer in answers] == ["initial"] + ["own"] * 11
     assert node.node._feedback.mailbox.timeouts == 1
-    node.predictions.publish(prediction_message(walk.poses[-1], np.zeros(24), stamp(11)))  # it is back
+    node.predictions.publish(prediction_message(Prediction(stamp(11), walk.poses[-1], np.zeros(24))))  # it is back
     node.until(lambda: node.node._feedback.mailbox.newest() is not None)
     assert node.answer(centerline(walk.clouds[-1], 12)).started_from == str(stamp(11))
 
@@ -143,7 +136,7 @@ def test_filter_that_never_answers_is_waited_for_once(bench, walk):
 def test_filter_without_a_state_leaves_the_start_to_the_tracker(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
     node.answer(centerline(walk.clouds[0], 0))
-    node.predictions.publish(prediction_message(None, np.zeros(24), stamp(0)))
+    node.predictions.publish(prediction_message(Prediction(stamp(0), None, np.zeros(24))))
     assert node.answer(centerline(walk.clouds[1], 1)).started_from == "own"
 
 
@@ -194,7 +187,7 @@ def test_stamp_that_goes_back_is_dropped_and_counted(bench, walk):
 def test_bad_prediction_is_counted_and_not_used(bench, walk):
     node = bench(**walk.parameters).start()
     node.answer(centerline(walk.clouds[0], 0))
-    message = prediction_message(walk.poses[0], np.zeros(24), stamp(0))
+    message = prediction_message(Prediction(stamp(0), walk.poses[0], np.zeros(24)))
     message.name[3] = "nonsense"
     node.predictions.publish(message)
     node.until(lambda: node.node.health.counter("bad_predictions") == 1)
@@ -235,7 +228,7 @@ def test_slow_fit_drops_the_oldest_sets_and_counts_them(bench, walk):
         node.centerlines.publish(centerline(walk.clouds[k], k))
     node.until(lambda: node.node.health.counter("dropped_sets") == 4)
     for k in (0, 1, 6):
-        node.predictions.publish(prediction_message(walk.poses[k], np.zeros(24), stamp(k)))
+        node.predictions.publish(prediction_message(Prediction(stamp(k), walk.poses[k], np.zeros(24))))
     node.until(lambda: len(node.points) == 4)
     assert [to_ns(message.header.stamp) for message in node.points] == [stamp(k) for k in (0, 1, 6, 7)]
 
@@ -278,7 +271,7 @@ def test_two_runs_give_the_same_bytes(bench, walk):
         node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
         for k, cloud in enumerate(walk.clouds):
             node.answer(centerline(cloud, k))
-            node.predictions.publish(prediction_message(walk.poses[k], np.full(24, 0.1), stamp(k)))
+            node.predictions.publish(prediction_message(Prediction(stamp(k), walk.poses[k], np.full(24, 0.1))))
         node.node.trigger_deactivate()
         # not the serialised messages: CDR pads with whatever bytes lie about
         return b"".join(bytes(message.data) for message in node.points), node.fits
@@ -293,8 +286,6 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
     for k, cloud in enumerate(walk.clouds[:4]):
         message = centerline(cloud, k)
         answer = node.answer(message)
-        table = from_cloud(message, CENTERLINE, "test")
-        points = np.stack([table[name] for name in "xyz"], axis=1).astype(float)
-        expected = tracker.step(HullProducts(stamp(k), points, table["sigma"].astype(float)))
+        expected = tracker.step(HullProducts(stamp(k), read_packet(message, Centerline, "test")))
         assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
         assert fit_message(expected, "articulated") == node.fits[-1]

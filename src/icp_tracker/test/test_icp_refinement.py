@@ -13,7 +13,7 @@ from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
 from icp_tracker.refinement.shape import SIZE, THICKNESS, ShapeModel, ShapePrior, body_of, girths_of, rim_system
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull_products import HullProducts
+from mocap_packets.hull import HullProducts
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import State
@@ -242,7 +242,7 @@ def test_tracker_takes_over_better_sizes_of_a_measured_body_and_none_of_a_given_
     for k in range(40 if was_measured else 12):
         pose = first.retract(np.r_[np.zeros(6), np.full(18, 0.03 * abs(k % 20 - 10))])
         rays = made.rays_on(body, flesh, pose, rng, each=8)
-        tracker.step(HullProducts(k * 16_666_667, forward(body, pose), 0.02, contour_rays=rays))
+        tracker.step(HullProducts.of_points(k * 16_666_667, forward(body, pose), 0.02, contour_rays=rays))
     error = np.abs(tracker.body.lengths - body.lengths).mean()
     start = np.abs(estimate.body.lengths - body.lengths).mean()
     if was_measured:

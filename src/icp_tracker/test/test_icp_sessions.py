@@ -6,13 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from capture_rig import FrameSet, load_session
+from capture_rig import load_session
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.tracker import IcpTracker
-from mocap_packets.hull_products import HullProducts, VoxelCloud
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import HullProducts, VoxelSamples
 
 SESSIONS = Path(__file__).resolve().parents[4] / "shared" / "data" / "sessions"
 HELD_SETS = 6  # of the T-pose with which every session begins
@@ -46,6 +47,8 @@ def hulls(session, count):
             grey = cv2.cvtColor(video.read()[1], cv2.COLOR_BGR2GRAY)
             exact = np.where(grey > 127, 255, 0).astype(np.uint8)
             masks[name] = session.rig.camera(name).undistorted_view().undistort_mask(exact)
-        hull = pipeline.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), ()))
-        voxels = VoxelCloud.checked(hull.voxels.points_world, hull.voxels.surface)
-        yield HullProducts(stamp_ns, hull.centerline.points_world, hull.centerline.sigma, voxels)
+        hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
+        voxels = VoxelSamples.checked(hull.products.voxels.points_world, hull.products.voxels.surface)
+        yield HullProducts.of_points(
+            stamp_ns, hull.products.centerline.points_world, hull.products.centerline.sigma, voxels
+        )

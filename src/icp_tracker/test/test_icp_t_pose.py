@@ -9,7 +9,7 @@ from t_pose_studio import DOWN, SET_NS, both_sides, box, person, standing, studi
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
 from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose, pose_of
 from icp_tracker.acquisition.upright import PoseRejected
-from mocap_packets.hull_products import HullProducts, VoxelCloud
+from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 
@@ -66,8 +66,10 @@ def test_floor_shadow_on_one_side_makes_the_heading_unsure_rather_than_wrong():
         slab = rng.uniform([-0.6, -0.4, 0.0], [0.0, 0.2, 0.08], (300, 3))
         slab[:, 2] = 0.02 * np.round(slab[:, 2] / 0.02)
         voxels = np.concatenate([seen.voxels.points_world, slab])
-        cloud = VoxelCloud(voxels, np.ones(len(voxels), bool))
-        answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(HullProducts(0, np.empty((0, 3)), voxels=cloud))
+        cloud = VoxelSamples(voxels, np.ones(len(voxels), bool))
+        answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(
+            HullProducts.of_points(0, np.empty((0, 3)), voxels=cloud)
+        )
         if answer.pose is None:
             assert "front and back look alike" in answer.reason
         else:
@@ -182,8 +184,8 @@ def test_people_who_touch_are_refused(rig):
 
 
 def moved(seen, stamp_ns, shift):
-    voxels = VoxelCloud(seen.voxels.points_world + shift, seen.voxels.surface)
-    return HullProducts(stamp_ns, seen.points_world + shift, voxels=voxels)
+    voxels = VoxelSamples(seen.voxels.points_world + shift, seen.voxels.surface)
+    return HullProducts.of_points(stamp_ns, seen.centerline.points_world + shift, voxels=voxels)
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +195,7 @@ def t_pose():
 
 def test_t_pose_must_be_held(t_pose):
     source = TPoseSource(TPoseSettings(hold_sets=3))
-    nobody = HullProducts(0, np.empty((0, 3)))
+    nobody = HullProducts.of_points(0, np.empty((0, 3)))
     sets = [moved(t_pose, k * SET_NS, 0.0) if seen else nobody for k, seen in enumerate([1, 1, 0, 1, 1, 1])]
     answers = [source.find_pose(seen) for seen in sets]
     assert [answer.reason for answer in answers] == [
@@ -227,6 +229,8 @@ def test_somebody_else_starts_holding_anew(t_pose):
 
 def test_person_without_feet_cannot_tell_front_from_back(t_pose):
     voxels = t_pose.voxels.points_world[t_pose.voxels.points_world[:, 2] > 0.12]
-    cloud = VoxelCloud(voxels, np.ones(len(voxels), bool))
-    answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(HullProducts(0, np.empty((0, 3)), voxels=cloud))
+    cloud = VoxelSamples(voxels, np.ones(len(voxels), bool))
+    answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(
+        HullProducts.of_points(0, np.empty((0, 3)), voxels=cloud)
+    )
     assert answer.pose is None and "front and back look alike" in answer.reason

@@ -22,9 +22,10 @@ from icp_tracker.monitor.pose_library import (
     turned_around,
 )
 from icp_tracker.monitor.track_monitor import RecoverySettings
-from icp_tracker.monitor.track_quality import DOUBTFUL, GOOD, LOST, TrackQuality, judge_track, widened_covariance
+from icp_tracker.monitor.track_quality import judge_track, widened_covariance
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull_products import HullProducts, VoxelCloud
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, TrackQuality
+from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
@@ -96,7 +97,7 @@ def seen(person, k, rng, R=None, t=None):
     points = rays.points_world @ R.T + t + NOISE_M * rng.normal(size=(len(rays), 1)) * (rays.normals @ R.T)
     rays = replace(rays, points_world=points, directions=rays.directions @ R.T, normals=rays.normals @ R.T)
     inside = person.inside @ R.T + t
-    return inside[::9], VoxelCloud.checked(inside, np.zeros(len(inside), bool)), rays
+    return inside[::9], VoxelSamples.checked(inside, np.zeros(len(inside), bool)), rays
 
 
 def follow(person, sets, start=None, wrong_at=None, wrong=None, settings=None):
@@ -109,7 +110,9 @@ def follow(person, sets, start=None, wrong_at=None, wrong=None, settings=None):
         prediction = None
         if k == wrong_at:
             prediction = SimpleNamespace(stamp_ns=stamp(k), pose=wrong(truth), velocity=np.zeros(24))
-        results.append(tracker.step(HullProducts(stamp(k), line, 0.03, voxels, contour_rays=rays), prediction))
+        results.append(
+            tracker.step(HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays), prediction)
+        )
         truths.append(forward(person.body, truth))
     return results, truths
 
@@ -261,14 +264,14 @@ def test_who_left_is_lost_and_found_again_elsewhere(person):
     tracker = IcpTracker(KnownPose(person.pose, person.body), TrackerSettings(acquire_inliers=0.0))
     rng = np.random.default_rng(2)
     line, voxels, rays = seen(person, 0, rng)
-    tracker.step(HullProducts(stamp(0), line, 0.03, voxels, contour_rays=rays))
-    empty = tracker.step(HullProducts(stamp(1), np.empty((0, 3))))
+    tracker.step(HullProducts.of_points(stamp(0), line, 0.03, voxels, contour_rays=rays))
+    empty = tracker.step(HullProducts.of_points(stamp(1), np.empty((0, 3))))
     assert empty.state == LOST and empty.reason.startswith("nobody in the volume") and not empty.visible.any()
     R, t = Rotation.from_rotvec([0.0, 0.0, 2.2]).as_matrix(), np.array([-1.1, 0.7, 0.0])
     truth, states = forward(person.body, moved(person.pose, R, t)), []
     for k in range(60, 120):
         line, voxels, rays = seen(person, k, rng, R, t)
-        result = tracker.step(HullProducts(stamp(k), line, 0.03, voxels, contour_rays=rays))
+        result = tracker.step(HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays))
         states.append(result.state)
         assert result.state != LOST or not result.visible.any()
     assert states[0] in (DOUBTFUL, LOST)
@@ -284,7 +287,9 @@ def test_a_stale_prediction_does_not_undo_a_recovery(person):
         line, voxels, rays = seen(person, k, rng)
         pose = posed(FOLDED, truth) if found is None or k < found + 6 else truth
         prediction = SimpleNamespace(stamp_ns=stamp(k), pose=pose, velocity=np.zeros(24))
-        result = tracker.step(HullProducts(stamp(k), line, 0.03, voxels, contour_rays=rays), prediction if k else None)
+        result = tracker.step(
+            HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays), prediction if k else None
+        )
         good = k > 0 and worst_m(result, forward(person.body, truth)) < 0.06
         assert good or found is None
         found = k if good and found is None else found

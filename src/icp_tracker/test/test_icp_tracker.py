@@ -10,7 +10,7 @@ from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.articulated_fit import ArticulatedSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.hull_products import BodyNumbers, HullProducts, VoxelCloud
+from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
 from stick_figure.kinematics import forward
 
 FPS, SIGMA = 40.0, 0.034
@@ -37,7 +37,7 @@ def test_motion_is_followed(body, motion, method, bound_mm):
     poses, clouds = motion
     settings = TrackerSettings(method=method, articulated=SETTINGS.articulated)
     tracker = IcpTracker(KnownPose(poses[0], body), settings)
-    results = [tracker.step(HullProducts(stamp(k), cloud)) for k, cloud in enumerate(clouds)]
+    results = [tracker.step(HullProducts.of_points(stamp(k), cloud)) for k, cloud in enumerate(clouds)]
     assert np.mean([error_mm(body, r, p) for r, p in zip(results, poses, strict=True)]) < bound_mm
     assert {r.state for r in results} == {"tracking"}
     assert results[0].started_from == "initial"
@@ -52,7 +52,7 @@ def test_motion_is_followed_across_missing_and_empty_sets(body, motion):
     for k, (pose, cloud) in enumerate(zip(poses, clouds, strict=True)):
         if k % 7 == 3:
             continue  # the set never came
-        result = tracker.step(HullProducts(stamp(k), cloud if k % 7 != 5 else np.empty((0, 3))))
+        result = tracker.step(HullProducts.of_points(stamp(k), cloud if k % 7 != 5 else np.empty((0, 3))))
         errors.append(error_mm(body, result, pose))
     assert np.mean(errors) < 25.0
     assert errors[-1] < 30.0
@@ -61,12 +61,12 @@ def test_motion_is_followed_across_missing_and_empty_sets(body, motion):
 def test_set_without_points_keeps_the_prediction_and_says_so(body, motion):
     poses, clouds = motion
     tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
-    tracker.step(HullProducts(stamp(0), clouds[0]))
+    tracker.step(HullProducts.of_points(stamp(0), clouds[0]))
     velocity = poses[1].minus(poses[0]) * FPS
     prediction = SimpleNamespace(stamp_ns=stamp(0), pose=poses[0], velocity=velocity)
-    result = tracker.step(HullProducts(stamp(1), np.empty((0, 3))), prediction)
+    result = tracker.step(HullProducts.of_points(stamp(1), np.empty((0, 3))), prediction)
     assert np.abs(result.reference_points_world - forward(body, poses[1])).max() < 1e-9
-    assert result.state == "lost" and result.fit is None
+    assert result.state == "lost" and result.solution is None
     assert "0 centerline points" in result.reason
     assert not result.visible.any()
     assert (np.linalg.eigvalsh(result.covariance) >= 99.0).all()
@@ -76,7 +76,7 @@ def test_fit_starts_from_the_extrapolated_prediction(body, motion):
     """With a hand moved by half a metre between sets, only the prediction is near enough."""
     poses, _ = motion
     tracker = IcpTracker(KnownPose(poses[0], body), TrackerSettings(articulated=ArticulatedSettings(max_iterations=1)))
-    tracker.step(HullProducts(stamp(0), np.zeros((20, 3)) + forward(body, poses[0])[0]))
+    tracker.step(HullProducts.of_points(stamp(0), np.zeros((20, 3)) + forward(body, poses[0])[0]))
     seen = []
 
     def spy(body, start, *rest):
@@ -86,13 +86,14 @@ def test_fit_starts_from_the_extrapolated_prediction(body, motion):
     fit, tracker._fit = tracker._fit, spy
     velocity = np.linspace(-1, 1, 24)
     prediction = SimpleNamespace(stamp_ns=stamp(0), pose=poses[5], velocity=velocity)
-    result = tracker.step(HullProducts(stamp(2), np.zeros((20, 3))), prediction)
+    result = tracker.step(HullProducts.of_points(stamp(2), np.zeros((20, 3))), prediction)
     assert np.abs(seen[0].minus(poses[5].retract(velocity * 2 / FPS))).max() < 1e-7
     assert result.started_from == str(stamp(0))
-    tracker.step(HullProducts(stamp(80), np.zeros((20, 3))), prediction)  # 2 s later: followed for 0.1 s only
+    tracker.step(HullProducts.of_points(stamp(80), np.zeros((20, 3))), prediction)  # 2 s later: followed for 0.1 s only
     assert np.abs(seen[1].minus(poses[5].retract(velocity * 0.1))).max() < 1e-7
     tracker.step(
-        HullProducts(stamp(81), np.zeros((20, 3))), SimpleNamespace(stamp_ns=stamp(80), pose=None, velocity=None)
+        HullProducts.of_points(stamp(81), np.zeros((20, 3))),
+        SimpleNamespace(stamp_ns=stamp(80), pose=None, velocity=None),
     )
     assert len(seen) == 3
 
@@ -103,10 +104,10 @@ def test_points_that_are_not_finite_are_dropped_and_counted(body, motion):
     bad = np.vstack([[np.nan, 0, 0], clouds[0], [0, np.inf, 0], [0.0, 0.0, 1.0]])
     sigma = np.zeros(len(bad))
     sigma[-1] = np.nan
-    result = dirty.step(HullProducts(stamp(0), bad, sigma))
+    result = dirty.step(HullProducts.of_points(stamp(0), bad, sigma))
     assert result.dropped_points == 3
     assert np.array_equal(
-        result.reference_points_world, clean.step(HullProducts(stamp(0), clouds[0])).reference_points_world
+        result.reference_points_world, clean.step(HullProducts.of_points(stamp(0), clouds[0])).reference_points_world
     )
 
 
@@ -121,7 +122,7 @@ def test_before_the_first_pose_the_points_are_zero_invisible_and_unknown(motion)
 
     tracker = IcpTracker(Nothing())
     assert tracker.needs_voxels
-    result = tracker.step(HullProducts(stamp(0), clouds[0]))
+    result = tracker.step(HullProducts.of_points(stamp(0), clouds[0]))
     assert result.state == "acquiring" and result.reason == "arms not level"
     assert result.started_from == "nothing"
     assert not result.reference_points_world.any() and not result.visible.any()
@@ -133,10 +134,10 @@ def test_first_pose_that_explains_nothing_is_not_believed(body, motion):
     poses, clouds = motion
     tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
     everywhere = np.random.default_rng(2).uniform([-2, -2, 0], [2, 2, 2], (300, 3))
-    result = tracker.step(HullProducts(stamp(0), everywhere))
+    result = tracker.step(HullProducts.of_points(stamp(0), everywhere))
     assert result.state == "acquiring"
     assert "explains only" in result.reason
-    assert tracker.step(HullProducts(stamp(1), clouds[1])).state == "tracking"
+    assert tracker.step(HullProducts.of_points(stamp(1), clouds[1])).state == "tracking"
 
 
 def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
@@ -144,10 +145,10 @@ def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
     standing = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
     tracker = IcpTracker(TPoseSource(TPoseSettings(hold_sets=2)), SETTINGS)
     flesh = synthetic.flesh(body, standing)
-    voxels = VoxelCloud.checked(flesh, np.ones(len(flesh), bool))
+    voxels = VoxelSamples.checked(flesh, np.ones(len(flesh), bool))
     cloud = [synthetic.stick_cloud(body, standing, rng, 300, 0.01) for _ in range(20)]
-    assert tracker.step(HullProducts(stamp(0), cloud[0], 0.0, voxels)).state == "acquiring"
-    result = tracker.step(HullProducts(stamp(1), cloud[1], 0.0, voxels))
+    assert tracker.step(HullProducts.of_points(stamp(0), cloud[0], 0.0, voxels)).state == "acquiring"
+    result = tracker.step(HullProducts.of_points(stamp(1), cloud[1], 0.0, voxels))
     assert result.state == "tracking"
     assert tracker.needs_voxels  # the solve goes on looking at them
     assert error_mm(body, result, standing) < 40
@@ -155,17 +156,17 @@ def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
     lowering[[8, 9]] = [-1.0, 1.0]  # both arms sink sideways
     for k in range(2, 20):
         pose = standing.retract(lowering * 0.05 * (k - 1))
-        result = tracker.step(HullProducts(stamp(k), synthetic.stick_cloud(body, pose, rng, 300, 0.01)))
+        result = tracker.step(HullProducts.of_points(stamp(k), synthetic.stick_cloud(body, pose, rng, 300, 0.01)))
     assert error_mm(body, result, pose) < 50
 
 
 def test_reset_looks_for_a_first_pose_again(body, motion):
     poses, clouds = motion
     tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
-    tracker.step(HullProducts(stamp(0), clouds[0]))
+    tracker.step(HullProducts.of_points(stamp(0), clouds[0]))
     tracker.reset()
     assert tracker.body is None
-    assert tracker.step(HullProducts(stamp(1), clouds[1])).started_from == "initial"
+    assert tracker.step(HullProducts.of_points(stamp(1), clouds[1])).started_from == "initial"
 
 
 def test_two_runs_give_the_same_bytes(body, motion):
@@ -173,7 +174,7 @@ def test_two_runs_give_the_same_bytes(body, motion):
 
     def run():
         tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
-        results = [tracker.step(HullProducts(stamp(k), cloud)) for k, cloud in enumerate(clouds[:30])]
+        results = [tracker.step(HullProducts.of_points(stamp(k), cloud)) for k, cloud in enumerate(clouds[:30])]
         return b"".join(r.reference_points_world.tobytes() + r.covariance.tobytes() for r in results)
 
     assert run() == run()
@@ -186,11 +187,12 @@ def test_second_person_does_not_draw_the_figure_off_even_when_the_numbers_change
         other = cloud[::-1] + np.array([0.8, 0.0, 0.0])  # another body, half a metre from arm to arm
         ours, theirs = (0, 1) if k < 20 else (1, 0)
         numbers = np.concatenate([np.full(len(other), theirs), np.full(len(cloud), ours)])
-        both = VoxelCloud(np.concatenate([other, cloud]), np.ones(2 * len(cloud), bool))
-        result = accompanied.step(
-            HullProducts(stamp(k), both.points_world, 0.01, both, numbers=BodyNumbers(numbers, numbers))
+        both = VoxelSamples(np.concatenate([other, cloud]), np.ones(2 * len(cloud), bool), numbers)
+        line = Centerline.of_points(both.points_world, 0.01, numbers)
+        result = accompanied.step(HullProducts(stamp(k), line, both))
+        expected = alone.step(
+            HullProducts.of_points(stamp(k), cloud, 0.01, VoxelSamples(cloud, np.ones(len(cloud), bool)))
         )
-        expected = alone.step(HullProducts(stamp(k), cloud, 0.01, VoxelCloud(cloud, np.ones(len(cloud), bool))))
         np.testing.assert_array_equal(result.reference_points_world, expected.reference_points_world)
 
 
@@ -206,10 +208,9 @@ def test_first_pose_is_looked_for_on_everybody_and_fitted_to_the_body_that_shows
 
     source, cloud = OfTheSecond(), clouds[0]
     both, numbers = np.concatenate([cloud + 2.0, cloud]), np.repeat([0, 1], len(cloud))
-    voxels = VoxelCloud(both, numbers == 0)
-    result = IcpTracker(source, SETTINGS).step(
-        HullProducts(0, both, 0.01, voxels, numbers=BodyNumbers(numbers, numbers))
-    )
+    voxels = VoxelSamples(both, numbers == 0, numbers)
+    line = Centerline.of_points(both, 0.01, numbers)
+    result = IcpTracker(source, SETTINGS).step(HullProducts(0, line, voxels))
     assert sorted(source.seen.voxels_of_bodies()) == [0, 1]
-    assert result.state == "tracking" and result.fit.points == len(cloud)
+    assert result.state == "tracking" and result.solution.points == len(cloud)
     assert error_mm(body, result, poses[0]) < 40

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, fit_articulated
-from mocap_packets.hull_products import VoxelCloud
+from mocap_packets.hull import VoxelSamples
 from stick_figure import kernels
 from stick_figure.body_surface import TORSO_CAPSULES, BodySurface, nearest_capsule, place_capsules
 from stick_figure.kinematics import forward, sticks
@@ -181,7 +181,7 @@ def test_hull_shows_the_heading_that_the_centerline_cannot(body, synthetic):
     truth = bent(synthetic.t_pose(), left_shoulder_x=-1.45, right_shoulder_x=np.pi + 1.45)
     turn = np.zeros(24)
     turn[5] = 0.35
-    voxels = VoxelCloud.checked(surface_of(body, truth, rng), np.ones(1500, bool))
+    voxels = VoxelSamples.checked(surface_of(body, truth, rng), np.ones(1500, bool))
     torso = sticks(body, truth)[0]
     points = torso[0] + np.linspace(0, 1, 40)[:, None] * (torso[1] - torso[0])
 
@@ -199,7 +199,7 @@ def test_voxel_cloud_keeps_finite_samples_and_spreads_its_choice():
     points = np.arange(30.0).reshape(10, 3)
     points[4, 1] = np.nan
     surface = np.array([1, 1, 1, 0, 1, 1, 1, 0, 1, 1], bool)
-    cloud = VoxelCloud.checked(points, surface)
+    cloud = VoxelSamples.checked(points, surface)
     assert len(cloud) == 9
     assert np.array_equal(cloud.surface_points(100)[:, 0], [0, 3, 6, 15, 18, 24, 27])
     assert np.array_equal(cloud.surface_points(3)[:, 0], [0, 6, 18])

@@ -1,4 +1,4 @@
-"""PointCloud2 to and from structured numpy arrays, and the layouts of our clouds (all fields float32)."""
+"""PointCloud2 to and from structured numpy arrays of float32 fields."""
 
 from __future__ import annotations
 
@@ -12,18 +12,7 @@ from capture_rig.errors import InputError
 
 from .messages import to_stamp
 
-
-def _layout(*names: str) -> np.dtype:
-    return np.dtype([(name, np.float32) for name in names])
-
-
-CENTERLINE = _layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill", "body")
-VOXELS = _layout("x", "y", "z", "surface", "body")
-CONTOUR_RAYS = _layout("x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body")
 ONE_BODY = {"body": 0.0}  # what a cloud without this field means: all of it is the same body
-COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
-REFERENCE_POINTS = _layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
-UPPER_TRIANGLE = np.triu_indices(3)
 
 _NUMPY_TYPES = {
     PointField.INT8: "i1",
@@ -115,30 +104,6 @@ def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
             remedy="The message is damaged; check its publisher.",
         )
     return np.ascontiguousarray(np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, row)[:, :used])
-
-
-def xyz(points: np.ndarray) -> np.ndarray:
-    """Coordinates (n, 3) float64 of a structured array with x, y, z."""
-    return np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float64)
-
-
-def reference_points_array(points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Points (15, 3), covariances (15, 3, 3) m^2 and visibility (15,) as the layout REFERENCE_POINTS."""
-    table = np.column_stack(
-        [points_world, np.asarray(covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]], np.asarray(visible, float)]
-    ).astype(np.float32)
-    return np.ascontiguousarray(table).view(REFERENCE_POINTS).reshape(-1)
-
-
-def split_reference_points(array: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (15, 3) m, covariances (15, 3, 3) m^2 and visibility (15,) bool of the layout REFERENCE_POINTS."""
-    covariance = np.empty((len(array), 3, 3))
-    for field, row, column in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
-        covariance[:, row, column] = covariance[:, column, row] = array[field]
-    return xyz(array), covariance, array["visible"] > 0.5
-
-
-# --- Points of a cloud that are numbers.
 
 
 def only_finite(cloud: PointCloud2, names: Collection[str]) -> tuple[PointCloud2, int]:

@@ -1,20 +1,59 @@
-"""Joint states, their covariance, and the EKF's prediction, to and from messages."""
+"""Packets (`mocap_packets`) to and from messages, one conversion each; silhouettes are in `images`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from capture_rig.errors import InputError
-from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix, rotation_vector
-from stick_figure.skeleton import JOINTS, TANGENT_NAMES, TORSO_POSITION, TORSO_ROTATION
+from mocap_packets.fit import ReferencePoints
+from mocap_packets.state import NoState, Prediction
+from stick_figure.skeleton import TANGENT_NAMES
 
+from .clouds import from_cloud, only_finite, to_cloud
 from .messages import to_ns, to_stamp
+
+
+class Table(Protocol):
+    """A packet with a table of float32 fields: Centerline, VoxelSamples, ContourRays, ReferencePoints."""
+
+    LAYOUT: np.dtype
+
+    def to_table(self) -> np.ndarray: ...
+
+    @classmethod
+    def from_table(cls, table: np.ndarray) -> Table: ...
+
+
+T = TypeVar("T", bound=Table)
+
+
+def packet_cloud(packet: Table, stamp_ns: int, frame_id: str) -> PointCloud2:
+    """A packet's table as a cloud, one point a row."""
+    return to_cloud(packet.to_table(), stamp_ns, frame_id)
+
+
+def read_packet(cloud: PointCloud2, kind: type[T], where: str) -> T:
+    """The inverse of :func:`packet_cloud`; InputError when fields are missing or numbers are not finite."""
+    return kind.from_table(from_cloud(cloud, kind.LAYOUT, where))
+
+
+def read_finite(cloud: PointCloud2, kind: type[T], where: str) -> tuple[T, int]:
+    """As :func:`read_packet`, without the rows that hold numbers that are not finite, and how many were dropped."""
+    finite, dropped = only_finite(cloud, kind.LAYOUT.names or ())
+    return read_packet(finite, kind, where), dropped
+
+
+def read_reference_points(cloud: PointCloud2, where: str) -> ReferencePoints:
+    """The 15 reference points of a cloud; InputError as :func:`read_packet`, and for another number of points."""
+    points = read_packet(cloud, ReferencePoints, where)
+    if len(points.visible) != 15:
+        raise InputError(f"{len(points.visible)} points", where=where, remedy="Publish the 15 reference points.")
+    return points
 
 
 def joint_state_message(
@@ -26,34 +65,22 @@ def joint_state_message(
     return message
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """The EKF's state after the frame set of ``stamp_ns``; pose is None while the filter has no state.
-
-    velocity : (24,) rate of the pose's tangent, m/s and rad/s: the pose dt later is ``pose.retract(velocity * dt)``.
-    """
-
-    stamp_ns: int
-    pose: Pose | None
-    velocity: np.ndarray
-
-
-def prediction_message(pose: Pose | None, velocity: np.ndarray, stamp_ns: int, frame_id: str = "map") -> JointState:
-    """A prediction as a JointState over the 24 tangent names.
+def prediction_message(prediction: Prediction, frame_id: str = "map") -> JointState:
+    """A prediction as a JointState over the 24 tangent names, without names while there is no pose.
 
     position = torso position (m), rotation vector of R_world_torso (rad), 18 angles (rad); velocity = tangent rates.
     """
-    if pose is None:
-        return joint_state_message([], np.empty(0), np.empty(0), stamp_ns, frame_id)
-    position = np.concatenate([pose.position_world, rotation_vector(pose.R_world_torso), pose.angles()])
-    return joint_state_message(TANGENT_NAMES, position, np.asarray(velocity), stamp_ns, frame_id)
+    if prediction.pose is None:
+        return joint_state_message([], np.empty(0), np.empty(0), prediction.stamp_ns, frame_id)
+    velocity = np.asarray(prediction.velocity)
+    return joint_state_message(TANGENT_NAMES, prediction.to_row(), velocity, prediction.stamp_ns, frame_id)
 
 
 def read_prediction(message: JointState, where: str) -> Prediction:
     """The inverse of :func:`prediction_message`; InputError when names or lengths are not ours."""
     stamp_ns = to_ns(message.header.stamp)
     if not message.name:
-        return Prediction(stamp_ns, None, np.zeros(len(TANGENT_NAMES)))
+        return NoState(stamp_ns, "").prediction
     sizes = {len(message.name), len(message.position), len(message.velocity)}
     if tuple(message.name) != TANGENT_NAMES or len(sizes) != 1:
         raise InputError(
@@ -61,12 +88,10 @@ def read_prediction(message: JointState, where: str) -> Prediction:
             where=where,
             remedy=f"Give position and velocity of {', '.join(TANGENT_NAMES)}.",
         )
-    position, velocity = np.array(message.position), np.array(message.velocity)
-    if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+    row, velocity = np.array(message.position), np.array(message.velocity)
+    if not (np.isfinite(row).all() and np.isfinite(velocity).all()):
         raise InputError("the prediction holds numbers that are not finite", where=where, remedy="Check its publisher.")
-    R_world_torso = rotation_matrix(position[TORSO_ROTATION])
-    pose = Pose.from_angles(position[TORSO_POSITION], R_world_torso, position[JOINTS])
-    return Prediction(stamp_ns, pose, velocity)
+    return Prediction.from_row(stamp_ns, row, velocity)
 
 
 def covariance_message(names: Sequence[str], covariance: np.ndarray) -> Float64MultiArray:

@@ -10,21 +10,16 @@ import pytest
 from sensor_msgs.msg import PointCloud2, PointField
 
 from capture_rig.errors import InputError
-from sagoma_ros.clouds import (
-    CENTERLINE,
-    CONTOUR_RAYS,
-    REFERENCE_POINTS,
-    VOXELS,
-    from_cloud,
-    reference_points_array,
-    split_reference_points,
-    to_cloud,
-    xyz,
-)
+from mocap_packets.fit import ReferencePoints
+from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
+from sagoma_ros.clouds import from_cloud, to_cloud
 from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import packet_cloud, read_finite, read_packet, read_reference_points
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "hull/voxels"
+CENTERLINE, VOXELS = Centerline.LAYOUT, VoxelSamples.LAYOUT
+KINDS = (Centerline, VoxelSamples, ContourRays, ReferencePoints)
 
 
 def random_points(layout: np.dtype, count: int) -> np.ndarray:
@@ -58,7 +53,7 @@ def refusal(cloud: PointCloud2) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("layout", [CENTERLINE, VOXELS, CONTOUR_RAYS, REFERENCE_POINTS])
+@pytest.mark.parametrize("layout", [kind.LAYOUT for kind in KINDS])
 @pytest.mark.parametrize("count", [0, 1, 1000])
 def test_cloud_comes_back_as_it_was(layout: np.dtype, count: int) -> None:
     points = random_points(layout, count)
@@ -152,25 +147,38 @@ def test_field_that_cannot_lie_in_a_point_is_refused_by_name(key: str, value: in
     assert "field 'z'" in refusal(cloud)
 
 
-def test_xyz_are_the_coordinates_in_double_precision() -> None:
-    points = random_points(CENTERLINE, 3)
-    coordinates = xyz(points)
-    assert coordinates.dtype == np.float64 and coordinates.shape == (3, 3)
-    assert coordinates[1].tolist() == [points["x"][1], points["y"][1], points["z"][1]]
+@pytest.mark.parametrize("kind", KINDS)
+def test_packet_comes_back_with_the_same_table_in_double_precision(kind) -> None:
+    table = random_points(kind.LAYOUT, 15)
+    for name in {"axis", "body", "camera", "surface", "visible"} & set(table.dtype.names):
+        table[name] = np.arange(15) % 2
+    packet = read_packet(packet_cloud(kind.from_table(table), STAMP, "map"), kind, TOPIC)
+    assert packet.points_world.dtype == np.float64
+    assert packet.points_world[1].tolist() == [table["x"][1], table["y"][1], table["z"][1]]
+    assert np.array_equal(packet.to_table(), table)
+
+
+def test_rows_that_are_not_finite_are_dropped_and_counted_where_that_is_asked_for() -> None:
+    table = random_points(VOXELS, 4)
+    table["y"][2] = np.nan
+    voxels, dropped = read_finite(to_cloud(table, STAMP, "map"), VoxelSamples, TOPIC)
+    assert dropped == 1 and voxels.points_world[:, 0].tolist() == table["x"][[0, 1, 3]].tolist()
 
 
 def test_reference_points_keep_covariance_and_visibility() -> None:
     rng = np.random.default_rng(2)
-    points = rng.normal(size=(15, 3))
     roots = rng.normal(size=(15, 3, 3)) * 0.02
-    covariance = roots @ roots.transpose(0, 2, 1)
-    visible = rng.random(15) > 0.3
-    cloud = to_cloud(reference_points_array(points, covariance, visible), STAMP, "map")
-    again = split_reference_points(from_cloud(cloud, REFERENCE_POINTS, "icp/reference_points"))
-    assert again[0] == pytest.approx(points, abs=1e-6)  # float32 on the wire: a micrometre
-    assert again[1] == pytest.approx(covariance, rel=1e-6)
-    assert np.array_equal(again[1], again[1].transpose(0, 2, 1))
-    assert np.array_equal(again[2], visible)
+    sent = ReferencePoints(rng.normal(size=(15, 3)), roots @ roots.transpose(0, 2, 1), rng.random(15) > 0.3)
+    again = read_reference_points(packet_cloud(sent, STAMP, "map"), "icp/reference_points")
+    assert again.points_world == pytest.approx(sent.points_world, abs=1e-6)  # float32 on the wire: a micrometre
+    assert again.covariance == pytest.approx(sent.covariance, rel=1e-6)
+    assert np.array_equal(again.covariance, again.covariance.transpose(0, 2, 1))
+    assert np.array_equal(again.visible, sent.visible)
+
+
+def test_another_number_of_reference_points_is_refused() -> None:
+    with pytest.raises(InputError, match="14 points"):
+        read_reference_points(to_cloud(random_points(ReferencePoints.LAYOUT, 14), STAMP, "map"), TOPIC)
 
 
 def test_cloud_without_bodies_is_of_one_body():

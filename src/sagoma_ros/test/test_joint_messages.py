@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
 from capture_rig.errors import InputError
+from mocap_packets.state import Prediction
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import covariance_message, joint_state_message, prediction_message, read_prediction
 from stick_figure.pose import Pose
@@ -25,7 +26,7 @@ def random_pose(seed: int) -> Pose:
 
 
 def good_message() -> JointState:
-    return prediction_message(random_pose(0), np.arange(24) / 10, STAMP)
+    return prediction_message(Prediction(STAMP, random_pose(0), np.arange(24) / 10))
 
 
 def refusal(message: JointState) -> str:
@@ -47,7 +48,7 @@ def test_joint_state_has_names_angles_and_rates() -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_prediction_comes_back_as_the_same_pose_and_velocity(seed: int) -> None:
     pose, velocity = random_pose(seed), np.random.default_rng(seed).normal(size=24)
-    prediction = read_prediction(prediction_message(pose, velocity, STAMP), TOPIC)
+    prediction = read_prediction(prediction_message(Prediction(STAMP, pose, velocity)), TOPIC)
     assert prediction.stamp_ns == STAMP
     assert prediction.pose is not None
     assert np.abs(prediction.pose.position_world - pose.position_world).max() < 1e-12
@@ -65,7 +66,7 @@ def test_prediction_message_names_the_24_tangent_slots_in_the_map_frame() -> Non
 
 
 def test_filter_without_a_state_says_so_with_its_stamp() -> None:
-    message = prediction_message(None, np.zeros(24), STAMP)
+    message = prediction_message(Prediction(STAMP, None, np.zeros(24)))
     assert (len(message.name), len(message.position), len(message.velocity)) == (0, 0, 0)
     prediction = read_prediction(message, TOPIC)
     assert (prediction.stamp_ns, prediction.pose) == (STAMP, None)

@@ -10,9 +10,9 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.errors import InputError
-from sagoma_ros.clouds import reference_points_array, to_cloud
+from mocap_packets.fit import ReferencePoints
 from sagoma_ros.messages import to_stamp
-from sagoma_ros.packets import joint_state_message
+from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
 from sagoma_tools.evaluation.in_process import OURS, ROWS, THESIS
@@ -125,7 +125,7 @@ def write_live_bag(folder, rig):
     }
     body = Body.from_stature(1.75)
     points = forward(body, Pose.from_angles([0.0, 0.0, 1.0], np.eye(3), T_POSE_ANGLES))
-    table = reference_points_array(points, np.broadcast_to(np.eye(3) * 1e-4, (15, 3, 3)), np.ones(15, bool))
+    measured = ReferencePoints(points, np.broadcast_to(np.eye(3) * 1e-4, (15, 3, 3)), np.ones(15, bool))
     with BagWriter(folder) as bag:
         for topic, msgtype in topics.items():
             bag.add_topic(topic, msgtype)
@@ -138,7 +138,10 @@ def write_live_bag(folder, rig):
                 state = "tracking" if frame >= 6 else "doubtful"
                 angles = joint_state_message(ANGLE_NAMES, T_POSE_ANGLES, np.zeros(18), stamp_ns, "map")
                 said = DiagnosticStatus(message=state, values=[KeyValue(key="stamp_ns", value=str(stamp_ns))])
-                messages |= {"/mocap/reference_points": to_cloud(table, stamp_ns, "map"), "/mocap/joint_states": angles}
+                messages |= {
+                    "/mocap/reference_points": packet_cloud(measured, stamp_ns, "map"),
+                    "/mocap/joint_states": angles,
+                }
                 messages |= {"/mocap/state": said}
             for topic, message in messages.items():
                 bag.write(topic, stamp_ns, serialize_message(message))

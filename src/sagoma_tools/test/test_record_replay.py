@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, JointState
 
 from capture_rig.errors import InputError
-from capture_rig.frame_set import FrameSet
+from mocap_packets.frame_set import FrameSet
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
 from sagoma_tools.recording.reader import BagMessage, read_messages

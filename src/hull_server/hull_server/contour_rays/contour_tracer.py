@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import cv2
@@ -12,7 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ..grid import Array, BrickVolume, VoxelGrid
+from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
+
+from ..grid import BrickVolume, VoxelGrid
 from ..kernel import kernel
 from ..settings import ContourSettings
 from ..slicing.skeletonisation import HullRuns, slice_hull
@@ -20,60 +21,7 @@ from ..slicing.voxel_runs import run_at
 from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, doubt_around, find_edge, pick_contour_pixels, weights
 
-# --- What the silhouettes' rims say: rays that touch the body's surface.
-
 COLUMNS = 12  # of the table as the kernels fill it: point, direction, normal, half_length, sigma, part
-
-
-@dataclass(frozen=True, eq=False)
-class ContourRays:
-    """The n rim rays of one hull, by camera, then along its silhouette's outlines. Metres, map frame.
-
-    A point on a silhouette's rim is the view of a ray that touches the body's surface somewhere without entering it.
-    Where on the ray it touches is not known, only that it is where the ray grazes the hull.
-
-    point_world : (n, 3) the middle of the longest stretch of the ray along the hull.
-    direction : (n, 3) unit, along the ray, away from the camera.
-    normal : (n, 3) unit, perpendicular to the ray, outward: the normal of the plane through the camera and the
-        rim's tangent, and so of the body's surface where the ray touches it.
-    half_length : (n,) half the length of that stretch, m.
-    sigma : (n,) m, standard deviation of the ray's position along ``normal``, where the stretch is.
-    camera : (n,) int32, the camera's place in the rig. part : (n,) int32, the part of the hull that the ray touches;
-        see :class:`hull_server.slicing.bodies.Bodies`.
-    """
-
-    table: Array
-    camera: npt.NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.table)
-
-    @property
-    def point_world(self) -> Array:
-        return self.table[:, 0:3]
-
-    @property
-    def direction(self) -> Array:
-        return self.table[:, 3:6]
-
-    @property
-    def normal(self) -> Array:
-        return self.table[:, 6:9]
-
-    @property
-    def half_length(self) -> Array:
-        return self.table[:, 9]
-
-    @property
-    def sigma(self) -> Array:
-        return self.table[:, 10]
-
-    @cached_property
-    def part(self) -> npt.NDArray[np.int32]:
-        return self.table[:, 11].astype(np.int32)
-
-
-NO_CONTOUR_RAYS = ContourRays(np.zeros((0, COLUMNS)), np.zeros(0, np.int32))
 
 
 # --- Where a ray runs along the hull: marching through its voxels and their neighbours.
@@ -339,12 +287,20 @@ class ContourTracer:
         path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
         self._scratch = Scratch(np.zeros((height, width), np.uint8), ends, path, along, 0)
 
-    def trace(self, masks: Masks, runs: HullRuns, levels: Masks | None = None) -> ContourRays:
+    def trace(
+        self,
+        masks: Masks,
+        runs: HullRuns,
+        levels: Masks | None = None,
+        number_of_part: npt.NDArray[np.int32] | None = None,
+    ) -> ContourRays:
         """The rims of binary canvas masks (h, w) uint8, nonzero is foreground, that touch the hull carved from them.
 
         levels : the same silhouettes as the cameras sent them, of the levels of ``capture_rig.mask_levels``; rims in
         doubt have a larger sigma. At most ``per_camera`` rays a camera, evenly along the outlines; the same ones every
-        time. InputError for a camera that is not in the rig, and for a mask of the wrong size.
+        time. They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`); without
+        ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a mask of
+        the wrong size.
         """
         present = self._views.present(masks)
         if not len(runs.starts) or not self._rules.per_camera:
@@ -355,7 +311,10 @@ class ContourTracer:
             name = self._views.names[index]
             tables.append(self._trace(index, masks[name], (levels or masks)[name], hull))
         camera = np.repeat(present.astype(np.int32), [len(table) for table in tables])
-        return ContourRays(np.concatenate(tables), camera)
+        table = np.concatenate(tables)
+        part = table[:, 11].astype(np.int32)
+        body = part if number_of_part is None else number_of_part[part]
+        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], body, camera)
 
     def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
         self._scratch = self._scratch._replace(stamp=self._scratch.stamp % 255 + 1)

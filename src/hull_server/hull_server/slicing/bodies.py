@@ -23,8 +23,8 @@ class Bodies:
     litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
     number : (b,) int32, who it is: 0, 1, ...; the same person keeps a number (see :class:`BodyTracker`).
     number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a part that is no
-        body itself, that of the body with the nearest box; NOBODY for all where there is no body. A column for points
-        or voxels is ``number_of_part[points.part]``.
+        body itself, that of the body with the nearest box; NOBODY for all where there is no body. It numbers the
+        rows of centerline, voxels and contour rays.
     """
 
     litres: Array

@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from mocap_packets.hull import Centerline
+
 from ..grid import Array, BrickVolume, VoxelGrid
 from ..settings import BlobSettings
 from .voxel_runs import brick_box, erode, find_runs, join_in_slices, join_in_space, pack_rows, run_at
@@ -289,31 +291,13 @@ SIGMA_PER_GROWTH_M = 0.005
 FULL = 0.97
 
 
-@dataclass(frozen=True, eq=False)
-class Centerline:
-    """Centerline points of one hull, in the order of the blob table.
-
-    points_world : (n, 3) metres, map frame. sigma : (n,) metres, standard deviation of the point from the limb's axis
-    in each direction across it, see :func:`point_sigma`. axis : (n,) 0 = x, 1 = y, 2 = z, the axis the slice was
-    perpendicular to.
-    area_m2, elongation, fill : (n,) of the blob; see :class:`hull_server.slicing.skeletonisation.BlobTable`.
-    part : (n,) int32, the part of the hull the point belongs to; see :class:`hull_server.slicing.bodies.Bodies`.
-    """
-
-    points_world: Array
-    sigma: Array
-    axis: npt.NDArray[np.uint8]
-    area_m2: Array
-    elongation: Array
-    fill: Array
-    part: npt.NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.axis)
-
-
-def find_centerline(blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings) -> Centerline:
+def find_centerline(
+    blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings, number_of_part: npt.NDArray[np.int32] | None = None
+) -> Centerline:
     """The centroids of the blobs that are large, round and convex enough to be a limb or trunk cut across.
+
+    Points are in the order of the blob table and carry the number of their part's body (see
+    :class:`hull_server.slicing.bodies.Bodies`); without ``number_of_part``, that of the part itself.
 
     Beyond the thesis: where a limb is cut across, the next slices show nearly the same blob. The tip of a limb, a slice
     off a head, a shoulder cut at its rim are as round, but end on one side and grow on the other (``max_growth``).
@@ -325,7 +309,8 @@ def find_centerline(blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings) ->
         filters.max_growth or float("inf"),
     )
     columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
-    return Centerline(*_select(*columns, limits, grid.origin, grid.voxel_size))
+    *values, part = _select(*columns, limits, grid.origin, grid.voxel_size)
+    return Centerline(*values, part if number_of_part is None else number_of_part[part])
 
 
 @njit(cache=True, nogil=True)

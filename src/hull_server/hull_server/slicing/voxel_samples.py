@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ..grid import Array, BrickVolume, VoxelGrid
+from mocap_packets.hull import NO_VOXELS, VoxelSamples
+
+from ..grid import BrickVolume, VoxelGrid
 from .skeletonisation import HullRuns, slice_hull
 from .voxel_runs import popcount, run_at, select_bit, sides
 
@@ -16,30 +16,21 @@ SURFACE_SHARE = 2.0 / 3.0  # of the samples, as long as there are enough voxels 
 GOLDEN = 0.6180339887498949
 
 
-@dataclass(frozen=True, eq=False)
-class VoxelSamples:
-    """Voxel centres (n, 3), metres, map frame; surface (n,) is True where one of six neighbours is empty.
-
-    part : (n,) int32, the part of the hull the voxel belongs to; see :class:`hull_server.slicing.bodies.Bodies`.
-    """
-
-    points_world: Array
-    surface: npt.NDArray[np.bool_]
-    part: npt.NDArray[np.int32]
-
-    def __len__(self) -> int:
-        return len(self.surface)
-
-
 def sample_voxels(volume: BrickVolume, max_voxels: int) -> VoxelSamples:
     """:func:`sample_runs` of a hull that has not been sliced yet."""
     return sample_runs(slice_hull(volume).runs, volume.grid, max_voxels)
 
 
-def sample_runs(runs: HullRuns, grid: VoxelGrid, max_voxels: int) -> VoxelSamples:
-    """At most ``max_voxels`` voxels, spread evenly over the surface and the interior; deterministic."""
+def sample_runs(
+    runs: HullRuns, grid: VoxelGrid, max_voxels: int, number_of_part: npt.NDArray[np.int32] | None = None
+) -> VoxelSamples:
+    """At most ``max_voxels`` voxels, spread evenly over the surface and the interior; deterministic.
+
+    They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`); without
+    ``number_of_part``, that of the part itself.
+    """
     if not len(runs.starts) or max_voxels == 0:
-        return VoxelSamples(np.zeros((0, 3)), np.zeros(0, bool), np.zeros(0, np.int32))
+        return NO_VOXELS
     interior, on_surface, inside = _find_interior(runs.words, runs.first)
     from_surface, from_inside = _quotas(on_surface, inside, max_voxels)
     points, part = np.empty((from_surface + from_inside, 3)), np.empty(from_surface + from_inside, np.int32)
@@ -48,7 +39,8 @@ def sample_runs(runs: HullRuns, grid: VoxelGrid, max_voxels: int) -> VoxelSample
     _pick(runs.words, interior, False, ranks, rows, points[:from_surface], part[:from_surface])
     ranks = _spread(inside, from_inside)
     _pick(runs.words, interior, True, ranks, rows, points[from_surface:], part[from_surface:])
-    return VoxelSamples(points, np.arange(len(points)) < from_surface, part)
+    body = part if number_of_part is None else number_of_part[part]
+    return VoxelSamples(points, np.arange(len(points)) < from_surface, body)
 
 
 def _quotas(on_surface: int, inside: int, wanted: int) -> tuple[int, int]:

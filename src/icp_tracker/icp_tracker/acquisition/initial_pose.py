@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from capture_rig.errors import InputError
-from mocap_packets.hull_products import HullProducts
+from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
 from stick_figure.kinematics import inverse

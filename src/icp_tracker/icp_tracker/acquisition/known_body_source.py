@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from capture_rig.rig import Volume
-from mocap_packets.hull_products import HullProducts, VoxelCloud
+from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface, nearest_capsule, place_capsules
@@ -157,15 +157,16 @@ class KnownBodySource:
             raise PoseRejected("front and back look alike: are the feet and the floor around them in view?")
         return best
 
-    def _best_start(self, upright: Upright, crown: float, voxels: VoxelCloud) -> Pose:
+    def _best_start(self, upright: Upright, crown: float, voxels: VoxelSamples) -> Pose:
         """Of many rough poses the one that matches the hull best; its heading is one of two."""
         surface = voxels.surface_points(SAMPLES)
         poses = [_rough_pose(self._body, upright, crown, *limbs) for limbs in product(ELEVATIONS, ELEVATIONS, SPREADS)]
         return min(poses, key=lambda pose: match_surface(self._body, self._capsules, pose, surface, surface).cost)
 
-    def _fitted(self, seen: HullProducts, voxels: VoxelCloud, upright: Upright, start: Pose) -> Fitted:
+    def _fitted(self, seen: HullProducts, voxels: VoxelSamples, upright: Upright, start: Pose) -> Fitted:
         settings = replace(ArticulatedSettings(), prior=FREE, max_iterations=ITERATIONS)
-        points = seen.points_world[np.isfinite(seen.points_world).all(axis=1)]
+        points = seen.centerline.points_world
+        points = points[np.isfinite(points).all(axis=1)]
         pose = fit_articulated(self._body, start, points, 0.0, voxels, settings=settings).pose
         match = match_surface(self._body, self._capsules, pose, voxels.surface_points(1000), voxels.hull_points(1500))
         return Fitted(pose, match, _facing(self._body, pose, upright))

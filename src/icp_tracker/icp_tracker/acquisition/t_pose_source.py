@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from capture_rig.rig import Volume
-from mocap_packets.hull_products import HullProducts
+from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, mirror_angles

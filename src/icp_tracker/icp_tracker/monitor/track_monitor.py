@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from capture_rig.settings import setting
+from mocap_packets.fit import GOOD, LOST, UNKNOWN, TrackQuality
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
@@ -34,7 +35,7 @@ from .pose_library import (
     stances,
     turned_around,
 )
-from .track_quality import GOOD, LOST, UNKNOWN, Baseline, Hypothesis, TrackQuality, contested, judge_track
+from .track_quality import Baseline, Hypothesis, contested, judge_track
 
 # --- Settings of the watch over the track.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, TrackQuality
 from stick_figure.pose import Pose
 
 from .evidence import LEFT_ARM, PART_NAMES, PART_POINTS, TRUNK, Evidence
@@ -36,32 +37,11 @@ class Hypothesis:
         return Hypothesis(pose, self.why, self.part, evidence, sets, margin)
 
 
-GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
-
 LOST_SHARE = 0.35  # of the outline: what hardly any wrong pose explains less of
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains
 OUTSIDE_LIMB = 2  # of a limb's six points: so many outside the hull are no accident
 CONTESTED_SETS = 3  # sets in which another pose must have led before it is a reason for doubt
 BASELINE_SETS = 300.0  # the usual share is the mean over about so many good sets
-
-
-@dataclass(frozen=True)
-class TrackQuality:
-    """state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
-
-    parts (5,) states of trunk, arms and legs; explained : share of the outline's rays that the pose explains;
-    hypothesis_margin : rays that the best other pose explains more, over several sets; None without a rival.
-    """
-
-    state: str
-    reason: str
-    parts: tuple[str, ...]
-    explained: float
-    hypothesis_margin: float | None = None
-
-
-UNKNOWN = TrackQuality(GOOD, "", (GOOD,) * 5, 1.0)
-"""Of a fit that was not examined."""
 
 
 class Baseline:

@@ -19,7 +19,7 @@ from sensor_msgs.msg import Image
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.frame_set import FrameSet, FrameSetCollector
+from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
 from rig_calibration.boards.image_quality import blur_px

@@ -10,19 +10,19 @@ import numpy as np
 
 from camera_client.settings import CameraClientSettings
 from capture_rig.errors import InputError
-from capture_rig.frame_set import FrameSet
 from capture_rig.rig import Rig, Volume
 from capture_rig.settings import build_settings
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
-from ekf_tracker.state import EkfState, NoState
-from hull_server.hull_pipeline import HullPipeline, HullResult
+from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.pose_source import make_pose_source
 from icp_tracker.icp_node import IcpNodeSettings
-from icp_tracker.tracker import TRACKING, IcpResult, IcpTracker
-from mocap_packets.contour_rays import ContourRays
-from mocap_packets.hull_products import BodyNumbers, HullProducts, VoxelCloud
+from icp_tracker.tracker import TRACKING, IcpTracker
+from mocap_packets.fit import Fit
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import NO_CENTERLINE, HullProducts
+from mocap_packets.state import BodyState, NoState, Prediction
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
@@ -61,25 +61,16 @@ class Configuration:
 
 
 @dataclass(frozen=True, eq=False)
-class Feedback:
-    """The EKF's state after a set, as the ICP tracker takes it."""
-
-    stamp_ns: int
-    pose: Pose
-    velocity: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class ChainStep:
     """What one frame set gave: the fit, and the filter's answer (None before there is a body to filter)."""
 
-    fit: IcpResult
-    answer: EkfState | NoState | None
+    fit: Fit
+    answer: BodyState | NoState | None
 
     @property
-    def state(self) -> EkfState | None:
+    def state(self) -> BodyState | None:
         """The filter's state, if it has one."""
-        return self.answer if isinstance(self.answer, EkfState) else None
+        return self.answer if isinstance(self.answer, BodyState) else None
 
 
 class TrackingChain:
@@ -90,7 +81,7 @@ class TrackingChain:
         self.icp = IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, volume), settings)
         self.ekf: ArticulatedEkf | None = None
         self._ekf_settings, self._feeds_back = configuration.ekf, configuration.feedback
-        self._feedback: Feedback | None = None
+        self._feedback: Prediction | None = None
 
     def step(self, clouds: HullProducts) -> ChainStep:
         """Fit and filter one frame set; stamps must rise."""
@@ -108,13 +99,13 @@ class TrackingChain:
             self.ekf.reset()
         covariance = np.broadcast_to(sd_m**2 * np.eye(3), (15, 3, 3)).copy()
         visible = np.ones(15, dtype=bool)
-        claim = IcpResult(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
+        claim = Fit(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
         step = self._filtered(claim)
         # a set without points leaves the tracker at the filter's prediction
-        self.icp.step(HullProducts(stamp_ns, np.empty((0, 3))), self._feedback)
+        self.icp.step(HullProducts(stamp_ns, NO_CENTERLINE), self._feedback)
         return step
 
-    def _filtered(self, fit: IcpResult) -> ChainStep:
+    def _filtered(self, fit: Fit) -> ChainStep:
         body = self.icp.body
         if body is not None and self.ekf is None:
             self.ekf = ArticulatedEkf(body, self._ekf_settings)
@@ -122,9 +113,9 @@ class TrackingChain:
             return ChainStep(fit, None)
         if body is not None and self.ekf.body is not body:
             self.ekf.change_body(body)
-        answer = self.ekf.step(fit.stamp_ns, fit.reference_points_world, fit.covariance, fit.visible)
-        if self._feeds_back and isinstance(answer, EkfState):
-            self._feedback = Feedback(answer.stamp_ns, answer.pose, answer.predicted_velocity)
+        answer = self.ekf.step(fit.stamp_ns, *fit.reference_points)
+        if self._feeds_back and isinstance(answer, BodyState):
+            self._feedback = answer.prediction
         return ChainStep(fit, answer)
 
 
@@ -137,33 +128,8 @@ class Chain:
 
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
         """The hull of canvas masks {camera: (h, w) uint8} of one instant; ``missing`` cameras delivered nothing."""
-        return as_published(self.hull.run(FrameSet(stamp_ns, masks, dict.fromkeys(masks, stamp_ns), missing)))
+        return self.hull.run(FrameSet.of_instant(stamp_ns, masks, missing)).products.as_sent()
 
     def step(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> ChainStep:
         """Carve, fit and filter one frame set; stamps must rise."""
         return self.tracking.step(self.carve(stamp_ns, masks, missing))
-
-
-def as_published(result: HullResult) -> HullProducts:
-    """What the ICP node reads of a hull: rounded to float32, as the clouds between the nodes carry it."""
-    line, samples, rims, number_of_part = (
-        result.centerline,
-        result.voxels,
-        result.contour_rays,
-        result.bodies.number_of_part,
-    )
-    return HullProducts(
-        result.stamp_ns,
-        _rounded(line.points_world),
-        _rounded(line.sigma),
-        VoxelCloud.checked(_rounded(samples.points_world), samples.surface),
-        BodyNumbers(number_of_part[line.part], number_of_part[samples.part]),
-        ContourRays(
-            *(_rounded(part) for part in (rims.point_world, rims.direction, rims.normal)),
-            *(_rounded(part) for part in (rims.half_length, rims.sigma, number_of_part[rims.part])),
-        ),
-    )
-
-
-def _rounded(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float32).astype(np.float64)

@@ -15,7 +15,7 @@ from camera_client.settings import CameraClientSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
-from ekf_tracker.state import EkfState
+from mocap_packets.state import BodyState
 
 from .chain import Chain, Configuration, Masks, TrackingChain
 from .track import Track
@@ -57,7 +57,7 @@ def track_variants(
     masks = exact_silhouettes(session) if exact_masks else silhouettes(session, first.camera)
     graph = Chain(session.rig, first)
     chains = [graph.tracking, *(TrackingChain(other, session.rig.volume) for other in others)]
-    rows: list[list[tuple[int, EkfState]]] = [[] for _ in chains]
+    rows: list[list[tuple[int, BodyState]]] = [[] for _ in chains]
     for frame, frame_masks in enumerate(masks):
         progress(frame)
         clouds = graph.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)

@@ -13,8 +13,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
-from ekf_tracker.state import EkfState
-from sagoma_ros.clouds import REFERENCE_POINTS, from_cloud, split_reference_points
+from mocap_packets.state import BodyState
+from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..recording.reader import read_messages
@@ -41,7 +41,7 @@ class Track:
     states: np.ndarray
 
     @classmethod
-    def of_states(cls, rows: Sequence[tuple[int, EkfState]]) -> Track:
+    def of_states(cls, rows: Sequence[tuple[int, BodyState]]) -> Track:
         """From frames and the filter's states at them; no rows make an empty track."""
         frames, states = [frame for frame, _ in rows], [state for _, state in rows]
 
@@ -95,10 +95,8 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
             continue
         frame = frame_of_stamp(message.stamp_ns)
         if message.topic == POINTS_TOPIC:
-            cloud = from_cloud(
-                deserialize_message(message.data, PointCloud2), REFERENCE_POINTS, f"{bag}: {POINTS_TOPIC}"
-            )
-            points[frame] = split_reference_points(cloud)[:2]
+            cloud = deserialize_message(message.data, PointCloud2)
+            points[frame] = read_reference_points(cloud, f"{bag}: {POINTS_TOPIC}")[:2]
         else:
             angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {ANGLES_TOPIC}")
     frames = sorted(set(points) & set(angles))

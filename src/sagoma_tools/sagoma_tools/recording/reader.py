@@ -16,7 +16,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from capture_rig.errors import InputError
-from capture_rig.frame_set import FrameSet, FrameSetCollector
+from mocap_packets.frame_set import FrameSet, FrameSetCollector
 
 from ..graph.topics import CAMERA_INFO_SUFFIX, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, cameras_in
 

@@ -18,7 +18,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
 from capture_rig.errors import InputError
-from capture_rig.frame_set import FrameSet
+from mocap_packets.frame_set import FrameSet
 
 from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, message_class
 from .reader import BagMessage, header_stamp_ns

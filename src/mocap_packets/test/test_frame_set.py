@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capture_rig.frame_set import FrameSet, FrameSetCollector
+from mocap_packets.frame_set import FrameSet, FrameSetCollector
 
 CAMERAS = ("cam01", "cam02", "cam03")
 SECOND = 1_000_000_000

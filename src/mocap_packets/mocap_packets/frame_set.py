@@ -18,17 +18,17 @@ from typing import Generic, TypeVar
 
 # --- One run of capture stamps: the frame sets that are open in it, and which frames may still join.
 
-F = TypeVar("T")
+T = TypeVar("T")
 
 DUPLICATE, BACKWARDS, LATE = "duplicate", "backwards", "late"
 
 
 @dataclass
-class OpenSet(Generic[F]):
+class OpenSet(Generic[T]):
     """Frames of one instant that have arrived so far; ``opened_ns`` is the arrival of the first."""
 
     opened_ns: int
-    frames: dict[str, F] = field(default_factory=dict)
+    frames: dict[str, T] = field(default_factory=dict)
     stamps_ns: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -40,13 +40,13 @@ class OpenSet(Generic[F]):
         return max(stamps) - min(stamps)
 
 
-class Timeline(Generic[F]):
+class Timeline(Generic[T]):
     """The open sets in stamp order. Stamps never go back: not a camera's own, not past a set that has left."""
 
     def __init__(self, camera_count: int, tolerance_ns: int, deadline_ns: int, max_open: int) -> None:
         self.camera_count = camera_count
         self.tolerance_ns, self.deadline_ns, self.max_open = tolerance_ns, deadline_ns, max_open
-        self.open: list[OpenSet[F]] = []
+        self.open: list[OpenSet[T]] = []
         self.head_ns: int | None = None  # the latest stamp taken
         self.last_stamp_ns: dict[str, int] = {}  # of each camera that has delivered
         self._last_closed_ns: int | None = None
@@ -62,7 +62,7 @@ class Timeline(Generic[F]):
             return LATE
         return None
 
-    def take(self, camera: str, stamp_ns: int, frame: F, arrival_ns: int) -> None:
+    def take(self, camera: str, stamp_ns: int, frame: T, arrival_ns: int) -> None:
         """Put a frame that is not refused into the open set nearest in time, or into one of its own."""
         near = [s for s in self.open if camera not in s.frames and s.spread_with(stamp_ns) <= self.tolerance_ns]
         if near:
@@ -75,10 +75,10 @@ class Timeline(Generic[F]):
         self.last_stamp_ns[camera] = stamp_ns
         self.head_ns = stamp_ns if self.head_ns is None else max(self.head_ns, stamp_ns)
 
-    def is_complete(self, candidate: OpenSet[F]) -> bool:
+    def is_complete(self, candidate: OpenSet[T]) -> bool:
         return len(candidate.frames) == self.camera_count
 
-    def close_due(self, now_ns: int) -> list[OpenSet[F]]:
+    def close_due(self, now_ns: int) -> list[OpenSet[T]]:
         """Take out the sets that are complete or past their deadline; a complete one never overtakes an older one."""
         closing = 0
         for index, candidate in enumerate(self.open):
@@ -87,20 +87,18 @@ class Timeline(Generic[F]):
                 closing = index + 1
         return self._close(max(closing, len(self.open) - self.max_open))
 
-    def close_all(self) -> list[OpenSet[F]]:
+    def close_all(self) -> list[OpenSet[T]]:
         return self._close(len(self.open))
 
     def next_deadline_ns(self) -> int | None:
         return min(s.opened_ns for s in self.open) + self.deadline_ns if self.open else None
 
-    def _close(self, count: int) -> list[OpenSet[F]]:
+    def _close(self, count: int) -> list[OpenSet[T]]:
         closed, self.open = self.open[:count], self.open[count:]
         if closed:
             self._last_closed_ns = closed[-1].stamp_ns
         return closed
 
-
-T = TypeVar("T")
 
 LEAP_NS = 250_000_000
 LEAP_TOLERANCES = 10  # a leap is at least five frame periods, so that slow cameras do not leap with every frame
@@ -119,6 +117,11 @@ class FrameSet(Generic[T]):
     frames: dict[str, T]
     stamps_ns: dict[str, int]
     missing: tuple[str, ...]
+
+    @classmethod
+    def of_instant(cls, stamp_ns: int, frames: dict[str, T], missing: tuple[str, ...] = ()) -> FrameSet[T]:
+        """Frames that all have the same stamp."""
+        return cls(stamp_ns, frames, dict.fromkeys(frames, stamp_ns), missing)
 
     @property
     def spread_ns(self) -> int:

@@ -1,0 +1,116 @@
+"""What the tracker hands to the filter: 15 reference points with a covariance each, and how far to believe the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from stick_figure.pose import Pose
+
+from .table import column, columns, fill, layout
+
+UPPER_TRIANGLE = np.triu_indices(3)
+COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
+
+GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
+
+
+class ReferencePoints(NamedTuple):
+    """The 15 reference points in the order of `stick_figure.skeleton.POINT_NAMES`; world frame.
+
+    points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured.
+    """
+
+    LAYOUT = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
+
+    points_world: np.ndarray
+    covariance: np.ndarray
+    visible: np.ndarray
+
+    def to_table(self) -> np.ndarray:
+        """The 15 rows as the structured array LAYOUT."""
+        covariance = np.asarray(self.covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
+        return fill(self.LAYOUT, self.points_world, covariance, np.asarray(self.visible, float))
+
+    @classmethod
+    def from_table(cls, table: np.ndarray) -> ReferencePoints:
+        """The inverse of :meth:`to_table`."""
+        covariance = np.empty((len(table), 3, 3))
+        for name, row, col in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
+            covariance[:, row, col] = covariance[:, col, row] = column(table, name)
+        return cls(columns(table, "x", "y", "z"), covariance, table["visible"] > 0.5)
+
+    def as_sent(self) -> ReferencePoints:
+        """The same, rounded to float32 as the cloud between the nodes is."""
+        return ReferencePoints.from_table(self.to_table())
+
+
+NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))
+
+
+@dataclass(frozen=True)
+class TrackQuality:
+    """How well a fit explains what the cameras saw.
+
+    state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
+    parts (5,) states of trunk, arms and legs; explained : share of the contour rays that the pose explains;
+    hypothesis_margin : rays that the best other pose explains more, over several sets; None without another pose.
+    """
+
+    state: str
+    reason: str
+    parts: tuple[str, ...]
+    explained: float
+    hypothesis_margin: float | None = None
+
+
+UNKNOWN = TrackQuality(GOOD, "", (GOOD,) * 5, 1.0)
+"""The quality of a fit that was not examined."""
+
+
+class Solution(NamedTuple):
+    """How the solver came to a fit.
+
+    points, inliers : data points given, and those within the robust gate. rms_m : root mean square distance of the
+    inliers to their sticks. converged : the last step was below the tolerance within the iterations allowed.
+    """
+
+    points: int
+    inliers: int
+    rms_m: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The stick figure fitted to one frame set.
+
+    state : "acquiring", "tracking", "doubtful" or "lost"; started_from : "nothing", "initial", "own", or the stamp (ns)
+    of the filter's state that the fit started from; reason : why there is no fit, or why it is not quite believed, else
+    empty; dropped_points : centerline points that were not finite.
+    reference_points_world (15, 3) m, covariance (15, 3, 3) m^2, visible (15,): zeros, huge and False before the first
+    pose; the unmoved prediction, huge and False when the set has too few points; not visible when lost.
+    solution : the solver's figures, None without a fit. quality : how far it explains what the cameras saw; recovered :
+    what was found anew with this set, else empty.
+    """
+
+    stamp_ns: int
+    state: str
+    started_from: str
+    reason: str
+    dropped_points: int
+    reference_points_world: np.ndarray
+    covariance: np.ndarray
+    visible: np.ndarray
+    pose: Pose | None
+    solution: Solution | None
+    quality: TrackQuality = UNKNOWN
+    recovered: str = ""
+
+    @property
+    def reference_points(self) -> ReferencePoints:
+        """What travels on to the filter."""
+        return ReferencePoints(self.reference_points_world, self.covariance, self.visible)

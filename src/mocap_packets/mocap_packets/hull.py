@@ -1,0 +1,246 @@
+"""What the hull server hands to the tracker: centerline, voxel samples and contour rays of one frame set.
+
+Each type knows its table (``LAYOUT``, all fields float32), which is also the point cloud between the nodes. Rows carry
+the number of the body that they belong to: the hull server numbers bodies that do not touch; people who touch share a
+number until they part; -1 is nobody. World frame (map), metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, TypeVar
+
+import numpy as np
+
+from .table import column, columns, fill, layout
+
+REACH_M = 0.35
+"""Body surface and half a limb: what is farther from all 15 reference points belongs to another person."""
+_UNSET = np.empty(0, np.int32)
+
+Rows = TypeVar("Rows", "Centerline", "VoxelSamples", "ContourRays")
+
+
+def _number_one_body(packet: VoxelSamples | ContourRays) -> None:
+    if len(packet.body) != len(packet):
+        object.__setattr__(packet, "body", np.zeros(len(packet), np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class Centerline:
+    """Centerline points (n) of one hull: centroids of the slices that look like a limb cut across (thesis 3.2).
+
+    points_world : (n, 3). sigma : (n,) standard deviation of the point from the limb's axis, in each direction across
+    it. axis : (n,) 0 = x, 1 = y, 2 = z, the axis that the slice was perpendicular to. area_m2, elongation, fill : (n,)
+    of the slice. body : (n,) int32.
+    """
+
+    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill", "body")
+
+    points_world: np.ndarray
+    sigma: np.ndarray
+    axis: np.ndarray
+    area_m2: np.ndarray
+    elongation: np.ndarray
+    fill: np.ndarray
+    body: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.sigma)
+
+    @classmethod
+    def of_points(
+        cls, points_world: np.ndarray, sigma: np.ndarray | float = 0.0, body: np.ndarray | None = None
+    ) -> Centerline:
+        """Points (n, 3) that do not come from slices, with noise (n,) or one for all; of one body unless given."""
+        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
+        n = len(points)
+        sigma = np.broadcast_to(np.asarray(sigma, dtype=np.float64), (n,))
+        body = np.zeros(n, np.int32) if body is None else np.asarray(body)
+        return cls(points, sigma, np.zeros(n, np.uint8), np.zeros(n), np.ones(n), np.ones(n), body)
+
+    def to_table(self) -> np.ndarray:
+        """The rows as the structured array LAYOUT."""
+        shape = (self.axis, self.area_m2, self.elongation, self.fill)
+        return fill(self.LAYOUT, self.points_world, self.sigma, *shape, self.body)
+
+    @classmethod
+    def from_table(cls, table: np.ndarray) -> Centerline:
+        """The inverse of :meth:`to_table`."""
+        shape = (column(table, name) for name in ("area", "elongation", "fill"))
+        points, sigma, axis = columns(table, "x", "y", "z"), column(table, "sigma"), table["axis"].astype(np.uint8)
+        return cls(points, sigma, axis, *shape, table["body"].astype(np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelSamples:
+    """Voxels (m) of the hull: centres (m, 3); surface (m,) bool, True where a neighbour is empty; body (m,) int32.
+
+    Without ``body``, all of one body, number 0.
+    """
+
+    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", "surface", "body")
+
+    points_world: np.ndarray
+    surface: np.ndarray
+    body: np.ndarray = field(default_factory=lambda: _UNSET)
+
+    def __post_init__(self) -> None:
+        _number_one_body(self)
+
+    def __len__(self) -> int:
+        return len(self.surface)
+
+    @classmethod
+    def checked(cls, points_world: np.ndarray, surface: np.ndarray) -> VoxelSamples:
+        """The samples of one body whose coordinates are finite, as contiguous arrays."""
+        points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
+        finite = np.isfinite(points).all(axis=1)
+        return cls(np.ascontiguousarray(points[finite]), np.asarray(surface, dtype=np.bool_)[finite])
+
+    def surface_points(self, count: int) -> np.ndarray:
+        """At most ``count`` samples (m, 3) of the surface, evenly spread over the rows; the same ones every time."""
+        return _thinned(self.points_world[self.surface], count)
+
+    def hull_points(self, count: int) -> np.ndarray:
+        """At most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
+        return _thinned(self.points_world, count)
+
+    def to_table(self) -> np.ndarray:
+        """The rows as the structured array LAYOUT."""
+        return fill(self.LAYOUT, self.points_world, self.surface, self.body)
+
+    @classmethod
+    def from_table(cls, table: np.ndarray) -> VoxelSamples:
+        """The inverse of :meth:`to_table`."""
+        return cls(columns(table, "x", "y", "z"), table["surface"] > 0.5, table["body"].astype(np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class ContourRays:
+    """Rays (n) through the silhouettes' contours, by camera, then along each outline.
+
+    A point on a silhouette's contour is the view of a ray that touches the body's surface somewhere without entering
+    it. Where on the ray it touches is not known, only that it is where the ray grazes the hull.
+
+    points_world (n, 3) : the middle of the longest stretch of the ray along the hull; half_lengths (n,) : half that
+    stretch. directions (n, 3) : unit, away from the camera. normals (n, 3) : unit, across the ray and out of the
+    silhouette: the normal of the plane through the camera and the contour's tangent, and so of the body's surface where
+    the ray touches it. sigma (n,) : standard deviation of the ray along its normal, at that stretch. body (n,) int32.
+    camera (n,) int32 : the camera's place in the rig. Without ``body`` and ``camera``, all 0.
+    """
+
+    LAYOUT: ClassVar[np.dtype] = layout(
+        "x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body"
+    )
+
+    points_world: np.ndarray
+    directions: np.ndarray
+    normals: np.ndarray
+    half_lengths: np.ndarray
+    sigma: np.ndarray
+    body: np.ndarray = field(default_factory=lambda: _UNSET)
+    camera: np.ndarray = field(default_factory=lambda: _UNSET)
+
+    def __post_init__(self) -> None:
+        _number_one_body(self)
+        if len(self.camera) != len(self.sigma):
+            object.__setattr__(self, "camera", np.zeros(len(self.sigma), np.int32))
+
+    def __len__(self) -> int:
+        return len(self.sigma)
+
+    def thinned(self, count: int) -> ContourRays:
+        """At most ``count`` rays, evenly spread over the rows (which follow the outlines); the same ones every time."""
+        if len(self) <= count:
+            return self
+        return _rows(self, np.arange(count) * len(self) // count)
+
+    def to_table(self) -> np.ndarray:
+        """The rows as the structured array LAYOUT."""
+        vectors = (self.points_world, self.directions, self.normals)
+        return fill(self.LAYOUT, *vectors, self.half_lengths, self.sigma, self.camera, self.body)
+
+    @classmethod
+    def from_table(cls, table: np.ndarray) -> ContourRays:
+        """The inverse of :meth:`to_table`."""
+        vectors = (columns(table, *names) for names in (("x", "y", "z"), ("dx", "dy", "dz"), ("nx", "ny", "nz")))
+        numbers = (table[name].astype(np.int32) for name in ("body", "camera"))
+        return cls(*vectors, column(table, "half"), column(table, "sigma"), *numbers)
+
+
+NO_CENTERLINE = Centerline.of_points(np.empty((0, 3)))
+NO_VOXELS = VoxelSamples(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
+NO_CONTOUR_RAYS = ContourRays(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True, eq=False)
+class HullProducts:
+    """What the hull server hands on of one frame set: everything in the volume, whoever it belongs to."""
+
+    stamp_ns: int
+    centerline: Centerline
+    voxels: VoxelSamples = NO_VOXELS
+    contour_rays: ContourRays = NO_CONTOUR_RAYS
+
+    @classmethod
+    def of_points(
+        cls,
+        stamp_ns: int,
+        points_world: np.ndarray,
+        sigma: np.ndarray | float = 0.0,
+        voxels: VoxelSamples = NO_VOXELS,
+        contour_rays: ContourRays = NO_CONTOUR_RAYS,
+    ) -> HullProducts:
+        """Products of one body whose centerline is any cloud of points (n, 3)."""
+        return cls(stamp_ns, Centerline.of_points(points_world, sigma), voxels, contour_rays)
+
+    def as_sent(self) -> HullProducts:
+        """The same, rounded to float32 as the clouds between the nodes are."""
+        line, voxels, rays = self.centerline.to_table(), self.voxels.to_table(), self.contour_rays.to_table()
+        return HullProducts(
+            self.stamp_ns, Centerline.from_table(line), VoxelSamples.from_table(voxels), ContourRays.from_table(rays)
+        )
+
+    def finite(self) -> tuple[HullProducts, int]:
+        """The same with the centerline points that are finite numbers, and how many were not."""
+        line = self.centerline
+        good = np.isfinite(line.points_world).all(axis=1) & np.isfinite(line.sigma)
+        return replace(self, centerline=_rows(line, good)), int((~good).sum())
+
+    def voxels_of_bodies(self) -> dict[int, np.ndarray]:
+        """The voxels (m, 3) of each body, m, by its number; of nobody's only where there is no body."""
+        bodies = np.unique(self.voxels.body)
+        bodies = bodies[bodies >= 0] if (bodies >= 0).any() else bodies
+        points = self.voxels.points_world
+        return {int(body): points[self.voxels.body == body] for body in bodies} or {0: points}
+
+    def of_body(self, number: int) -> HullProducts:
+        """The rows of one body."""
+        parts = (self.centerline, self.voxels, self.contour_rays)
+        return HullProducts(self.stamp_ns, *(_rows(part, part.body == number) for part in parts))
+
+    def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
+        """The rows of the body that is expected at the reference points (15, 3).
+
+        It is the one with most points near them, not the one with the same number as before: numbers may change hands
+        when people touch.
+        """
+        line = self.centerline
+        bodies = np.unique(line.body)
+        if len(bodies) < 2:
+            return self
+        offsets = line.points_world[:, None] - reference_points_world
+        near = np.einsum("npk,npk->np", offsets, offsets).min(axis=1) < REACH_M**2
+        return self.of_body(int(bodies[np.argmax([np.count_nonzero(near & (line.body == body)) for body in bodies])]))
+
+
+def _rows(packet: Rows, rows: np.ndarray) -> Rows:
+    """The chosen rows of every column, contiguous."""
+    return replace(packet, **{name: np.ascontiguousarray(values[rows]) for name, values in vars(packet).items()})
+
+
+def _thinned(points: np.ndarray, count: int) -> np.ndarray:
+    if len(points) > count:
+        points = points[np.arange(count) * len(points) // count]
+    return np.ascontiguousarray(points)

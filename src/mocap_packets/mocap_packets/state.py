@@ -1,0 +1,120 @@
+"""What the filter says after each frame set: the body's state, and the prediction from which the next fit starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from stick_figure.pose import Pose
+from stick_figure.rotations import rotation_matrix, rotation_vector
+from stick_figure.skeleton import JOINTS, TORSO_POSITION, TORSO_ROTATION
+
+from .fit import ReferencePoints
+
+
+class Tracking(StrEnum):
+    """How far the estimate can be trusted."""
+
+    ACQUIRING = "acquiring"
+    """no pose yet"""
+    TRACKING = "tracking"
+    DOUBTFUL = "doubtful"
+    """a pose, but the last set did not confirm it"""
+    LOST = "lost"
+    """no measurement for so long that the pose is only extrapolated"""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The filter's state after the frame set of ``stamp_ns``; pose is None while the filter has no state.
+
+    velocity : (24,) rate of the pose's tangent, m/s and rad/s: the pose dt later is ``pose.retract(velocity * dt)``.
+    """
+
+    stamp_ns: int
+    pose: Pose | None
+    velocity: np.ndarray
+
+    def to_row(self) -> np.ndarray:
+        """(24,) numbers that describe the pose: torso position (m), rotation vector of R_world_torso, 18 angles (rad).
+
+        Needs a pose.
+        """
+        assert self.pose is not None
+        return np.concatenate([self.pose.position_world, rotation_vector(self.pose.R_world_torso), self.pose.angles()])
+
+    @classmethod
+    def from_row(cls, stamp_ns: int, row: np.ndarray, velocity: np.ndarray) -> Prediction:
+        """The inverse of :meth:`to_row`."""
+        pose = Pose.from_angles(row[TORSO_POSITION], rotation_matrix(row[TORSO_ROTATION]), row[JOINTS])
+        return cls(stamp_ns, pose, velocity)
+
+    def as_sent(self) -> Prediction:
+        """The same, its pose described by angles as it is between the nodes."""
+        return self if self.pose is None else Prediction.from_row(self.stamp_ns, self.to_row(), self.velocity)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyState:
+    """The filtered state at a frame set's stamp; world frame, metres, radians, seconds.
+
+    pose : the pose, hinges bent the right way
+    velocity : (24,) rates of the pose's tangent
+    predicted_velocity : (24,) rate with which the motion model moves the pose until the next set, zero for the identity
+        model
+    covariance : (48, 48) of the errors of pose and velocity
+    angles, rates : (18,) rad and rad/s in the order of `stick_figure.skeleton.ANGLE_NAMES`, continuous with the
+        previous set's; the rates are damped near gimbal lock
+    points_world, point_covariance : (15, 3) m and (15, 3, 3) m^2, the filtered reference points
+    accepted, gated : (15,) bool, measured points that were used, and that were left out as outliers
+    distances : (15,) squared Mahalanobis distance of each measured point from its prediction, 0 where not visible
+    tracking, reason : how far to trust it, and why
+    """
+
+    stamp_ns: int
+    pose: Pose
+    velocity: np.ndarray
+    predicted_velocity: np.ndarray
+    covariance: np.ndarray
+    angles: np.ndarray
+    rates: np.ndarray
+    points_world: np.ndarray
+    point_covariance: np.ndarray
+    accepted: np.ndarray
+    gated: np.ndarray
+    distances: np.ndarray
+    tracking: Tracking
+    reason: str
+
+    @property
+    def reference_points(self) -> ReferencePoints:
+        """The filtered points; visible are those whose own measurement was used."""
+        return ReferencePoints(self.points_world, self.point_covariance, self.accepted)
+
+    @property
+    def prediction(self) -> Prediction:
+        """Where the next fit starts."""
+        return Prediction(self.stamp_ns, self.pose, self.predicted_velocity)
+
+    @property
+    def normalised_innovation(self) -> float:
+        """Mean of distance / 3 over the accepted points: 1 when covariances are right; NaN without points."""
+        if not self.accepted.any():
+            return float("nan")
+        return float(self.distances[self.accepted].mean() / 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NoState:
+    """The filter has no pose, and why."""
+
+    stamp_ns: int
+    reason: str
+    tracking: Tracking = Tracking.ACQUIRING
+
+    @property
+    def prediction(self) -> Prediction:
+        """A prediction without a pose."""
+        return Prediction(self.stamp_ns, None, np.zeros(24))
