@@ -263,13 +263,13 @@ def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -
 
 
 def _spin(node: SagomaNode, ending: threading.Event) -> None:
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    while rclpy.ok() and not ending.is_set():
-        try:
-            executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
-        except ExternalShutdownException:
-            raise
-        except Exception as error:  # in a callback: one bad message may not end the process
-            if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
-                node.report(error)
+    with SingleThreadedExecutor() as executor:  # shut down here: garbage collection may come after the context's end
+        executor.add_node(node)
+        while rclpy.ok() and not ending.is_set():
+            try:
+                executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
+            except ExternalShutdownException:
+                raise
+            except Exception as error:  # in a callback: one bad message may not end the process
+                if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
+                    node.report(error)
