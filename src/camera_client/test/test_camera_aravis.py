@@ -33,7 +33,7 @@ def frames_of(source, count):
 
 def registers_of(camera):
     """The simulated camera's own registers by feature name: what it was really told."""
-    return camera.loop.call(lambda: camera._parts.registers)
+    return camera.loop.call(lambda: camera.registers)
 
 
 def source_of(camera, channels="auto", **settings):
@@ -360,7 +360,7 @@ def test_closed_source_leaves_nothing_behind(gige_camera):
     source.close()
     gc.collect()
     assert stream() is None
-    assert camera.loop.call(lambda: camera._parts.privilege.owner) is None
+    assert camera.status()["controller"] == ""
 
 
 def test_unconnected_source_says_so():

@@ -119,7 +119,7 @@ def test_chunks_give_each_frame_its_own_exposure(gige_camera):
     with source_of(camera, stamp_source="ptp", chunks=True, exposure_us=2000.0) as source:
         source.start()
         frames = frames_of(source, 5)
-        registers = camera.loop.call(lambda: camera._parts.registers)
+        registers = camera.loop.call(lambda: camera.registers)
         camera.loop.call(lambda: registers.__setitem__("ExposureTime", 12000.0))  # as an auto function would
         frames += frames_of(source, 20)
     errors = np.sort(np.abs(errors_ns(frames)))

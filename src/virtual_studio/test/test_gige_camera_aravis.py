@@ -57,7 +57,7 @@ def test_every_feature_can_be_read_through_aravis(aravis, address):
                 value = client.camera.get_integer(name)
             feature = next(f for f in camera.features if f.name == name)
             if not feature.volatile and not isinstance(node, Aravis.GcEnumeration) and feature.bits is None:
-                held = camera._parts.registers[feature.key]
+                held = camera.registers[feature.key]
                 assert value == held, name
         assert client.camera.get_vendor_name() == "Sagoma"
         assert client.camera.get_device_serial_number() == "SIM00001"

@@ -12,6 +12,7 @@ from gige_vision import gvcp as gvcp_payloads
 from gige_vision.bootstrap import Capability
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+from virtual_studio.gige.server.device import Device, Faults
 from virtual_studio.gige.server.gvcp_server import ControlPrivilege
 from virtual_studio.gige.server.loop import Timer
 from virtual_studio.gige.server.registers import Registers
@@ -97,7 +98,8 @@ def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
     clock = SimpleNamespace(monotonic_ns=lambda: now.ns, time_ns=lambda: now.ns)
     monkeypatch.setattr("virtual_studio.gige.server.gvcp_server.time", clock)
     registers, loop, released, peer = Registers(table()), FakeLoop(), [], ("127.0.0.1", 5000)
-    privilege = ControlPrivilege(registers, Counter(), loop, lambda: released.append(now.ns))
+    device = Device("127.0.0.9", CameraSettings(), registers, Faults(), Counter(), loop)
+    privilege = ControlPrivilege(device, lambda: released.append(now.ns))
     privilege.request(peer, 2)
     for ms in (1000, 2500, 4000):
         now.ns = ms * 1_000_000

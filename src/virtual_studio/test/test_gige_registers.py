@@ -10,17 +10,16 @@ import pytest
 
 from gige_vision import bootstrap
 from gige_vision.gvcp import Status
+from virtual_studio.gige.server.device import OLD, SFNC, CameraSettings
 from virtual_studio.gige.server.genicam_xml import genicam_xml, zipped
 from virtual_studio.gige.server.registers import FILE_SPACE, Kind, RegisterError, Registers
-from virtual_studio.gige.server.settings import OLD, SFNC, CameraSettings
-from virtual_studio.gige.simulated_camera.camera import _features
-from virtual_studio.live.scenes import PatternScene
+from virtual_studio.gige.simulated_camera.feature_table import feature_table
 
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
 
 
 def table(generation=SFNC, colour=True):
-    return _features(CameraSettings(generation=generation), "127.0.0.9", PatternScene(colour=colour))
+    return feature_table(CameraSettings(generation=generation), "127.0.0.9", 640, 480, colour)
 
 
 def registers():

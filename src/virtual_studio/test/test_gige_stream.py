@@ -10,9 +10,9 @@ from gige_client import eventually
 
 from gige_vision.gvcp import ResendRequest, Status
 from gige_vision.gvsp import Content, ImageLeader, ImageTrailer, PacketHeader
+from virtual_studio.gige.server.device import CameraSettings, Device, Faults
 from virtual_studio.gige.server.loop import EventLoop
 from virtual_studio.gige.server.registers import Registers
-from virtual_studio.gige.server.settings import CameraSettings, Faults
 from virtual_studio.gige.server.stream import Block, Layout, StreamChannel, _stretches
 from virtual_studio.gige.simulated_camera.camera import feature_table
 
@@ -31,7 +31,8 @@ class Wire:
         settings = CameraSettings(max_packet_size=65500, resend_frames=3)
         self.registers = Registers(feature_table(settings, "127.0.0.1", 640, 480, colour=False))
         self.loop, self.faults, self.counters = EventLoop(), Faults(**faults), Counter()
-        self.channel = StreamChannel("127.0.0.1", self.registers, settings, self.faults, self.counters, self.loop)
+        device = Device("127.0.0.1", settings, self.registers, self.faults, self.counters, self.loop)
+        self.channel = StreamChannel(device)
         self.registers["GevSCDA"] = int(ipaddress.IPv4Address("127.0.0.1"))
         self.registers["GevSCPHostPort"] = self.receiver.getsockname()[1]
         self.registers["PacketSizeWord"], self.registers["GevSCCFG"] = packet_size, int(extended)

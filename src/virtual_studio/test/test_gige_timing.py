@@ -15,9 +15,8 @@ from hypothesis import strategies as st
 from virtual_studio.gige import CameraSettings, EventLoop, Faults, Playback, TriggerWire
 from virtual_studio.gige.server.registers import Registers
 from virtual_studio.gige.simulated_camera.camera import feature_table
-from virtual_studio.gige.simulated_camera.clock import CameraClock
 from virtual_studio.gige.simulated_camera.imaging import ExposureControl
-from virtual_studio.gige.simulated_camera.timing import Timing, next_multiple
+from virtual_studio.gige.simulated_camera.timing import CameraClock, Timing, next_multiple
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_800_000_000 * SECOND_NS
@@ -31,7 +30,7 @@ rates = st.sampled_from([0.5, 25, 29.97, 30, 59.94, 60, 100, 120, 999.9])
 def now(monkeypatch):
     """A system clock that stands still until it is moved."""
     clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns)
-    monkeypatch.setattr("virtual_studio.gige.simulated_camera.clock.time", clock)
+    monkeypatch.setattr("virtual_studio.gige.simulated_camera.timing.time", clock)
     return clock
 
 
@@ -92,9 +91,9 @@ def test_ptp_falls_back_when_the_grandmaster_goes(now):
     faults = Faults()
     clock = CameraClock(CameraSettings(ptp_settle_s=0.0), faults)
     clock.enable_ptp(True)
-    assert clock.in_step
+    assert clock.is_synchronised
     faults.ptp_lost = True
-    assert (clock.ptp_state, clock.in_step) == (4, False)
+    assert (clock.ptp_state, clock.is_synchronised) == (4, False)
 
 
 def timing(**values):

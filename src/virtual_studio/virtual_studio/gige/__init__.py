@@ -2,8 +2,8 @@
 
 from ..live.scenes import CameraScene, PatternScene, Playback
 from .addresses import free_addresses
+from .server.device import CameraSettings, Faults
 from .server.loop import EventLoop
-from .server.settings import CameraSettings, Faults
 from .simulated_camera.camera import SimulatedCamera
 from .simulated_camera.timing import TriggerWire
 from .studio import Studio, StudioSettings

@@ -18,7 +18,7 @@ from capture_rig.settings import build_settings
 from ..live.rendered_scenes import PHASES
 from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
 from .control import Request, ask, default_path
-from .server.settings import FAULT_NAMES
+from .server.device import FAULT_NAMES
 from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
 
 # --- The files with which camera clients and hull server run against a studio.

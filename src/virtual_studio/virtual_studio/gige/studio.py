@@ -24,8 +24,8 @@ from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
 from .addresses import consecutive_addresses
 from .control import ControlServer, Request
+from .server.device import CameraSettings
 from .server.loop import EventLoop
-from .server.settings import CameraSettings
 from .simulated_camera.camera import SimulatedCamera
 from .simulated_camera.timing import TriggerWire
 

@@ -1,4 +1,4 @@
-"""The control channel of a camera: answers GVCP commands from its registers."""
+"""The control channel of a camera (GVCP): answers commands from its registers; one application has control."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import functools
 import ipaddress
 import socket
 import time
-from collections import Counter
 from collections.abc import Callable
 
 from capture_rig.errors import InputError
@@ -31,25 +30,24 @@ from gige_vision.gvcp import (
     encode_words,
 )
 
-from .loop import EventLoop, Timer
-from .registers import RegisterError, Registers
-from .settings import Faults
-
-# --- Who controls a camera: one application at a time, as long as its heartbeat comes.
+from .device import Device
+from .loop import Timer
+from .registers import RegisterError
 
 Peer = tuple[str, int]
+BROADCAST = "255.255.255.255"
+LARGEST_COMMAND = 2048
 
 
 class ControlPrivilege:
-    """The control channel privilege: given to the first who asks, taken back when its owner falls silent.
+    """Grants control to the first application that asks, and takes it back when its heartbeat stops.
 
-    on_release is called whenever nobody controls the camera any more.
+    on_release is called whenever the control becomes free.
     """
 
-    def __init__(
-        self, registers: Registers, counters: Counter[str], loop: EventLoop, on_release: Callable[[], None]
-    ) -> None:
-        self._registers, self._counters, self._loop, self._on_release = registers, counters, loop, on_release
+    def __init__(self, device: Device, on_release: Callable[[], None]) -> None:
+        self._registers, self._counters, self._loop = device.registers, device.counters, device.loop
+        self._on_release = on_release
         self.owner: Peer | None = None
         self._heard_ns = 0
         self._timer: Timer | None = None
@@ -65,12 +63,12 @@ class ControlPrivilege:
         return self.owner in (None, peer) or not self.exclusive
 
     def heartbeat_from(self, peer: Peer) -> None:
-        """Any command of the owner is a heartbeat."""
+        """Notes that a peer is alive: any command of the owner is a heartbeat."""
         if peer == self.owner:
             self._heard_ns = time.monotonic_ns()
 
     def request(self, peer: Peer, value: int) -> None:
-        """A write to the privilege register. Raises RegisterError (access denied) while another one is the owner."""
+        """Handles a write to the privilege register. Raises RegisterError (access denied) while a peer owns it."""
         if self.owner not in (None, peer):
             self._counters["control_denied"] += 1
             raise RegisterError(Status.ACCESS_DENIED)
@@ -86,7 +84,7 @@ class ControlPrivilege:
         self._watch()
 
     def release(self) -> None:
-        """Nobody controls the camera any more, and its stream goes nowhere."""
+        """Frees the control, and ends the stream."""
         self.owner = None
         if self._timer is not None:
             self._timer.cancel()
@@ -108,33 +106,24 @@ class ControlPrivilege:
         self._timer = self._loop.call_at(time.time_ns() + left_ns, self._watch)
 
 
-BROADCAST = "255.255.255.255"
-LARGEST_COMMAND = 2048
-
-
 class GvcpServer:
-    """One camera's control channel on ``address``:3956. Raises InputError where the address cannot be had."""
+    """Serves one camera's control channel on its address, port 3956. Raises InputError if the address is not free."""
 
     def __init__(
         self,
-        address: str,
-        broadcast: bool,
-        registers: Registers,
+        device: Device,
         privilege: ControlPrivilege,
-        faults: Faults,
-        counters: Counter[str],
-        loop: EventLoop,
         on_resend: Callable[[ResendRequest], None],
         on_action: Callable[[Action], Status | None],
     ) -> None:
-        self._registers, self._privilege, self._faults, self._counters = registers, privilege, faults, counters
-        self._loop, self._on_resend, self._on_action = loop, on_resend, on_action
-        self._socket = _bound(address)
+        self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
+        self._loop, self._privilege, self._on_resend, self._on_action = device.loop, privilege, on_resend, on_action
+        self._socket = _bound(device.address)
         self._sockets = [self._socket]
-        if broadcast:
+        if device.settings.broadcast:
             self._sockets.append(_bound(BROADCAST))
         for each in self._sockets:
-            loop.add_reader(each, functools.partial(self._receive, each))
+            self._loop.add_reader(each, functools.partial(self._receive, each))
 
     def close(self) -> None:
         for each in self._sockets:
@@ -180,7 +169,7 @@ class GvcpServer:
         return owner is not None and owner[0] == peer[0]
 
     def _answer(self, packet: CommandPacket, peer: Peer) -> AcknowledgePacket | None:
-        """The answer to a command; None where silence is the answer (an action that is meant for others)."""
+        """The answer to a command; None for an action that is meant for other cameras."""
         status, payload = Status.SUCCESS, b""
         try:
             if packet.command == Command.ACTION:

@@ -1,4 +1,7 @@
-"""A camera's register memory: what may be read and written where, and what happens then."""
+"""A camera's features and its register memory: what may be read and written where, and what happens then.
+
+Each feature is one row of a table, from which both the register memory and the GenICam description are made.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
 from itertools import count
+from typing import Any
 
 from gige_vision.gvcp import Status, decode_text, encode_text
-
-# --- What a feature of a camera is: one row of the table that register memory and GenICam XML are both made from.
 
 Value = int | float | str
 
 FEATURE_SPACE = 0x1_0000
 """Where the registers begin that have no place in the standard."""
+FILE_SPACE = 0x8_0000
+"""Where the GenICam description lies."""
 
 
 class Kind(Enum):
@@ -75,7 +79,7 @@ class Feature:
 
 
 def placed(features: list[Feature]) -> tuple[Feature, ...]:
-    """The same features with an address for each register that had none."""
+    """Gives an address to each register that has none."""
     addresses = count(FEATURE_SPACE, 8)
     return tuple(
         dataclasses.replace(f, address=_take(addresses, f.length)) if f.address < 0 and f.has_register else f
@@ -83,32 +87,32 @@ def placed(features: list[Feature]) -> tuple[Feature, ...]:
     )
 
 
-def integer(key: str, category: str, default: int = 0, **more: object) -> Feature:
-    return Feature(key, Kind.INTEGER, name=key, category=category, default=default, **more)  # type: ignore[arg-type]
+def integer(key: str, category: str, default: int = 0, **more: Any) -> Feature:
+    return Feature(key, Kind.INTEGER, name=key, category=category, default=default, **more)
 
 
-def real(key: str, category: str, default: float = 0.0, **more: object) -> Feature:
-    return Feature(key, Kind.FLOAT, name=key, category=category, default=default, length=8, **more)  # type: ignore[arg-type]
+def real(key: str, category: str, default: float = 0.0, **more: Any) -> Feature:
+    return Feature(key, Kind.FLOAT, name=key, category=category, default=default, length=8, **more)
 
 
-def boolean(key: str, category: str, default: bool = False, **more: object) -> Feature:
-    return Feature(key, Kind.BOOLEAN, name=key, category=category, default=int(default), **more)  # type: ignore[arg-type]
+def boolean(key: str, category: str, default: bool = False, **more: Any) -> Feature:
+    return Feature(key, Kind.BOOLEAN, name=key, category=category, default=int(default), **more)
 
 
-def command(key: str, category: str, **more: object) -> Feature:
-    return Feature(key, Kind.COMMAND, name=key, category=category, **more)  # type: ignore[arg-type]
+def command(key: str, category: str, **more: Any) -> Feature:
+    return Feature(key, Kind.COMMAND, name=key, category=category, **more)
 
 
-def text(key: str, category: str, default: str, length: int, **more: object) -> Feature:
-    return Feature(key, Kind.STRING, name=key, category=category, default=default, length=length, **more)  # type: ignore[arg-type]
+def text(key: str, category: str, default: str, length: int, **more: Any) -> Feature:
+    return Feature(key, Kind.STRING, name=key, category=category, default=default, length=length, **more)
 
 
-def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: object) -> Feature:
+def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
     """An enumeration; its default is the first entry unless named."""
     first = entries[default] if default else next(iter(entries.values()))
     return Feature(
         key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first, **more
-    )  # type: ignore[arg-type]
+    )
 
 
 def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
@@ -122,10 +126,6 @@ def _take(addresses: count, length: int) -> int:
     for _ in range((length - 1) // 8):
         next(addresses)
     return address
-
-
-FILE_SPACE = 0x8_0000
-"""Where the GenICam description lies."""
 
 
 class RegisterError(Exception):
@@ -159,7 +159,7 @@ class Registers:
         self.reset()
 
     def reset(self) -> None:
-        """Every register as after power-on. No hook is called."""
+        """Sets every register as after power-on. No hook is called."""
         self._values = {key: feature.default for key, feature in self._features.items()}
 
     def __getitem__(self, key: str) -> Value:
@@ -178,11 +178,11 @@ class Registers:
         return float(self._values[key])
 
     def label(self, key: str) -> str:
-        """The name of an enumeration's present entry."""
+        """Returns the name of an enumeration's present entry."""
         return next(name for name, value in self._features[key].entries if value == self._values[key])
 
     def read(self, address: int, count: int) -> bytes:
-        """Bytes of the memory. Raises RegisterError."""
+        """Reads bytes of the memory. Raises RegisterError."""
         if address % 4 or count % 4 or count <= 0:
             raise RegisterError(Status.BAD_ALIGNMENT)
         if address >= FILE_SPACE:
@@ -200,7 +200,7 @@ class Registers:
         return bytes(data[:count])
 
     def write(self, address: int, data: bytes) -> None:
-        """One client's write of a register or of several whole ones. Raises RegisterError, before anything changes."""
+        """Handles a client's write of one register or several. Raises RegisterError, before anything changes."""
         if address % 4 or len(data) % 4 or not data:
             raise RegisterError(Status.BAD_ALIGNMENT)
         changes: list[tuple[Feature, Value]] = []

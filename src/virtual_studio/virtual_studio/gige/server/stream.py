@@ -1,11 +1,13 @@
-"""The stream channel of a camera: sends blocks, some packets of them again, and loses as many as it is told to."""
+"""The stream channel of a camera (GVSP): cuts images into packets, sends them, sends some again, and loses some.
+
+Headers and image stay where they are and meet in the send: no pixel is copied.
+"""
 
 from __future__ import annotations
 
 import socket
 import struct
 import time
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,15 +28,15 @@ from gige_vision.gvsp import (
     payload_capacity,
 )
 
-from .loop import EventLoop
-from .registers import Registers
-from .settings import CameraSettings, Faults
-
-# --- Blocks cut into stream packets, without moving a pixel.
+from .device import Device
 
 LARGEST_SEND = 65507
 """Bytes of UDP payload in one datagram, and in one send that the system cuts into several."""
 MOST_SEGMENTS = 64
+UDP_SEGMENT = 103  # linux/udp.h: the size at which the system cuts a send into datagrams
+SEND_BUFFER_BYTES = 4 << 20
+MOST_REFUSALS = 64
+BURST_NS = 500_000  # packets that a delay spreads leave in bursts this far apart
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,7 @@ Piece = list[bytes | memoryview]
 class Block:
     """One block as it goes over the wire: packet 0 the leader, 1 ... n the payload, n + 1 the trailer.
 
-    Headers and image stay where they are and meet in the send; nothing is copied. The image must not change as long as
-    its packets may be asked for again.
+    The image must not change as long as its packets may be asked for again.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -89,7 +90,7 @@ class Block:
         return self.layout.rows + 2
 
     def fill(self, block_id: int, leader: ImageLeader, data: NDArray[np.uint8], trailer: ImageTrailer) -> None:
-        """Put a new block in: ``data`` (layout.block_bytes,), contiguous."""
+        """Puts a new image in: ``data`` (layout.block_bytes,), contiguous."""
         layout, self.block_id = self.layout, block_id
         id_bytes = np.frombuffer(struct.pack(">Q" if layout.extended else ">H", block_id), np.uint8)
         first = 8 if layout.extended else 2
@@ -99,7 +100,7 @@ class Block:
         self._trailer = self._header(Content.TRAILER, layout.rows + 1) + trailer.encode()
 
     def packet(self, packet_id: int) -> Piece:
-        """One packet."""
+        """Returns one packet."""
         if packet_id == 0:
             return [self._leader]
         if packet_id == self.layout.rows + 1:
@@ -108,7 +109,7 @@ class Block:
         return [self._header_views[packet_id - 1], self._image[start : start + size]]
 
     def runs(self, first: int, end: int) -> list[Piece]:
-        """Payload packets first ... end - 1 (ids from 1), as few pieces as one send each can take."""
+        """Returns payload packets first ... end - 1 (ids from 1) in as few pieces, of one send each, as possible."""
         most = min(max(LARGEST_SEND // self.layout.segment, 1), MOST_SEGMENTS)
         return [
             [part for packet_id in range(start, min(start + most, end)) for part in self.packet(packet_id)]
@@ -116,7 +117,7 @@ class Block:
         ]
 
     def resent(self, packet_id: int) -> Piece:
-        """One packet, marked as sent again."""
+        """Returns one packet, marked as sent again."""
         header, *image = self.packet(packet_id)
         return [struct.pack(">H", Status.PACKET_RESEND) + bytes(header[2:]), *image]
 
@@ -124,27 +125,13 @@ class Block:
         return PacketHeader(content, self.block_id, packet_id, extended=self.layout.extended).encode()
 
 
-UDP_SEGMENT = 103  # linux/udp.h: the size at which the system cuts a send into datagrams
-SEND_BUFFER_BYTES = 4 << 20
-MOST_REFUSALS = 64
-BURST_NS = 500_000  # packets that a delay spreads leave in bursts this far apart
-
-
 class StreamChannel:
-    """Sends blocks to whom the registers name. Only called from within the loop."""
+    """Sends blocks to the address in the registers. Only called from within the loop."""
 
-    def __init__(
-        self,
-        address: str,
-        registers: Registers,
-        settings: CameraSettings,
-        faults: Faults,
-        counters: Counter[str],
-        loop: EventLoop,
-    ) -> None:
-        self._registers, self._settings, self._faults, self._loop = registers, settings, faults, loop
-        self._counters = counters
-        self._rng = np.random.default_rng(settings.seed)
+    def __init__(self, device: Device) -> None:
+        self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
+        self._settings, self._loop = device.settings, device.loop
+        self._rng = np.random.default_rng(device.settings.seed)
         self._blocks: list[Block] = []
         self._next = 0
         self._layout: Layout | None = None
@@ -153,9 +140,9 @@ class StreamChannel:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        self._socket.bind((address, 0))
-        registers["GevSCSP"] = self._socket.getsockname()[1]
-        registers.writes["PacketSizeWord"] = self._packet_size_written
+        self._socket.bind((device.address, 0))
+        device.registers["GevSCSP"] = self._socket.getsockname()[1]
+        device.registers.writes["PacketSizeWord"] = self._packet_size_written
 
     def close(self) -> None:
         self._socket.close()
@@ -166,12 +153,12 @@ class StreamChannel:
         return self._registers.integer("GevSCPHostPort") != 0
 
     def discard_blocks(self) -> None:
-        """Nothing can be sent again any more: a new acquisition begins."""
+        """Forgets what was sent: a new acquisition begins."""
         for block in self._blocks:
             block.block_id = 0
 
     def send(self, block_id: int, leader: ImageLeader, data: NDArray[np.uint8], trailer: ImageTrailer) -> None:
-        """Send one block, at once or spread over time by the packet delay."""
+        """Sends one block, at once or spread over time by the packet delay."""
         block = self._take_block(len(data))
         block.fill(block_id, leader, data, trailer)
         destination, delay_ns = self._destination, self._registers.integer("GevSCPD")
@@ -183,7 +170,7 @@ class StreamChannel:
         self._counters["frames_sent"] += 1
 
     def resend(self, request: ResendRequest) -> None:
-        """Answer a resend request from the last blocks; packets that are gone are said to be."""
+        """Answers a resend request from the last blocks; packets that are gone are reported unavailable."""
         self._counters["resend_requests"] += 1
         if self._faults.no_resend:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
-from collections import Counter, deque
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,13 @@ from gige_vision.gvsp import ImageLeader, ImageTrailer, Payload, encode_chunk, n
 from gige_vision.pixel_formats import PixelFormat
 
 from ...live.scenes import CameraScene
-from ..server.loop import EventLoop, Timer
-from ..server.registers import RegisterError, Registers, Value
-from ..server.settings import Faults
+from ..server.device import Device
+from ..server.loop import Timer
+from ..server.registers import RegisterError, Value
 from ..server.stream import StreamChannel
-from .clock import CameraClock
 from .feature_table import ACQUISITION_MODES, CHUNKS, IMAGE_CHUNK
-from .imaging import ExposureControl, ImagingPipeline, Region, pixel_bytes
-from .timing import Timing
+from .imaging import ImagingPipeline, pixel_bytes
+from .timing import CameraClock, Timing
 
 LONGEST_BACKLOG_NS = 250_000_000
 """A camera that is late by more (its machine slept) leaves frames out."""
@@ -30,41 +29,35 @@ LOCKED = ("Width", "Height", "BinningHorizontal", "BinningVertical", "PixelForma
 
 
 class Acquisition:
-    """Frames of one camera, from AcquisitionStart to AcquisitionStop. Only called from within the loop."""
+    """Takes one camera's frames, from AcquisitionStart to AcquisitionStop. Only called from within the loop."""
 
     def __init__(
         self,
+        device: Device,
         scene: CameraScene,
-        registers: Registers,
         clock: CameraClock,
-        exposure: ExposureControl,
-        region: Region,
-        sensor: ImagingPipeline,
+        imaging: ImagingPipeline,
         timing: Timing,
         stream: StreamChannel,
-        faults: Faults,
-        counters: Counter[str],
-        loop: EventLoop,
     ) -> None:
         self.scene = scene
-        self._registers, self._clock, self._exposure, self._region = registers, clock, exposure, region
-        self._sensor, self._timing, self._stream, self._faults = sensor, timing, stream, faults
-        self._counters, self._loop = counters, loop
+        self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
+        self._loop, self._clock, self._imaging, self._timing, self._stream = device.loop, clock, imaging, timing, stream
         self.running = False
         self.lateness_ns: deque[int] = deque(maxlen=REMEMBERED)
         self._block_id = self._frames_left = 0
         self._busy_until_ns = 0
         self._timers: list[Timer] = []
-        registers.writes["AcquisitionStart"] = self.start
-        registers.writes["AcquisitionStop"] = self.stop
-        registers.writes["TriggerSoftware"] = lambda: self.trigger("Software", time.time_ns())
+        self._registers.writes["AcquisitionStart"] = self.start
+        self._registers.writes["AcquisitionStop"] = self.stop
+        self._registers.writes["TriggerSoftware"] = lambda: self.trigger("Software", time.time_ns())
         for key in ("TriggerMode", "TriggerSource", "SyncFreeRunTimerEnable"):
-            registers.writes[key] = self._rearm
+            self._registers.writes[key] = self._rearm
         for key in LOCKED:
-            registers.checks[key] = self._refuse_while_running
+            self._registers.checks[key] = self._refuse_while_running
 
     def start(self) -> None:
-        """Begin with block 1."""
+        """Begins with block 1."""
         if self.running:
             return
         self._stream.discard_blocks()
@@ -79,12 +72,12 @@ class Acquisition:
         self._rearm()
 
     def stop(self) -> None:
-        """No frame leaves any more."""
+        """Stops: no frame leaves any more."""
         self.running = False
         self._cancel()
 
     def trigger(self, source: str, instant_ns: int) -> bool:
-        """A trigger at an instant (UTC, ns); True when it starts an exposure."""
+        """Handles a trigger at an instant (UTC, ns); True when it starts an exposure."""
         if not self.running or self._timing.source != source:
             return False
         start_ns = instant_ns + self._timing.trigger_delay_ns
@@ -96,7 +89,7 @@ class Acquisition:
         return True
 
     def execute_action(self, action: Action) -> Status | None:
-        """An action command: trigger now or at its time; None when it is meant for other cameras."""
+        """Triggers now or at the time of an action command; None when it is meant for other cameras."""
         r = self._registers
         if action.device_key != r.integer("ActionDeviceKey") or action.group_key != r.integer("ActionGroupKey"):
             return None
@@ -106,7 +99,7 @@ class Acquisition:
         if action.time_ns is None:
             self.trigger("Action1", time.time_ns())
             return Status.SUCCESS
-        if not self._clock.in_step:
+        if not self._clock.is_synchronised:
             return Status.NO_REFERENCE_TIME
         when_ns = self._clock.utc_of(action.time_ns)
         if when_ns < time.time_ns():
@@ -116,19 +109,19 @@ class Acquisition:
         return Status.SUCCESS
 
     def _rearm(self) -> None:
-        """The first exposure of a free-running camera; a triggered one waits."""
+        """Schedules the first exposure of a free-running camera; a triggered one waits."""
         self._cancel()
         if self.running and self._timing.is_periodic:
             self._expose_at(self._timing.next_start(time.time_ns()))
 
     def _expose_at(self, start_ns: int) -> None:
-        exposure_ns = self._exposure.exposure_ns
+        exposure_ns = self._imaging.exposure.exposure_ns
         self._busy_until_ns = start_ns + exposure_ns
         self._timers = [timer for timer in self._timers if timer.when_ns > time.time_ns() - LONGEST_BACKLOG_NS]
         self._timers.append(self._loop.call_at(start_ns + exposure_ns, lambda: self._read_out(start_ns, exposure_ns)))
 
     def _read_out(self, start_ns: int, exposure_ns: int) -> None:
-        """The exposure is over: send the frame, and begin the next one."""
+        """Sends the frame when its exposure is over, and begins the next one."""
         late_ns = time.time_ns() - start_ns - exposure_ns
         self.lateness_ns.append(late_ns)
         self._counters["frames_exposed"] += 1
@@ -147,8 +140,8 @@ class Acquisition:
             self._expose_at(self._timing.next_start(after_ns))
 
     def _send(self, start_ns: int, exposure_ns: int) -> None:
-        picture = self._sensor.render(self.scene.image(start_ns + exposure_ns // 2))
-        region, r = self._region, self._registers
+        picture = self._imaging.capture(self.scene.image(start_ns + exposure_ns // 2))
+        region, r = self._imaging.region, self._registers
         self._block_id = next_block_id(self._block_id, bool(r.integer("GevSCCFG")))
         stamp = self._clock.stamp(start_ns)
         data = pixel_bytes(picture, region.pixel_format)
@@ -168,7 +161,7 @@ class Acquisition:
         self._stream.send(self._block_id, leader, data, ImageTrailer(r.integer("Height"), chunk_bytes))
 
     def _announced_format(self) -> int:
-        wanted = self._region.pixel_format
+        wanted = self._imaging.region.pixel_format
         if not self._faults.wrong_format:
             return wanted
         return PixelFormat.Mono12 if wanted is PixelFormat.Mono8 else PixelFormat.Mono8
@@ -176,12 +169,12 @@ class Acquisition:
     def _with_chunks(self, data: NDArray[np.uint8], stamp: int) -> NDArray[np.uint8]:
         contents = {
             "Timestamp": struct.pack(">q", stamp),
-            "ExposureTime": struct.pack(">d", self._exposure.exposure_us),
+            "ExposureTime": struct.pack(">d", self._imaging.exposure.exposure_us),
             "FrameID": struct.pack(">Q", self._block_id),
-            "Gain": struct.pack(">d", self._exposure.gain_db),
+            "Gain": struct.pack(">d", self._imaging.exposure.gain_db),
         }
         tail = encode_chunk(IMAGE_CHUNK, b"")[:4] + struct.pack(">I", len(data))
-        tail += b"".join(encode_chunk(CHUNKS[name], contents[name]) for name in self._region.chunks)
+        tail += b"".join(encode_chunk(CHUNKS[name], contents[name]) for name in self._imaging.region.chunks)
         return np.concatenate([data, np.frombuffer(tail, np.uint8)])
 
     def _cancel(self) -> None:

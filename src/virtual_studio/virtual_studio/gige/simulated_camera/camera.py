@@ -1,4 +1,4 @@
-"""A simulated GigE Vision camera on a loopback address, opened by its clients exactly as hardware is."""
+"""A simulated GigE Vision camera on a loopback address, which clients open exactly as hardware."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from gige_vision import bootstrap
 from gige_vision.bootstrap import Capability
 
 from ...live.scenes import CameraScene
+from ..server.device import CameraSettings, Device, Faults
 from ..server.genicam_xml import XML_NAME, genicam_xml, zipped
 from ..server.gvcp_server import ControlPrivilege, GvcpServer
 from ..server.loop import EventLoop
 from ..server.registers import FILE_SPACE, Feature, Registers
-from ..server.settings import CameraSettings, Faults
 from ..server.stream import StreamChannel
 from .acquisition import Acquisition
-from .clock import CameraClock
-from .feature_table import CAPABILITIES, COLOUR_FORMATS, MONO_FORMATS, feature_table
-from .imaging import ExposureControl, ImagingPipeline, Region
-from .timing import Timing, TriggerWire
+from .feature_table import CAPABILITIES, feature_table
+from .imaging import ImagingPipeline
+from .timing import CameraClock, Timing, TriggerWire
 
 STEADY_C, SWING_C, SWING_S = 42.0, 1.5, 120.0
-"""The device's temperature, and how it goes up and down."""
+"""The device's mean temperature, and amplitude and period of its swing."""
 
 
 class SimulatedCamera:
-    """A camera that serves a scene. start() powers it on, close() ends it; also a context manager.
+    """Serves a scene as a camera. start() powers it on, close() ends it; also a context manager.
 
     Several cameras of one process share an event loop (one thread) and a trigger wire; a camera that is given none has
     its own. ``faults`` can be changed while it runs; ``counters`` tell what has happened.
@@ -54,14 +53,15 @@ class SimulatedCamera:
         self.wire = wire or TriggerWire(self.loop)
         self.wire.listen(self._line_rose)
         self._user_id = self.settings.user_id
-        self._features = _features(self.settings, address, scene)
+        height, width, *channels = scene.shape
+        self._features = feature_table(self.settings, address, width, height, bool(channels))
         self._description = zipped(genicam_xml(self._features, self.settings.vendor, self.settings.model))
-        self._parts: _Parts | None = None
+        self._powered: _PoweredCamera | None = None
         self._scene = scene
         self._started = self._closed = False
 
     def start(self) -> SimulatedCamera:
-        """Power on."""
+        """Powers the camera on."""
         if self._closed:
             raise RuntimeError("a closed camera cannot be started again")
         if not self._started:
@@ -76,7 +76,7 @@ class SimulatedCamera:
         return self
 
     def close(self) -> None:
-        """Power off for good."""
+        """Powers the camera off for good."""
         if self._started and not self._closed:
             self.power_off()
             self._closed = True
@@ -84,27 +84,33 @@ class SimulatedCamera:
                 self.loop.stop()
 
     def power_off(self) -> None:
-        """Its sockets are gone and its state is lost, but for the user's name of it."""
+        """Closes its sockets and loses its state, except for the user-defined name."""
         self.loop.call(self._power_off)
 
     def power_on(self) -> None:
-        """Registers as after power-on, a clock that counts anew, nobody in control."""
+        """Starts anew: registers as after power-on, a new clock, nobody in control."""
         self.loop.call(self._power_on)
 
     @property
     def powered(self) -> bool:
-        return self._parts is not None
+        return self._powered is not None
 
     @property
     def scene(self) -> CameraScene:
         return self._scene
 
     @property
+    def registers(self) -> Registers:
+        """The register memory. Only while the camera is powered."""
+        assert self._powered is not None
+        return self._powered.registers
+
+    @property
     def features(self) -> tuple[Feature, ...]:
         return self._features
 
     def status(self) -> dict[str, object]:
-        """What it is doing, for people and for machines."""
+        """Returns what it is doing, for people and for programs."""
         return self.loop.call(self._status)
 
     def __enter__(self) -> SimulatedCamera:
@@ -116,66 +122,40 @@ class SimulatedCamera:
         self.close()
 
     def _power_on(self) -> None:
-        if self._parts is None:
-            self._parts = _Parts(self, self._description, self._user_id)
+        if self._powered is None:
+            self._powered = _PoweredCamera(self, self._description, self._user_id)
 
     def _power_off(self) -> None:
-        if self._parts is not None:
-            self._user_id = str(self._parts.registers["DeviceUserID"])
-            self._parts.close()
-            self._parts = None
+        if self._powered is not None:
+            self._user_id = str(self._powered.registers["DeviceUserID"])
+            self._powered.close()
+            self._powered = None
 
     def _line_rose(self, instant_ns: int) -> None:
-        if self._parts is not None and not self.faults.unplugged:
-            self._parts.acquisition.trigger("Line1", instant_ns)
+        if self._powered is not None and not self.faults.unplugged:
+            self._powered.acquisition.trigger("Line1", instant_ns)
 
     def _status(self) -> dict[str, object]:
         status: dict[str, object] = {"address": self.address, "serial": self.settings.serial, "power": self.powered}
-        if self._parts is not None:
-            status |= self._parts.status()
+        if self._powered is not None:
+            status |= self._powered.status()
         return status | {"faults": self.faults.active(), "counters": dict(self.counters)}
 
 
-class _Parts:
-    """Everything that lives from power-on to power-off."""
+class _PoweredCamera:
+    """The parts of a camera that live from power-on to power-off."""
 
     def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
-        settings, faults, counters, loop = camera.settings, camera.faults, camera.counters, camera.loop
-        self._camera = camera
-        self.registers = Registers(camera.features, description)
+        self._camera, self.registers = camera, Registers(camera.features, description)
+        device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
         self._set_identity(description, user_id)
-        self._clock = CameraClock(settings, faults)
-        self._exposure = ExposureControl(self.registers, settings)
-        self._region = Region(self.registers)
-        self._timing = Timing(self.registers, self._clock, self._exposure)
-        sensor = ImagingPipeline(self.registers, self._exposure, settings, faults)
-        self._stream = StreamChannel(camera.address, self.registers, settings, faults, counters, loop)
-        self.acquisition = Acquisition(
-            camera.scene,
-            self.registers,
-            self._clock,
-            self._exposure,
-            self._region,
-            sensor,
-            self._timing,
-            self._stream,
-            faults,
-            counters,
-            loop,
-        )
-        self.privilege = ControlPrivilege(self.registers, counters, loop, self.acquisition.stop)
+        self._clock, self._imaging = CameraClock(camera.settings, camera.faults), ImagingPipeline(device)
+        self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
+        self._stream = StreamChannel(device)
+        self.acquisition = Acquisition(device, camera.scene, self._clock, self._imaging, self._timing, self._stream)
+        self.privilege = ControlPrivilege(device, self.acquisition.stop)
         try:
-            self._server = GvcpServer(
-                camera.address,
-                settings.broadcast,
-                self.registers,
-                self.privilege,
-                faults,
-                counters,
-                loop,
-                self._stream.resend,
-                self.acquisition.execute_action,
-            )
+            self._server = GvcpServer(device, self.privilege, self._stream.resend, self.acquisition.execute_action)
         except InputError:
             self._stream.close()
             raise
@@ -227,7 +207,7 @@ class _Parts:
 
     def _latch_ptp(self) -> None:
         self.registers["PtpOffsetFromMaster"] = self._clock.offset_from_master_ns
-        self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.in_step else 0
+        self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.is_synchronised else 0
 
     def _latch_time(self) -> None:
         stamp = self._clock.stamp(time.time_ns())
@@ -256,7 +236,7 @@ class _Parts:
         self.registers.reset()
         for key, value in kept.items():
             self.registers[key] = value
-        self._region.reset()
+        self._imaging.region.reset()
         self._timing.reset()
         self._clock.enable_ptp(False)
 
@@ -276,19 +256,6 @@ _KEPT_BY_USER_SET = (
     "GevSCPD",
     "GevSCCFG",
 )
-
-
-def _features(settings: CameraSettings, address: str, scene: CameraScene) -> tuple[Feature, ...]:
-    height, width = scene.shape[:2]
-    colour = len(scene.shape) == 3
-    known = ("auto", *MONO_FORMATS, *(COLOUR_FORMATS if colour else ()))
-    if settings.pixel_format not in known:
-        raise InputError(
-            f"pixel_format = {settings.pixel_format!r} is not offered",
-            where=f"camera {address}",
-            remedy=f"Choose one of {', '.join(known)}.",
-        )
-    return feature_table(settings, address, width, height, colour)
 
 
 def _temperature() -> float:

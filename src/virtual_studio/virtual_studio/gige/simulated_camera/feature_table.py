@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import ipaddress
 
+from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision.bootstrap import Capability
 from gige_vision.pixel_formats import PixelFormat
 
+from ..server.device import OLD, CameraSettings
 from ..server.registers import Feature, boolean, choice, command, hidden, integer, placed, real, text
-from ..server.settings import OLD, CameraSettings
-from .clock import PTP_STATES, TICKS_PER_SECOND
 
 MAX_BINNING = 4
 MAX_GAIN_DB = 24.0
@@ -20,6 +20,12 @@ GAIN_RAW_STEP_DB = 0.1
 MONO_FORMATS = ("Mono8", "Mono10", "Mono10Packed", "Mono12", "Mono12Packed")
 COLOUR_FORMATS = ("BayerRG8", "RGB8", "BGR8", "YUV422_8")
 OFF, ON = 0, 1
+TICKS_PER_SECOND = 1_000_000_000
+PTP_STATES = {
+    "Initializing": 1, "Faulty": 2, "Disabled": 3, "Listening": 4, "PreMaster": 5, "Master": 6, "Passive": 7,
+    "Uncalibrated": 8, "Slave": 9,
+}  # fmt: skip
+"""Port states of IEEE 1588-2008, table 8."""
 TRIGGER_SOURCES = {"Software": 0, "Line1": 1, "Action1": 2, "PeriodicSignal1": 3}
 ACQUISITION_MODES = {"Continuous": 0, "SingleFrame": 1, "MultiFrame": 2}
 AUTO = {"Off": 0, "Once": 1, "Continuous": 2}
@@ -61,7 +67,14 @@ OLD_NAMES = {
 
 
 def feature_table(settings: CameraSettings, address: str, width: int, height: int, colour: bool) -> tuple[Feature, ...]:
-    """Every feature and register of a camera with a sensor of width x height pixels."""
+    """Lists every feature and register of a camera with a sensor of width x height pixels.
+
+    Raises InputError for a pixel format that such a camera does not offer.
+    """
+    known = ("auto", *MONO_FORMATS, *(COLOUR_FORMATS if colour else ()))
+    if settings.pixel_format not in known:
+        problem = f"pixel_format = {settings.pixel_format!r} is not offered"
+        raise InputError(problem, where=f"camera {address}", remedy=f"Choose one of {', '.join(known)}.")
     features = [
         *_bootstrap(settings, address),
         *_device(settings),
@@ -75,7 +88,7 @@ def feature_table(settings: CameraSettings, address: str, width: int, height: in
         *_transport(settings),
     ]
     if settings.generation == OLD:
-        features = [_in_old_words(feature) for feature in features]
+        features = [_older_generation(feature) for feature in features]
     return placed(features)
 
 
@@ -269,7 +282,7 @@ def _transport(s: CameraSettings) -> list[Feature]:
     ]
 
 
-def _in_old_words(feature: Feature) -> Feature:
+def _older_generation(feature: Feature) -> Feature:
     if feature.key == "Gain":
         steps = round(MAX_GAIN_DB / GAIN_RAW_STEP_DB)
         return dataclasses.replace(integer("Gain", feature.category, 0, low=0, high=steps), name="GainRaw")

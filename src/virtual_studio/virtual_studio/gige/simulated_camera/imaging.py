@@ -1,4 +1,7 @@
-"""What the sensor makes of the scene: exposure, gain, binning, region, noise, and the faults of light and lens."""
+"""What the sensor makes of the scene, down to the bytes it sends.
+
+Binning, region, exposure, gain, the faults of light and lens, noise, and the pixel format.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,120 @@ from gige_vision.gvcp import Status
 from gige_vision.gvsp import encode_chunk
 from gige_vision.pixel_formats import PixelFormat
 
+from ...rendering.camera import Image
+from ..server.device import OLD, CameraSettings, Device
 from ..server.registers import RegisterError, Registers, Value
-from ..server.settings import OLD, CameraSettings, Faults
 from .feature_table import AUTO, CHUNKS, GAIN_RAW_STEP_DB
 
-# --- The image's region, binning and size in bytes: features that depend on each other.
-
+Bytes = NDArray[np.uint8]
+_BAYER_ROWS = {"RG": ((2, 1), (1, 0)), "GR": ((1, 2), (0, 1)), "GB": ((1, 0), (2, 1)), "BG": ((0, 1), (1, 2))}
+"""Channel (of B, G, R) of the four pixels of a pattern's tile."""
+AUTO_TARGET = 110.0
+"""Mean grey level that the auto functions steer to."""
+AUTO_SPEED = 0.2
+AUTO_STEP_PX = 16
+DARKEST = 1.0
 _AXES = (
     ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
     ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
 )
 _STEP = 4
 _CHUNK_BYTES = len(encode_chunk(0, bytes(8)))
+_NOISE_PIXELS = 1 << 21
+
+
+class ImagingPipeline:
+    """Turns what the scene shows into the picture that leaves the camera, (H, W) or (H, W, 3) uint8."""
+
+    def __init__(self, device: Device) -> None:
+        self._registers, self._settings, self._faults = device.registers, device.settings, device.faults
+        self.exposure, self.region = ExposureControl(device.registers, device.settings), Region(device.registers)
+        self._rng = np.random.default_rng(device.settings.seed)
+        self._noise: NDArray[np.int8] | None = None
+        self._last: Image | None = None
+
+    def capture(self, scene: Image) -> Image:
+        """Takes the picture of what the scene shows."""
+        if not self._faults.frozen or self._last is None:
+            self._last = self._with_noise(self._exposed(self._cropped(self._binned(scene))))
+        return self._last
+
+    def _binned(self, scene: Image) -> Image:
+        across, down = self._registers.integer("BinningHorizontal"), self._registers.integer("BinningVertical")
+        if across == down == 1:
+            return scene
+        height, width = scene.shape[0] // down, scene.shape[1] // across
+        whole = scene[: height * down, : width * across]
+        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _cropped(self, scene: Image) -> Image:
+        x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
+        return scene if (h, w) == scene.shape[:2] else scene[y : y + h, x : x + w]
+
+    def _exposed(self, scene: Image) -> Image:
+        if self._faults.lens_cap:
+            return np.zeros_like(scene)
+        factor = self.exposure.factor(scene) * self._faults.brightness
+        if factor == 1.0:
+            return scene
+        table = np.clip(np.rint(np.arange(256) * factor), 0, 255).astype(np.uint8)
+        return np.asarray(cv2.LUT(np.ascontiguousarray(scene), table), np.uint8)
+
+    def _with_noise(self, picture: Image) -> Image:
+        if not self._settings.noise:
+            return picture
+        if self._noise is None:
+            noise = self._settings.noise * self._rng.standard_normal(_NOISE_PIXELS, np.float32)
+            self._noise = np.clip(np.rint(noise), -128, 127).astype(np.int8)
+        while len(self._noise) <= picture.size:  # a sensor of many megapixels sees the pattern repeat
+            self._noise = np.tile(self._noise, 2)
+        start = int(self._rng.integers(len(self._noise) - picture.size))
+        noise_of_frame = self._noise[start : start + picture.size].reshape(picture.shape)
+        return np.asarray(cv2.add(picture, noise_of_frame, dtype=cv2.CV_8U), np.uint8)
+
+
+class ExposureControl:
+    """How bright a picture becomes, relative to what the scene shows at nominal exposure and 0 dB.
+
+    While ExposureAuto or GainAuto run, a factor of their own is steered towards a mean grey level, and the feature that
+    they control cannot be written.
+    """
+
+    def __init__(self, registers: Registers, settings: CameraSettings) -> None:
+        self._registers, self._settings = registers, settings
+        self._auto_factor = 1.0
+        registers.checks["ExposureTime"] = lambda value: self._refuse_while_auto("ExposureAuto", value)
+        registers.checks["Gain"] = lambda value: self._refuse_while_auto("GainAuto", value)
+
+    @property
+    def exposure_us(self) -> float:
+        return self._registers.real("ExposureTime")
+
+    @property
+    def exposure_ns(self) -> int:
+        return round(self.exposure_us * 1000)
+
+    @property
+    def gain_db(self) -> float:
+        value = self._registers.real("Gain")
+        return value * GAIN_RAW_STEP_DB if self._settings.generation == OLD else value
+
+    def factor(self, scene: Image) -> float:
+        """Returns the factor on the scene's grey levels."""
+        by_hand = self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
+        if not (self._is_auto("ExposureAuto") or self._is_auto("GainAuto")):
+            self._auto_factor = 1.0
+            return by_hand
+        mean = max(float(scene[::AUTO_STEP_PX, ::AUTO_STEP_PX].mean()), DARKEST)
+        self._auto_factor += AUTO_SPEED * (AUTO_TARGET / (mean * by_hand) - self._auto_factor)
+        return by_hand * self._auto_factor
+
+    def _is_auto(self, key: str) -> bool:
+        return self._registers.integer(key) != AUTO["Off"]
+
+    def _refuse_while_auto(self, key: str, value: Value) -> None:
+        if self._is_auto(key):
+            raise RegisterError(Status.ACCESS_DENIED)
 
 
 class Region:
@@ -46,12 +151,12 @@ class Region:
         self.refresh()
 
     def reset(self) -> None:
-        """As after power-on."""
+        """Sets the region as after power-on."""
         self.enabled_chunks.clear()
         self.refresh()
 
     def refresh(self) -> None:
-        """Make the dependent registers anew; a region that binning made too large is cut."""
+        """Updates the dependent registers; a region that binning made too large is cropped."""
         r = self._registers
         for sensor, binning, largest, size, offset in _AXES:
             most = r.integer(sensor) // r.integer(binning)
@@ -93,17 +198,8 @@ class Region:
         self.refresh()
 
 
-# --- From a picture to the bytes of a pixel format, as a sensor of that kind would send them.
-
-Image = NDArray[np.uint8]
-Bytes = NDArray[np.uint8]
-
-_BAYER_ROWS = {"RG": ((2, 1), (1, 0)), "GR": ((1, 2), (0, 1)), "GB": ((1, 0), (2, 1)), "BG": ((0, 1), (1, 2))}
-"""Channel (of B, G, R) of the four pixels of a pattern's tile."""
-
-
 def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
-    """The bytes (n,) of a picture, (H, W) grey or (H, W, 3) BGR, in a pixel format.
+    """Encodes a picture, (H, W) grey or (H, W, 3) BGR, in a pixel format: bytes (n,).
 
     More than 8 bits repeat the upper bits below, so that black stays black and white white. A grey picture gives grey
     colours, a coloured one the grey of BT.601.
@@ -165,113 +261,3 @@ def _yuv422(colour: Image, luma_first: bool) -> Bytes:
     out[:, 0::2, chroma] = red_blue[..., 1]  # U belongs to blue
     out[:, 1::2, chroma] = red_blue[..., 0]
     return out.reshape(-1)
-
-
-# --- Exposure and gain of a camera, by hand or by its auto functions.
-
-AUTO_TARGET = 110.0
-"""Mean grey level that the auto functions steer to."""
-AUTO_SPEED = 0.2
-AUTO_STEP_PX = 16
-DARKEST = 1.0
-
-
-class ExposureControl:
-    """How bright a picture comes out, relative to what the scene shows at nominal exposure and 0 dB.
-
-    While ExposureAuto or GainAuto run, a factor of their own is steered towards a mean grey level, and the feature that
-    they rule cannot be written.
-    """
-
-    def __init__(self, registers: Registers, settings: CameraSettings) -> None:
-        self._registers, self._settings = registers, settings
-        self._auto_factor = 1.0
-        registers.checks["ExposureTime"] = lambda value: self._refuse_while_auto("ExposureAuto", value)
-        registers.checks["Gain"] = lambda value: self._refuse_while_auto("GainAuto", value)
-
-    @property
-    def exposure_us(self) -> float:
-        return self._registers.real("ExposureTime")
-
-    @property
-    def exposure_ns(self) -> int:
-        return round(self.exposure_us * 1000)
-
-    @property
-    def gain_db(self) -> float:
-        value = self._registers.real("Gain")
-        return value * GAIN_RAW_STEP_DB if self._settings.generation == OLD else value
-
-    def factor(self, scene: Image) -> float:
-        """Factor on the scene's grey levels."""
-        by_hand = self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
-        if not (self._is_auto("ExposureAuto") or self._is_auto("GainAuto")):
-            self._auto_factor = 1.0
-            return by_hand
-        mean = max(float(scene[::AUTO_STEP_PX, ::AUTO_STEP_PX].mean()), DARKEST)
-        self._auto_factor += AUTO_SPEED * (AUTO_TARGET / (mean * by_hand) - self._auto_factor)
-        return by_hand * self._auto_factor
-
-    def _is_auto(self, key: str) -> bool:
-        return self._registers.integer(key) != AUTO["Off"]
-
-    def _refuse_while_auto(self, key: str, value: Value) -> None:
-        if self._is_auto(key):
-            raise RegisterError(Status.ACCESS_DENIED)
-
-
-_NOISE_PIXELS = 1 << 21
-
-
-class ImagingPipeline:
-    """Turns what the scene shows into the picture that leaves the camera, (H, W) or (H, W, 3) uint8."""
-
-    def __init__(
-        self, registers: Registers, exposure: ExposureControl, settings: CameraSettings, faults: Faults
-    ) -> None:
-        self._registers, self._exposure, self._settings, self._faults = registers, exposure, settings, faults
-        self._rng = np.random.default_rng(settings.seed)
-        self._noise_bank: NDArray[np.int8] | None = None
-        self._last: Image | None = None
-
-    def render(self, scene: Image) -> Image:
-        """The picture of what the scene shows."""
-        if self._faults.frozen and self._last is not None:
-            return self._last
-        picture = self._noisy(self._lit(self._cut(self._binned(scene))))
-        self._last = picture
-        return picture
-
-    def _binned(self, scene: Image) -> Image:
-        across, down = self._registers.integer("BinningHorizontal"), self._registers.integer("BinningVertical")
-        if across == down == 1:
-            return scene
-        height, width = scene.shape[0] // down, scene.shape[1] // across
-        whole = scene[: height * down, : width * across]
-        return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-    def _cut(self, scene: Image) -> Image:
-        x, y, w, h = (self._registers.integer(key) for key in ("OffsetX", "OffsetY", "Width", "Height"))
-        return scene if (h, w) == scene.shape[:2] else scene[y : y + h, x : x + w]
-
-    def _lit(self, scene: Image) -> Image:
-        if self._faults.lens_cap:
-            return np.zeros_like(scene)
-        factor = self._exposure.factor(scene) * self._faults.brightness
-        if factor == 1.0:
-            return scene
-        table = np.clip(np.rint(np.arange(256) * factor), 0, 255).astype(np.uint8)
-        return np.asarray(cv2.LUT(np.ascontiguousarray(scene), table), np.uint8)
-
-    def _noisy(self, picture: Image) -> Image:
-        if not self._settings.noise:
-            return picture
-        if self._noise_bank is None:
-            noise = self._settings.noise * self._rng.standard_normal(_NOISE_PIXELS, np.float32)
-            self._noise_bank = np.clip(np.rint(noise), -128, 127).astype(np.int8)
-        bank = self._noise_bank
-        while len(bank) <= picture.size:  # a sensor of many megapixels sees the pattern repeat
-            bank = self._noise_bank = np.tile(bank, 2)
-        start = int(self._rng.integers(len(bank) - picture.size))
-        noise_of_frame = bank[start : start + picture.size].reshape(picture.shape)
-        return np.asarray(cv2.add(picture, noise_of_frame, dtype=cv2.CV_8U), np.uint8)

@@ -1,31 +1,105 @@
-"""When a camera exposes: at whole multiples of its period, in step with every other camera, or when it is triggered."""
+"""A camera's clock, the instants at which it exposes, and the trigger cable.
+
+Exposures begin at whole multiples of the period, in step with every other camera, or when triggered.
+"""
 
 from __future__ import annotations
 
+import random
 import time
 from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
 
+from ..server.device import CameraSettings, Faults
 from ..server.loop import EventLoop, Timer
 from ..server.registers import Registers
-from .clock import CameraClock
-from .feature_table import ON, TRIGGER_SOURCES
+from .feature_table import ON, PTP_STATES, TICKS_PER_SECOND, TRIGGER_SOURCES
 from .imaging import ExposureControl
 
+LISTENING_SHARE = 0.4  # of the time it takes PTP to settle
 SECOND_NS = 1_000_000_000
 MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
+LATENESS_NS = 250_000_000  # pulses of the generator later than this are left out
 
 
 def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int:
-    """The first whole multiple of a period, counted from the origin, that lies after an instant; to the nearest ns."""
+    """Returns the first whole multiple of a period, counted from the origin, after an instant; to the nearest ns."""
     length, share = period_ns.numerator, period_ns.denominator  # whole numbers: a hundred times as fast
     index = (after_ns - origin_ns) * share // length + 1
     elapsed_ns = (2 * index * length + share) // (2 * share)
     if origin_ns + elapsed_ns <= after_ns:  # rounded down to where we are
         elapsed_ns = (2 * (index + 1) * length + share) // (2 * share)
     return origin_ns + elapsed_ns
+
+
+class CameraClock:
+    """A camera's clock: stamps, ns, for instants of the system clock (UTC, ns), and back.
+
+    Free running, it counts from power-on and drifts. With PTP it is synchronised (status Slave) after a while, and then
+    it is TAI but for a small constant offset.
+    """
+
+    def __init__(self, settings: CameraSettings, faults: Faults) -> None:
+        self._settings, self._faults = settings, faults
+        self._rng = random.Random(settings.seed)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Starts the counter anew, PTP off."""
+        self._zero_ns = time.time_ns() - self._rng.randrange(2_000_000_000)  # it counted while the camera booted
+        self._ptp_since_ns: int | None = None
+        self._residual_ns = round(self._rng.uniform(-1, 1) * self._settings.ptp_offset_ns)
+
+    def reset(self) -> None:
+        """Counts from 0 again."""
+        self._zero_ns = time.time_ns()
+
+    def enable_ptp(self, enabled: bool) -> None:
+        if enabled != (self._ptp_since_ns is not None):
+            self._ptp_since_ns = time.time_ns() if enabled else None
+
+    def stamp(self, utc_ns: int) -> int:
+        """Returns the clock's reading at an instant."""
+        if self.is_synchronised:
+            reading = utc_ns + self._tai_ns + self._residual_ns
+        else:
+            elapsed = utc_ns - self._zero_ns
+            reading = elapsed + round(elapsed * self._settings.drift_ppm * 1e-6)
+        return max(reading + self._faults.stamp_jump_ns, 0)
+
+    def utc_of(self, stamp_ns: int) -> int:
+        """Returns the instant at which the clock reads ``stamp_ns``."""
+        reading = stamp_ns - self._faults.stamp_jump_ns
+        if self.is_synchronised:
+            return reading - self._tai_ns - self._residual_ns
+        return self._zero_ns + round(reading / (1 + self._settings.drift_ppm * 1e-6))
+
+    @property
+    def is_synchronised(self) -> bool:
+        """True while PTP disciplines the clock."""
+        return self.ptp_state == PTP_STATES["Slave"]
+
+    @property
+    def ptp_state(self) -> int:
+        if self._ptp_since_ns is None:
+            return PTP_STATES["Disabled"]
+        if self._faults.ptp_lost or not self._settings.ptp_grandmaster:
+            return PTP_STATES["Listening"]
+        waited = (time.time_ns() - self._ptp_since_ns) * 1e-9
+        if waited < LISTENING_SHARE * self._settings.ptp_settle_s:
+            return PTP_STATES["Listening"]
+        return PTP_STATES["Uncalibrated" if waited < self._settings.ptp_settle_s else "Slave"]
+
+    @property
+    def offset_from_master_ns(self) -> int:
+        """PtpOffsetFromMaster: 0 as long as there is no master."""
+        return self._residual_ns if self.is_synchronised else 0
+
+    @property
+    def _tai_ns(self) -> int:
+        return self._settings.tai_minus_utc_s * TICKS_PER_SECOND
 
 
 class Timing:
@@ -67,7 +141,7 @@ class Timing:
         return _period_s(rate_hz, self._exposure.exposure_ns)
 
     def next_start(self, after_ns: int) -> int:
-        """The first exposure that begins after an instant."""
+        """Returns when the first exposure after an instant begins."""
         period_ns = _nanoseconds(self.period_s)
         if self.source == "PeriodicSignal1":
             delay_ns = round(self._registers.real("BslPeriodicSignalDelay") * 1000)
@@ -106,13 +180,11 @@ def _nanoseconds(seconds: Fraction) -> Fraction:
     return seconds * SECOND_NS
 
 
-# --- A trigger cable that several cameras share: whatever pulses it, they all see the pulse at the same instant.
-
-LATENESS_NS = 250_000_000  # pulses later than this are left out
-
-
 class TriggerWire:
-    """The cameras' input Line1. pulse() is one rising edge; run() is a pulse generator at a steady rate."""
+    """The cable to input Line1 of several cameras, which see each pulse at the same instant.
+
+    pulse() is one rising edge; run() is a pulse generator at a steady rate.
+    """
 
     def __init__(self, loop: EventLoop) -> None:
         self._loop = loop
@@ -120,19 +192,19 @@ class TriggerWire:
         self._timer: Timer | None = None
 
     def listen(self, callback: Callable[[int], None]) -> None:
-        """Call back with the instant (UTC, ns) of each rising edge, from within the loop."""
+        """Calls back with the instant (UTC, ns) of each rising edge, from within the loop."""
         self._listeners.append(callback)
 
     def pulse(self) -> int:
-        """One rising edge now; returns its instant (UTC, ns)."""
+        """Makes one rising edge now; returns its instant (UTC, ns)."""
         return self._loop.call(lambda: self._rise(time.time_ns()))
 
     def run(self, rate_hz: float) -> None:
-        """Pulses at whole multiples of the period of UTC, until stop()."""
+        """Generates pulses at whole multiples of the period of UTC, until stop()."""
         self._loop.call(lambda: self._restart(Fraction(rate_hz).limit_denominator(1000)))
 
     def stop(self) -> None:
-        """No more pulses from the generator."""
+        """Stops the generator."""
         self._loop.call(self._halt)
 
     def _restart(self, rate: Fraction) -> None:

@@ -1,8 +1,9 @@
-"""Settings of one simulated camera: who it is, what it can do, how good its clock and its sensor are."""
+"""One simulated camera: its settings, the faults that can be switched on, and what its parts share."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,12 @@ from typing import Any
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
 
+from .loop import EventLoop
+from .registers import Registers
+
 SFNC, OLD = "sfnc", "old"
+LIGHTS_OFF = 0.06
+"""Share of the light that is left when the lamps are off."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +60,9 @@ class CameraSettings:
     seed: int = setting(1, "Of noise, clock offset and packet loss", low=0)
 
 
-# --- What can go wrong with a camera, switched on and off while it runs.
-
-LIGHTS_OFF = 0.06
-"""Share of the light that is left when somebody turns the lamps off."""
-
-
 @dataclass
 class Faults:
-    """Every fault of one camera; assigning to a field takes effect with the next packet, frame or command.
+    """The faults of one camera; assigning to a field takes effect with the next packet, frame or command.
 
     packet_loss : probability that a stream packet (resent ones too) is never sent.
     stall : no frames leave, while control goes on answering.
@@ -96,20 +96,32 @@ class Faults:
         return self.light * (LIGHTS_OFF if self.lights_off else 1.0)
 
     def update(self, changes: Mapping[str, Any], where: str = "faults") -> None:
-        """Set several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""
+        """Sets several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""
         checked = {name: _checked(name, value, where) for name, value in changes.items()}
         for name, value in checked.items():
             setattr(self, name, value)
 
     def clear(self) -> None:
-        """No faults any more."""
+        """Switches all faults off."""
         for field in dataclasses.fields(self):
             setattr(self, field.name, field.default)
 
     def active(self) -> dict[str, Any]:
-        """The faults that are on."""
-        values = dataclasses.asdict(self)
-        return {f.name: values[f.name] for f in dataclasses.fields(self) if values[f.name] != f.default}
+        """Returns the faults that are on."""
+        fields = dataclasses.fields(self)
+        return {f.name: getattr(self, f.name) for f in fields if getattr(self, f.name) != f.default}
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """What the parts of a powered camera share. Only used from within the loop."""
+
+    address: str
+    settings: CameraSettings
+    registers: Registers
+    faults: Faults
+    counters: Counter[str]
+    loop: EventLoop
 
 
 FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
