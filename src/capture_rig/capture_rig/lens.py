@@ -1,4 +1,4 @@
-"""Lens distortion in normalised image coordinates: the models plumb_bob and rational_polynomial, and their inverse.
+"""Lens distortion in normalised image coordinates: plumb_bob and rational_polynomial, inverse and derivatives.
 
 With r2 = x^2 + y^2 and coefficients in OpenCV's order k1 k2 p1 p2 k3 [k4 k5 k6] (Brown 1966; the rational form is
 OpenCV's):  x' = x g + 2 p1 x y + p2 (r2 + 2 x^2),  y' = y g + p1 (r2 + 2 y^2) + 2 p2 x y,
@@ -18,7 +18,7 @@ CONVERGED = 1e-9  # of the focal length: far below a thousandth of a pixel
 
 
 def distort(points: Array, D: Array) -> Array:
-    """Ideal points (n, 2) to where the lens puts them (n, 2)."""
+    """Ideal points (..., 2) to where the lens puts them (..., 2); ``D`` (..., 5 or 8), broadcast to the points."""
     return _distort(points, D)[0]
 
 
@@ -44,7 +44,7 @@ def undistort(points: Array, D: Array) -> Array:
 
 def fold_radius(D: Array) -> float:
     """The ideal radius from which the radial polynomial runs backwards (or has a pole): no light gets there."""
-    k1, k2, _, _, k3, k4, k5, k6 = np.concatenate([D, np.zeros(8 - len(D))])
+    k1, k2, _, _, k3, k4, k5, k6 = _eight(D)
     top, bottom = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
     q = np.poly1d([1.0, 0.0])  # r^2; the radius r top / bottom grows while `slope` is positive
     slope = (top + 2 * q * top.deriv()) * bottom - 2 * q * top * bottom.deriv()
@@ -53,17 +53,49 @@ def fold_radius(D: Array) -> float:
     return float(np.sqrt(ahead.min(initial=np.inf)))
 
 
-def _distort(points: Array, D: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Distorted points and the three different terms of their symmetric Jacobian: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([D, np.zeros(8 - len(D))])
-    x, y = points.T
+def derivatives(points: Array, D: Array) -> tuple[Array, Array, Array]:
+    """Distorted points (..., 2), their derivatives by the ideal points (..., 2, 2), and by all eight coefficients
+    (..., 2, 8): k1 k2 p1 p2 k3 k4 k5 k6. ``D`` (..., 5 or 8), broadcast to the points."""
+    distorted, (a, b, c) = _distort(points, D)
+    x, y = np.moveaxis(points, -1, 0)
     r2 = x * x + y * y
+    top, _, bottom, _ = _polynomials(r2, D)
+    g = top / bottom
+    powers = np.stack([r2, r2**2, r2**3], axis=-1) / bottom[..., None]
+    radial = np.concatenate([powers, -g[..., None] * powers], axis=-1)  # of g by k1 k2 k3 k4 k5 k6
+    by_radial = radial[..., None, :] * points[..., :, None]
+    tangential = _matrix(2 * x * y, r2 + 2 * x * x, r2 + 2 * y * y, 2 * x * y)
+    return distorted, _matrix(a, b, b, c), np.concatenate([by_radial[..., :2], tangential, by_radial[..., 2:]], axis=-1)
+
+
+def _matrix(a: Array, b: Array, c: Array, d: Array) -> Array:
+    return np.stack([np.stack([a, b], axis=-1), np.stack([c, d], axis=-1)], axis=-2)
+
+
+def _polynomials(r2: Array, D: Array) -> tuple[Array, Array, Array, Array]:
+    """Numerator and denominator of g, each with its derivative by r2."""
+    k1, k2, _, _, k3, k4, k5, k6 = _eight(D)
     top, d_top = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), k1 + r2 * (2 * k2 + r2 * 3 * k3)
     bottom, d_bottom = 1 + r2 * (k4 + r2 * (k5 + r2 * k6)), k4 + r2 * (2 * k5 + r2 * 3 * k6)
+    return top, d_top, bottom, d_bottom
+
+
+def _eight(D: Array) -> Array:
+    """(8, ...) the coefficients, zero where the model has none."""
+    D = np.moveaxis(np.asarray(D, float), -1, 0)
+    return np.concatenate([D, np.zeros((8 - len(D), *D.shape[1:]))])
+
+
+def _distort(points: Array, D: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Distorted points and the three different terms of their symmetric Jacobian: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
+    _, _, p1, p2, *_ = _eight(D)
+    x, y = np.moveaxis(points, -1, 0)
+    r2 = x * x + y * y
+    top, d_top, bottom, d_bottom = _polynomials(r2, D)
     g = top / bottom
     d_g = (d_top - g * d_bottom) / bottom
     distorted = np.stack(
-        [x * g + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * g + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1
+        [x * g + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * g + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1
     )
     jacobian = (
         g + 2 * x * x * d_g + 2 * p1 * y + 6 * p2 * x,

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from bundle_studio import rotation
 
-from rig_calibration.bundle.adjustment import FreeUnknowns, normal_equations, step
-from rig_calibration.bundle.lens_derivatives import COEFFICIENTS
+from rig_calibration.bundle.adjustment import FreeUnknowns, information_of_each, normal_equations, reduce, step
 from rig_calibration.bundle.projection import linearise, residuals_px
 from rig_calibration.bundle.state import Layout, Observations, State
 
@@ -16,7 +15,7 @@ RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
 
 def state_and_observations(rng: np.random.Generator) -> tuple[State, Observations]:
     """Two cameras, three poses of two targets, four detections."""
-    lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(COEFFICIENTS - 1)]])
+    lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(7)]])
     state = State(
         rotation([0.1, -0.2, 0.05])[None] @ np.stack([np.eye(3), rotation([0, 0.3, 0])]),
         np.array([[0, 0, -2.0], [0.8, 0.1, -1.9]]),
@@ -24,6 +23,7 @@ def state_and_observations(rng: np.random.Generator) -> tuple[State, Observation
         np.stack([rotation(rng.normal(size=3) * 0.4) for _ in range(3)]),
         rng.normal(size=(3, 3)) * 0.2,
         np.array([1.0, 1.1]),
+        np.array([[0.01, -0.02], [0.0, 0.03]]),
     )
     points = rng.uniform(-0.3, 0.3, size=(4, 7, 3))
     seen = Observations(
@@ -31,6 +31,7 @@ def state_and_observations(rng: np.random.Generator) -> tuple[State, Observation
         np.array([0, 0, 1, 2]),
         np.array([0, 0, 1, 1]),
         points,
+        rng.uniform(0, 1, size=(4, 7, 2)),
         rng.uniform(100, 400, size=(4, 7, 2)),
         rng.uniform(0.5, 4, size=(4, 7)),
     )
@@ -44,7 +45,8 @@ def test_corners_fall_where_opencv_projects_them():
     residual = residuals_px(state, seen)
     for row in range(4):
         camera, pose = seen.camera[row], seen.pose[row]
-        scaled = seen.points[row] * state.scale[seen.target[row]]
+        target = seen.target[row]
+        scaled = (seen.points[row] + np.outer(seen.bend[row] @ state.bow[target], [0, 0, 1])) * state.scale[target]
         x = scaled @ state.R_pose[pose].T + state.position[pose] - state.centre[camera]
         K = np.array(
             [
@@ -101,3 +103,18 @@ def test_step_equals_that_of_the_full_normal_equations(damping: float):
     expected[moving] = np.linalg.solve(H + damping * np.diag(np.diag(H)), A.T @ linear.residual.ravel())
     shared, poses = step(normal_equations(linear, seen, layout, 3), free, damping)
     np.testing.assert_allclose(np.concatenate([shared, poses.ravel()]), expected, rtol=1e-5, atol=1e-8)
+
+
+def test_information_of_each_detection_adds_up_where_no_pose_is_seen_twice():
+    state, seen = state_and_observations(np.random.default_rng(3))
+    layout, alone = Layout(2, 2, with_lens=True), seen.only(np.array([0, 2, 3]))  # three poses, once each
+    linear = linearise(state, alone, with_lens=True)
+    information, gradient = information_of_each(linear)
+    total, sum_of_gradients = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
+    for columns, one, score in zip(layout.columns(alone.camera, alone.target), information, gradient, strict=True):
+        total[np.ix_(columns, columns)] += one
+        sum_of_gradients[columns] += score
+    free = FreeUnknowns(np.ones(layout.size, bool), np.ones(3, bool))
+    reduced = reduce(normal_equations(linear, alone, layout, 3), free)
+    np.testing.assert_allclose(total, reduced.S, atol=1e-9 * np.abs(reduced.S).max())
+    np.testing.assert_allclose(sum_of_gradients, reduced.b, atol=1e-9 * np.abs(reduced.b).max())

@@ -57,7 +57,7 @@ def test_quarter_turns_of_a_square_board_are_settled():
     board = Checkerboard(6, 6, (0.07, 0.07))
     from bundle_studio import carried
 
-    from rig_calibration.bundle.target_shape import target_shape
+    from rig_calibration.bundle.problem import target_shape
 
     symmetries = target_shape("", board.corners_board, 4).symmetries
     rng = np.random.default_rng(2)

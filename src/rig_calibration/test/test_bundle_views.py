@@ -11,9 +11,9 @@ from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, detections_o
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import CharucoBoard, Checkerboard, TargetDetection
 from rig_calibration.bundle.detection_poses import detection_poses
+from rig_calibration.bundle.problem import symmetry_order_of, target_shape
 from rig_calibration.bundle.relative_poses import relative_pose
 from rig_calibration.bundle.rigid import inverse, transform
-from rig_calibration.bundle.target_shape import symmetry_order_of, target_shape
 from rig_calibration.bundle.view_graph import common_frames, groups_of, require_connected
 
 

@@ -78,7 +78,7 @@ def test_boards_mixed_half_and_half_are_no_calibration():
 def test_images_of_several_sizes_are_refused():
     detections = shown(lens(), 8, 0.2, seed=7)
     detections[5] = replace(detections[5], image_size=(1280, 960))
-    with pytest.raises(InputError, match=r"cam01: the images have several sizes: 640 x 480 .* 1280 x 960 .*moment 5"):
+    with pytest.raises(InputError, match=r"cam01: the images have several sizes: 640 x 480 .* 1280 x 960 .*frame 5"):
         found(detections)
 
 

@@ -10,11 +10,10 @@ from intrinsics_views import BOARD, lens, shown
 from capture_rig.errors import InputError
 from rig_calibration.boards.image_quality import motion_px
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
-from rig_calibration.intrinsics.coverage import coverage_of
-from rig_calibration.intrinsics.parameters import LensModel
+from rig_calibration.intrinsics.coverage import coverage_of, placement_of
+from rig_calibration.intrinsics.lens_fit import board_pose
+from rig_calibration.intrinsics.lens_model import LensModel
 from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector, d_optimal_views
-from rig_calibration.intrinsics.start import board_pose, placement_of
-from rig_calibration.intrinsics.views import view_of
 
 
 def jittered(detection, frame_index, seed=0):
@@ -93,11 +92,9 @@ def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
 
 def test_advice_names_the_part_of_the_image_that_lacks_most():
     detections = [s for s in shown(lens(), 200, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
-    views = [view_of(detection, BOARD) for detection in detections]
-    model = LensModel("plumb_bob")
-    theta = model.start(467.0, (640, 480))
-    placements = [placement_of(board_pose(theta, view, model), view) for view in views]
-    coverage = coverage_of(views, placements, (640, 480))
+    start = LensModel("plumb_bob").camera("cam01", 467.0, (640, 480))
+    placements = [placement_of(board_pose(detection, BOARD, start), detection) for detection in detections]
+    coverage = coverage_of([detection.pixels for detection in detections], placements, (640, 480))
     assert 0.3 < coverage.image < 0.6
     assert "left" in coverage.emptiest() and "left" in coverage.advice()
 
@@ -113,9 +110,9 @@ def test_tilt_is_named_by_the_side_that_comes_nearer(side, axis, sign):
     nearest = points[np.argmin(points[:, 2])]
     assert {"top": nearest[1] < 0, "bottom": nearest[1] > 0, "left": nearest[0] < 0, "right": nearest[0] > 0}[side]
     detection = replace(shown(camera, 1, 0.1, seed=1)[0], pixels=camera.project(points), ids=np.arange(54))
-    view, model = view_of(detection, BOARD), LensModel("plumb_bob")
-    placement = placement_of(board_pose(model.start(467.0, (640, 480)), view, model), view)
-    tilts = coverage_of([view], [placement], (640, 480)).tilt_deg
+    start = LensModel("plumb_bob").camera("cam01", 467.0, (640, 480))
+    placement = placement_of(board_pose(detection, BOARD, start), detection)
+    tilts = coverage_of([detection.pixels], [placement], (640, 480)).tilt_deg
     assert max(tilts, key=tilts.get) == side and tilts[side] == pytest.approx(30, abs=4)
 
 

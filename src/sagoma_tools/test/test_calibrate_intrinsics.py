@@ -155,8 +155,8 @@ def test_names_come_from_the_topic():
 
 def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
     watcher = BoardImageProcessor(BOARD, "cam01", ViewCollector(BOARD))
-    watcher.see(shown[0], None, 0)
-    seen = watcher.see(shown[0], shown[0], 1)
+    watcher.process(shown[0], None, 0)
+    seen = watcher.process(shown[0], shown[0], 1)
     assert seen.detection is not None and not seen.taken
     state = state_of(watcher, seen.reason, 2, 0)
     line = plain_line(state)

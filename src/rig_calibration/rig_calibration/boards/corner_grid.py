@@ -119,8 +119,6 @@ def scatter_px(pixels: Array) -> float:
     return float(np.sqrt(np.median(squares) / (70 * CHI_SQUARE_MEDIAN))) if len(squares) else 0.0
 
 
-Array = npt.NDArray[np.float64]
-
 MIN_FIT = 0.7  # share of a window's variance that the model of a corner must explain
 MIN_QUADRANT_SIMILARITY = 0.4  # of opposite quadrants
 MIN_CONTRAST = 0.25  # of the board's median

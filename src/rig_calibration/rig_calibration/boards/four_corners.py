@@ -80,7 +80,7 @@ def find_from_outer_corners(
     end of the first row, last, start of the last row; up to 6 pixels or half a field off.
 
     ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
-    the right places then. The detection holds those corners that are seen to be corners, to a part of a pixel; where the
+    the right places then. The detection holds the corners that the image shows, to a part of a pixel; where the
     colours tell, they also decide which of the corners is the first. InputError when there is no such board.
     """
     where = f"camera '{camera}', frame {frame_index}" if camera else ""

@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..intrinsics.parameters import Array
 from .board import TargetDetection
 from .corner_grid import steps
 from .detector import as_grey
 from .specification import MAX_CORNERS
 from .x_corner import fit_x_corners
+
+Array = npt.NDArray[np.float64]
 
 CLEAR_OF_MARKERS = 0.12  # of a white field's side: a detection does not say whether its board has markers
 

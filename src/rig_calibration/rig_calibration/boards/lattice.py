@@ -245,7 +245,6 @@ def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Lattice:
 
 # --- The same image scaled in one or both directions, for detectors that look for patterns of a certain size.
 
-Array = npt.NDArray[np.float64]
 
 OWN_BLUR_PX = 0.6  # of an ordinary image: optics and pixel
 COMFORTABLE_PX = 900  # long side at which boards are found fast

@@ -24,7 +24,7 @@ from .board import TargetDetection
 
 # --- Which bright spot is which marker of the wand.
 #
-# Markers on a line at positions s_i appear on a line of the image at u_i = (a s_i + b) / (c s_i + 1): with four and more
+# Markers on a line at positions s_i appear on a line of the image at u_i = (a s_i + b) / (c s_i + 1): with four or more
 # the cross ratio tells whether spots are a wand, with three the spacing does, because the far end of a wand of that
 # length cannot be much farther away than the near end: z_far / z_near = 1 + c (s_far - s_near), from s_near counted.
 

@@ -1,106 +1,30 @@
 """Step 4: bundle adjustment. All poses of cameras and targets at once, so that the corners fit best.
 
-    minimise over cameras, poses [and scales, lenses]  sum rho(|pixel - predicted| / sigma)  [+ |lens - prior|^2]
+    minimise over cameras, poses [scales, lenses, bows]  sum rho(|pixel - predicted| / sigma)  [+ |shared - prior|^2]
 
 with rho Huber's loss at 3 standard deviations, by Levenberg-Marquardt with iteratively reweighted least squares. The
 scale of sigma is estimated from the residuals themselves (their median), because what detectors and lenses really do
-is not known beforehand.
+is not known beforehand. Every corner depends on what is shared (cameras, lenses, targets: tens of unknowns) and on one
+pose of one target (hundreds of poses, six unknowns each, none of which meets another), so that poses are eliminated:
+with U, V and W the blocks of J^T J by shared, by pose and mixed,
+(U - sum W V^-1 W^T) d_shared = g_shared - sum W V^-1 g_pose  (Schur complement; Triggs et al. 2000, section 6.1).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from .projection import Linearised, linearise, residuals_px
 from .rigid import Array
-from .state import Layout, Observations, State
+from .state import POSE, Bools, Layout, Observations, State
 
-# --- The normal equations of the adjustment, the targets' poses eliminated (Schur complement).
-#
-# Every corner depends on what is shared (cameras, lenses, scales: tens of unknowns) and on one pose of one target
-# (hundreds of poses, six unknowns each, none of which meets another): with U, V and W the blocks of J^T J by shared, by
-# pose and mixed,  (U - sum W V^-1 W^T) d_shared = g_shared - sum W V^-1 g_pose  (Triggs et al. 2000, section 6.1).
-
-TINY = 1e-10  # keeps the turn of a wand about itself, which no picture shows, from being divided by zero
-
-Bools = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class FreeUnknowns:
-    """What may move: shared (d,) unknowns and poses (m,) of targets. What fixes the frame is not free."""
-
-    shared: Bools
-    poses: Bools
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """U (d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (d,), g_poses (m, 6)."""
-
-    U: Array
-    W: Array
-    V: Array
-    g_shared: Array
-    g_poses: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Reduced:
-    """The same after elimination: S (f, f) and b (f,) of the free shared unknowns, and V^-1 (m, 6, 6)."""
-
-    S: Array
-    b: Array
-    V_inverse: Array
-
-
-def normal_equations(linear: Linearised, seen: Observations, layout: Layout, poses: int) -> NormalEquations:
-    """Sums of all detections, which are few enough in width to multiply one by one."""
-    J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
-    products = np.swapaxes(J, 1, 2) @ J
-    k = layout.width + 1
-    columns, size = layout.columns(seen.camera, seen.target), layout.size
-    U, W, V = np.zeros((size, size)), np.zeros((poses, size, 6)), np.zeros((poses, 6, 6))
-    g_shared, g_poses = np.zeros(size), np.zeros((poses, 6))
-    np.add.at(U, (columns[:, :, None], columns[:, None, :]), products[:, :k, :k])
-    np.add.at(W, (seen.pose[:, None], columns), products[:, :k, k : k + 6])
-    np.add.at(V, seen.pose, products[:, k : k + 6, k : k + 6])
-    np.add.at(g_shared, columns, products[:, :k, -1])
-    np.add.at(g_poses, seen.pose, products[:, k : k + 6, -1])
-    return NormalEquations(U, W, V, g_shared, g_poses)
-
-
-def reduce(equations: NormalEquations, free: FreeUnknowns, damping: float = 0.0) -> Reduced:
-    """Eliminate the poses; ``damping`` as in Levenberg-Marquardt, relative to the diagonals."""
-    V = equations.V.copy()
-    diagonal = np.arange(6)
-    floor = TINY * np.trace(V, axis1=1, axis2=2)[:, None] + 1e-300
-    V[:, diagonal, diagonal] += damping * V[:, diagonal, diagonal] + floor
-    V_inverse = np.asarray(np.linalg.inv(V) * free.poses[:, None, None], float)
-    W = equations.W[:, free.shared]
-    U = equations.U[np.ix_(free.shared, free.shared)]
-    flat = np.swapaxes(W, 0, 1).reshape(W.shape[1], 6 * len(V))
-    weighted = np.swapaxes(W @ V_inverse, 0, 1).reshape(W.shape[1], 6 * len(V))
-    S = U + damping * np.diag(np.diag(U)) - weighted @ flat.T
-    return Reduced(S, equations.g_shared[free.shared] - weighted @ equations.g_poses.ravel(), V_inverse)
-
-
-def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tuple[Array, Array]:
-    """The damped Gauss-Newton step: shared (d,), poses (m, 6)."""
-    reduced = reduce(equations, free, damping)
-    shared = np.zeros(len(free.shared))
-    shared[free.shared] = np.linalg.lstsq(reduced.S, reduced.b, rcond=None)[0]
-    rest = equations.g_poses - np.swapaxes(equations.W, 1, 2) @ shared
-    return shared, (reduced.V_inverse @ rest[..., None])[..., 0]
-
-
-HUBER = 3.0  # standard deviations
+HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down (99 % efficiency)
 RAYLEIGH_MEDIAN = 1.1774  # the median length of a two-dimensional residual of unit variance
 MIN_SCALE_PX = 0.002
 ROUNDS = 4
+TINY = 1e-10  # keeps the turn of a wand about itself, which no picture shows, from being divided by zero
 
 
 @dataclass(frozen=True)
@@ -116,8 +40,16 @@ ROUGHLY = StopCriterion(8, 1e-4)  # enough to see what contradicts the rest
 
 
 @dataclass(frozen=True, eq=False)
+class FreeUnknowns:
+    """What may move: shared (d,) unknowns and poses (m,) of targets. What fixes the frame is not free."""
+
+    shared: Bools
+    poses: Bools
+
+
+@dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the shared unknowns beforehand: mean (d,) as laid out, information (d, d)."""
+    """What is known of the shared unknowns beforehand: mean (d,) as laid out ``with_lens``, information (d, d)."""
 
     mean: Array
     information: Array
@@ -152,15 +84,9 @@ def adjust(
 
 def noise_scale(state: State, seen: Observations) -> float:
     """The residuals' standard deviation over the one given, by the median: outliers do not count."""
-    lengths = np.linalg.norm(residuals_px(state, seen), axis=2)
     corners = seen.weight > 0
     floor = MIN_SCALE_PX * float(np.median(seen.weight[corners]))
-    return max(float(np.median((lengths * seen.weight)[corners])) / RAYLEIGH_MEDIAN, floor)
-
-
-def huber_weights(lengths: Array) -> Array:
-    """Weights of squared residuals that make least squares Huber's estimate."""
-    return np.minimum(1.0, HUBER / np.maximum(lengths, 1e-300))
+    return max(float(np.median(normalised_lengths(state, seen)[corners])) / RAYLEIGH_MEDIAN, floor)
 
 
 def normalised_lengths(state: State, seen: Observations) -> Array:
@@ -170,32 +96,12 @@ def normalised_lengths(state: State, seen: Observations) -> Array:
     return np.where(seen.weight > 0, lengths, 0.0)
 
 
-def robust_equations(
-    state: State, seen: Observations, layout: Layout, poses: int, prior: Prior | None = None
-) -> NormalEquations:
-    """The normal equations at a state, corners beyond Huber's limit weighed down."""
-    weighted = seen.weighted(np.sqrt(huber_weights(normalised_lengths(state, seen))))
-    equations = normal_equations(linearise(state, weighted, layout.with_lens), weighted, layout, poses)
-    return with_prior(equations, prior, state, layout)
-
-
-def with_prior(equations: NormalEquations, prior: Prior | None, state: State, layout: Layout) -> NormalEquations:
-    """What is known of the lenses beforehand, added."""
-    if prior is None:
-        return equations
-    U = equations.U + prior.information
-    g = equations.g_shared + prior.information @ (prior.mean - _shared(state, layout))
-    return NormalEquations(U, equations.W, equations.V, g, equations.g_poses)
-
-
-def fixed_camera(layout: Layout, poses: int, camera: int, scales: Bools, lenses: Bools | None = None) -> FreeUnknowns:
-    """Everything moves but one camera, and but the scales and lens parameters (c, 12) that are not marked."""
-    shared = np.ones(layout.size, bool)
-    shared[layout.camera(camera)] = False
-    for index in range(layout.cameras if layout.with_lens else 0):
-        shared[layout.lens(index)] = False if lenses is None else lenses[index]
-    shared[layout.size - layout.targets :] = scales
-    return FreeUnknowns(shared, np.ones(poses, bool))
+def robust_rows(state: State, seen: Observations, with_lens: bool) -> Linearised:
+    """The linearised residuals, corners beyond Huber's limit weighed down so that least squares is his estimate."""
+    linear = linearise(state, seen, with_lens)
+    lengths = np.linalg.norm(linear.residual.reshape(len(linear.residual), -1, 2), axis=2)
+    root = np.repeat(np.sqrt(np.minimum(1.0, HUBER / np.maximum(lengths, 1e-300))), 2, axis=1)
+    return Linearised(root * linear.residual, root[..., None] * linear.by_shared, root[..., None] * linear.by_pose)
 
 
 def _levenberg_marquardt(
@@ -205,7 +111,8 @@ def _levenberg_marquardt(
     if not np.isfinite(cost):
         return state, 0
     for iteration in range(stop.iterations):
-        equations = robust_equations(state, seen, layout, len(free.poses), prior)
+        linear = robust_rows(state, seen, layout.with_lens)
+        equations = with_prior(normal_equations(linear, seen, layout, len(free.poses)), prior, state, layout)
         while True:
             trial = state.moved(*step(equations, free, damping))
             trial_cost = _cost(trial, seen, layout, prior)
@@ -221,18 +128,111 @@ def _levenberg_marquardt(
 
 
 def _cost(state: State, seen: Observations, layout: Layout, prior: Prior | None) -> float:
+    if not (np.all(state.scale > 0) and np.all(state.lens[:, :2] > 0)):
+        return np.inf
     lengths = normalised_lengths(state, seen)
     inside = np.minimum(lengths, HUBER)
     cost = float(np.sum(inside * (2 * lengths - inside)))
     if prior is not None:
         away = _shared(state, layout) - prior.mean
         cost += float(away @ prior.information @ away)
-    return cost if np.isfinite(cost) and np.all(state.scale > 0) else np.inf
+    return cost if np.isfinite(cost) else np.inf
+
+
+# --- Normal equations and the elimination of the poses.
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """U (d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (d,), g_poses (m, 6)."""
+
+    U: Array
+    W: Array
+    V: Array
+    g_shared: Array
+    g_poses: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The same after elimination: S (f, f) and b (f,) of the free shared unknowns, and V^-1 (m, 6, 6)."""
+
+    S: Array
+    b: Array
+    V_inverse: Array
+
+
+def normal_equations(linear: Linearised, seen: Observations, layout: Layout, poses: int) -> NormalEquations:
+    """Sums over all detections; a camera sees each pose of a target once."""
+    products = _products(linear)
+    size, k = layout.size, layout.width + layout.target_width
+    U, W, V = np.zeros((size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
+    g_shared, g_poses = np.zeros(size), np.zeros((poses, POSE))
+    pairs = seen.camera * layout.targets + seen.target
+    for pair in np.unique(pairs):  # those of one camera and target have the same columns
+        rows = np.flatnonzero(pairs == pair)
+        columns, pose = layout.columns(seen.camera[rows[:1]], seen.target[rows[:1]])[0], seen.pose[rows]
+        total = products[rows].sum(axis=0)
+        U[np.ix_(columns, columns)] += total[:k, :k]
+        g_shared[columns] += total[:k, -1]
+        W[pose[:, None], columns] += products[rows, :k, k:-1]
+        V[pose] += products[rows, k:-1, k:-1]
+        g_poses[pose] += products[rows, k:-1, -1]
+    return NormalEquations(U, W, V, g_shared, g_poses)
+
+
+def with_prior(equations: NormalEquations, prior: Prior | None, state: State, layout: Layout) -> NormalEquations:
+    """What is known of the shared unknowns beforehand, added."""
+    if prior is None:
+        return equations
+    g = equations.g_shared + prior.information @ (prior.mean - _shared(state, layout))
+    return replace(equations, U=equations.U + prior.information, g_shared=g)
+
+
+def reduce(equations: NormalEquations, free: FreeUnknowns, damping: float = 0.0) -> Reduced:
+    """Eliminate the poses; ``damping`` as in Levenberg-Marquardt, relative to the diagonals."""
+    V_inverse = np.asarray(_inverses(equations.V, damping) * free.poses[:, None, None], float)
+    W = equations.W[:, free.shared]
+    U = equations.U[np.ix_(free.shared, free.shared)]
+    flat = np.swapaxes(W, 0, 1).reshape(W.shape[1], POSE * len(W))
+    weighted = np.swapaxes(W @ V_inverse, 0, 1).reshape(W.shape[1], POSE * len(W))
+    S = U + damping * np.diag(np.diag(U)) - weighted @ flat.T
+    return Reduced(S, equations.g_shared[free.shared] - weighted @ equations.g_poses.ravel(), V_inverse)
+
+
+def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tuple[Array, Array]:
+    """The damped Gauss-Newton step: shared (d,), poses (m, 6)."""
+    reduced = reduce(equations, free, damping)
+    shared = np.zeros(len(free.shared))
+    shared[free.shared] = np.linalg.lstsq(reduced.S, reduced.b, rcond=None)[0]
+    rest = equations.g_poses - np.swapaxes(equations.W, 1, 2) @ shared
+    return shared, (reduced.V_inverse @ rest[..., None])[..., 0]
+
+
+def information_of_each(linear: Linearised) -> tuple[Array, Array]:
+    """What each detection says of its shared unknowns once its own pose has been paid for: information (s, k, k) and
+    gradient (s, k), in the columns of ``by_shared``. Their sums are S and b where no pose is seen by two cameras."""
+    products = _products(linear)
+    k = products.shape[1] - POSE - 1
+    weighted = products[:, :k, k:-1] @ _inverses(products[:, k:-1, k:-1])
+    eliminated = products[:, :k] - weighted @ products[:, k:-1]
+    return eliminated[:, :, :k], eliminated[:, :, -1]
+
+
+def _products(linear: Linearised) -> Array:
+    """(s, k + 7, k + 7) of each detection: J^T J with the residual as the last column."""
+    J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
+    return np.swapaxes(J, 1, 2) @ J
+
+
+def _inverses(V: Array, damping: float = 0.0) -> Array:
+    floor = TINY * np.trace(V, axis1=1, axis2=2)[:, None, None] + 1e-300
+    return np.linalg.inv(V + (damping * V + floor) * np.eye(POSE))
 
 
 def _shared(state: State, layout: Layout) -> Array:
-    """Lenses and scales where the layout has them, zeros for the poses of cameras (no prior speaks of those)."""
+    """Lenses, scales and bows as laid out, zeros for the poses of cameras (no prior speaks of those)."""
     by_camera = np.zeros((layout.cameras, layout.width))
-    if layout.with_lens:
-        by_camera[:, 6:] = state.lens
-    return np.concatenate([by_camera.ravel(), state.scale])
+    by_camera[:, POSE:] = state.lens if layout.with_lens else 0.0
+    by_target = np.column_stack([state.scale, state.bow])[:, : layout.target_width]
+    return np.concatenate([by_camera.ravel(), by_target.ravel()])

@@ -1,4 +1,4 @@
-"""Step 6: how well the cameras' poses are known.
+"""Step 6: how well cameras, lenses and targets are known.
 
 From the normal equations of all corners, in the gauge of the solution: the reference (a camera, or one pose of a
 target) is exact by definition, everything else is known relative to it.
@@ -6,7 +6,7 @@ target) is exact by definition, everything else is known relative to it.
     covariance = S^-1 v F + sum over cameras of G Sigma_lens G^T,    G = -S^-1 S_lens
 
 S: reduced normal equations of the free unknowns; v: variance factor of the robust residuals; F >= 1: by how much
-cameras contradict one another (:mod:`.pose_misfit`) beyond the noise of corners and what displacements explain; G: what
+cameras contradict one another (:mod:`.sync_error`) beyond the noise of corners and what displacements explain; G: what
 an error of the lens parameters, held fixed, does to the poses.
 """
 
@@ -17,20 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .adjustment import (
-    HUBER,
-    Adjusted,
-    Bools,
-    FreeUnknowns,
-    Prior,
-    huber_weights,
-    normal_equations,
-    normalised_lengths,
-    reduce,
-)
-from .projection import linearise
+from .adjustment import HUBER, Adjusted, FreeUnknowns, Prior, normal_equations, normalised_lengths, reduce, robust_rows
 from .rigid import Array
-from .state import Layout, Observations
+from .state import Bools, Layout, Observations
 from .sync_error import pose_dof, pose_misfit, whitened
 
 MIN_DOF = 18  # of the comparison between cameras: with less it tells nothing
@@ -41,7 +30,7 @@ class Covariance:
     """cameras (c, 6, 6): rotation vector (rad, in the camera's frame) and centre (m, in the reference's frame).
 
     scale (k,): standard deviations of the targets' scales, 0 where fixed. variance_factor: the corners' variance over
-    the one assumed. inflation: the factor F by which the covariance exceeds what independent corners would leave.
+    the one given. inflation: the factor F by which the covariance exceeds what independent corners would leave.
     redundancy: the share of the corners' coordinates that the unknowns do not use up.
     """
 
@@ -63,27 +52,36 @@ def covariance(
     """Covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were refined).
 
     ``lens_covariance``: by row of the camera, (12, 12) of its lens parameters, where these were held fixed;
-    ``displacement`` (s,): how far the target may have moved between exposures, sd, m.
+    ``sync_error`` (s,): how far the target may have moved between exposures, sd, m.
     """
     layout = Layout(len(fit.state.centre), len(fit.state.scale), with_lens=True)
     scaled = seen.weighted(np.array(1 / fit.scale))
-    lengths = normalised_lengths(fit.state, scaled)
-    weighted = scaled.weighted(np.sqrt(huber_weights(lengths)))
-    linear = whitened(linearise(fit.state, weighted, with_lens=True), sync_error)
-    equations = normal_equations(linear, weighted, layout, len(free.poses))
+    linear = whitened(robust_rows(fit.state, scaled, with_lens=True), sync_error)
+    equations = normal_equations(linear, scaled, layout, len(free.poses))
     S = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses)).S
     inverse = _inverse(S if prior is None else S + prior.information, free.shared)
-    misfit, shared = pose_misfit(linear), int(free.shared.sum())
-    corners = scaled.weight > 0
-    unknowns, coordinates = shared + pose_dof(scaled.pose, misfit.dof), 2 * int(corners.sum())
-    factor = _variance_factor(lengths[corners], unknowns)
-    ratio, dof = misfit.ratio(linear.residual, int(corners.sum()), scaled.pose, shared)
+    misfit, shared, corners = pose_misfit(linear), int(free.shared.sum()), int((scaled.weight > 0).sum())
+    unknowns = shared + pose_dof(scaled.pose, misfit.dof)
+    lengths = normalised_lengths(fit.state, scaled)[scaled.weight > 0]
+    factor = variance_factor(lengths, unknowns)
+    ratio, dof = misfit.ratio(linear.residual, corners, scaled.pose, shared)
     inflation = max(ratio, 1.0) if dof >= MIN_DOF else 1.0
     total = inverse * factor * inflation + _lens_effect(inverse, S, layout, lens_covariance)
     blocks = [layout.camera(c) for c in range(layout.cameras)]
-    scales = np.sqrt(np.diag(total)[layout.size - layout.targets :])
-    redundancy = max(coordinates - unknowns, 1) / coordinates
-    return Covariance(np.array([total[b, b] for b in blocks]), scales, factor * fit.scale**2, inflation, redundancy)
+    return Covariance(
+        cameras=np.array([total[b, b] for b in blocks]),
+        scale=np.sqrt(np.diag(total)[layout.scales]),
+        variance_factor=factor * fit.scale**2,
+        inflation=inflation,
+        redundancy=max(2 * corners - unknowns, 1) / (2 * corners),
+    )
+
+
+def variance_factor(lengths: Array, unknowns: int) -> float:
+    """Huber's estimate: squared clipped residuals over the degrees of freedom, by the square of the share inside."""
+    dof = max(2 * len(lengths) - unknowns, 1)
+    inside = max(float(np.mean(lengths <= HUBER)), 0.5)
+    return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / dof / inside**2
 
 
 def _inverse(information: Array, free: Bools) -> Array:
@@ -91,13 +89,6 @@ def _inverse(information: Array, free: Bools) -> Array:
     full = np.zeros_like(information)
     full[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-14, hermitian=True)
     return full
-
-
-def _variance_factor(lengths: Array, unknowns: int) -> float:
-    """Huber's estimate: squared clipped residuals over the degrees of freedom, by the square of the share inside."""
-    dof = max(2 * len(lengths) - unknowns, 1)
-    inside = max(float(np.mean(lengths <= HUBER)), 0.5)
-    return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / dof / inside**2
 
 
 def _lens_effect(inverse: Array, S: Array, layout: Layout, lens_covariance: Mapping[int, Array]) -> Array:

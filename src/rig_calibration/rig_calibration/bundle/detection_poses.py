@@ -18,8 +18,8 @@ from capture_rig import lens
 from capture_rig.camera import CameraModel
 
 from ..boards.board import TargetDetection
+from .problem import LINE, TargetShape
 from .rigid import Array
-from .target_shape import LINE, TargetShape
 from .view_graph import PoseKey
 
 MIN_CORNERS = 4

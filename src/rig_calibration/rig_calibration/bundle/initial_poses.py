@@ -16,9 +16,9 @@ from capture_rig.errors import InputError
 
 from ..boards.board import TargetDetection
 from .detection_poses import View
+from .problem import LINE
 from .relative_poses import RelativePose, agreement_weight, line_pose, relative_pose, relative_pose_of_line
 from .rigid import Array, angle_between, inverse, transform
-from .target_shape import LINE
 from .view_graph import PoseKey
 
 

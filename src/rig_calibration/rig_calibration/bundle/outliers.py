@@ -11,18 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ..boards.board import TargetDetection
 from .adjustment import RAYLEIGH_MEDIAN, ROUGHLY, Adjusted, FreeUnknowns, adjust, normalised_lengths
+from .problem import TargetShape
 from .rigid import Array
-from .state import Ints, Layout, Observations
-from .target_shape import TargetShape
+from .state import Bools, Ints, Layout, Observations
 
-BAD_DETECTION = 5.0  # standard deviations of the median corner
-MIN_CONTRADICTION_PX = 0.5  # median residual below which a detection is imprecise, not wrong
 WORST_FIRST = 0.3  # of the worst: what is left out in one round
-BAD_CORNER = 8.0  # standard deviations of a single corner among good ones
 RENUMBERED_GAIN = 0.2  # a turned numbering must fit this many times better to be believed
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras at that moment (wrong corners, or moved between the exposures)"
@@ -31,12 +27,36 @@ ALL = "the cameras contradict one another at that moment (the target moved betwe
 RENUMBERED = "its corners are numbered from the other end: the target is seen upside down, or was found wrongly"
 
 
+@dataclass(frozen=True)
+class Limits:
+    """From when on corners are wrong, not imprecise: ``detection``: of the median corner, in standard deviations, and
+    ``detection_px``; ``corner``: of a single corner among good ones, and ``corner_px``. ``rounds``: at most."""
+
+    detection: float
+    detection_px: float
+    corner: float
+    corner_px: float
+    rounds: int
+
+
+RIG_LIMITS = Limits(5.0, 0.5, 8.0, 0.0, 12)
+"""Lenses that are not quite right and delays may do so much (bench/calibration_bundle.py)."""
+LENS_LIMITS = Limits(3.5, 0.3, 5.0, 0.3, 2)
+"""More rounds would peel off, layer by layer, what a lens model that is too simple cannot explain."""
+
+
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A detection that took no part, and why."""
+    """A detection that took no part, or the ``corners`` (ids) of it that took none, and why."""
 
     detection: TargetDetection
     reason: str
+    corners: tuple[int, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Was the whole detection left out?"""
+        return not self.corners
 
 
 def misfits(fit: Adjusted, seen: Observations) -> Array:
@@ -45,21 +65,28 @@ def misfits(fit: Adjusted, seen: Observations) -> Array:
     return np.nanmedian(np.where(seen.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
 
 
-def bad_corners(fit: Adjusted, seen: Observations) -> npt.NDArray[np.bool_]:
-    """(s, n) bool: corners far off in detections that are good otherwise."""
-    lengths = normalised_lengths(fit.state, seen) / fit.scale
-    return (lengths > BAD_CORNER) & (misfits(fit, seen) < BAD_DETECTION)[:, None]
+def bad_corners(fit: Adjusted, seen: Observations, limits: Limits) -> Bools:
+    """(s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
+    lengths, misfit = normalised_lengths(fit.state, seen), misfits(fit, seen)[:, None]
+    off = (lengths > limits.corner * fit.scale * np.maximum(misfit, 1.0)) & (lengths > limits.corner_px * seen.weight)
+    return off & (misfit < limits.detection)
 
 
 def contradictions(
-    fit: Adjusted, seen: Observations, detections: Sequence[TargetDetection], shapes: Mapping[str, TargetShape]
+    fit: Adjusted,
+    seen: Observations,
+    detections: Sequence[TargetDetection],
+    shapes: Mapping[str, TargetShape],
+    limits: Limits,
 ) -> list[tuple[int, str]]:
     """The rows of detections to leave out, with the reason; of one moment, no more than needs be."""
     misfit = misfits(fit, seen)
     found: list[tuple[int, str]] = []
     disputed: list[Ints] = []
-    bad = max(BAD_DETECTION, WORST_FIRST * float(misfit.max(initial=0.0)))  # lesser ones may only follow from the worst
-    for pose in np.unique(seen.pose[_is_bad(misfit, bad, fit, seen)]):
+    bad = max(
+        limits.detection, WORST_FIRST * float(misfit.max(initial=0.0))
+    )  # lesser ones may only follow from the worst
+    for pose in np.unique(seen.pose[_is_bad(misfit, bad, fit, seen, limits)]):
         rows = np.flatnonzero(seen.pose == pose)
         if len(rows) == 1:
             found.append((int(rows[0]), SINGLE))
@@ -84,7 +111,9 @@ def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
     if not cases:
         return []
     worst = _refit(fit, seen.only(np.concatenate(cases)), _cases(cases)[1])
-    fitting = [case for case, misfit in zip(cases, worst, strict=True) if len(case) > 1 and misfit < BAD_DETECTION]
+    fitting = [
+        case for case, misfit in zip(cases, worst, strict=True) if len(case) > 1 and misfit < RIG_LIMITS.detection
+    ]
     return sorted({int(row) for case in fitting for row in case if row in out})
 
 
@@ -98,10 +127,12 @@ def _blame(rows: Ints, misfit: Array, without: dict[int, float], renumbered: dic
     ):
         return [(int(row), RENUMBERED) for row in (rows if len(rows) == 2 else [culprit])]
     if len(rows) > 2:
-        clear = without[culprit] < BAD_DETECTION or len(rows) > 3  # else two of three are wrong, nobody knows which
+        clear = (
+            without[culprit] < RIG_LIMITS.detection or len(rows) > 3
+        )  # else two of three are wrong, nobody knows which
         return [(culprit, ODD_ONE)] if clear else [(int(row), ALL) for row in rows]
     other = int(rows[0] if culprit == rows[1] else rows[1])
-    if without[culprit] < BAD_DETECTION < without[other]:  # the other one fits the target, this one does not
+    if without[culprit] < RIG_LIMITS.detection < without[other]:  # the other one fits the target, this one does not
         return [(culprit, SINGLE)]
     return [(int(row), PAIR) for row in rows]
 
@@ -135,10 +166,10 @@ def _misfit_renumbered(
     return {row: value for (row, _), value in zip(cases, worst, strict=True)}
 
 
-def _is_bad(misfit: Array, limit: float, fit: Adjusted, seen: Observations) -> npt.NDArray[np.bool_]:
+def _is_bad(misfit: Array, limit: float, fit: Adjusted, seen: Observations, limits: Limits) -> Bools:
     """(s,) misfits beyond a limit and, in pixels, beyond what lenses and delays may do."""
     sigma_px = 1 / np.maximum(seen.weight.max(axis=1), 1e-300)
-    return (misfit > limit) & (misfit * fit.scale * sigma_px * RAYLEIGH_MEDIAN > MIN_CONTRADICTION_PX)
+    return (misfit > limit) & (misfit * fit.scale * sigma_px * RAYLEIGH_MEDIAN > limits.detection_px)
 
 
 def _cases(rows: Sequence[Ints]) -> tuple[Ints, Ints]:

@@ -1,4 +1,8 @@
-"""What the solver is given, checked and put in order."""
+"""What the solver is given, checked and put in order: cameras, rigid targets, detections.
+
+A target is a set of points about their centroid. What a picture does not show of it is part of its shape: rotations
+that map the points onto themselves (a symmetric target), and, of a board, how far its middle stands out of its plane.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
-from ..boards.board import TargetDetection
-from .rigid import Array
-from .state import LENS
-from .target_shape import TargetShape, shapes_of
+from ..boards.board import Board, Checkerboard, TargetDetection
+from .rigid import Array, rotation
 from .view_graph import PoseKey
+
+LENS = 12  # fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,3 +130,80 @@ def _lens_covariance(cameras: Mapping[str, CameraModel], name: str, given: npt.A
     full = np.zeros((LENS, LENS))
     full[:size, :size] = matrix
     return full
+
+
+# --- Targets.
+
+LINE, PLANE, VOLUME = 1, 2, 3
+FLAT = 1e-6  # of the target's size
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """A turn that maps the target onto itself: point i comes to lie on point ``permutation[i]``."""
+
+    permutation: npt.NDArray[np.int64]
+    R: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TargetShape:
+    """Points (n, 3) of a rigid target about their ``centroid`` (3,), metres, target frame.
+
+    ``dimension`` is LINE, PLANE or VOLUME. ``bend`` (n, 2): how far a corner stands out along z where the middle does
+    by one metre, for a sheet that is bent along x and along y. ``symmetries`` are the turns that a picture does not
+    show, the identity first; ``half_turn`` is the half turn that would map the points onto themselves, whether a
+    picture shows it or not.
+    """
+
+    name: str
+    points: Array
+    centroid: Array
+    bend: Array
+    dimension: int
+    symmetries: tuple[Symmetry, ...]
+    half_turn: Symmetry | None
+
+
+def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 1) -> TargetShape:
+    """The shape of a target with points (n, 3) that looks alike after 1/``symmetry_order`` of a turn.
+
+    Raises InputError for fewer than two points, and when the points do not look alike after that turn.
+    """
+    points = np.asarray(points_target, float).reshape(-1, 3)
+    if len(points) < 2 or not np.isfinite(points).all():
+        raise InputError(f"target '{name}' has {len(points)} points", remedy="Give at least two points, in metres.")
+    centred = points - points.mean(0)
+    _, spread, axes = np.linalg.svd(centred, full_matrices=True)
+    dimension = max(int(np.sum(spread > FLAT * spread[0])), 1)
+    axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
+    found = [_turn(centred, axis * 2 * np.pi * k / symmetry_order) for k in range(symmetry_order)]
+    if any(symmetry is None for symmetry in found):
+        raise InputError(
+            f"target '{name}' does not look alike after 1/{symmetry_order} of a turn",
+            remedy="Give it a symmetry order only when a picture does not show its turns.",
+        )
+    half_turn = _turn(centred, axis * np.pi) if dimension < VOLUME else None
+    bend = 1.0 - (centred[:, :2] / np.maximum(np.abs(centred[:, :2]).max(axis=0), 1e-300)) ** 2
+    symmetries = tuple(symmetry for symmetry in found if symmetry is not None)
+    return TargetShape(name, centred, points.mean(0), bend, dimension, symmetries, half_turn)
+
+
+def symmetry_order_of(board: Board) -> int:
+    """How many ways round a board may lie without a picture showing it: 1 (its corners are told apart), 2 or 4."""
+    if board.half_turn_is_visible or not isinstance(board, Checkerboard):
+        return 1
+    square = board.columns == board.rows and board.field_m[0] == board.field_m[1]
+    return 4 if square and board.columns % 2 == 0 else 2
+
+
+def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str, int]) -> dict[str, TargetShape]:
+    """The shapes of all targets, in name order."""
+    return {name: target_shape(name, targets[name], symmetry_orders.get(name, 1)) for name in sorted(targets)}
+
+
+def _turn(centred: Array, vector: Array) -> Symmetry | None:
+    R = rotation(vector)
+    distance, nearest = cKDTree(centred).query(centred @ R.T)
+    alike = distance.max() < 1e-3 * np.abs(centred).max() and len(set(nearest.tolist())) == len(nearest)
+    return Symmetry(nearest.astype(np.int64), R) if alike else None

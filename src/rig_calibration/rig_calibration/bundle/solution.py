@@ -10,24 +10,14 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
 from ..boards.board import TargetDetection
-from .adjustment import (
-    FreeUnknowns,
-    NormalEquations,
-    huber_weights,
-    noise_scale,
-    normal_equations,
-    normalised_lengths,
-    reduce,
-    step,
-)
-from .covariance import covariance
+from .adjustment import FreeUnknowns, noise_scale, normal_equations, reduce, step
 from .initial_poses import InitialPoses
 from .outliers import LeftOut
 from .problem import Problem
-from .projection import linearise, residuals_px
+from .projection import residuals_px
 from .rigid import Array, transform
-from .robust_fit import Fit, lens_covariances
-from .state import Layout, State
+from .robust_fit import Fit
+from .state import State, camera_with
 from .sync_error import whitened
 from .view_graph import PoseKey, most_seen
 
@@ -115,13 +105,12 @@ def in_gauge(fit: Fit, reference: str | PoseKey) -> Fit:
                 remedy="Take another reference, or take its pictures again.",
             )
         R, origin = state.R_pose[row].T, target_origin(problem, state, row)
-    moved = State(
-        state.R_camera @ R.T,
-        (state.centre - origin) @ R.T,
-        state.lens,
-        R @ state.R_pose,
-        (state.position - origin) @ R.T,
-        state.scale,
+    moved = replace(
+        state,
+        R_camera=state.R_camera @ R.T,
+        centre=(state.centre - origin) @ R.T,
+        R_pose=R @ state.R_pose,
+        position=(state.position - origin) @ R.T,
     )
     return replace(fit, adjusted=replace(fit.adjusted, state=moved))
 
@@ -135,8 +124,8 @@ def target_origin(problem: Problem, state: State, row: int) -> Array:
 
 # --- Do the views of several cameras agree with the focal lengths that were given?
 #
-# One Gauss-Newton step away from the solution, with focal lengths and principal points of all cameras set free: were the
-# intrinsics right, it would not change them by more than their standard deviations. (A board that only one camera sees
+# One Gauss-Newton step away from the solution, with focal lengths and principal points of all cameras set free: if the
+# intrinsics are right, it changes them by no more than their standard deviations. (A board that only one camera sees
 # tells little about them: a longer lens looks like a board farther away. Another camera knows where the board is.)
 
 WIDE = 0.1  # of the focal length: standard deviation of what is assumed of all four beforehand
@@ -146,11 +135,9 @@ PINHOLE = 4
 def focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
     """By camera, the focal length that all views together ask for over the one given, and its standard deviation."""
     state, names = fit.adjusted.state, list(fit.problem.cameras)
-    layout = Layout(len(names), fit.layout.targets, with_lens=True)
-    used = fit.used.weighted(np.array(1 / fit.adjusted.scale))
-    weighted = used.weighted(np.sqrt(huber_weights(normalised_lengths(state, used))))
-    linear = whitened(linearise(state, weighted, with_lens=True), fit.sync_error[fit.rows])
-    equations = normal_equations(linear, weighted, layout, len(state.position))
+    layout = replace(fit.layout, with_lens=True)
+    linear = whitened(fit.rows_at_solution(with_lens=True), fit.sync_error[fit.rows])
+    equations = normal_equations(linear, fit.used, layout, len(state.position))
     focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
     free, U = fit.free(layout), equations.U.copy()
     shared = free.shared.copy()
@@ -158,7 +145,7 @@ def focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
         pinhole = np.arange(layout.size)[layout.lens(row)][:PINHOLE]
         shared[pinhole] = True
         U[pinhole, pinhole] += (WIDE * focal_px[row]) ** -2.0
-    asked = NormalEquations(U, equations.W, equations.V, equations.g_shared, equations.g_poses)
+    asked = replace(equations, U=U)
     free = FreeUnknowns(shared, free.poses)
     change = step(asked, free, 0.0)[0]
     variance = np.zeros(layout.size)
@@ -189,11 +176,11 @@ def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> Ri
     residuals = residuals_px(state, used)
     corners = used.weight > 0
     squares = np.where(corners, (residuals**2).sum(axis=2), 0.0)
-    tau = fit.sync_error[fit.rows]
-    found = covariance(fit.adjusted, used, _free(fit, reference), lens_covariances(fit), tau, fit.prior)
+    found = fit.covariance(_free(fit, reference))
     renumbered = tuple(s for s, symmetry in zip(problem.detections, initial.symmetries, strict=True) if symmetry)
     cameras = {
-        name: _camera(problem.cameras[name], lens, T_camera[name]) for name, lens in zip(names, state.lens, strict=True)
+        name: camera_with(problem.cameras[name], lens, T_camera[name])
+        for name, lens in zip(names, state.lens, strict=True)
     }
     return RigSolution(
         reference=reference,
@@ -207,8 +194,8 @@ def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> Ri
         covariance=dict(zip(names, found.cameras, strict=True)),
         inflation=found.inflation,
         noise=noise_scale(state, used) / float(np.sqrt(found.redundancy)),
-        sync_error_m=float(np.sqrt(np.mean(tau**2))),
-        left_out=tuple(sorted(fit.left_out, key=_place)),
+        sync_error_m=float(np.sqrt(np.mean(fit.sync_error[fit.rows] ** 2))),
+        left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
         renumbered=renumbered,
         undecided=_undecided(fit),
         scale_base=most_seen(fit.detections, list(problem.shapes)),
@@ -220,7 +207,7 @@ def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> Ri
 
 def _free(fit: Fit, reference: str | PoseKey) -> FreeUnknowns:
     """All that moves when the reference holds the frame."""
-    layout = Layout(fit.layout.cameras, fit.layout.targets, with_lens=True)
+    layout = replace(fit.layout, with_lens=True)
     free = fit.free(layout)
     shared, poses = free.shared.copy(), free.poses.copy()
     shared[layout.camera(fit.root)] = True
@@ -229,11 +216,6 @@ def _free(fit: Fit, reference: str | PoseKey) -> FreeUnknowns:
     else:
         poses[fit.problem.keys.index(reference)] = False
     return FreeUnknowns(shared, poses)
-
-
-def _camera(camera: CameraModel, lens: Array, T_camera_reference: Array) -> CameraModel:
-    K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
-    return replace(camera, K=K, D=lens[4 : 4 + len(camera.D)], T_camera_world=T_camera_reference)
 
 
 def _rms(squares: Array, corners: np.ndarray) -> float:

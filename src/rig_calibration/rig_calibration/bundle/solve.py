@@ -34,10 +34,10 @@ def solve_rig(
 
     targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target at the same moment
     is in one place. reference : whose frame the poses are in: a camera, a target that was seen at one moment only, or
-    (target, moment); the best linked camera by default. turnable : targets whose turns a picture does not show
-    (:func:`.target_shape.symmetry_order_of`): their numbering is settled by what the cameras agree on. intrinsics_covariance :
-    by camera, of fx fy cx cy and the distortion (standard deviations or a matrix); it enlarges the poses' covariance.
-    refine_intrinsics : adjust the lenses as well, with that covariance as the prior.
+    (target, frame); the best linked camera by default. symmetry_orders : of targets whose turns a picture does not
+    show (:func:`.problem.symmetry_order_of`): their numbering is settled by what the cameras agree on.
+    intrinsics_covariance : by camera, of fx fy cx cy and the distortion (standard deviations or a matrix); it enlarges
+    the poses' covariance. refine_intrinsics : adjust the lenses as well, with that covariance as the prior.
 
     The same input gives the same result to the last bit, in whatever order detections and names come. Raises InputError
     for detections without camera, target or fitting image size, for cameras that see nothing and for groups of cameras

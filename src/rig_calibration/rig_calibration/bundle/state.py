@@ -1,4 +1,8 @@
-"""What the adjustment adjusts, and to what: its unknowns and its observations as arrays."""
+"""The unknowns of the adjustment, how they are laid out in one vector, and the corners that it is adjusted to.
+
+Shared by many corners are the poses of the cameras, their lenses, and the targets' sizes and bending; each target has a
+pose of its own at each frame. A lens by itself is a rig of one camera whose pose is held fixed.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +15,13 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 
 from ..boards.board import TargetDetection
-from .lens_derivatives import COEFFICIENTS
+from .problem import LENS, TargetShape
 from .rigid import Array, orthonormal, rotation
-from .target_shape import TargetShape
 from .view_graph import PoseKey
 
-POSE, LENS = 6, 4 + COEFFICIENTS
+POSE, BOW = 6, 2
 Ints = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +30,7 @@ class State:
 
     R_camera (c, 3, 3), centre (c, 3): x_camera = R_camera (x - centre); lens (c, 12): fx fy cx cy k1 k2 p1 p2 k3 k4 k5
     k6; R_pose (m, 3, 3), position (m, 3): x = R_pose scale x_target + position, x_target about the target's centroid;
-    scale (k,) of each target.
+    scale (k,) of each target; bow (k, 2): how far its middle stands out along its z, m, bent along x and along y.
     """
 
     R_camera: Array
@@ -35,6 +39,7 @@ class State:
     R_pose: Array
     position: Array
     scale: Array
+    bow: Array
 
     def moved(self, shared: Array, poses: Array) -> State:
         """The state after a step: ``shared`` (as laid out by :class:`Layout`), ``poses`` (m, 6) rotation, position.
@@ -42,23 +47,24 @@ class State:
         Cameras turn about their centre by a rotation vector in their own frame, targets about their centroid by one
         in the common frame.
         """
-        cameras = len(self.centre)
-        by_camera = shared[: -len(self.scale)].reshape(cameras, -1)
-        lens = self.lens + by_camera[:, POSE:] if by_camera.shape[1] > POSE else self.lens
+        cameras, targets = len(self.centre), len(self.scale)
+        layout = Layout(cameras, targets, with_lens=len(shared) != Layout(cameras, targets).size)
+        by_camera = shared[: cameras * layout.width].reshape(cameras, layout.width)
         return State(
             orthonormal(rotation(by_camera[:, :3]) @ self.R_camera),
             self.centre + by_camera[:, 3:POSE],
-            lens,
+            self.lens + by_camera[:, POSE:] if layout.with_lens else self.lens,
             orthonormal(rotation(poses[:, :3]) @ self.R_pose),
             self.position + poses[:, 3:],
-            self.scale + shared[-len(self.scale) :],
+            self.scale + shared[layout.scales],
+            self.bow + shared[layout.bows] if layout.with_lens else self.bow,
         )
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the shared unknowns lie: for each camera rotation (3), centre (3) and, if asked for, lens (12); then the
-    scales of the targets."""
+    """Where the shared unknowns lie: for each camera rotation (3), centre (3) and, ``with_lens``, lens (12); then for
+    each target its scale and, ``with_lens``, its bow (2)."""
 
     cameras: int
     targets: int
@@ -66,11 +72,16 @@ class Layout:
 
     @property
     def width(self) -> int:
+        """Unknowns of a camera."""
         return POSE + LENS * self.with_lens
 
     @property
+    def target_width(self) -> int:
+        return 1 + BOW * self.with_lens
+
+    @property
     def size(self) -> int:
-        return self.cameras * self.width + self.targets
+        return self.cameras * self.width + self.targets * self.target_width
 
     def camera(self, index: int) -> slice:
         """Rotation and centre of a camera."""
@@ -79,25 +90,36 @@ class Layout:
     def lens(self, index: int) -> slice:
         return slice(index * self.width + POSE, (index + 1) * self.width)
 
+    @property
+    def scales(self) -> Ints:
+        """(k,) places of the targets' scales."""
+        return self.cameras * self.width + self.target_width * np.arange(self.targets)
+
+    @property
+    def bows(self) -> Ints:
+        """(k, 2) places of the targets' bows."""
+        return self.scales[:, None] + np.arange(1, self.target_width)
+
     def columns(self, camera: Ints, target: Ints) -> Ints:
-        """(s, width + 1) the shared unknowns on which each detection depends."""
-        return np.column_stack(
-            [camera[:, None] * self.width + np.arange(self.width), self.cameras * self.width + target]
-        )
+        """(s, width + target_width) the shared unknowns on which each detection depends."""
+        of_target = self.scales[target][:, None] + np.arange(self.target_width)
+        return np.column_stack([camera[:, None] * self.width + np.arange(self.width), of_target])
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
     """The corners of all detections, padded to the same number.
 
-    camera, pose, target (s,): rows of the state; points (s, n, 3) on the target; pixels (s, n, 2); weight (s, n):
-    1 / standard deviation (1/px), 0 where there is no corner.
+    camera, pose, target (s,): rows of the state; points (s, n, 3) on the target; bend (s, n, 2): how far a corner
+    stands out where the middle does by one metre; pixels (s, n, 2); weight (s, n): 1 / standard deviation (1/px), 0
+    where there is no corner.
     """
 
     camera: Ints
     pose: Ints
     target: Ints
     points: Array
+    bend: Array
     pixels: Array
     weight: Array
 
@@ -121,16 +143,18 @@ def observe(
     pose_row = {key: row for row, key in enumerate(keys)}
     target_row = {name: row for row, name in enumerate(shapes)}
     count, longest = len(detections), max(map(len, detections), default=0)
-    points, pixels, weight = np.zeros((count, longest, 3)), np.zeros((count, longest, 2)), np.zeros((count, longest))
+    points, weight = np.zeros((count, longest, 3)), np.zeros((count, longest))
+    bend, pixels = np.zeros((2, count, longest, 2))
     for row, detection in enumerate(detections):
-        n = len(detection)
-        points[row, :n] = shapes[detection.target].points[detection.ids]
+        n, shape = len(detection), shapes[detection.target]
+        points[row, :n], bend[row, :n] = shape.points[detection.ids], shape.bend[detection.ids]
         pixels[row, :n], weight[row, :n] = detection.pixels, 1 / detection.sigma_px
     return Observations(
         np.array([camera_row[s.camera] for s in detections], np.int64),
         np.array([pose_row[s.target, s.frame_index] for s in detections], np.int64),
         np.array([target_row[s.target] for s in detections], np.int64),
         points,
+        bend,
         pixels,
         weight,
     )
@@ -138,6 +162,10 @@ def observe(
 
 def lens_of(camera: CameraModel) -> Array:
     """(12,) fx fy cx cy and the eight coefficients, those that the model lacks being zero."""
-    coefficients = np.zeros(COEFFICIENTS)
-    coefficients[: len(camera.D)] = camera.D
-    return np.array([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *coefficients])
+    return np.pad([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.D], (0, 8 - len(camera.D)))
+
+
+def camera_with(camera: CameraModel, lens: Array, T_camera_world: Array) -> CameraModel:
+    """The camera with another lens (12,) and pose."""
+    K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+    return replace(camera, K=K, D=lens[4 : 4 + len(camera.D)], T_camera_world=T_camera_world)

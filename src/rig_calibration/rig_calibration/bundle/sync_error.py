@@ -1,13 +1,18 @@
-"""Targets that move between the exposures.
+"""Targets that move between the exposures of cameras that are not quite synchronous.
 
-Cameras that are not quite synchronous see a moving target in different places, all corners together. Least squares
-would believe the many corners of one detection far too much, above all across the line of sight, where a single picture
-tells a target's place to a fraction of a millimetre. So each detection is allowed a displacement of its own, unknown but
-for its standard deviation tau (m), which is estimated from how far the cameras contradict one another:
+Cameras then see a moving target in different places, all corners together. Least squares would believe the many corners
+of one detection far too much, above all across the line of sight, where a single picture tells a target's place to a
+fraction of a millimetre. So each detection is allowed a displacement of its own, unknown but for its standard deviation
+tau (m), which is estimated from how far the cameras contradict one another:
 
     covariance of a detection's residuals = I + tau^2 A A^T,    A: derivatives by the target's position
 
-This is what weighing moments down by the target's speed would do, without the need to know speed or delay.
+This is what weighing frames down by the target's speed would do, without the need to know speed or delay.
+
+Whether cameras contradict one another by more than the noise of corners explains is an analysis of variance. The
+corners of one detection err together as if the target lay elsewhere when it moved between exposures, is bent, or a lens
+is not quite known: that part of a residual is its projection on what a change of the target's pose does to the picture.
+Cameras and targets, too, act on a detection only through that pose, so the rest of the residual is noise of corners.
 """
 
 from __future__ import annotations
@@ -20,21 +25,16 @@ from .projection import Linearised
 from .rigid import Array
 from .state import Ints
 
-# --- Do cameras contradict one another by more than the noise of corners explains?
-#
-# The corners of one detection can err together as if the target lay elsewhere: because it moved between the exposures of
-# cameras that are not quite synchronous, because it is bent, because a lens is not quite known. That part of a residual
-# is its projection on what a change of the target's pose does to the picture. Cameras and targets, too, act on a detection
-# only through that pose, so the rest of the residual is noise of single corners, and the two are compared as in an
-# analysis of variance.
-
 SINGULAR = 1e-9
+POSITION = slice(3, 6)
+PRIOR_DOF = 6.0  # imagined numbers that hold a frame's displacement to that of all
+MAX_CHANGE = 4.0  # of tau^2 in one round
 
 
 @dataclass(frozen=True, eq=False)
 class PoseMisfit:
     """squares (s,): squared length, in standard deviations, of the part of each detection's residual that a change of
-    pose would explain; freedom (s,): how many numbers that is (6 or, for a wand, 5)."""
+    pose would explain; dof (s,): how many numbers that is (6 or, for a wand, 5)."""
 
     squares: Array
     dof: Ints
@@ -66,11 +66,6 @@ def pose_dof(poses: Ints, dof: Ints) -> int:
     most = np.zeros(int(poses.max(initial=-1)) + 1, np.int64)
     np.maximum.at(most, poses, dof)
     return int(most.sum())
-
-
-POSITION = slice(3, 6)
-PRIOR_DOF = 6.0  # imagined numbers that hold a moment's displacement to that of all
-MAX_CHANGE = 4.0  # of tau^2 in one round
 
 
 def whitened(linear: Linearised, tau: Array) -> Linearised:

@@ -14,9 +14,9 @@ from capture_rig.verdict import Verdict, judge
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.diagnosis import diagnose
+from ..bundle.problem import symmetry_order_of
 from ..bundle.solution import RigSolution
 from ..bundle.solve import solve_rig
-from ..bundle.target_shape import symmetry_order_of
 from .figures import CameraEstimate, RigFigures, rig_figures
 from .floor import FloorView, floor_view
 from .verdict import RigEvidence, TapeCheck, TapeMeasure, rig_verdict
@@ -124,8 +124,8 @@ def require_way_round(detections: Iterable[TargetDetection], targets: Mapping[st
     if floor is None or floor.symmetry_order == 1 or len(on_floor) < 2 or any(target != FLOOR for target, _ in seen):
         return
     raise InputError(
-        f"the floor board looks the same after 1/{floor.symmetry_order} of a turn, so that {', '.join(on_floor)} may as well "
-        "stand on the other side of it",
+        f"the floor board looks the same after 1/{floor.symmetry_order} of a turn, so that {', '.join(on_floor)} may "
+        "as well stand on the other side of it",
         remedy="Use a board with an odd and an even number of inner corners, or a ChArUco board; or carry a board "
         "through the room (--moving); or give its outer corners in each picture, the same one first (--corners).",
     )

@@ -15,9 +15,9 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
 from ..boards.board import Board, TargetDetection
+from ..bundle.problem import symmetry_order_of
 from ..bundle.rigid import inverse
 from ..bundle.solve import solve_rig
-from ..bundle.target_shape import symmetry_order_of
 from ..bundle.view_graph import common_frames, groups_of
 
 Array = npt.NDArray[np.float64]
@@ -112,7 +112,6 @@ def _gain(features: Sequence[Feature], seen: Counter[Feature]) -> float:
 
 # --- When does a carried board lie on the floor? When a person says, or where nothing was ever below its plane.
 
-Array = npt.NDArray[np.float64]
 
 BELOW_M = 0.03
 """So far may another board's corner, or a camera, lie below the plane of a board on the floor (noise, a soft floor)."""

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 class CameraFigures:
     """One camera's.
 
-    rms_px : of the corners' coordinates in the final solution. detections : how many went into it. distance_m : from the
+    rms_px : of the corners' coordinates in the solution. detections : how many went into it. distance_m : from the
     volume's centre. height_m : of the lens above the floor. mm_per_px : what a pixel covers at the volume's centre.
     floor_angle_deg : at which it sees the floor board, from the board's normal; None when it does not see it.
     sd_centre_mm, sd_rotation_deg : standard deviation, in the worst direction.

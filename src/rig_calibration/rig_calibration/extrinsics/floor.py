@@ -18,8 +18,8 @@ from capture_rig.errors import InputError
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.detection_poses import detection_poses
+from ..bundle.problem import target_shape
 from ..bundle.rigid import inverse, transform
-from ..bundle.target_shape import target_shape
 
 Array = npt.NDArray[np.float64]
 
@@ -148,7 +148,6 @@ def _standard_deviations(points: Array, camera: CameraModel, T: Array, sigma: fl
 
 # --- The corners of a board that lies still before a camera, out of several frames: averaged, hands left out.
 
-Array = npt.NDArray[np.float64]
 
 SAME_PLACE_PX = 1.0
 """Corners that lie further apart (median over the board) belong to a board, or a camera, that was moved."""

@@ -65,7 +65,6 @@ def world_of_level_camera(T_camera_reference: Array) -> Array:
 
 # --- The common volume: where enough cameras see a person for a hull (thesis 3.1), and the box around it.
 
-Array = npt.NDArray[np.float64]
 
 ENOUGH_CAMERAS = 3
 """Two outlines leave a hull far fatter than the body."""
@@ -183,8 +182,6 @@ def _extent(counts: npt.NDArray[np.int64]) -> tuple[int, int]:
 
 
 # --- From poses in the solver's reference frame to the rig: cameras in the world, and their common volume.
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

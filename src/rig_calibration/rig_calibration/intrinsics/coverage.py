@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .parameters import Array
-from .start import BoardPlacement
-from .views import View
+from ..boards.board import TargetDetection
+from .lens_model import Array
 
 CELLS_ACROSS = 8
 TILT_WANTED_DEG = 25.0
@@ -19,6 +18,32 @@ SIZES_WANTED = 1.6  # largest board in the image over the smallest
 IMAGE_WANTED = 0.85
 SIDES = ("left", "right", "top", "bottom")
 ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "centre", "right")
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPlacement:
+    """How the board is seen: centre (2,) px; size: side of its area, as a share of the image's; lean_rad (2,) how much
+    its edges at the image's right (+, left -) and bottom (+, top -) lean towards the camera."""
+
+    centre_px: Array
+    size: float
+    lean_rad: Array
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the board and the image plane, rad: the perspective that tells the focal length."""
+        return float(np.hypot(*self.lean_rad))
+
+
+def placement_of(T_camera_board: Array, detection: TargetDetection) -> BoardPlacement:
+    """What a pose of the board means to the person who holds it; its origin may lie anywhere on the board."""
+    normal, t = T_camera_board[:3, 2], T_camera_board[:3, 3]
+    x, y, z = normal if normal @ t < 0 else -normal  # towards the camera
+    angle = np.arctan2(np.hypot(x, y), -z)
+    direction = -np.array([x, y]) / max(np.hypot(x, y), 1e-12)  # facing left (-x) means: its right edge is nearer
+    width, height = detection.image_size
+    area = cv2.contourArea(cv2.convexHull(detection.pixels.astype(np.float32)))
+    return BoardPlacement(detection.pixels.mean(axis=0), float(np.sqrt(area / (width * height))), angle * direction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +95,12 @@ class Coverage:
         return f"{ROW_NAMES[row]} edge" if column == 1 else f"{ROW_NAMES[row]} {COLUMN_NAMES[column]} corner"
 
 
-def coverage_of(views: Sequence[View], placements: Sequence[BoardPlacement], image_size: tuple[int, int]) -> Coverage:
-    """Of views and how each shows the board."""
+def coverage_of(pixels: Sequence[Array], placements: Sequence[BoardPlacement], image_size: tuple[int, int]) -> Coverage:
+    """Of the corners (n, 2) of each view, and how each shows the board."""
     width, height = image_size
     cells = np.zeros((max(round(CELLS_ACROSS * height / width), 2), CELLS_ACROSS), bool)
-    for view in views:
-        cells |= covered_cells(view.pixels, image_size, cells.shape)
+    for corners in pixels:
+        cells |= covered_cells(corners, image_size, cells.shape)
     leans = np.rad2deg(np.array([placement.lean_rad for placement in placements]).reshape(-1, 2))
     x, y = leans.T
     tilt = {

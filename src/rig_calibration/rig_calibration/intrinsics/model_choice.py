@@ -9,11 +9,9 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
-from .adjustment import residuals
-from .parameters import LensModel
-from .robust_fit import robust_fit
-from .start import board_pose
-from .views import MIN_VIEWS, View
+from ..boards.board import Board, TargetDetection
+from .lens_fit import MIN_VIEWS, fit_lens, held_out_squares
+from .lens_model import LensModel
 
 AUTO = "auto"
 SIMPLE, RICH = "plumb_bob", "rational_polynomial"
@@ -32,9 +30,9 @@ class ModelChoice:
     reason: str
 
 
-def choose_model(views: Sequence[View]) -> ModelChoice:
+def choose_model(views: Sequence[TargetDetection], board: Board) -> ModelChoice:
     """By cross-validation in five folds over the views: each is predicted (but for its pose) by a fit to the others."""
-    squares = {name: _held_out(views, LensModel(name)) for name in (SIMPLE, RICH)}
+    squares = {name: _held_out(views, board, LensModel(name)) for name in (SIMPLE, RICH)}
     rms = {name: float(np.sqrt(np.mean(value))) for name, value in squares.items()}
     gain = np.log(squares[SIMPLE]) - np.log(squares[RICH])  # of every view; logarithms: no view outweighs the others
     error = gain.std(ddof=1) / np.sqrt(len(gain))
@@ -43,21 +41,17 @@ def choose_model(views: Sequence[View]) -> ModelChoice:
     return ModelChoice(RICH if better else SIMPLE, rms, reason + ("" if better else ": no better, so the simpler one"))
 
 
-def _held_out(views: Sequence[View], model: LensModel) -> np.ndarray:
+def _held_out(views: Sequence[TargetDetection], board: Board, model: LensModel) -> np.ndarray:
     """(V,) mean squared residual of each view, px^2, by a fit to the views of the other folds."""
-    squares = np.full(len(views), LOST_PX**2)
-    everything = robust_fit(views, model).fit.theta
+    everything = fit_lens(views, board, model).camera
     folds = min(FOLDS, len(views))
+    squares: dict[int, float] = {}
     for fold in range(folds):
         others = [view for i, view in enumerate(views) if i % folds != fold]
-        if len(others) < MIN_VIEWS:
-            continue
-        try:
-            theta = robust_fit(others, model, theta=everything).fit.theta
-        except InputError:
-            continue
-        for i in range(fold, len(views), folds):
-            pose = board_pose(theta, views[i], model)
-            if pose is not None:
-                squares[i] = max((residuals(theta, pose, views[i], model) ** 2).mean(), 1e-12)
-    return squares
+        if len(others) >= MIN_VIEWS:
+            try:
+                lens = fit_lens(others, board, model, start=everything)
+            except InputError:
+                continue
+            squares |= held_out_squares(lens, views[fold::folds], board)
+    return np.array([max(squares.get(view.frame_index, LOST_PX**2), 1e-12) for view in views])

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 
 from .coverage import coverage_of
 from .result import Intrinsics
-from .views import View
 
 SEEN, WRONG, CURVE, EMPTY = "#1769aa", "#b22222", "#d9772b", "#f4f4f4"
 ARROW_SHARE = 0.04  # of the image's width: the length of a typical residual arrow
@@ -58,9 +57,8 @@ def _residuals(axis: Axes, result: Intrinsics) -> None:
 
 def _coverage(axis: Axes, result: Intrinsics) -> None:
     size = (result.camera.width, result.camera.height)
-    views = [View(view.detection, view.ids, view.pixels, view.pixels, view.pixels, 1.0) for view in result.views]
     placements = [view.placement for view in result.views]
-    coverage = coverage_of(views, placements, size)
+    coverage = coverage_of([view.pixels for view in result.views], placements, size)
     axis.imshow(coverage.cells, extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5), cmap="Greens", vmin=0, vmax=3)
     for view in result.views:
         axis.plot(*view.pixels.T, ".", markersize=2)

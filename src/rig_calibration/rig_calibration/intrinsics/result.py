@@ -12,10 +12,10 @@ from capture_rig.camera import CameraModel
 from capture_rig.verdict import Verdict
 
 from ..boards.board import TargetDetection
+from ..bundle.outliers import LeftOut
+from .coverage import BoardPlacement
+from .lens_model import Array
 from .model_choice import ModelChoice
-from .parameters import Array
-from .robust_fit import LeftOut
-from .start import BoardPlacement
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,23 +8,19 @@ known well enough, not after some number of views.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
 from ..boards.board import Board, TargetDetection
 from ..boards.detector import find_board
 from ..boards.image_quality import blur_px, motion_px
-from .adjustment import view_information
-from .coverage import Coverage, coverage_of
-from .parameters import Array, LensModel, Prior, prior_of
-from .robust_fit import robust_fit
-from .start import BoardPlacement, board_pose, placement_of
-from .uncertainty import jackknife_covariance
-from .views import View, view_of
+from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
+from .lens_fit import board_pose, diagonal_m, fit_lens, lens_information, why_useless
+from .lens_model import Array, LensModel
 
 REFERENCE_WIDTH_PX = 640
 BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
@@ -62,15 +58,15 @@ class Offer:
 
 @dataclass(frozen=True, eq=False)
 class _CollectedView:
-    view: View
+    detection: TargetDetection
     pose: Array
     placement: BoardPlacement
     roll: float
-    blur_and_motion_px: float  # of blur and motion, px
+    blur_and_motion_px: float
 
     def unlike(self, other: _CollectedView) -> float:
         """1 and more: another view; less: the same again."""
-        width = self.view.detection.image_size[0]
+        width = self.detection.image_size[0]
         turn = np.rad2deg(np.angle(np.exp(1j * (self.roll - other.roll))))
         differences = (
             np.hypot(*(self.placement.centre_px - other.placement.centre_px)) / (ALIKE_PLACE * width),
@@ -90,16 +86,16 @@ class ViewCollector:
         self._board, self._model, self._every = board, LensModel(model), every
         self.goals = goals or AccuracyGoals()
         self._held: list[_CollectedView] = []
-        self._theta: Array | None = None
-        self._prior: Prior | None = None
-        self._precision: Array | None = None  # of what has been taken
+        self._lens: CameraModel | None = None
+        self._prior: Array | None = None  # (p, p) information
+        self._information: Array | None = None  # the same, of what has been taken
         self._noise = 1.0  # sigma of corners, jackknife included, over what the views say of themselves
         self._next_fit = FIRST_FIT
         self.refused = 0
 
     @property
     def detections(self) -> list[TargetDetection]:
-        return [held.view.detection for held in self._held]
+        return [held.detection for held in self._held]
 
     def __len__(self) -> int:
         return len(self._held)
@@ -113,16 +109,18 @@ class ViewCollector:
     @property
     def coverage(self) -> Coverage:
         """Of what has been taken."""
-        size = self._held[0].view.detection.image_size if self._held else (4, 3)
-        return coverage_of([held.view for held in self._held], [held.placement for held in self._held], size)
+        size = self._held[0].detection.image_size if self._held else (4, 3)
+        return coverage_of(
+            [held.detection.pixels for held in self._held], [held.placement for held in self._held], size
+        )
 
     @property
     def expected(self) -> ExpectedAccuracy | None:
         """None until there are enough views to tell."""
-        if self._theta is None or self._precision is None:
+        if self._lens is None or self._information is None:
             return None
-        sd = np.sqrt(np.diag(np.linalg.inv(self._precision))) * self._noise
-        return ExpectedAccuracy(float((sd[:2] / self._theta[:2]).max()), float(sd[2:4].max()))
+        sd = np.sqrt(np.diag(np.linalg.inv(self._information))) * self._noise
+        return ExpectedAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:4].max()))
 
     @property
     def enough(self) -> bool:
@@ -142,12 +140,11 @@ class ViewCollector:
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
 
     def best(self, wanted: int = WANTED) -> list[TargetDetection]:
-        """The views to calibrate from, in the order of their moments: at most ``wanted``, those that tell most."""
-        if len(self) <= wanted or self._theta is None or self._prior is None:
+        """The views to calibrate from, in the order of their frames: at most ``wanted``, those that tell most."""
+        if len(self) <= wanted or self._lens is None or self._prior is None:
             return sorted(self.detections, key=lambda detection: detection.frame_index)
-        information = self._information(self._held)
-        chosen = d_optimal_views(information, self._prior.precision, wanted)
-        return sorted((self._held[i].view.detection for i in chosen), key=lambda detection: detection.frame_index)
+        chosen = d_optimal_views(self._information_of_each(self._lens), self._prior, wanted)
+        return sorted((self._held[i].detection for i in chosen), key=lambda detection: detection.frame_index)
 
     def _take(self, detection: TargetDetection, blur_px: float, motion_px: float) -> Offer:
         scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
@@ -157,33 +154,30 @@ class ViewCollector:
             return Offer(False, f"too blurred: {how}; hold it still, check focus and exposure")
         if not motion_px <= MOTION_PX * scale:
             return Offer(False, "the board moves: hold it still")
-        view = view_of(detection, self._board)
-        if isinstance(view, str):
-            return Offer(False, view)
-        if self._held and detection.image_size != self._held[0].view.detection.image_size:
+        if reason := why_useless(detection, self._board):
+            return Offer(False, reason)
+        if self._held and detection.image_size != self._held[0].detection.image_size:
             raise InputError(
-                f"the images have several sizes: {self._held[0].view.detection.image_size}, then {detection.image_size}",
+                f"the images have several sizes: {self._held[0].detection.image_size}, then {detection.image_size}",
                 where=detection.camera,
                 remedy="Give images of one size.",
             )
-        held = self._placed(view, float(np.hypot(blur_px, motion_px)))
+        held = self._placed(detection, float(np.hypot(blur_px, motion_px)))
         return Offer(False, "its pose cannot be told") if held is None else self._compare(held)
 
     def _sharpest(self) -> float:
         return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0
 
-    def _placed(self, view: View, blur_and_motion_px: float) -> _CollectedView | None:
-        pose = board_pose(self._lens(view.detection.image_size), view, self._model)
+    def _placed(self, detection: TargetDetection, blur_and_motion_px: float) -> _CollectedView | None:
+        size = detection.image_size
+        lens = self._lens or self._model.camera(detection.camera, float(max(size)), size)
+        pose = board_pose(detection, self._board, lens)
         if pose is None:
             return None
         # the turn in the image: that of the board's long way through its corners
-        along = view.pixels[-1] - view.pixels[0]
-        return _CollectedView(
-            view, pose, placement_of(pose, view), float(np.arctan2(along[1], along[0])), blur_and_motion_px
-        )
-
-    def _lens(self, size: tuple[int, int]) -> Array:
-        return self._model.start(float(max(size)), size) if self._theta is None else self._theta
+        along = detection.pixels[-1] - detection.pixels[0]
+        roll = float(np.arctan2(along[1], along[0]))
+        return _CollectedView(detection, pose, placement_of(pose, detection), roll, blur_and_motion_px)
 
     def _compare(self, held: _CollectedView) -> Offer:
         distances = [held.unlike(other) for other in self._held]
@@ -205,30 +199,27 @@ class ViewCollector:
         if len(self._held) >= self._next_fit:
             self._next_fit = int(np.ceil(GROWTH * len(self._held)))
             self._fit()
-        if self._theta is not None and self._prior is not None:
-            self._precision = self._information(self._held).sum(axis=0) + self._prior.precision
+        if self._lens is not None and self._prior is not None:
+            self._information = self._information_of_each(self._lens).sum(axis=0) + self._prior
 
     def _fit(self) -> None:
+        start = self._lens if len(self) > ENOUGH_VIEWS else None  # with fewer it is not to be trusted
+        ordered = sorted(self.detections, key=lambda detection: detection.frame_index)
         try:
-            robust = robust_fit([held.view for held in self._held], self._model, theta=self._start())
+            fit = fit_lens(ordered, self._board, self._model, start=start)
         except InputError:
             return
-        size = self._held[0].view.detection.image_size
-        self._theta = robust.fit.theta
-        self._prior = prior_of(self._model, float(self._theta[:2].mean()), size)
-        given = float(np.median([held.view.sigma_px for held in self._held]))
-        self._noise = robust.sigma_px / given * jackknife_covariance(robust.fit)[1]
-        again = [self._placed(held.view, held.blur_and_motion_px) for held in self._held]
+        self._lens, columns = fit.camera, self._model.columns
+        focal_px = float(fit.camera.K.diagonal()[:2].mean())
+        prior = self._model.prior(focal_px, (fit.camera.width, fit.camera.height), diagonal_m(self._board))
+        self._prior = prior.information[columns[:, None], columns]
+        given = float(np.median([detection.sigma_px for detection in ordered]))
+        self._noise = fit.sigma_px / given * fit.jackknife_covariance()[1]
+        again = [self._placed(held.detection, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
 
-    def _start(self) -> Array | None:
-        """The lens as known, once there are views enough to trust it."""
-        return self._theta if len(self) > ENOUGH_VIEWS else None
-
-    def _information(self, held: Sequence[_CollectedView]) -> Array:
-        assert self._theta is not None
-        poses = np.array([one.pose for one in held])
-        return view_information(self._theta, poses, [one.view for one in held], self._model)
+    def _information_of_each(self, lens: CameraModel) -> Array:
+        return lens_information(lens, self.detections, [held.pose for held in self._held], self._board)
 
 
 def d_optimal_views(information: Array, precision: Array, wanted: int) -> list[int]:
@@ -269,17 +260,17 @@ class BoardImageProcessor:
         self.examined = self.found = 0
         self.reasons: Counter[str] = Counter()
 
-    def see(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
+    def process(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
         """Look at an image (H, W[, 3]) uint8; ``neighbour`` is the one just before it, if there is one.
 
         Raises InputError when the images change their size.
         """
-        seen = self._detect(image, neighbour, frame_index)
+        result = self._detect(image, neighbour, frame_index)
         self.examined += 1
-        self.found += seen.detection is not None
-        if not seen.taken:
-            self.reasons[seen.reason.partition(":")[0]] += 1
-        return seen
+        self.found += result.detection is not None
+        if not result.taken:
+            self.reasons[result.reason.partition(":")[0]] += 1
+        return result
 
     def _detect(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
         detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)

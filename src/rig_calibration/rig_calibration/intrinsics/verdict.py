@@ -8,8 +8,8 @@ import numpy as np
 
 from capture_rig.verdict import REDO, USABLE, Finding
 
+from .lens_model import LensModel
 from .model_choice import RICH
-from .parameters import LensModel, distortion_prior_sd
 from .result import Intrinsics
 
 FEW_VIEWS, SCARCE_VIEWS = 6, 12
@@ -109,7 +109,7 @@ def _accuracy(result: Intrinsics) -> Iterator[Finding]:
 
 def _coefficients(result: Intrinsics) -> Iterator[Finding]:
     camera = result.camera
-    prior = distortion_prior_sd(LensModel(camera.distortion_model), camera.K[0, 0], (camera.width, camera.height))
+    prior = LensModel(camera.distortion_model).distortion_prior_sd(camera.K[0, 0], (camera.width, camera.height))
     lost = [name for name, sd in prior.items() if result.sd[name] > UNDETERMINED * sd]
     if lost:
         rich = camera.distortion_model == RICH

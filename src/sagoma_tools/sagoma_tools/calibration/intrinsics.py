@@ -21,10 +21,10 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.lens_fit import MIN_VIEWS
 from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
-from rig_calibration.intrinsics.views import MIN_VIEWS
 
 from .footage import CameraFootage, open_footage_of_cameras
 
@@ -110,7 +110,7 @@ def _watch(
     before: np.ndarray | None = None
     for index, (frame_index, image) in enumerate(footage):
         if index % stride == 0:
-            seen = watcher.see(image, before if footage.is_video else None, frame_index)
+            seen = watcher.process(image, before if footage.is_video else None, frame_index)
             if seen.detection is None:
                 _remember(missed, image, watcher.examined - watcher.found)
             if progress is not None:

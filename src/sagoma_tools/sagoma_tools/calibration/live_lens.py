@@ -91,7 +91,7 @@ class LiveCamera:
         except InputError as error:  # one bad message: the next may be better
             self._tell(str(error))
             return
-        seen = self._watcher.see(image, before, pair.number)
+        seen = self._watcher.process(image, before, pair.number)
         self._tell("taken" if seen.taken else seen.reason)
         if self._preview.get_subscription_count():
             self._publish_preview(pair.image, image, seen)

@@ -1,0 +1,288 @@
+"""A lens from views of a board: the bundle adjustment of a rig of one camera, which holds the frame.
+
+Free are its lens (with a wide prior), the board's bow and its pose in each view. How well they are known: the inverse
+of the normal matrix assumes that corners err independently. Real ones do not: a view is a little blurred, a board
+bends, a shutter rolls, and then all corners of a view err together. So every view is left out in turn, in one
+linearised step; the scatter of what remains (the jackknife over views, Tukey 1958) tells by how much the normal matrix
+promises too much, and the covariance is enlarged by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+
+from ..boards.board import Board, TargetDetection
+from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion, information_of_each
+from ..bundle.detection_poses import View, detection_poses, views_of
+from ..bundle.initial_poses import InitialPoses, initial_poses
+from ..bundle.outliers import LENS_LIMITS, LeftOut
+from ..bundle.problem import LENS, check_problem, shapes_of
+from ..bundle.projection import linearise, residuals_px
+from ..bundle.rigid import transform
+from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
+from ..bundle.state import camera_with
+from .lens_model import LAYOUT, Array, LensModel
+
+MIN_CORNERS = 8
+MIN_SPREAD = 0.02  # the corners' shape on the board: its shorter axis over its longer one; below, they lie on a line
+MIN_VIEWS = 3
+AGREEING_SHARE = 0.4  # of the views must agree, else it is anybody's guess who is right
+FOCAL_TRIALS = np.geomspace(0.4, 5.0, 7)  # of the image's longer side: from a fisheye to a long lens
+TRIAL_VIEWS = 12
+UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
+START = StopCriterion(40, 1e-5)
+
+
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """The lens that the views agree on, as far as they do.
+
+    camera : at the origin. fit : the solver's. sigma_px : of a corner's coordinate, from the residuals; the typical
+    view's. information (V, p, p), score (V, p) : what each view says about the parameters with its pose eliminated, in
+    units of the noise; precision (p, p) : their sum and the prior's, the inverse of the covariance if corners err
+    independently.
+    """
+
+    model: LensModel
+    camera: CameraModel
+    fit: Fit
+    left_out: tuple[LeftOut, ...]
+    sigma_px: float
+    information: Array
+    score: Array
+    precision: Array
+
+    @property
+    def bow_m(self) -> Array:
+        """(2,) how far the board's middle stands out, bent along its x and along its y axis."""
+        return self.fit.adjusted.state.bow[0]
+
+    def jackknife_covariance(self) -> tuple[Array, float]:
+        """(p, p) of the parameters, and the factor >= 1 by which the jackknife enlarges standard deviations overall.
+
+        Each parameter's own factor lies between that and what its own scatter says, which is few numbers, and is never
+        smaller than the overall one.
+        """
+        white, changes = np.linalg.inv(self.precision), self._without_each()
+        scatter, expected = changes.T @ changes, self._expected_scatter()
+        overall = max(float(np.trace(self.precision @ scatter) / np.trace(self.precision @ expected)), 1.0)
+        own = np.diag(scatter) / np.diag(expected)
+        factors = np.sqrt(np.maximum(overall, (overall + own) / 2))
+        return np.asarray(white * np.outer(factors, factors), np.float64), float(np.sqrt(overall))
+
+    def _without_each(self) -> Array:
+        """(V, p) how the parameters would change without each view."""
+        rest = self.precision - self.information
+        return np.asarray(np.linalg.solve(rest, -self.score[..., None])[..., 0], np.float64)
+
+    def _expected_scatter(self) -> Array:
+        """(p, p): the sum over views of their changes' squares, on average, when the corners' noise is white."""
+        rest = np.linalg.inv(self.precision - self.information)
+        score = self.information - self.information @ np.linalg.solve(self.precision, self.information)  # covariance
+        return np.asarray((rest @ score @ rest).sum(axis=0), np.float64)
+
+
+def fit_lens(
+    detections: Sequence[TargetDetection], board: Board, model: LensModel, *, start: CameraModel | None = None
+) -> LensFit:
+    """Fit a lens of ``model`` to one camera's usable ``detections``, those that contradict the others left out.
+
+    ``start`` : a lens that is roughly right; by default nothing is known. Raises InputError when too few views agree.
+    """
+    some = detections[:: max(1, len(detections) // TRIAL_VIEWS)]
+    if start is None:
+        start = _roughly(_fit_from(_best_of_trials(some, board, model), some, board, model))
+    # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
+    fit = settled(_fit_from(start, detections, board, model), LENS_LIMITS)
+    if len(fit.rows) < max(MIN_VIEWS, AGREEING_SHARE * len(detections)):
+        reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"
+        raise InputError(
+            f"the views contradict each other: only {len(fit.rows)} of {len(detections)} agree ({reason})",
+            where=detections[0].camera,
+            remedy="Film one flat board only, keep it and the lens (zoom, focus) fixed, and name the board as it is.",
+        )
+    return _with_information(fit, model)
+
+
+def lens_information(
+    camera: CameraModel, detections: Sequence[TargetDetection], poses: Sequence[Array], board: Board
+) -> Array:
+    """(V, p, p): what each view says about the lens of ``camera`` and the board's bow once its own pose has been paid
+    for. ``poses`` (4, 4) : as :func:`board_pose` finds them."""
+    columns = LensModel(camera.distortion_model).columns
+    target = detections[0].target
+    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
+    T = {(target, detection.frame_index): pose for detection, pose in zip(detections, poses, strict=True)}
+    views = [View(detection, problem.shapes[target], np.empty((0, 2)), None) for detection in problem.detections]
+    initial = InitialPoses(camera.name, {camera.name: np.eye(4)}, T, (0,) * len(views))
+    fit = start_fit(problem, views, initial)
+    of_each = information_of_each(linearise(fit.adjusted.state, fit.used, with_lens=True))[0]
+    information = np.zeros((len(detections), len(columns), len(columns)))
+    order = np.argsort([detection.frame_index for detection in detections])
+    information[order[fit.rows]] = of_each[:, columns[:, None], columns]
+    return information
+
+
+def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
+    """(4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the one
+    that fits better; None when the corners determine none."""
+    shape = shapes_of({"": board.corners_board}, {})[""]
+    poses = detection_poses(detection, camera, shape)
+    return None if poses is None else transform(poses.R[0], poses.t[0])
+
+
+def held_out_squares(lens: LensFit, detections: Sequence[TargetDetection], board: Board) -> dict[int, float]:
+    """By frame, the mean squared residual, px^2, of views that the lens was not fitted to, their poses fitted."""
+    fit = _fit_from(lens.camera, detections, board, lens.model)
+    state = replace(fit.adjusted.state, bow=lens.fit.adjusted.state.bow)
+    fit = adjusted(replace(fit, prior=None, adjusted=replace(fit.adjusted, state=state)))
+    residuals = residuals_px(fit.adjusted.state, fit.used)
+    seen = zip(fit.detections, residuals, strict=True)
+    return {detection.frame_index: float((r[: len(detection)] ** 2).mean()) for detection, r in seen}
+
+
+def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
+    """The focal length that explains the views' perspective best."""
+    size = detections[0].image_size
+    trials = [model.camera(detections[0].camera, share * max(size), size) for share in FOCAL_TRIALS]
+    shapes = shapes_of({detections[0].target: board.corners_board}, {})
+
+    def typical_misfit(camera: CameraModel) -> float:
+        poses = [view.poses for view in views_of(detections, {camera.name: camera}, shapes)]
+        return float(np.median([UNEXPLAINED_PX if found is None else found.rms_px[0] for found in poses]))
+
+    return min(trials, key=typical_misfit)
+
+
+def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board: Board, model: LensModel) -> Fit:
+    """The solver's first state: poses by that lens, lens and bow free with their prior."""
+    target = detections[0].target
+    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
+    views = views_of(problem.detections, problem.cameras, problem.shapes)
+    fit = start_fit(problem, views, initial_poses(problem.cameras, views))
+    focal_px = float(camera.K.diagonal()[:2].mean())
+    return replace(
+        fit,
+        free_lenses=np.arange(LENS)[None] < len(model.names),
+        free_bows=np.ones_like(fit.free_bows),
+        prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board)),
+    )
+
+
+def _roughly(fit: Fit) -> CameraModel:
+    return _camera_of(adjusted(fit, START))
+
+
+def _camera_of(fit: Fit) -> CameraModel:
+    return camera_with(next(iter(fit.problem.cameras.values())), fit.adjusted.state.lens[0], np.eye(4))
+
+
+def _with_information(fit: Fit, model: LensModel) -> LensFit:
+    assert fit.prior is not None
+    columns, used = model.columns, fit.used
+    factor = fit.covariance(fit.free(LAYOUT)).variance_factor  # over the noise that was given
+    in_units = factor / fit.adjusted.scale**2
+    information, score = information_of_each(fit.rows_at_solution(with_lens=True))
+    information, score = information[:, columns[:, None], columns] / in_units, score[:, columns] / in_units
+    precision = information.sum(axis=0) + fit.prior.information[columns[:, None], columns]
+    sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(factor))
+    return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, information, score, precision)
+
+
+def _left_out(fit: Fit, sigma_px: float) -> tuple[LeftOut, ...]:
+    """Views left out, with how far their corners lie off, and single corners of those that were kept."""
+    kept = {detection.frame_index for detection in fit.detections}
+    away = np.linalg.norm(residuals_px(fit.adjusted.state, fit.seen), axis=2)
+    off = {d.frame_index: float(np.median(away[row, : len(d)])) for row, d in enumerate(fit.all_detections)}
+    named = []
+    for out in fit.left_out:
+        frame = out.detection.frame_index
+        if out.whole and out.reason != NO_POSE:
+            reason = (
+                f"its corners lie {off[frame]:.1f} px from where the other views' lens puts them, "
+                f"against {RAYLEIGH_MEDIAN * sigma_px:.2f} px elsewhere"
+            )
+            named.append(replace(out, reason=reason))
+        elif out.whole or frame in kept:
+            named.append(out)
+    return tuple(sorted(named, key=lambda out: out.detection.frame_index))
+
+
+# --- Which detections can be used.
+
+
+def usable_detections(
+    detections: Sequence[TargetDetection], board: Board
+) -> tuple[list[TargetDetection], list[LeftOut]]:
+    """The detections worth adjusting, ordered by frame, and those that show too little, with the reason.
+
+    Raises InputError for what cannot belong together: images of several sizes or cameras, corners that the board does
+    not have, fewer than three views.
+    """
+    ordered = sorted(detections, key=lambda detection: detection.frame_index)
+    _require_one_camera(ordered)
+    reasons = [why_useless(detection, board) for detection in ordered]
+    kept = [detection for detection, reason in zip(ordered, reasons, strict=True) if not reason]
+    if len(kept) < MIN_VIEWS:
+        raise InputError(
+            f"{len(kept)} views of the board can be used, {MIN_VIEWS} are the least",
+            where=ordered[0].camera if ordered else "",
+            remedy="Take 20 or more, tilted and all over the image; check the board's size.",
+        )
+    return kept, [LeftOut(detection, why) for detection, why in zip(ordered, reasons, strict=True) if why]
+
+
+def why_useless(detection: TargetDetection, board: Board) -> str:
+    """Why a detection is too little to fix the board's pose, "" when it is not.
+
+    Raises InputError for corners that the board does not have.
+    """
+    corners = board.corners_board
+    wrong = [int(corner) for corner in detection.ids if not 0 <= corner < len(corners)]
+    if wrong:
+        raise InputError(
+            f"frame {detection.frame_index} shows corner {wrong[0]}, but the board has {len(corners)} corners",
+            where=detection.camera,
+            remedy="Name the board that was filmed, and film only one.",
+        )
+    if len(np.unique(detection.ids)) != len(detection.ids):
+        raise InputError(
+            f"frame {detection.frame_index} shows a corner twice", where=detection.camera, remedy="Leave this view out."
+        )
+    if len(detection) < MIN_CORNERS:
+        return f"shows {len(detection)} corners only"
+    if not np.isfinite(np.asarray(detection.pixels, float)).all():
+        return "has corners that are no numbers"
+    seen = corners[detection.ids, :2]
+    spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
+    return "shows corners on one line only" if spread[1] < MIN_SPREAD * spread[0] else ""
+
+
+def diagonal_m(board: Board) -> float:
+    """The diagonal of the board's corners, m."""
+    return float(np.linalg.norm(np.ptp(board.corners_board, axis=0)))
+
+
+def _require_one_camera(detections: Sequence[TargetDetection]) -> None:
+    first: dict[tuple[int, int], int] = {}
+    for detection in detections:
+        first.setdefault(detection.image_size, detection.frame_index)
+    if len(first) > 1:
+        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
+        raise InputError(
+            f"the images have several sizes: {listed}",
+            where=detections[0].camera,
+            remedy="Give images of one size: the one that the camera will work with.",
+        )
+    cameras = sorted({detection.camera for detection in detections})
+    if len(cameras) > 1:
+        raise InputError(
+            f"the views come from several cameras: {', '.join(cameras)}",
+            remedy="Calibrate each camera's intrinsics by itself.",
+        )
