@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.rigid import nearest_rotation
 
 from .detection_poses import DetectionPoses, View
-from .rigid import Array, angle_between, orthonormal, transform
+from .rigid import Array, angle_between, transform
 
 ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
 DISTANCE_TOLERANCE = 0.05  # of the distance of the board
@@ -119,7 +120,7 @@ def _average(hypotheses: _Hypotheses, R: Array, t: Array) -> tuple[Array, Array]
     starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
     best = np.maximum.reduceat(agreement, starts)[np.cumsum(np.diff(hypotheses.frame_index, prepend=-1) > 0) - 1]
     weight = np.where(agreement == best, agreement, 0) + 1e-300
-    R_mean = orthonormal(np.einsum("o,oij->ij", weight, hypotheses.R))
+    R_mean = nearest_rotation(np.einsum("o,oij->ij", weight, hypotheses.R))
     shift = hypotheses.centre_b - hypotheses.centre_a @ R_mean.T
     return R_mean, weight @ shift / weight.sum()
 

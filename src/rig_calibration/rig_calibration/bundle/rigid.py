@@ -15,14 +15,6 @@ def rotation(vectors: npt.ArrayLike) -> Array:
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape[:-1], 3, 3)
 
 
-def orthonormal(matrices: Array) -> Array:
-    """The rotations (..., 3, 3) nearest to ``matrices`` (polar decomposition)."""
-    U, _, Vt = np.linalg.svd(matrices)
-    sign = np.linalg.det(U @ Vt)
-    U[..., :, 2] *= sign[..., None]
-    return U @ Vt
-
-
 def transform(R: Array, t: Array) -> Array:
     """Rotations (..., 3, 3) and translations (..., 3) to transforms (..., 4, 4)."""
     T = np.zeros((*np.shape(R)[:-2], 4, 4))

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.rigid import nearest_rotation
 
 from ..boards.board import TargetDetection
 from .problem import LENS, TargetShape
-from .rigid import Array, orthonormal, rotation
+from .rigid import Array, rotation
 from .view_graph import PoseKey
 
 POSE, BOW = 6, 2
@@ -51,10 +52,10 @@ class State:
         layout = Layout(cameras, targets, with_lens=len(shared) != Layout(cameras, targets).size)
         by_camera = shared[: cameras * layout.width].reshape(cameras, layout.width)
         return State(
-            orthonormal(rotation(by_camera[:, :3]) @ self.R_camera),
+            nearest_rotation(rotation(by_camera[:, :3]) @ self.R_camera),
             self.centre + by_camera[:, 3:POSE],
             self.lens + by_camera[:, POSE:] if layout.with_lens else self.lens,
-            orthonormal(rotation(poses[:, :3]) @ self.R_pose),
+            nearest_rotation(rotation(poses[:, :3]) @ self.R_pose),
             self.position + poses[:, 3:],
             self.scale + shared[layout.scales],
             self.bow + shared[layout.bows] if layout.with_lens else self.bow,
