@@ -9,9 +9,8 @@ from capture_rig import InputError
 from .carving.cpu_carver import CpuCarver
 from .grid import VoxelGrid
 from .opengl.egl import NoGraphics
+from .settings import BACKENDS
 from .views import CarveBackend, RigViews
-
-BACKENDS = ("auto", "gl", "sweep", "cpu")
 
 
 @dataclass(frozen=True)

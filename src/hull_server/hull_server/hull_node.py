@@ -26,6 +26,7 @@ from .hull_ros import SaveMeshService, calibration_mismatch, calibration_values,
 from .settings import NodeSettings
 
 POLL_PERIOD_S = (0.002, 0.05)  # shortest and longest; a fifth of the deadline between them
+MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 LOG_EVERY_S = 5.0
 COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
@@ -51,7 +52,8 @@ class CarvedSet:
 
 
 class HullNode(SagomaNode):
-    """Silhouettes of all cameras in; hull/contour_rays, hull/centerline, hull/voxels, hull/frame_set out, one each per set."""
+    """Silhouettes of all cameras in; hull/contour_rays, hull/centerline, hull/voxels, hull/frame_set out, one each
+    per set."""
 
     Settings = NodeSettings
 
@@ -99,7 +101,7 @@ class HullNode(SagomaNode):
             self._canvases,
             tolerance_ns=round(settings.tolerance_s * 1e9),
             deadline_ns=round(settings.deadline_s * 1e9),
-            max_open=settings.max_open_sets,
+            max_open=MAX_OPEN_SETS,
         )
 
     def deactivate(self) -> None:
@@ -233,20 +235,23 @@ class HullNode(SagomaNode):
         """To the diagnostics, and to the log when it is news."""
         if result.empty:
             self.health.count("sets_empty")
-        verdict = result.verdict
-        self.health.set("left_out", ",".join(verdict.left_out))
-        for key, shares in (("denied", verdict.denied), ("misfit", verdict.misfit)):
+        faults = result.camera_faults
+        self.health.set("left_out", ",".join(faults.left_out))
+        for key, shares in (
+            ("veto_fraction", faults.veto_fraction),
+            ("silhouette_offset_fraction", faults.offset_fraction),
+        ):
             self.health.set(key, " ".join(f"{camera}={share:.3f}" for camera, share in shares.items()))
-        for camera in {*verdict.left_out} - {*self._left_out}:
-            self.get_logger().warning(f"left out: {verdict.reasons[camera]}")
-        for camera in {*self._left_out} - {*verdict.left_out}:
+        for camera in {*faults.left_out} - {*self._left_out}:
+            self.get_logger().warning(f"left out: {faults.reasons[camera]}")
+        for camera in {*self._left_out} - {*faults.left_out}:
             self.get_logger().info(f"taken back: {camera} agrees with the others again")
-        self._left_out = verdict.left_out
+        self._left_out = faults.left_out
         for key, value in calibration_values(result).items():
             self.health.set(key, value)
-        for camera in {*result.calibration.suspects} - self._badly_placed:
-            self.get_logger().warning(result.calibration.suspects[camera])
-        self._badly_placed = {*result.calibration.suspects}
+        for camera in {*result.extrinsic_errors.suspects} - self._badly_placed:
+            self.get_logger().warning(result.extrinsic_errors.suspects[camera])
+        self._badly_placed = {*result.extrinsic_errors.suspects}
         if not self._refused:
             self.health.status(*summarise(result))
 

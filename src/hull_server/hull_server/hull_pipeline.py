@@ -1,4 +1,7 @@
-"""Silhouettes of one instant in, hull, centerline, voxel samples and rims out."""
+"""From the silhouettes of one instant to hull, centerline, voxel samples, bodies and contour rays.
+
+The stages in the order of the data: consistency (which cameras to use), shadows, carving, slicing, contour rays.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +36,13 @@ Mask = npt.NDArray[np.uint8]
 class HullResult:
     """The hull of one frame set.
 
-    stamp_ns : capture stamp of the set. products : what travels on to the tracker. cameras, missing : cameras that took
-    part, and those that delivered nothing. blank : cameras whose silhouette is empty; they empty the hull wherever they
-    see. verdict : cameras that contradict the others; those left out took no part. calibration : how well all cameras
-    stand. bodies : the parts of the hull large enough to be a person, numbered. min_seeing : how many cameras had to
-    see a voxel. stage_ms : time spent in each stage.
+    stamp_ns : capture stamp of the set. products : what travels on to the tracker. cameras, missing : cameras that were
+    carved with, and those that delivered nothing. blank : cameras whose silhouette is empty; they empty the hull
+    wherever they see. camera_faults : cameras that contradict the others; those left out were not carved with.
+    extrinsic_errors
+    : how far the cameras are from their calibration. bodies : the parts of the hull large enough to be a person,
+    numbered.
+    min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
     """
 
     stamp_ns: int
@@ -47,8 +52,8 @@ class HullResult:
     cameras: tuple[str, ...]
     missing: tuple[str, ...]
     blank: tuple[str, ...]
-    verdict: CameraFaults
-    calibration: ExtrinsicErrors
+    camera_faults: CameraFaults
+    extrinsic_errors: ExtrinsicErrors
     min_seeing: int
     backend: str
     stage_ms: dict[str, float]
@@ -65,60 +70,60 @@ class SetUnderWay:
     frame_set: FrameSet[Mask]
     masks: dict[str, Mask]
     blank: tuple[str, ...]
-    verdict: CameraFaults
-    calibration: ExtrinsicErrors
+    camera_faults: CameraFaults
+    extrinsic_errors: ExtrinsicErrors
     min_seeing: int
     ticket: Any
     stage_ms: dict[str, float]
 
 
 class HullPipeline:
-    """The hull server's core (thesis chapter 3), in two halves, so that two threads can overlap two frame sets.
+    """Computes hulls (thesis chapter 3) in two halves, so that two threads can overlap two frame sets.
 
     ``begin`` is for one thread at a time, ``finish`` for one (other or same) thread at a time, in the same order.
     """
 
     def __init__(self, rig: Rig, settings: HullSettings) -> None:
-        """Compute what depends on the calibration only; InputError for a rig or a setting that cannot be used."""
+        """InputError for a rig or a setting that cannot be used."""
         self.settings = settings
         self.views = RigViews.from_rig(rig)
         self.grid = VoxelGrid.covering(rig.volume, settings.voxel_size_m)
         choice = make_backend(settings.backend, self.views, self.grid)
         self.backend, self.backend_reason = choice.backend, choice.reason
         self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
-        self._calibration = ExtrinsicMonitor(rig, self.views, settings.calibration)
+        self._extrinsics = ExtrinsicMonitor(rig, self.views, settings.calibration)
         self._shadows = ShadowResolver(self.views, rig.volume, settings.shadow)
         self._bodies = BodyTracker(settings.body)
         self._contour = ContourTracer(self.views, self.grid, settings.contour)
 
     def run(self, frame_set: FrameSet[Mask]) -> HullResult:
-        """The hull of the frame set's canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, 0 where unseen.
+        """Compute the hull of canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, 0 where unseen.
 
         An empty silhouette, or too few cameras, gives an empty hull. InputError for a mask of the wrong size.
         """
         return self.finish(self.begin(frame_set))
 
     def begin(self, frame_set: FrameSet[Mask]) -> SetUnderWay:
-        """What needs all silhouettes: whom to believe, what is shadow; then the carve is sent on its way."""
+        """Choose the cameras, resolve shadows, and begin to carve: all that needs the silhouettes of all cameras."""
         watch, frames = _StageWatch(), frame_set.frames
-        # cameras that contradict all others have no say
-        verdict = self._faults.update(frames, frame_set.stamp_ns)
-        believed = {name: mask for name, mask in frames.items() if name not in verdict.left_out}
-        # cameras that do not stand where their calibration says
-        calibration = self._calibration.update(frames, frame_set.stamp_ns)
-        seeing = min_seeing(len(believed), self.settings.min_seeing)
+        # leave out cameras that contradict all others
+        faults = self._faults.update(frames, frame_set.stamp_ns)
+        used = {name: mask for name, mask in frames.items() if name not in faults.left_out}
+        # find cameras that moved from their calibration
+        errors = self._extrinsics.update(frames, frame_set.stamp_ns)
+        seeing = min_seeing(len(used), self.settings.min_seeing)
         watch.lap("consistency")
-        # dark pixels become person, or floor in shadow
-        masks = self._shadows.resolve(believed, seeing).masks
+        # decide whether dark pixels are the person or floor in shadow
+        masks = self._shadows.resolve(used, seeing).masks
         watch.lap("shadows")
-        # voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
+        # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         ticket = self.backend.submit(masks, seeing)
         watch.lap("carve")
         blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
-        return SetUnderWay(frame_set, masks, blank, verdict, calibration, seeing, ticket, watch.laps_ms)
+        return SetUnderWay(frame_set, masks, blank, faults, errors, seeing, ticket, watch.laps_ms)
 
     def finish(self, under_way: SetUnderWay) -> HullResult:
-        """Wait for the carve, then slice, filter, sample, and trace the rims."""
+        """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
         frame_set, blob, watch = under_way.frame_set, self.settings.blob, _StageWatch()
         volume = self.backend.collect(under_way.ticket)
         watch.lap("collect")
@@ -132,7 +137,7 @@ class HullPipeline:
         watch.lap("filter")
         voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels, whose)
         watch.lap("sample")
-        # rays along the silhouettes' rims: wherever the hull is too fat, they still touch the body
+        # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
         contour_rays = self._contour.trace(under_way.masks, slices.runs, frame_set.frames, whose)
         watch.lap("contour_rays")
         return HullResult(
@@ -143,15 +148,15 @@ class HullPipeline:
             cameras=tuple(under_way.masks),
             missing=frame_set.missing,
             blank=under_way.blank,
-            verdict=under_way.verdict,
-            calibration=under_way.calibration,
+            camera_faults=under_way.camera_faults,
+            extrinsic_errors=under_way.extrinsic_errors,
             min_seeing=under_way.min_seeing,
             backend=self.backend.name,
             stage_ms=under_way.stage_ms | watch.laps_ms,
         )
 
     def warm_up(self) -> None:
-        """Carve a small made-up body once, so that the first real frame set does not wait for compilers."""
+        """Carve a small ball once, so that the first real frame set does not wait for compilers."""
         centre_world = np.append(self.grid.centres_world(np.array(self.grid.shape) / 2.0 - 0.5), 1.0)
         masks = {}
         for name, P, (width, height) in zip(self.views.names, self.views.P, self.views.sizes, strict=True):
@@ -169,7 +174,7 @@ class HullPipeline:
 
 
 class _StageWatch:
-    """Milliseconds between laps."""
+    """Measures the milliseconds of each stage."""
 
     def __init__(self) -> None:
         self.laps_ms: dict[str, float] = {}

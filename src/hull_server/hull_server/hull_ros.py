@@ -38,8 +38,8 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
         "bodies_numbers": _row(result.bodies.number, "d"),
         "bodies_litres": _row(result.bodies.litres, ".1f"),
         "bodies_at": "; ".join(_row(place, ".2f") for place in result.bodies.centroid_world),
-        "left_out": ",".join(result.verdict.left_out),
-        "suspects": ",".join(result.verdict.suspects),
+        "left_out": ",".join(result.camera_faults.left_out),
+        "suspects": ",".join(result.camera_faults.suspects),
     } | calibration_values(result)
     stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
     texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
@@ -53,7 +53,7 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
 
 def calibration_values(result: HullResult) -> dict[str, str]:
     """Camera by camera: by how many degrees it stands off its calibration, and how well it agrees with the others."""
-    calibration = result.calibration
+    calibration = result.extrinsic_errors
     texts = {"calibration_suspects": ",".join(calibration.suspects)}
     angles = {
         "rotation_error": calibration.rotation_error_rad,
@@ -62,7 +62,7 @@ def calibration_values(result: HullResult) -> dict[str, str]:
     }
     for name, angle_rad in angles.items():
         texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for camera, rad in angle_rad.items()}
-    for camera, share in result.verdict.consistency.items():
+    for camera, share in result.camera_faults.consistency.items():
         texts[f"calibration_consistency_{camera}"] = f"{share:.3f}"
     return texts
 
@@ -74,11 +74,14 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
         troubles.append(f"nothing in time from {', '.join(result.missing)}")
     if result.blank:
         troubles.append(f"empty silhouette from {', '.join(result.blank)}")
-    troubles += [result.verdict.reasons[camera] for camera in (*result.verdict.left_out, *result.verdict.suspects)]
-    accused = {*result.verdict.left_out, *result.verdict.suspects}
-    troubles += [why for camera, why in result.calibration.suspects.items() if camera not in accused]
-    if result.verdict.warning:
-        troubles.append(result.verdict.warning)
+    troubles += [
+        result.camera_faults.reasons[camera]
+        for camera in (*result.camera_faults.left_out, *result.camera_faults.suspects)
+    ]
+    accused = {*result.camera_faults.left_out, *result.camera_faults.suspects}
+    troubles += [why for camera, why in result.extrinsic_errors.suspects.items() if camera not in accused]
+    if result.camera_faults.warning:
+        troubles.append(result.camera_faults.warning)
     if len(result.cameras) < result.min_seeing:
         troubles.append(f"a hull needs {result.min_seeing} cameras")
     if result.empty:

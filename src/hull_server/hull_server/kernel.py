@@ -1,13 +1,19 @@
-"""How the CPU carve's inner functions are compiled."""
+"""How compiled functions are compiled, and the operations on 64-bit words that they share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
 
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+
+_U1 = np.uint64(1)
+_LOW_BITS, _FIRST_BITS = np.uint64(0x7F7F7F7F7F7F7F7F), np.uint64(0x0101010101010101)  # of every byte
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -19,3 +25,61 @@ def kernel(function: Callable[..., Any]) -> Any:
     Python threads run meanwhile (``nogil``).
     """
     return njit(**OPTIONS)(function)
+
+
+@intrinsic
+def _count_ones(_typing_context: Any, word: types.Integer) -> Any:
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.ctpop(args[0])
+
+    return types.int64(types.uint64), generate
+
+
+@intrinsic
+def _count_trailing_zeros(_typing_context: Any, word: types.Integer) -> Any:
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
+
+    return types.int64(types.uint64), generate
+
+
+@njit(cache=True, nogil=True)
+def popcount(word):  # type: ignore[no-untyped-def]
+    """Return the number of set bits."""
+    return _count_ones(word)  # type: ignore[call-arg]
+
+
+@njit(cache=True, nogil=True)
+def lowest_bit(word):  # type: ignore[no-untyped-def]
+    """Return the position of the lowest set bit of a word; 64 for zero."""
+    return _count_trailing_zeros(word)  # type: ignore[call-arg]
+
+
+@njit(cache=True, nogil=True)
+def select_bit(word, rank):  # type: ignore[no-untyped-def]
+    """Return the position of the set bit with ``rank`` set bits below it."""
+    position = 0
+    for half in (32, 16, 8):
+        below = popcount(word & ((_U1 << np.uint64(half)) - _U1))
+        if rank >= below:
+            rank, position, word = rank - below, position + half, word >> np.uint64(half)
+    for _ in range(rank):
+        word &= word - _U1
+    return position + lowest_bit(word)
+
+
+@njit(cache=True, nogil=True)
+def transpose8(word):  # type: ignore[no-untyped-def]
+    """Transpose the 8 x 8 bit matrix of a word (Warren, Hacker's Delight, 7-3)."""
+    swap = (word ^ word >> np.uint64(7)) & np.uint64(0x00AA00AA00AA00AA)
+    word ^= swap ^ swap << np.uint64(7)
+    swap = (word ^ word >> np.uint64(14)) & np.uint64(0x0000CCCC0000CCCC)
+    word ^= swap ^ swap << np.uint64(14)
+    swap = (word ^ word >> np.uint64(28)) & np.uint64(0x00000000F0F0F0F0)
+    return word ^ swap ^ swap << np.uint64(28)
+
+
+@kernel
+def nonzero_bytes(word):  # type: ignore[no-untyped-def]
+    """Return a word with 1 in every byte of ``word`` that is not zero."""
+    return ((word & _LOW_BITS) + _LOW_BITS | word) >> np.uint64(7) & _FIRST_BITS

@@ -1,4 +1,5 @@
-"""Rim rays against bodies whose surface is known: how near they pass to it, which way they face, what is left out."""
+"""Contour rays against bodies whose surface is known: how near they pass to it, which way they face, what is left
+out."""
 
 import cv2
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
-from hull_server.contour_rays.contour_tracer import ContourTracer, trace_hull_contours
+from hull_server.contour_rays.contour_tracer import ContourTracer
 from hull_server.grid import BrickVolume
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import ContourSettings, HullSettings
@@ -27,9 +28,14 @@ def hull_of(rig, masks, **settings):
     return HullPipeline(rig, HullSettings(backend="cpu", **settings)).run(frame_set(masks))
 
 
-def centres_of(rig, rims):
+def traced(pipeline, masks, volume):
+    """The contour rays of a hull that has not been sliced yet."""
+    return ContourTracer(pipeline.views, pipeline.grid, ContourSettings()).trace(masks, slice_hull(volume).runs)
+
+
+def centres_of(rig, rays):
     """(n, 3) the camera that each ray comes from."""
-    return np.stack([camera.centre_world for camera in rig.cameras])[rims.camera]
+    return np.stack([camera.centre_world for camera in rig.cameras])[rays.camera]
 
 
 def clearance(centres, directions, body):
@@ -64,42 +70,42 @@ def person(rig):
 
 @pytest.mark.parametrize("body", [BALL, LIMB, None], ids=["ball", "limb", "person"])
 def test_every_ray_touches_the_true_surface_and_faces_outward(rig, person, body):
-    rims = hull_of(rig, silhouettes(rig, body)).products.contour_rays if body else person[2].products.contour_rays
+    rays = hull_of(rig, silhouettes(rig, body)).products.contour_rays if body else person[2].products.contour_rays
     body = body or person[0]
-    assert len(rims) > 200 and set(rims.camera) == set(range(6))
-    distance, outward, _ = clearance(centres_of(rig, rims), rims.directions, body)
+    assert len(rays) > 200 and set(rays.camera) == set(range(6))
+    distance, outward, _ = clearance(centres_of(rig, rays), rays.directions, body)
     assert abs(distance.mean()) < 0.0005 and np.sqrt(np.mean(distance**2)) < 0.003 and np.abs(distance).max() < 0.008
-    turn = np.degrees(np.arccos(np.clip(np.sum(outward * rims.normals, axis=1), -1, 1)))
+    turn = np.degrees(np.arccos(np.clip(np.sum(outward * rays.normals, axis=1), -1, 1)))
     assert np.median(turn) < 5.0 and np.percentile(turn, 95) < 20.0
-    for unit in (rims.directions, rims.normals):
+    for unit in (rays.directions, rays.normals):
         np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.sum(rims.directions * rims.normals, axis=1), 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.sum(rays.directions * rays.normals, axis=1), 0.0, atol=1e-9)
 
 
 def test_rays_leave_their_camera_and_their_points_lie_on_them(rig, person):
-    rims = person[2].products.contour_rays
-    from_camera = rims.points_world - centres_of(rig, rims)
-    along = np.sum(from_camera * rims.directions, axis=1)
+    rays = person[2].products.contour_rays
+    from_camera = rays.points_world - centres_of(rig, rays)
+    along = np.sum(from_camera * rays.directions, axis=1)
     assert along.min() > 1.0
-    np.testing.assert_allclose(from_camera, along[:, None] * rims.directions, atol=1e-9)
+    np.testing.assert_allclose(from_camera, along[:, None] * rays.directions, atol=1e-9)
 
 
 def test_the_place_of_touch_lies_within_the_stretch(rig, person):
     body, _, result = person
-    rims = result.products.contour_rays
-    _, _, place = clearance(centres_of(rig, rims), rims.directions, body)
-    away = np.abs(np.sum((place - rims.points_world) * rims.directions, axis=1))
-    assert np.mean(away <= rims.half_lengths + 0.02) > 0.97
-    assert np.median(rims.half_lengths) < 0.15 and rims.half_lengths.min() > 0
+    rays = result.products.contour_rays
+    _, _, place = clearance(centres_of(rig, rays), rays.directions, body)
+    away = np.abs(np.sum((place - rays.points_world) * rays.directions, axis=1))
+    assert np.mean(away <= rays.half_lengths + 0.02) > 0.97
+    assert np.median(rays.half_lengths) < 0.15 and rays.half_lengths.min() > 0
 
 
 def test_sigma_is_the_width_of_a_half_pixel_there(rig, person):
-    rims = person[2].products.contour_rays
+    rays = person[2].products.contour_rays
     for index, camera in enumerate(rig.cameras):
-        mine = rims.camera == index
-        depth = rims.points_world[mine] @ camera.R_camera_world[2] + camera.t_camera_world[2]
+        mine = rays.camera == index
+        depth = rays.points_world[mine] @ camera.R_camera_world[2] + camera.t_camera_world[2]
         ideal = 0.5 * depth / camera.undistorted_view().camera.K[0, 0]
-        np.testing.assert_allclose(rims.sigma[mine], ideal, rtol=0.15)  # rays beside the middle are slanted
+        np.testing.assert_allclose(rays.sigma[mine], ideal, rtol=0.15)  # rays beside the middle are slanted
 
 
 def test_errors_are_within_their_sigma(rig, person):
@@ -110,24 +116,24 @@ def test_errors_are_within_their_sigma(rig, person):
     assert np.mean(np.abs(distance) < 2 * result.products.contour_rays.sigma) > 0.99
 
 
-def test_doubtful_rims_have_a_larger_sigma(rig, person):
-    """Half of what one camera sends is doubtful, and decided as if it had been sure."""
+def test_possible_shadow_rays_have_a_larger_sigma(rig, person):
+    """Half of what one camera sends may be shadow, and is resolved as if it had been sure."""
     _, masks, _ = person
     sent = masks["cam02"].copy()
     middle = int(np.median(np.flatnonzero(sent.any(axis=1))))
     sent[middle:][sent[middle:] > 0] = 177
     settings = HullSettings(backend="cpu")
-    rims = HullPipeline(rig, settings).run(frame_set(masks | {"cam02": sent})).products.contour_rays
+    rays = HullPipeline(rig, settings).run(frame_set(masks | {"cam02": sent})).products.contour_rays
     P = rig.camera("cam02").undistorted_view().camera.P
-    mine = rims.camera == 1
-    homogeneous = np.column_stack([rims.points_world[mine], np.ones(mine.sum())]) @ P.T
+    mine = rays.camera == 1
+    homogeneous = np.column_stack([rays.points_world[mine], np.ones(mine.sum())]) @ P.T
     row = homogeneous[:, 1] / homogeneous[:, 2]
-    sigma_px = rims.sigma[mine] / homogeneous[:, 2] * P[2, :3].dot(P[2, :3]) ** 0.5 * 470
+    sigma_px = rays.sigma[mine] / homogeneous[:, 2] * P[2, :3].dot(P[2, :3]) ** 0.5 * 470
     assert np.median(sigma_px[row > middle + 5]) > 3 * np.median(sigma_px[row < middle - 5])
     assert np.median(sigma_px[row < middle - 5]) == pytest.approx(0.5, rel=0.2)
 
 
-def test_a_body_cut_off_by_the_view_has_no_rims_at_the_border():
+def test_a_body_cut_off_by_the_view_has_no_rays_at_the_border():
     body = capsule_person(0.3, 0.1, -0.2)
     narrow = ring_rig(4, size=(480, 360), focal_px=700.0)
     masks = silhouettes(narrow, body)
@@ -137,23 +143,23 @@ def test_a_body_cut_off_by_the_view_has_no_rims_at_the_border():
         for name, view in views.items()
     }
     assert sum((masks[name] > 0)[edges[name]].sum() for name in masks) > 100
-    rims = hull_of(narrow, masks).products.contour_rays
-    assert len(rims) > 200
-    distance, _, _ = clearance(centres_of(narrow, rims), rims.directions, body)
+    rays = hull_of(narrow, masks).products.contour_rays
+    assert len(rays) > 200
+    distance, _, _ = clearance(centres_of(narrow, rays), rays.directions, body)
     assert np.abs(distance).max() < 0.008
 
 
-def test_silhouettes_of_what_no_other_camera_sees_have_no_rims(rig, person):
+def test_silhouettes_of_what_no_other_camera_sees_have_no_rays(rig, person):
     body, masks, result = person
     disturbed = {name: mask.copy() for name, mask in masks.items()}
     free = rig.camera("cam03").undistorted_view().seen & (masks["cam03"] == 0)
     windows = np.lib.stride_tricks.sliding_window_view(free, (60, 60))[::10, ::10]
     v, u = 10 * np.argwhere(windows.all(axis=(2, 3)))[0]
     disturbed["cam03"][v + 10 : v + 50, u + 10 : u + 50] = 255
-    rims = hull_of(rig, disturbed).products.contour_rays
-    distance, _, _ = clearance(centres_of(rig, rims), rims.directions, body)
-    assert (rims.camera == 2).sum() > 100 and np.abs(distance).max() < 0.04
-    assert len(rims) >= len(result.products.contour_rays) - 60
+    rays = hull_of(rig, disturbed).products.contour_rays
+    distance, _, _ = clearance(centres_of(rig, rays), rays.directions, body)
+    assert (rays.camera == 2).sum() > 100 and np.abs(distance).max() < 0.04
+    assert len(rays) >= len(result.products.contour_rays) - 60
 
 
 def test_rays_of_two_people_belong_to_the_right_one():
@@ -162,12 +168,12 @@ def test_rays_of_two_people_belong_to_the_right_one():
     rig = ring_rig(7)  # a pixel is 12 to 16 mm
     result = hull_of(rig, silhouettes(rig, [limb for person in people for limb in person]), voxel_size_m=0.03)
     assert len(result.bodies) == 2
-    rims, number = result.products.contour_rays, result.products.contour_rays.body
+    rays, number = result.products.contour_rays, result.products.contour_rays.body
     for centroid, body_number in zip(result.bodies.centroid_world, result.bodies.number, strict=True):
         person = people[int(np.argmin([np.hypot(*(centroid[:2] - place)) for place in places]))]
         mine = number == body_number
         assert mine.sum() > 200
-        distance, _, _ = clearance(centres_of(rig, rims)[mine], rims.directions[mine], person)
+        distance, _, _ = clearance(centres_of(rig, rays)[mine], rays.directions[mine], person)
         assert np.mean(np.abs(distance) < 0.016) > 0.97
 
 
@@ -183,32 +189,32 @@ def test_settings_limit_the_rays_and_zero_switches_them_off(rig, person):
 
 def test_a_missing_camera_has_no_rays_and_the_others_keep_theirs(rig, person):
     body, masks, _ = person
-    rims = hull_of(rig, {name: mask for name, mask in masks.items() if name != "cam04"}).products.contour_rays
-    assert set(rims.camera) == {0, 1, 2, 4, 5}
-    distance, _, _ = clearance(centres_of(rig, rims), rims.directions, body)
+    rays = hull_of(rig, {name: mask for name, mask in masks.items() if name != "cam04"}).products.contour_rays
+    assert set(rays.camera) == {0, 1, 2, 4, 5}
+    distance, _, _ = clearance(centres_of(rig, rays), rays.directions, body)
     assert np.sqrt(np.mean(distance**2)) < 0.003
 
 
-def test_an_empty_silhouette_and_an_empty_hull_have_no_rims(rig, person):
+def test_an_empty_silhouette_and_an_empty_hull_have_no_rays(rig, person):
     _, masks, _ = person
     assert len(hull_of(rig, {name: np.zeros_like(mask) for name, mask in masks.items()}).products.contour_rays) == 0
     pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
     volume = pipeline.run(frame_set(masks)).volume
     blank = masks | {"cam01": np.zeros_like(masks["cam01"])}
-    rims = trace_hull_contours(blank, pipeline.views, volume, pipeline.grid, ContourSettings())
-    assert set(rims.camera) == {1, 2, 3, 4, 5}
+    rays = traced(pipeline, blank, volume)
+    assert set(rays.camera) == {1, 2, 3, 4, 5}
     empty = BrickVolume.empty(pipeline.grid)
-    assert len(trace_hull_contours(masks, pipeline.views, empty, pipeline.grid, ContourSettings())) == 0
+    assert len(traced(pipeline, masks, empty)) == 0
 
 
-def test_rims_refuse_a_mask_of_another_size(rig, person):
+def test_rays_refuse_a_mask_of_another_size(rig, person):
     pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
     masks = {**person[1], "cam02": np.zeros((10, 10), np.uint8)}
     with pytest.raises(InputError, match=r"cam02: the mask is \(10, 10\) uint8"):
-        trace_hull_contours(masks, pipeline.views, person[2].volume, pipeline.grid, ContourSettings())
+        traced(pipeline, masks, person[2].volume)
 
 
-def test_rims_are_the_same_bytes_every_time_and_whatever_came_before(rig, person):
+def test_rays_are_the_same_bytes_every_time_and_whatever_came_before(rig, person):
     _, masks, result = person
     views, grid = RigViews.from_rig(rig), result.volume.grid
     tracer, runs = ContourTracer(views, grid, ContourSettings()), slice_hull(result.volume).runs
@@ -221,14 +227,14 @@ def test_rims_are_the_same_bytes_every_time_and_whatever_came_before(rig, person
             assert getattr(again, name).tobytes() == values.tobytes()
 
 
-def test_rims_of_a_camera_inside_the_hulls_box_are_found_too():
+def test_rays_of_a_camera_inside_the_hulls_box_are_found_too():
     """A camera so near that the hull's box is around and behind it."""
     body = LIMB
     far = ring_rig(3, size=(640, 480), focal_px=470.0)
     near = look_at("cam09", np.array([0.3, 0.05, 1.5]), np.array([0.05, 0.0, 1.1]), 300.0, (640, 480))
     rig = Rig((*far.cameras, near), VOLUME)
     tall = [*body, (np.array([0.6, 0.6, 0.3]), np.array([0.6, 0.6, 1.9]), 0.06)]
-    rims = hull_of(rig, silhouettes(rig, tall)).products.contour_rays
-    mine = rims.camera == 3
-    distance, _, _ = clearance(centres_of(rig, rims)[mine], rims.directions[mine], tall)
+    rays = hull_of(rig, silhouettes(rig, tall)).products.contour_rays
+    mine = rays.camera == 3
+    distance, _, _ = clearance(centres_of(rig, rays)[mine], rays.directions[mine], tall)
     assert mine.sum() > 50 and np.sqrt(np.mean(distance**2)) < 0.003

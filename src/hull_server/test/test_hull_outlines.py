@@ -10,10 +10,10 @@ from numba import njit
 from hull_server.contour_rays.contour_tracer import Scratch
 from hull_server.contour_rays.outlines import (
     RADIUS_PX,
-    doubt_around,
     find_edge,
     normal_quantile,
     pick_contour_pixels,
+    shadow_share,
     weights,
 )
 
@@ -52,7 +52,7 @@ def _quantile(share):
 
 @njit
 def _doubt(levels, u, v):
-    return doubt_around(levels, u, v)
+    return shadow_share(levels, u, v)
 
 
 def pick(inside, *, shortest_px=4.0, spacing_px=1.0, most=2000, box=(0, 0, SIDE, SIDE)):
@@ -190,7 +190,7 @@ def test_normal_quantile_is_the_normal_distributions():
         assert _quantile(share) == pytest.approx(NormalDist().inv_cdf(share), abs=0.02)
 
 
-def test_doubt_around_is_the_share_of_levels_between_background_and_foreground():
+def test_shadow_share_is_the_share_of_levels_between_background_and_foreground():
     levels = np.zeros((SIDE, SIDE), np.uint8)
     levels[:, 64:] = 255
     assert _doubt(levels, 64, 64) == 0.0

@@ -10,7 +10,16 @@ from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
 from capture_rig import InputError, Rig
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS
 from hull_server.settings import ShadowSettings
-from hull_server.shadows import RAY_STEP_M, STRIDE, ShadowResolver, Verdicts, binary_mask, judge
+from hull_server.shadows import (
+    BLIND,
+    RAY_STEP_M,
+    STRIDE,
+    PixelLabels,
+    ShadowResolver,
+    binary_mask,
+    floor_scene,
+    label_pixels,
+)
 from hull_server.views import RigViews, min_seeing
 
 SHADOW = [(-0.15, -0.1), (0.75, -0.25), (0.95, 0.25), (0.6, 0.45), (-0.05, 0.3)]  # on the floor, under the feet too
@@ -114,11 +123,11 @@ def test_candidates_of_other_cameras_are_witnesses_and_their_own_pixels_backgrou
     rig = ring_rig(5, seed=2)
     levels, body, shadow = body_and_shadow(rig)
     for name in list(levels)[1:]:
-        levels[name][shadow[name]] = CANDIDATE_LEVELS[2]  # of the degrees 4 and 5
+        levels[name][shadow[name]] = CANDIDATE_LEVELS[2]  # of the steps 4 and 5
     masks = resolver(rig).resolve(levels, 3).masks
     assert share(masks, shadow) < 0.05 and share(masks, body) == 1.0
     for name in list(levels)[1:]:
-        levels[name][shadow[name]] = CANDIDATE_LEVELS[0]  # of the degrees 0 and 1: shadow, but of something else
+        levels[name][shadow[name]] = CANDIDATE_LEVELS[0]  # of the steps 0 and 1: shadow, but of something else
     first = next(iter(levels))
     masks = resolver(rig).resolve(levels, 3).masks
     assert share({first: masks[first]}, {first: shadow[first]}) == 1.0
@@ -165,33 +174,36 @@ def test_kernel_follows_the_rule_pixel_by_pixel(seed):
         if rng.random() < 0.5:
             mask[mask == 0] = patches[mask == 0]
         mask[~rig.camera(name).undistorted_view().seen] = 0
-    worker = resolver(rig)
-    worker._stack(levels)
+    views = RigViews.from_rig(rig)
+    scene, stack = floor_scene(views, rig.volume), np.where(views.seen > 0, np.uint8(0), np.uint8(BLIND))
+    for index, name in enumerate(rig.names):
+        h, w = levels[name].shape
+        stack[index, :h, :w] |= levels[name]
     compared = Counter({"shadow": 0, "body": 0, "": 0})
     for index, name in enumerate(rig.names):
         h, w = levels[name].shape
-        found = Verdicts(*(np.zeros((-(-h // STRIDE), -(-w // STRIDE)), np.uint8) for _ in Verdicts._fields))
-        judge(worker._scene, worker._levels, index, (0, 0, w, h), 3, 1, 0.1, 0.5, np.empty((4, 3)), found)
+        found = PixelLabels.zeros((0, 0, w, h))
+        label_pixels(scene, stack, index, (0, 0, w, h), 3, 0.1, np.empty((4, 3)), found)
         for v in range(0, h, STRIDE):
             for u in range(0, w, STRIDE):
-                at, expected = (v // STRIDE, u // STRIDE), verdict(rig, levels, name, u, v)
-                assert bool(found.there[at]) == (levels[name][v, u] > 127)
-                assert bool(found.doubted[at]) == (0 < levels[name][v, u] <= 127)
+                at, expected = (v // STRIDE, u // STRIDE), true_label(rig, levels, name, u, v)
+                assert bool(found.foreground[at]) == (levels[name][v, u] > 127)
+                assert bool(found.candidate[at]) == (0 < levels[name][v, u] <= 127)
                 assert bool(found.shadow[at]) == (expected == "shadow")
                 assert bool(found.body[at]) == (expected == "body")
                 compared[expected] += 1
     assert compared["shadow"] > 20 and compared["body"] > 0 and compared[""] > 20
 
 
-def degrees(level: int) -> tuple[int, int]:
-    """Lowest and highest degree of darkness that a dark level, or a candidate's, stands for."""
+def attenuation(level: int) -> tuple[int, int]:
+    """Least and greatest attenuation step that a level stands for."""
     if level in ATTENUATED_LEVELS:
         return (ATTENUATED_LEVELS.index(level),) * 2
     pair = CANDIDATE_LEVELS.index(level)
     return 2 * pair, min(2 * pair + 1, 8)
 
 
-def verdict(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> str:
+def true_label(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> str:
     """The rule for one pixel, with the camera model's own rays and projection."""
     camera, own = rig.camera(name).undistorted_view().camera, int(levels[name][v, u])
     if own in (0, 255):
@@ -205,7 +217,10 @@ def verdict(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) 
     others = [n for n in rig.names if n != name]
     seen = [level_at(rig, levels, n, [floor[0], floor[1], 0.0]) for n in others]
     seen = [level for level in seen if level is not None and level != 255]
-    gaps = [9 if s == 0 else max(degrees(s)[0] - degrees(own)[1], degrees(own)[0] - degrees(s)[1]) for s in seen]
+    gaps = [
+        9 if s == 0 else max(attenuation(s)[0] - attenuation(own)[1], attenuation(own)[0] - attenuation(s)[1])
+        for s in seen
+    ]
     agree = sum(gap <= 1 for gap in gaps)
     contradict = len(gaps) - agree
     if (

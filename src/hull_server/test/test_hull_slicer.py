@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from hull_server.grid import BrickVolume, VoxelGrid
+from hull_server.kernel import lowest_bit, popcount, select_bit, transpose8
 from hull_server.slicing.skeletonisation import BlobTable, slice_blobs, slice_hull
-from hull_server.slicing.voxel_runs import lowest_bit, popcount, select_bit, transpose8
 from hull_server.slicing.voxel_samples import sample_voxels
 
 

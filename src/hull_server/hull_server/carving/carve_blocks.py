@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..kernel import kernel
-from .pixel_boxes import foreground_in, seen_in
+from .pixel_boxes import count_in_box, foreground_in
 from .silhouette_tables import BLIND, FOREGROUND
 
 EVERY_OCTANT = 255
@@ -56,7 +56,7 @@ def judge_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-unt
     if not sees_all:
         for octant in range(8):
             u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]
-            visible = seen_in(scene.seen_table, camera, u0, v0, u1, v1)
+            visible = count_in_box(scene.seen_table, camera, u0, v0, u1, v1)
             unseen |= (visible == 0) << octant
             seen &= ~((box[32 + octant] == 0 or visible != (u1 - u0) * (v1 - v0)) << octant)
     return some, whole & seen, seen, unseen

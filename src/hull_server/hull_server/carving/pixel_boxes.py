@@ -118,14 +118,14 @@ def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
 @kernel
 def _judge_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
     """Whether a camera sees none, all, or perhaps some of the voxels whose pixel box this is."""
-    seen = seen_in(seen_tables, camera, u0, v0, u1, v1)
+    seen = count_in_box(seen_tables, camera, u0, v0, u1, v1)
     if seen == 0:
         return UNSEEN
     return SEEN if inside and seen == (u1 - u0) * (v1 - v0) else PARTLY_SEEN
 
 
 @kernel
-def seen_in(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
+def count_in_box(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Pixels of a pixel box that a camera sees."""
     if u1 <= u0 or v1 <= v0:
         return 0

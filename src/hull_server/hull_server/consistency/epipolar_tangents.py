@@ -1,10 +1,10 @@
-"""Planes through two cameras that touch the body: both must see the body between the same two.
+"""Epipolar tangents: the planes through two cameras' centres that touch the body.
 
-All planes through the centres of two cameras turn about the line between them. The two outermost that touch the body
-touch it at points that both cameras see on the rims of their silhouettes (frontier points: Rieger 1986; Cipolla,
-Astrom and Giblin, "Motion from the frontier of curved surfaces", ICCV 1995). So both cameras must see these planes at
-the same two angles, whatever the body's shape is. A difference tells of the calibration (Sinha, Pollefeys and McMillan,
-"Camera network calibration from dynamic silhouettes", CVPR 2004), or of the silhouettes' rims.
+All planes through two camera centres contain the baseline. The two outermost ones that touch the body do so at frontier
+points, which both cameras see on their contours (Rieger 1986; Cipolla, Astrom and Giblin, "Motion from the frontier of
+curved surfaces", ICCV 1995). So both cameras must measure the same two angles about the baseline, whatever the body's
+shape. A difference indicates a calibration error (Sinha, Pollefeys and McMillan, "Camera network calibration from
+dynamic silhouettes", CVPR 2004) or a contour error. The thresholds are checked by bench/camera_movement.py.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from ..views import RigViews
 
 Array = npt.NDArray[np.float64]
 
-MARGIN_PX = 4  # a rim nearer to where the camera sees nothing may be a cut
-LEAST_ROWS = 10  # lower silhouettes are nobody
-LEAST_SINE = 0.2  # rays nearer to the line between the cameras tell an angle badly
-WIDEST_RAD = np.radians(150.0)  # a body that is seen over a wider angle is around that line
-DOUBTFUL_PX = 3.0  # a rim that moves by more when doubtful pixels are counted is doubtful itself
-AXES = 4  # unknowns of a camera: three angles, and how much larger its silhouette is all around
+MARGIN_PX = 4  # a contour nearer than this to unseen pixels may be cut off
+LEAST_ROWS = 10  # silhouettes with fewer rows are not a body
+LEAST_SINE = 0.2  # rays nearer to the baseline measure the angle badly
+WIDEST_RAD = np.radians(150.0)  # a body seen over a wider angle contains the baseline
+UNCERTAIN_PX = 3.0  # a tangent that moves by more when possible-shadow pixels are counted is not used
+UNKNOWNS = 4  # of a camera: three rotation angles, and how much larger its silhouette is all around
 
 
 class Tangents(NamedTuple):
-    """m planes, each touched by the silhouettes of two cameras at rays that should lie in one plane.
+    """The m tangent planes measured by two cameras each.
 
-    first, second (m,) : indices of the cameras. difference_px (m,) : of the angles about the line between the cameras
-    at which the rays lie, first minus second, over what a pixel of noise in both pictures makes of it. first_part,
-    second_part (m, 4) : what turns of the cameras about their own axes (x right, y down, z forward; radians) and a
-    silhouette that is larger by a pixel all around add to that difference. angles (n, n, 2) : at which each camera sees
-    the planes through it and each other one, radians; NaN where it cannot tell.
+    first, second (m,) : indices of the cameras. difference_px (m,) : first minus second angle about the baseline, over
+    its change for one pixel of noise in both images. first_part, second_part (m, 4) : derivatives of that difference by
+    rotations of each camera about its own axes (x right, y down, z forward; radians) and by a silhouette that is larger
+    by a pixel all around. angles (n, n, 2) : of the tangent planes that each camera measures about the baseline to each
+    other camera, radians; NaN where it cannot.
     """
 
     first: npt.NDArray[np.int64]
@@ -51,21 +51,20 @@ class Tangents(NamedTuple):
 
 
 class _Contacts(NamedTuple):
-    """Where one camera's silhouette touches planes through every camera j of the rig: the one with the largest angle
-    (k = 0) and the one with the smallest (k = 1).
+    """One camera's tangent planes about the baseline to each camera j: largest angle (k = 0) and smallest (k = 1).
 
     angle (n, 2) : radians. part (n, 2, 4) : its derivatives by this camera's unknowns. noise (n, 2) : of the angle, for
-    a pixel of noise. told (n, 2) : whether it can be told.
+    a pixel of noise. valid (n, 2) : whether it could be measured.
     """
 
     angle: Array
     part: Array
     noise: Array
-    told: npt.NDArray[np.bool_]
+    valid: npt.NDArray[np.bool_]
 
 
 class EpipolarTangentFinder:
-    """Finds the tangent planes of all pairs of cameras; what depends on the calibration is computed once, here."""
+    """Measures the tangent planes of all pairs of cameras; tables of the calibration are computed once."""
 
     def __init__(self, rig: Rig, views: RigViews) -> None:
         self._names = views.names
@@ -77,11 +76,11 @@ class EpipolarTangentFinder:
         self._second, self._first = np.triu_indices(len(self._cameras), 1)
 
     def find(self, masks: Mapping[str, npt.NDArray[np.uint8]]) -> Tangents:
-        """Those of canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, of some cameras of the rig."""
+        """Measure canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, of some cameras of the rig."""
         found = [self._contacts(i, masks.get(name)) for i, name in enumerate(self._names)]
-        angle, part, noise, told = (np.stack(of_all) for of_all in zip(*found, strict=True))
+        angle, part, noise, valid = (np.stack(of_all) for of_all in zip(*found, strict=True))
         i, j = self._first, self._second
-        both, side = np.nonzero(told[i, j] & told[j, i])
+        both, side = np.nonzero(valid[i, j] & valid[j, i])
         i, j = i[both], j[both]
         together = np.hypot(noise[i, j, side], noise[j, i, side])
         return Tangents(
@@ -90,13 +89,14 @@ class EpipolarTangentFinder:
             difference_px=(angle[i, j, side] - angle[j, i, side]) / together,
             first_part=part[i, j, side] / together[:, None],
             second_part=-part[j, i, side] / together[:, None],
-            angles=np.where(told, angle, np.nan),
+            angles=np.where(valid, angle, np.nan),
         )
 
     def _contacts(self, camera: int, mask: npt.NDArray[np.uint8] | None) -> _Contacts:
         corners = None if mask is None else _corners(mask)
         if corners is None:
-            return _no_contacts(len(self._cameras))
+            n = len(self._cameras), 2
+            return _Contacts(np.zeros(n), np.zeros((*n, UNKNOWNS)), np.ones(n), np.zeros(n, bool))
         (rays, uncut), (wide_rays, wide_uncut) = (
             (self._rays(camera, pixels), self._uncut[camera][pixels[:, 1], pixels[:, 0]]) for pixels in corners
         )
@@ -105,23 +105,25 @@ class EpipolarTangentFinder:
         axes, ray = self._axes[camera][:, None], rays[at]
         sine = np.maximum(np.hypot(across[..., 0], across[..., 1]), 1e-9)
         noise = 1.0 / (sine * self._cameras[camera].K[0, 0])
-        # where the angle grows, and what turning the camera about its own axes does to it
+        # direction in which the angle grows, and its derivative by rotations about the camera's axes
         along = (across[..., :1] * axes[..., 1, :] - across[..., 1:] * axes[..., 0, :]) / sine[..., None]
         turn = np.cross(ray, along) @ self._cameras[camera].R_camera_world.T / sine[..., None]
-        told = uncut[at] & wide_uncut[wide_at] & (sine > LEAST_SINE)
-        told &= np.abs(angle - wide_angle) <= DOUBTFUL_PX * noise
+        valid = uncut[at] & wide_uncut[wide_at] & (sine > LEAST_SINE)
+        valid &= np.abs(angle - wide_angle) <= UNCERTAIN_PX * noise
         wide = (wide_angle[:, 0] - wide_angle[:, 1] > WIDEST_RAD) | (np.abs(wide_angle).max(1) > WIDEST_RAD)
-        told[wide] = told[camera] = False
-        return _Contacts(angle, np.concatenate([turn, (noise * [1, -1])[..., None]], axis=2), noise, told)
+        valid[wide] = valid[camera] = False
+        return _Contacts(angle, np.concatenate([turn, (noise * [1, -1])[..., None]], axis=2), noise, valid)
 
     def _rays(self, camera: int, pixels: npt.NDArray[np.int32]) -> Array:
-        """(k, 3) directions in the world, of length 1."""
+        """Convert pixels (k, 2) to unit directions (k, 3) in the map frame."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ self._to_ray_world[camera]
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def _outermost(self, camera: int, rays: Array) -> tuple[npt.NDArray[np.int64], Array, Array]:
-        """Of the planes with the largest and the smallest angle about the line to each camera: which ray (n, 2) touches
-        it, the angle (n, 2), and where the ray lies across that line (n, 2, 2)."""
+        """Find the rays with the largest and smallest angle about each baseline.
+
+        Returns index (n, 2) and angle (n, 2) of the ray, and its coordinates (n, 2, 2) across the baseline.
+        """
         across = np.einsum("kc,nac->nka", rays, self._axes[camera])
         angle = np.arctan2(across[..., 1], across[..., 0])
         at = np.stack([angle.argmax(1), angle.argmin(1)], axis=1)
@@ -129,14 +131,8 @@ class EpipolarTangentFinder:
         return at, angle[of, at], across[of, at]
 
 
-def _no_contacts(cameras: int) -> _Contacts:
-    shape = cameras, 2
-    return _Contacts(np.zeros(shape), np.zeros((*shape, AXES)), np.ones(shape), np.zeros(shape, bool))
-
-
 def _corners(mask: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.int32]] | None:
-    """Corners (k, 2) u, v of the convex hulls of the person alone, and of all that may be the person; None when there
-    is nobody."""
+    """Find corners (k, 2) u, v of the convex hulls of the sure foreground, and of all nonzero pixels; None if empty."""
     left, top, width, height = cv2.boundingRect(mask)
     part, found = mask[top : top + height, left : left + width], []
     for least in (FOREGROUND, 1):
@@ -150,10 +146,10 @@ def _corners(mask: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.int32]] | None:
 
 
 def _axes(first: CameraModel, second: CameraModel, middle_world: Array) -> Array:
-    """(2, 3) directions across the line between the cameras: to the middle of the volume, and across that."""
+    """Return two unit directions (2, 3) across the baseline: to the middle of the volume, and perpendicular to that."""
     line = second.centre_world - first.centre_world
     line = line / max(float(np.linalg.norm(line)), 1e-9)
-    line = line if first.name < second.name else -line  # the same for both
+    line = line if first.name < second.name else -line  # the same for both cameras
     to_middle = middle_world - first.centre_world
     to_middle = to_middle - to_middle @ line * line
     to_middle = to_middle / max(float(np.linalg.norm(to_middle)), 1e-9)
@@ -161,6 +157,7 @@ def _axes(first: CameraModel, second: CameraModel, middle_world: Array) -> Array
 
 
 def _away_from_cuts(seen: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Find the pixels (H, W) farther than MARGIN_PX from unseen ones."""
     padded = np.pad(seen, MARGIN_PX)
     inner = cv2.erode(padded, np.ones((2 * MARGIN_PX + 1,) * 2, np.uint8))
     return np.asarray(inner[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX] > 0)
@@ -168,7 +165,8 @@ def _away_from_cuts(seen: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
 
 @kernel
 def _row_ends(mask, least, points):  # type: ignore[no-untyped-def]
-    """Write the first and last pixel (u, v) of ``least`` or more in every row that has one; return their number."""
+    """Write the first and last pixel (u, v) of level ``least`` or more of each row to ``points``; return their
+    number."""
     count = 0
     for v in range(mask.shape[0]):
         u = 0

@@ -1,7 +1,12 @@
-"""Does every camera still stand where its calibration says? Asked of the silhouettes, all the time.
+"""Watches each camera's extrinsic calibration through the silhouettes of a moving person.
 
-Long before a camera that was bumped does so much harm that it is left out, the planes that touch the body tell that it
-stands badly, and by how many degrees: within seconds when it is much, within minutes when it is little.
+The epipolar tangents of two cameras differ when either camera has moved. With many cameras and a person who moves, all
+differences that involve one rotated camera fit the same three angles. So the angles of all cameras are estimated
+together by robust least squares (outliers: shadows, hidden or missing parts), with a prior that most calibrations are
+sound. Then each camera is tested alone: how much better are the differences explained if it, and no other, has moved
+(model evidence: MacKay, "Bayesian interpolation", Neural Computation 1992), also compared with a silhouette that is too
+large or too small? Errors of a degree are found within seconds, small ones within minutes, long before the camera harms
+the hull enough to be excluded. The thresholds are those of bench/camera_movement.py.
 """
 
 from __future__ import annotations
@@ -9,174 +14,54 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from capture_rig import Rig
+from capture_rig.stamps import StampThrottle
 
 from ..settings import CalibrationSettings
 from ..views import Masks, RigViews
-from .epipolar_tangents import AXES, Array, EpipolarTangentFinder, Tangents
+from .epipolar_tangents import UNKNOWNS, Array, EpipolarTangentFinder, Tangents
 
-# --- Which camera does not stand where its calibration says, as the tangents of many frame sets tell.
-#
-# A difference between two cameras may be either's fault. With many cameras, and a person who moves, all differences of a
-# camera that was turned by three angles fit these angles. So the angles of all cameras are found together, by least
-# squares that lets go of outliers (shadows, hidden or missing parts), most cameras being expected to stand well. Then it
-# is asked of each camera alone how much better the differences are explained if it, and no other, stands badly (model
-# evidence: MacKay, "Bayesian interpolation", Neural Computation 1992), and better than by a silhouette that is too large
-# or too small all around.
-
-USUAL_RAD, WRONG_RAD = np.radians(0.12), np.radians(1.5)  # angles of calibrations that are sound, and that are not
-USUAL_PX, LARGE_PX = 2.0, 10.0  # silhouettes are larger or smaller by so much; and by so much at worst
-ALIKE_S = 0.5  # what is wrong with a silhouette lasts about so long: frame sets that follow sooner tell the same
-LEAST_NOISE_PX, MOST_NOISE_PX = 0.5, 4.0
-LETS_GO = 3.0  # standard deviations
-GENTLE_ROUNDS, ROUNDS = 3, 8  # of reweighting: at first outliers are only played down, so that the rest can be found
-
-
-@dataclass(frozen=True, eq=False)
-class ExtrinsicError:
-    """What is known of one camera: how it stands, seen from where its calibration says it stands.
-
-    turn_rad (3,) : rotation vector in the camera's frame (x right, y down, z forward), radians, if it alone is wrong;
-    a push aside shows as the turn that does the same to the pictures of the body. sd_rad : standard deviation of the
-    size of the turn. gain : how much better that explains all differences than nothing does (twice the logarithm of the
-    ratio of probabilities), and gain_growth : how much better a silhouette too large or too small does. fitting : share
-    of the camera's differences that fit. count : how many there are.
-    """
-
-    turn_rad: Array
-    sd_rad: float
-    gain: float
-    gain_growth: float
-    fitting: float
-    count: int
-
-    @property
-    def size_rad(self) -> float:
-        return float(np.linalg.norm(self.turn_rad))
-
-
-def estimate_extrinsic_errors(tangents: Sequence[Tangents], cameras: int, step_s: float) -> list[ExtrinsicError]:
-    """How each of the ``cameras`` of a rig stands, by the tangents of frame sets that are ``step_s`` apart."""
-    first, second, y, one, other = (np.concatenate(parts) for parts in list(zip(*tangents, strict=True))[:5])
-    J = np.hstack([one, other])
-    x, weight, noise_px = _fit(first, second, J, y, cameras, min(1.0, step_s / ALIKE_S))
-    A, c = _normal_equations(first, second, J, y, weight, cameras)
-    scale = min(1.0, step_s / ALIKE_S) / noise_px**2
-    A, c = A * scale, c * scale
-    nobody, _, _ = _evidence(A, c, _prior(cameras))
-    standings = []
-    for camera in range(cameras):
-        turned, x, covariance = _evidence(A, c, _prior(cameras, wrong=camera))
-        grown, _, _ = _evidence(A, c, _prior(cameras, large=camera))
-        own = slice(AXES * camera, AXES * camera + 3)
-        turn, mine = x[own], (first == camera) | (second == camera)
-        along = turn / max(float(np.linalg.norm(turn)), 1e-12)
-        fits = np.abs(_residuals(first[mine], second[mine], J[mine], y[mine], x)) < LETS_GO * noise_px
-        standings.append(
-            ExtrinsicError(
-                turn_rad=turn,
-                sd_rad=float(np.sqrt(along @ covariance[own, own] @ along)),
-                gain=turned - nobody,
-                gain_growth=grown - nobody,
-                fitting=float(fits.mean()) if fits.size else 0.0,
-                count=int(mine.sum()),
-            )
-        )
-    return standings
-
-
-def _fit(first, second, J, y, cameras, share):  # type: ignore[no-untyped-def]
-    """All cameras' unknowns (4 n,), the weight of each difference, and their noise, pixels.
-
-    A camera that stands badly is allowed to: its prior widens with what is found (Tipping, "Sparse Bayesian learning",
-    JMLR 2001).
-    """
-    x, prior = np.zeros(AXES * cameras), _prior(cameras)
-    weight, noise_px = np.ones(len(y)), LEAST_NOISE_PX
-    for round_ in range(ROUNDS):
-        residual = np.abs(_residuals(first, second, J, y, x))
-        noise_px = float(np.clip(np.median(residual) / 0.6745, LEAST_NOISE_PX, MOST_NOISE_PX)) if len(y) else 1.0
-        u = residual / (LETS_GO * noise_px)
-        weight = 1 / (1 + u) ** 2 if round_ < GENTLE_ROUNDS else 1 / (1 + u * u) ** 2
-        A, c = _normal_equations(first, second, J, y, weight, cameras)
-        x = np.linalg.solve(A * share / noise_px**2 + np.diag(prior), c * share / noise_px**2)
-        sizes = (x.reshape(cameras, AXES)[:, :3] ** 2).sum(1)
-        prior.reshape(cameras, AXES)[:, :3] = (1 / (USUAL_RAD**2 + sizes))[:, None]
-    return x, weight, noise_px
-
-
-def _prior(cameras: int, wrong: int | None = None, large: int | None = None) -> Array:
-    """(4 n,) precisions: sound calibrations and silhouettes, but for one camera's."""
-    prior = np.tile([1 / USUAL_RAD**2] * 3 + [1 / USUAL_PX**2], cameras)
-    if wrong is not None:
-        prior[AXES * wrong : AXES * wrong + 3] = 1 / WRONG_RAD**2
-    if large is not None:
-        prior[AXES * large + 3] = 1 / LARGE_PX**2
-    return prior
-
-
-def _evidence(A: Array, c: Array, prior: Array) -> tuple[float, Array, Array]:
-    """Twice the logarithm of the probability of the differences (but for what is the same for every prior), the most
-    probable unknowns, and their covariance."""
-    precision = A + np.diag(prior)
-    covariance = np.asarray(np.linalg.inv(precision), np.float64)
-    x = covariance @ c
-    return float(c @ x - np.linalg.slogdet(precision)[1] + np.log(prior).sum()), x, covariance
-
-
-@njit(cache=True, nogil=True)
-def _normal_equations(first, second, J, y, weight, cameras):  # type: ignore[no-untyped-def]
-    """The sums J^T W J (4 n, 4 n) and J^T W y (4 n,); each row of J (m, 8) belongs to two cameras."""
-    A, c, place = np.zeros((AXES * cameras, AXES * cameras)), np.zeros(AXES * cameras), np.empty(2 * AXES, np.int64)
-    for row in range(y.size):
-        for k in range(AXES):
-            place[k], place[AXES + k] = AXES * first[row] + k, AXES * second[row] + k
-        for k in range(2 * AXES):
-            c[place[k]] += weight[row] * J[row, k] * y[row]
-            for m in range(2 * AXES):
-                A[place[k], place[m]] += weight[row] * J[row, k] * J[row, m]
-    return A, c
-
-
-@njit(cache=True, nogil=True)
-def _residuals(first, second, J, y, x):  # type: ignore[no-untyped-def]
-    """(m,) differences that the unknowns x leave."""
-    left: npt.NDArray[np.float64] = y.copy()
-    for row in range(y.size):
-        for k in range(AXES):
-            left[row] -= J[row, k] * x[AXES * first[row] + k] + J[row, AXES + k] * x[AXES * second[row] + k]
-    return left
-
-
-SLOW_EVERY = 10  # of so many looks one is remembered for long
-SLOW_LOOKS = 60
-ASKED_EVERY = 3  # looks
-FEWEST_CAMERAS = 3
-FEWEST = 12  # differences of a camera; fewer tell nothing
-SIGMAS = 3.0
-SYSTEMATIC_RAD = np.radians(0.08)  # of every angle: lenses, and silhouettes that err in one direction for long
-CONFIRMED = 4  # times in a row before a camera is named; once is enough ...
-NEWS_RAD = np.radians(0.5)  # when the body's outline has moved by less, its silhouettes err as they did before
-GROSS = 4.0  # ... when it is off by so many times what is allowed
-ENOUGH_CAMERAS = 5  # each one less makes it harder to tell whose fault a difference is: twice as much is allowed
-FITTING = 0.5  # share of the camera's differences that its turn must explain
-CLEARER = 3.0  # its evidence is above that of every other explanation by so much
+# what is measured when
+PERIOD_S = 0.2  # between frame sets that are measured
+RECENT_SETS = 20  # four seconds
+LASTING_EVERY, LASTING_SETS = 10, 60  # every tenth of the measured sets is kept longer: two minutes of movement
+TESTED_EVERY = 3  # measured sets
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
-NS = 1e-9
+NEWS_RAD = np.radians(0.5)  # if the contours moved by less, silhouettes err as they did before
+
+# the noise model
+TYPICAL_RAD, WRONG_RAD = np.radians(0.12), np.radians(1.5)  # standard deviation of sound and of wrong calibrations
+TYPICAL_PX, LARGE_PX = 2.0, 10.0  # by which silhouettes are larger or smaller, normally and at worst
+CORRELATION_S = 0.5  # silhouette errors persist for about this long
+LEAST_NOISE_PX, MOST_NOISE_PX = 0.5, 4.0
+OUTLIER_SIGMAS = 3.0
+GENTLE_ROUNDS, ROUNDS = 3, 8  # of reweighting: the first ones only reduce the weight of outliers
+SYSTEMATIC_RAD = np.radians(0.08)  # of every angle: lenses, and silhouettes that err in one direction for long
+
+# when a camera is named
+FEWEST_CAMERAS = 3
+FEWEST = 12  # differences of a camera; fewer are not enough
+SIGMAS = 3.0
+CONFIRMATIONS = 4  # tests in a row before a camera is named; one is enough ...
+GROSS = 4.0  # ... when the error is so many times what is allowed
+ENOUGH_CAMERAS = 5  # each camera less doubles what is allowed: faults are harder to attribute
+INLIERS = 0.5  # share of the camera's differences that its rotation must explain
+CLEARER = 3.0  # evidence by which it must exceed every other explanation
 
 
 @dataclass(frozen=True, eq=False)
 class ExtrinsicErrors:
-    """How well the cameras stand. Angles in radians, by camera; of cameras that were measured only.
+    """How far the cameras are from their calibration. Radians, by camera; only cameras that could be measured.
 
-    rotation_error_rad : by how much each camera is turned from where its calibration says it stands, if it alone is; sd_rad : the
-    standard deviation of that; roll_rad : the part about its optical axis. suspects : cameras that certainly stand
-    badly, and why, in words a user can act on.
+    rotation_error_rad : angle of each camera's rotation from its calibration, if it alone has moved; sd_rad : its
+    standard deviation; roll_rad : the part about the optical axis. suspects : cameras that have certainly moved, and a
+    message with the remedy.
     """
 
     rotation_error_rad: Mapping[str, float] = field(default_factory=dict)
@@ -186,102 +71,221 @@ class ExtrinsicErrors:
 
 
 class ExtrinsicMonitor:
-    """Watches over the calibration of one rig. Not for two threads at a time. The same sets give the same results."""
+    """Monitors the calibration of one rig. One thread at a time. The same sets give the same results."""
 
     def __init__(self, rig: Rig, views: RigViews, settings: CalibrationSettings | None = None) -> None:
-        """Compute what depends on the calibration only."""
         self.settings, self.names = settings or CalibrationSettings(), views.names
+        self.errors = ExtrinsicErrors()
         self._finder = EpipolarTangentFinder(rig, views)
-        self._recent: deque[Tangents] = deque(maxlen=max(round(self.settings.memory_s / self.settings.period_s), 1))
-        self._lasting: deque[Tangents] = deque(maxlen=SLOW_LOOKS)
-        self._looks, self._last_ns = 0, -1
-        self._known: list[ExtrinsicError] = []  # by the lasting evidence
+        self._recent: deque[Tangents] = deque(maxlen=RECENT_SETS)
+        self._lasting: deque[Tangents] = deque(maxlen=LASTING_SETS)
+        self._throttle, self._measured = StampThrottle(PERIOD_S, early_share=EARLY), 0
+        self._lasting_errors: list[ExtrinsicError] = []
         self._in_a_row = [0] * len(views.names)
-        self.calibration = ExtrinsicErrors()
 
     def update(self, masks: Masks, stamp_ns: int) -> ExtrinsicErrors:
-        """Take one frame set's canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, if it is time to.
+        """Measure one frame set's canvas masks (h, w) uint8, levels of ``capture_rig.mask_levels``, once a period.
 
-        Sets in which nobody is seen change nothing.
+        Sets without a person change nothing.
         """
-        if not self.settings.enabled or len(self.names) < FEWEST_CAMERAS or not self._is_time(stamp_ns):
-            return self.calibration
+        if not self.settings.enabled or len(self.names) < FEWEST_CAMERAS or not self._throttle.step_s(stamp_ns):
+            return self.errors
         tangents = self._finder.find(masks)
-        if tangents.first.size and self._is_news(tangents):
+        if tangents.first.size and self._has_moved(tangents):
             self._recent.append(tangents)
-            if self._looks % SLOW_EVERY == 0:
+            if self._measured % LASTING_EVERY == 0:
                 self._lasting.append(tangents)
-                self._known = estimate_extrinsic_errors(
-                    self._lasting, len(self.names), SLOW_EVERY * self.settings.period_s
+                self._lasting_errors = estimate_extrinsic_errors(
+                    self._lasting, len(self.names), LASTING_EVERY * PERIOD_S
                 )
-            self._looks += 1
-            if self._looks % ASKED_EVERY == 0:
-                self.calibration = self._ask()
-        return self.calibration
+            self._measured += 1
+            if self._measured % TESTED_EVERY == 0:
+                self.errors = self._test()
+        return self.errors
 
-    def _is_time(self, stamp_ns: int) -> bool:
-        if 0 <= self._last_ns <= stamp_ns < self._last_ns + (1 - EARLY) * self.settings.period_s / NS:
-            return False
-        self._last_ns = stamp_ns
-        return True
-
-    def _is_news(self, tangents: Tangents) -> bool:
-        """Whether the body has moved since the last set that was taken: one that stands still tells the same again."""
+    def _has_moved(self, tangents: Tangents) -> bool:
+        """Check that the body moved since the last measured set: a still body adds no information."""
         if not self._recent:
             return True
         moved_rad = np.abs(tangents.angles - self._recent[-1].angles)
         known = np.isfinite(moved_rad)
         return not known.any() or float(np.median(moved_rad[known])) > NEWS_RAD
 
-    def _ask(self) -> ExtrinsicErrors:
-        """Weigh the recent and the lasting evidence of every camera."""
-        recent = estimate_extrinsic_errors(self._recent, len(self.names), self.settings.period_s)
-        present = sum(standing.count >= FEWEST for standing in recent)
+    def _test(self) -> ExtrinsicErrors:
+        """Test every camera by the recent and by the lasting measurements."""
+        recent = estimate_extrinsic_errors(self._recent, len(self.names), PERIOD_S)
+        present = sum(error.count >= FEWEST for error in recent)
         lenience = 2.0 ** max(ENOUGH_CAMERAS - present, 0)
         allowed_rad = np.radians(self.settings.limit_deg) * lenience
-        standings: dict[str, ExtrinsicError] = {}
+        errors: dict[str, ExtrinsicError] = {}
         suspects: dict[str, str] = {}
         for camera, name in enumerate(self.names):
-            if max(recent[camera].count, self._known[camera].count) < FEWEST:
+            if max(recent[camera].count, self._lasting_errors[camera].count) < FEWEST:
                 continue
-            excess_rad, standings[name] = self._worst(recent, camera, allowed_rad, CLEARER * lenience)
+            excess_rad, errors[name] = self._worst(recent, camera, allowed_rad, CLEARER * lenience)
             self._in_a_row[camera] = self._in_a_row[camera] + 1 if excess_rad > allowed_rad else 0
-            if self._in_a_row[camera] >= CONFIRMED or excess_rad > GROSS * allowed_rad:
-                suspects[name] = self._reason(name, standings[name])
+            if self._in_a_row[camera] >= CONFIRMATIONS or excess_rad > GROSS * allowed_rad:
+                suspects[name] = self._reason(name, errors[name])
         return ExtrinsicErrors(
-            rotation_error_rad={name: standing.size_rad for name, standing in standings.items()},
-            sd_rad={name: standing.sd_rad for name, standing in standings.items()},
-            roll_rad={name: float(standing.turn_rad[2]) for name, standing in standings.items()},
+            rotation_error_rad={name: error.angle_rad for name, error in errors.items()},
+            sd_rad={name: error.sd_rad for name, error in errors.items()},
+            roll_rad={name: float(error.rotation_rad[2]) for name, error in errors.items()},
             suspects=suspects,
         )
 
     def _worst(
         self, recent: list[ExtrinsicError], camera: int, allowed_rad: float, clearer: float
     ) -> tuple[float, ExtrinsicError]:
-        """By how much a camera certainly stands badly, and how; how it stands as far as known, when it does not."""
-        now, known = recent[camera], self._known[camera]
-        excess_rad, excess_known_rad = _excess_rad(recent, camera, clearer), _excess_rad(self._known, camera, clearer)
+        """Return the certain part of the camera's error (0 if allowed), and the estimate that shows it."""
+        now, lasting = recent[camera], self._lasting_errors[camera]
+        excess_rad = _certain_error_rad(recent, camera, clearer)
+        excess_lasting_rad = _certain_error_rad(self._lasting_errors, camera, clearer)
         if excess_rad > allowed_rad:
             return excess_rad, now
-        stands_well_now = now.size_rad + 2 * now.sd_rad < allowed_rad
-        if excess_known_rad > allowed_rad and not stands_well_now:
-            return excess_known_rad, known
-        return 0.0, min((now, known), key=lambda standing: standing.sd_rad)
+        is_good_now = now.angle_rad + 2 * now.sd_rad < allowed_rad
+        if excess_lasting_rad > allowed_rad and not is_good_now:
+            return excess_lasting_rad, lasting
+        return 0.0, min((now, lasting), key=lambda error: error.sd_rad)
 
-    def _reason(self, name: str, standing: ExtrinsicError) -> str:
-        aside, about = np.degrees(np.hypot(*standing.turn_rad[:2])), np.degrees(abs(standing.turn_rad[2]))
-        size = np.degrees(standing.size_rad)
+    def _reason(self, name: str, error: ExtrinsicError) -> str:
+        aside, about = np.degrees(np.hypot(*error.rotation_rad[:2])), np.degrees(abs(error.rotation_rad[2]))
         return (
-            f"{name} stands {size:.1f} degrees from where its calibration says ({aside:.1f} aside, {about:.1f} "
-            f"about its axis), as the other {len(self.names) - 1} show: was it moved? Put it back, or calibrate it "
-            "again"
+            f"{name} stands {np.degrees(error.angle_rad):.1f} degrees from where its calibration says ({aside:.1f} "
+            f"aside, {about:.1f} about its axis), as the other {len(self.names) - 1} show: was it moved? Put it back, "
+            "or calibrate it again"
         )
 
 
-def _excess_rad(standings: list[ExtrinsicError], camera: int, clearer: float) -> float:
-    """By how much the camera certainly stands badly; 0 unless no other explanation is nearly as good."""
-    mine = standings[camera]
-    rivals = [mine.gain_growth, *(s.gain for other, s in enumerate(standings) if other != camera)]
-    if mine.count < FEWEST or mine.fitting < FITTING or mine.gain - max(rivals) < clearer:
+@dataclass(frozen=True, eq=False)
+class ExtrinsicError:
+    """One camera's estimated rotation from its calibration.
+
+    rotation_rad (3,) : rotation vector in the camera's frame (x right, y down, z forward), radians, if it alone has
+    moved; a translation appears as the rotation with the same effect on the images of the body. sd_rad : standard
+    deviation of its angle. evidence : twice the log ratio of probabilities to no error; evidence_of_growth : the same
+    for a silhouette too large or too small. inlier_fraction : share of the camera's differences that it explains. count
+    : of those.
+    """
+
+    rotation_rad: Array
+    sd_rad: float
+    evidence: float
+    evidence_of_growth: float
+    inlier_fraction: float
+    count: int
+
+    @property
+    def angle_rad(self) -> float:
+        return float(np.linalg.norm(self.rotation_rad))
+
+
+class _Differences(NamedTuple):
+    """All differences (m,) of the tangents: cameras first and second, values y in pixels, derivatives J (m, 8)."""
+
+    first: npt.NDArray[np.int64]
+    second: npt.NDArray[np.int64]
+    J: Array
+    y: Array
+
+
+def estimate_extrinsic_errors(tangents: Sequence[Tangents], cameras: int, step_s: float) -> list[ExtrinsicError]:
+    """Estimate the error of each of the ``cameras`` of a rig, by the tangents of frame sets ``step_s`` apart."""
+    first, second, y, one, other = (np.concatenate(parts) for parts in list(zip(*tangents, strict=True))[:5])
+    data, share = _Differences(first, second, np.hstack([one, other]), y), min(1.0, step_s / CORRELATION_S)
+    weight, noise_px = _robust_weights(data, cameras, share)
+    A, c = (total * (share / noise_px**2) for total in _normal_equations(data, weight, cameras))
+    no_error, _, _ = _evidence(A, c, _prior(cameras))
+    errors = []
+    for camera in range(cameras):
+        rotated, x, covariance = _evidence(A, c, _prior(cameras, wrong=camera))
+        grown, _, _ = _evidence(A, c, _prior(cameras, large=camera))
+        own = slice(UNKNOWNS * camera, UNKNOWNS * camera + 3)
+        along = x[own] / max(float(np.linalg.norm(x[own])), 1e-12)
+        mine = _Differences(*(part[(first == camera) | (second == camera)] for part in data))
+        inliers = np.abs(_residuals(mine, x)) < OUTLIER_SIGMAS * noise_px
+        errors.append(
+            ExtrinsicError(
+                rotation_rad=x[own],
+                sd_rad=float(np.sqrt(along @ covariance[own, own] @ along)),
+                evidence=rotated - no_error,
+                evidence_of_growth=grown - no_error,
+                inlier_fraction=float(inliers.mean()) if inliers.size else 0.0,
+                count=inliers.size,
+            )
+        )
+    return errors
+
+
+def _certain_error_rad(errors: list[ExtrinsicError], camera: int, clearer: float) -> float:
+    """Return the part of the camera's error that is certain; 0 unless it is the clearly best explanation."""
+    mine = errors[camera]
+    others = [mine.evidence_of_growth, *(error.evidence for c, error in enumerate(errors) if c != camera)]
+    if mine.count < FEWEST or mine.inlier_fraction < INLIERS or mine.evidence - max(others) < clearer:
         return 0.0
-    return mine.size_rad - SIGMAS * float(np.hypot(mine.sd_rad, SYSTEMATIC_RAD))
+    return mine.angle_rad - SIGMAS * float(np.hypot(mine.sd_rad, SYSTEMATIC_RAD))
+
+
+def _robust_weights(data: _Differences, cameras: int, share: float) -> tuple[Array, float]:
+    """Fit all cameras' unknowns; return the weight of each difference, and their noise in pixels.
+
+    The prior of a camera widens with the error found (Tipping, "Sparse Bayesian learning", JMLR 2001).
+    """
+    x, prior = np.zeros(UNKNOWNS * cameras), _prior(cameras)
+    weight, noise_px = np.ones(len(data.y)), LEAST_NOISE_PX
+    for round_ in range(ROUNDS):
+        residual = np.abs(_residuals(data, x))
+        noise_px = float(np.clip(np.median(residual) / 0.6745, LEAST_NOISE_PX, MOST_NOISE_PX)) if len(data.y) else 1.0
+        u = residual / (OUTLIER_SIGMAS * noise_px)
+        weight = 1 / (1 + u) ** 2 if round_ < GENTLE_ROUNDS else 1 / (1 + u * u) ** 2
+        A, c = _normal_equations(data, weight, cameras)
+        x = np.linalg.solve(A * share / noise_px**2 + np.diag(prior), c * share / noise_px**2)
+        squared = (x.reshape(cameras, UNKNOWNS)[:, :3] ** 2).sum(1)
+        prior.reshape(cameras, UNKNOWNS)[:, :3] = (1 / (TYPICAL_RAD**2 + squared))[:, None]
+    return weight, noise_px
+
+
+def _prior(cameras: int, wrong: int | None = None, large: int | None = None) -> Array:
+    """Return precisions (4 n,) of sound calibrations and silhouettes, but for one ``wrong`` or ``large`` camera."""
+    prior = np.tile([1 / TYPICAL_RAD**2] * 3 + [1 / TYPICAL_PX**2], cameras)
+    if wrong is not None:
+        prior[UNKNOWNS * wrong : UNKNOWNS * wrong + 3] = 1 / WRONG_RAD**2
+    if large is not None:
+        prior[UNKNOWNS * large + 3] = 1 / LARGE_PX**2
+    return prior
+
+
+def _evidence(A: Array, c: Array, prior: Array) -> tuple[float, Array, Array]:
+    """Return twice the log evidence (up to a constant), the most probable unknowns, and their covariance."""
+    precision = A + np.diag(prior)
+    covariance = np.asarray(np.linalg.inv(precision), np.float64)
+    x = covariance @ c
+    return float(c @ x - np.linalg.slogdet(precision)[1] + np.log(prior).sum()), x, covariance
+
+
+@njit(cache=True, nogil=True)
+def _normal_equations(data, weight, cameras):  # type: ignore[no-untyped-def]
+    """Sum J^T W J (4 n, 4 n) and J^T W y (4 n,)."""
+    A, c, place = (
+        np.zeros((UNKNOWNS * cameras, UNKNOWNS * cameras)),
+        np.zeros(UNKNOWNS * cameras),
+        np.empty(2 * UNKNOWNS, np.int64),
+    )
+    for row in range(data.y.size):
+        for k in range(UNKNOWNS):
+            place[k], place[UNKNOWNS + k] = UNKNOWNS * data.first[row] + k, UNKNOWNS * data.second[row] + k
+        for k in range(2 * UNKNOWNS):
+            c[place[k]] += weight[row] * data.J[row, k] * data.y[row]
+            for m in range(2 * UNKNOWNS):
+                A[place[k], place[m]] += weight[row] * data.J[row, k] * data.J[row, m]
+    return A, c
+
+
+@njit(cache=True, nogil=True)
+def _residuals(data, x):  # type: ignore[no-untyped-def]
+    """Return the differences (m,) less what the unknowns x explain."""
+    J, left = data.J, data.y.copy()
+    for row in range(left.size):
+        for k in range(UNKNOWNS):
+            one, other = UNKNOWNS * data.first[row] + k, UNKNOWNS * data.second[row] + k
+            left[row] -= J[row, k] * x[one] + J[row, UNKNOWNS + k] * x[other]
+    return left

@@ -1,8 +1,9 @@
-"""What every camera says of what the others agree on, counted on a coarse grid in a few passes.
+"""Compiled loops of :mod:`.silhouette_residuals`: which foreground do the voxels mark_explained that most cameras agree
+on?
 
-A voxel is *shared* when at most one camera of the panel vetoes it. Shared voxels are projected back into every picture:
-which foreground do they explain with a camera's veto obeyed, and which only with it ignored? In the words of bits here,
-bit s is the camera ``cameras[s]``; the panel, whose vetoes count, comes first.
+A voxel is *shared* when at most one voter vetoes it. Shared voxels are projected back into every image: which
+foreground do they mark_explained with a camera's veto, and which only without it? In words of bits, bit s is the camera
+``cameras[s]``; the voters come first.
 """
 
 from __future__ import annotations
@@ -13,38 +14,39 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes
+from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
+from ..kernel import popcount
 
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
 COARSE_EDGE, FINE_EDGE = 16, 4
 TOO_MANY = -1
+OFFSET_REACH = 8  # cells, in each direction, by which a silhouette is shifted at most
 
 
-class Room(NamedTuple):
-    """What depends on the calibration only. Cells are the pixels of every ``stride``-th row and column.
+class CoarseViews(NamedTuple):
+    """Tables of the calibration. Cells are the pixels of every ``stride``-th row and column.
 
     projections (N, 3, 4) : voxel index to cell, such that the cell is floor(u / w), floor(v / w).
-    sizes (N, 2) : cells across and down.
-    shape (3,) : the coarse grid. low_layers : its layers next to the floor, where shadows lie.
-    coarse, fine : the cells of blocks of 16^3 and 4^3 voxels. reach (N,) : cells, times the depth, by which a voxel's
-    picture reaches beyond its centre's.
+    sizes (N, 2) : cells across and down. shape (3,) : the coarse grid. floor_layers : its layers next to the floor,
+    where shadows lie. coarse, fine : the cells of blocks of 16^3 and 4^3 voxels. reach (N,) : half the size of a voxel
+    in the image, in cells times depth.
     """
 
     projections: npt.NDArray[np.float64]
     sizes: npt.NDArray[np.int64]
     shape: npt.NDArray[np.int64]
-    low_layers: int
+    floor_layers: int
     coarse: BlockBoxes
     fine: BlockBoxes
     reach: npt.NDArray[np.float64]
 
 
-class Question(NamedTuple):
-    """What one hearing asks: ``cameras`` (n,), the first ``panel`` of which have a veto, and how many must see a voxel
-    that nobody, or only one camera, vetoes."""
+class VotingSet(NamedTuple):
+    """``cameras`` (n,), the first ``voters`` of which can veto; how many must see a voxel that nobody vetoes
+    (``needed``), and one that a single camera vetoes (``needed_without``)."""
 
     cameras: npt.NDArray[np.int64]
-    panel: int
+    voters: int
     needed: int
     needed_without: int
 
@@ -76,16 +78,16 @@ def number_cells(shown, box, labels, table):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def find_shared(room, labels, tables, question, voxels, vetoes):  # type: ignore[no-untyped-def]
+def find_shared_voxels(views, labels, tables, voting, voxels, vetoes):  # type: ignore[no-untyped-def]
     """Write the shared voxels (M, 3) and the bits of who vetoes each (M,); return their number.
 
     Returns TOO_MANY when ``voxels`` cannot hold them: much of the volume is foreground for nearly everyone.
     """
-    coarse, fine = (room.shape + COARSE_EDGE - 1) // COARSE_EDGE, (room.shape + FINE_EDGE - 1) // FINE_EDGE
+    coarse, fine = (views.shape + COARSE_EDGE - 1) // COARSE_EDGE, (views.shape + FINE_EDGE - 1) // FINE_EDGE
     ratio, found = COARSE_EDGE // FINE_EDGE, 0
     for block in range(coarse[0] * coarse[1] * coarse[2]):
-        opinion = _judge(room.coarse, tables, question, block, ((1 << question.cameras.size) - 1, 0, 0))
-        if not _may_be_shared(question, opinion):
+        votes = _classify_block(views.coarse, tables, voting, block, ((1 << voting.cameras.size) - 1, 0, 0))
+        if not _may_be_shared(voting, votes):
             continue
         corner = (
             block % coarse[0] * ratio,
@@ -95,60 +97,57 @@ def find_shared(room, labels, tables, question, voxels, vetoes):  # type: ignore
         for z in range(corner[2], min(corner[2] + ratio, fine[2])):
             for y in range(corner[1], min(corner[1] + ratio, fine[1])):
                 for x in range(corner[0], min(corner[0] + ratio, fine[0])):
-                    closer = _judge(room.fine, tables, question, (z * fine[1] + y) * fine[0] + x, opinion)
-                    if _may_be_shared(question, closer):
+                    closer = _classify_block(views.fine, tables, voting, (z * fine[1] + y) * fine[0] + x, votes)
+                    if _may_be_shared(voting, closer):
                         low = (x * FINE_EDGE, y * FINE_EDGE, z * FINE_EDGE)
-                        found = _ask_voxels(room, labels, question, low, closer, voxels, vetoes, found)
+                        found = _append_voxels(views, labels, voting, low, closer, voxels, vetoes, found)
                         if found == TOO_MANY:
                             return TOO_MANY
     return found
 
 
 @njit(cache=True, nogil=True)
-def _judge(boxes, tables, question, block, opinion):  # type: ignore[no-untyped-def]
-    """Bits of the cameras that are undecided about a block, that have foreground all over it, and that veto it whole,
-    from those for the block around it."""
-    undecided, filled, vetoed = opinion
-    for slot in range(question.cameras.size):
+def _classify_block(boxes, tables, voting, block, votes):  # type: ignore[no-untyped-def]
+    """Return the bits of the cameras that are undecided about a block, see foreground all over it, or veto all of it.
+
+    ``votes`` are those of the block around it.
+    """
+    undecided, filled, vetoed = votes
+    for slot in range(voting.cameras.size):
         if undecided >> slot & 1:
-            camera, bit = question.cameras[slot], 1 << slot
-            sight, box, table = boxes.sight[camera, block], boxes.pixels[camera, block], tables[camera]
-            u0, v0, u1, v1 = box[0], box[1], box[2], box[3]
+            camera, bit = voting.cameras[slot], 1 << slot
+            sight, box = boxes.sight[camera, block], boxes.pixels[camera, block]
+            u0, v0, u1, v1 = int(box[0]), int(box[1]), int(box[2]), int(box[3])
             if sight == UNSEEN:
                 undecided &= ~bit
             elif sight == SEEN:
-                area = table[v1, u1] - table[v0, u1] - table[v1, u0] + table[v0, u0]
+                area = count_in_box(tables, camera, u0, v0, u1, v1)
                 if area == 0:
                     undecided, vetoed = undecided & ~bit, vetoed | bit
-                elif area == (int(u1) - u0) * (int(v1) - v0):
+                elif area == (u1 - u0) * (v1 - v0):
                     undecided, filled = undecided & ~bit, filled | bit
     return undecided, filled, vetoed
 
 
 @njit(cache=True, nogil=True)
-def _may_be_shared(question, opinion):  # type: ignore[no-untyped-def]
-    undecided, filled, vetoed = opinion
-    on_panel = (1 << question.panel) - 1
-    return _bits(vetoed & on_panel) <= 1 and _bits((undecided | filled) & on_panel) >= question.needed_without
+def _may_be_shared(voting, votes):  # type: ignore[no-untyped-def]
+    """Check by the votes on a block whether it may hold shared voxels."""
+    undecided, filled, vetoed = votes
+    return _count_voters(voting, vetoed) <= 1 and _count_voters(voting, undecided | filled) >= voting.needed_without
 
 
 @njit(cache=True, nogil=True)
-def _bits(word):  # type: ignore[no-untyped-def]
-    """How many bits are set."""
-    count = 0
-    while word:
-        word &= word - 1
-        count += 1
-    return count
+def _count_voters(voting, bits):  # type: ignore[no-untyped-def]
+    return popcount(np.uint64(bits & (1 << voting.voters) - 1))
 
 
 @njit(cache=True, nogil=True)
-def _ask_voxels(room, labels, question, low, opinion, voxels, vetoes, found):  # type: ignore[no-untyped-def]
+def _append_voxels(views, labels, voting, low, votes, voxels, vetoes, found):  # type: ignore[no-untyped-def]
     """Append the shared voxels of the block of 4^3 at ``low``; return the number found so far, or TOO_MANY."""
-    for z in range(low[2], min(low[2] + FINE_EDGE, room.shape[2])):
-        for y in range(low[1], min(low[1] + FINE_EDGE, room.shape[1])):
-            for x in range(low[0], min(low[0] + FINE_EDGE, room.shape[0])):
-                shared, vetoed = _ask(room, labels, question, opinion, x, y, z)
+    for z in range(low[2], min(low[2] + FINE_EDGE, views.shape[2])):
+        for y in range(low[1], min(low[1] + FINE_EDGE, views.shape[1])):
+            for x in range(low[0], min(low[0] + FINE_EDGE, views.shape[0])):
+                shared, vetoed = _classify_voxel(views, labels, voting, votes, x, y, z)
                 if shared:
                     if found == vetoes.size:
                         return TOO_MANY
@@ -159,33 +158,32 @@ def _ask_voxels(room, labels, question, low, opinion, voxels, vetoes, found):  #
 
 
 @njit(cache=True, nogil=True)
-def _ask(room, labels, question, opinion, x, y, z):  # type: ignore[no-untyped-def]
-    """Whether a voxel is shared, and the bits of the cameras that veto it. Next to the floor nobody's veto counts."""
-    undecided, filled, vetoed = opinion
-    on_panel = (1 << question.panel) - 1
-    against = _bits(vetoed & on_panel)
-    for slot in range(question.cameras.size):
+def _classify_voxel(views, labels, voting, votes, x, y, z):  # type: ignore[no-untyped-def]
+    """Return whether a voxel is shared, and the bits of the cameras that veto it (none next to the floor)."""
+    undecided, filled, vetoed = votes
+    against = _count_voters(voting, vetoed)
+    for slot in range(voting.cameras.size):
         if undecided >> slot & 1:
-            camera = question.cameras[slot]
-            u, v, _ = project(room.projections, camera, x, y, z)
-            if u >= 0 and v >= 0 and u < room.sizes[camera, 0] and v < room.sizes[camera, 1]:
+            camera = voting.cameras[slot]
+            u, v, _ = project(views.projections, camera, x, y, z)
+            if u >= 0 and v >= 0 and u < views.sizes[camera, 0] and v < views.sizes[camera, 1]:
                 label = labels[camera, int(v), int(u)]
                 if label > BACKGROUND_CELL:
                     filled |= 1 << slot
                 elif label == BACKGROUND_CELL:
                     vetoed |= 1 << slot
-                    against += slot < question.panel
+                    against += slot < voting.voters
                     if against > 1:
                         return False, 0
-    votes = _bits(filled & on_panel)
-    if z < room.low_layers:
-        return against == 0 and votes >= question.needed, 0
-    return votes >= (question.needed if against == 0 else question.needed_without), vetoed
+    seeing = _count_voters(voting, filled)
+    if z < views.floor_layers:
+        return against == 0 and seeing >= voting.needed, 0
+    return seeing >= (voting.needed if against == 0 else voting.needed_without), vetoed
 
 
 @njit(cache=True, nogil=True)
 def project(P, camera, x, y, z):  # type: ignore[no-untyped-def]
-    """The cell coordinates of a voxel's centre and its depth; beyond any canvas when it is behind the camera."""
+    """Return the cell coordinates of a voxel's centre and its depth; beyond any canvas if it is behind the camera."""
     w = P[camera, 2, 0] * x + P[camera, 2, 1] * y + P[camera, 2, 2] * z + P[camera, 2, 3]
     if w <= 0:
         return -1.0, -1.0, w
@@ -195,39 +193,71 @@ def project(P, camera, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def explain(room, labels, question, voxels, vetoes, obeyed, ignored):  # type: ignore[no-untyped-def]
-    """Mark, in the cells of every camera's foreground, the hulls that reach them.
-
-    obeyed, ignored (n, M) : bit s of a cell is set when the panel's hull with (obeyed) or without (ignored) the veto of
-    camera s lies behind it.
-    """
-    everyone, on_panel = (1 << question.cameras.size) - 1, (1 << question.panel) - 1
-    for found in range(vetoes.size):
-        x, y, z = voxels[found, 0], voxels[found, 1], voxels[found, 2]
-        against = vetoes[found] & on_panel
-        with_veto = everyone & ~vetoes[found] if against == 0 else 0
-        without_veto = everyone if against == 0 else against
-        for slot in range(question.cameras.size):
-            camera = question.cameras[slot]
-            u, v, w = project(room.projections, camera, x, y, z)
-            if w <= 0:
-                continue
-            reach, width, height = room.reach[camera] / w, room.sizes[camera, 0], room.sizes[camera, 1]
-            for row in range(int(max(v - reach, 0.0)), int(min(v + reach + 1.0, height))):
-                for column in range(int(max(u - reach, 0.0)), int(min(u + reach + 1.0, width))):
-                    label = labels[camera, row, column]
-                    if label > BACKGROUND_CELL:
-                        obeyed[slot, label - 1] |= with_veto
-                        ignored[slot, label - 1] |= without_veto
+def _footprint(views, camera, voxel):  # type: ignore[no-untyped-def]
+    """Return the cells that a voxel (3,) covers in an image: first and last (exclusive) row and column."""
+    u, v, w = project(views.projections, camera, voxel[0], voxel[1], voxel[2])
+    if w <= 0:
+        return 0, 0, 0, 0
+    reach, width, height = views.reach[camera] / w, views.sizes[camera, 0], views.sizes[camera, 1]
+    top, bottom = int(max(v - reach, 0.0)), int(min(v + reach + 1.0, height))
+    return top, bottom, int(max(u - reach, 0.0)), int(min(u + reach + 1.0, width))
 
 
 @njit(cache=True, nogil=True)
-def count_cells(cells, obeyed, ignored, explained, denied):  # type: ignore[no-untyped-def]
-    """Count foreground cells (n, n) [in whose picture, whose veto ignored]: those that the hull without a camera's veto
-    explains, and among them those that the veto takes away: denied."""
-    for picture in range(cells.size):
-        for cell in range(cells[picture]):
-            reached, kept = ignored[picture, cell], obeyed[picture, cell]
+def mark_explained(views, labels, voting, voxels, vetoes, with_veto, without_veto):  # type: ignore[no-untyped-def]
+    """Mark in every camera's foreground cells which hulls lie behind them.
+
+    with_veto, without_veto (n, M) : bit s of a cell is set for the voters' hull with and without the veto of camera s.
+    """
+    everyone, by_voters = (1 << voting.cameras.size) - 1, (1 << voting.voters) - 1
+    for found in range(vetoes.size):
+        against = vetoes[found] & by_voters
+        kept = everyone & ~vetoes[found] if against == 0 else 0
+        reached = everyone if against == 0 else against
+        for slot in range(voting.cameras.size):
+            camera = voting.cameras[slot]
+            top, bottom, left, right = _footprint(views, camera, voxels[found])
+            for row in range(top, bottom):
+                for column in range(left, right):
+                    label = labels[camera, row, column]
+                    if label > BACKGROUND_CELL:
+                        with_veto[slot, label - 1] |= kept
+                        without_veto[slot, label - 1] |= reached
+
+
+@njit(cache=True, nogil=True)
+def count_explained(cells, with_veto, without_veto, explained, vetoed):  # type: ignore[no-untyped-def]
+    """Count foreground cells (n, n) [image, camera whose veto is ignored].
+
+    explained : by the hull without that camera's veto. vetoed : of these, those that the hull with its veto leaves.
+    """
+    for image in range(cells.size):
+        for cell in range(cells[image]):
+            reached, kept = without_veto[image, cell], with_veto[image, cell]
             for slot in range(cells.size):
-                explained[picture, slot] += reached >> slot & 1
-                denied[picture, slot] += (reached & ~kept) >> slot & 1
+                explained[image, slot] += reached >> slot & 1
+                vetoed[image, slot] += (reached & ~kept) >> slot & 1
+
+
+@njit(cache=True, nogil=True)
+def draw_hull(views, camera, voxels, outline):  # type: ignore[no-untyped-def]
+    """Set the cells of ``outline``, which has a margin of OFFSET_REACH, that the voxels (M, 3) cover."""
+    for found in range(voxels.shape[0]):
+        top, bottom, left, right = _footprint(views, camera, voxels[found])
+        for row in range(top + OFFSET_REACH, bottom + OFFSET_REACH):
+            for column in range(left + OFFSET_REACH, right + OFFSET_REACH):
+                outline[row, column] = 1
+
+
+@njit(cache=True, nogil=True)
+def count_outside(labels, outline, outside):  # type: ignore[no-untyped-def]
+    """Count the foreground cells outside the outline after each shift (down, right); return the number of all cells."""
+    cells, shifts = 0, outside.shape[0]
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            if labels[row, column] > BACKGROUND_CELL:
+                cells += 1
+                for down in range(shifts):
+                    for right in range(shifts):
+                        outside[down, right] += 1 - np.int64(outline[row + down, column + right])
+    return cells

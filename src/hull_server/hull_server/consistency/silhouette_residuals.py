@@ -1,21 +1,21 @@
-"""One frame set's evidence against each camera: what does it deny that the others agree on?
+"""Measures how far each camera's silhouette disagrees with the hull of the others, on a coarse voxel grid.
 
 Silhouettes of one body agree when the hull that they make together, seen from each camera, covers each silhouette
 (silhouette coherence: Hernandez, Schmitt and Cipolla, "Silhouette coherence for camera calibration under circular
-motion", PAMI 2007). A camera that lies takes parts of the body away from everybody's hull, and the other silhouettes
-are covered again as soon as its veto is ignored. A camera that tells the truth takes nothing away but ghosts, which
-hide behind and before the body in the other pictures. So the volume that a camera alone vetoes says little (three
-honest cameras veto a half and more of the hulls of the other two), but the pictures tell.
+motion", PAMI 2007). A faulty camera removes parts of the body from the hull, and the other silhouettes are covered
+again as soon as its veto is ignored. A sound camera removes nothing but phantom volume, which hides behind and in front
+of the body in the other images. So the volume that one camera alone vetoes says little (three sound cameras veto half
+and more of each other's hulls), but the images show the difference.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from capture_rig import Rig
 
@@ -26,135 +26,100 @@ from .residual_kernels import (
     BACKGROUND_CELL,
     COARSE_EDGE,
     FINE_EDGE,
+    OFFSET_REACH,
     TOO_MANY,
     UNSEEN_CELL,
-    Question,
-    Room,
-    count_cells,
-    explain,
-    find_shared,
+    CoarseViews,
+    VotingSet,
+    count_explained,
+    count_outside,
+    draw_hull,
+    find_shared_voxels,
+    mark_explained,
     number_cells,
-    project,
 )
 
-# --- How far one camera's silhouette lies beside the hull of the others: the sign of a camera that was moved.
-#
-# A silhouette lies inside the outline of the hull that the others make. When the camera has turned by a degree or two it
-# sticks out on one side, and it fits again when it is pushed back: by how many pixels, and how much better? What sticks
-# out for other reasons, such as a shadow on the floor, is not cured by pushing.
-
-REACH = 8  # cells, in each direction, by which a silhouette is pushed at most
-CLEAR = 0.01  # a gain smaller than this says nothing about where to
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """share : of a silhouette, that comes to lie inside the hull's outline when it is pushed to where it fits best.
-
-    silhouette_offset_px : by how many pixels to the right and down; (0, 0) when nothing is gained.
-    """
-
-    share: float = 0.0
-    silhouette_offset_px: tuple[float, float] = (0.0, 0.0)
-
-
-def find_misfit(
-    room: Room, labels: npt.NDArray[np.int32], camera: int, voxels: npt.NDArray[np.int16], stride: int
-) -> Misfit:
-    """Push the silhouette of ``camera``, labelled (H, W), over the outline of the ``voxels`` (M, 3) of the hull."""
-    height, width = labels.shape
-    outline = np.zeros((height + 2 * REACH, width + 2 * REACH), np.uint8)
-    _draw(room, camera, voxels, outline)
-    outside = np.zeros((2 * REACH + 1, 2 * REACH + 1), np.int64)
-    size = room.sizes[camera]
-    cells = _push(labels, int(size[0]), int(size[1]), outline, outside)
-    share = (outside[REACH, REACH] - outside.min()) / max(cells, 1)
-    if share < CLEAR:
-        return Misfit()
-    down, right = np.nonzero(outside == outside.min())
-    nearest = np.argmin(np.hypot(down - REACH, right - REACH))
-    return Misfit(float(share), (float(right[nearest] - REACH) * stride, float(down[nearest] - REACH) * stride))
-
-
-@njit(cache=True, nogil=True)
-def _draw(room, camera, voxels, outline):  # type: ignore[no-untyped-def]
-    """Set the cells of ``outline``, which has a margin of REACH, that the voxels' pictures touch."""
-    width, height = room.sizes[camera, 0], room.sizes[camera, 1]
-    for found in range(voxels.shape[0]):
-        u, v, w = project(room.projections, camera, voxels[found, 0], voxels[found, 1], voxels[found, 2])
-        if w > 0:
-            reach = room.reach[camera] / w
-            for row in range(int(max(v - reach, 0.0)), int(min(v + reach + 1.0, height))):
-                for column in range(int(max(u - reach, 0.0)), int(min(u + reach + 1.0, width))):
-                    outline[row + REACH, column + REACH] = 1
-
-
-@njit(cache=True, nogil=True)
-def _push(labels, width, height, outline, outside):  # type: ignore[no-untyped-def]
-    """Count the foreground cells that lie outside the outline after each push; return the number of all."""
-    cells, pushes = 0, outside.shape[0]
-    for row in range(height):
-        for column in range(width):
-            if labels[row, column] > BACKGROUND_CELL:
-                cells += 1
-                for down in range(pushes):
-                    for right in range(pushes):
-                        outside[down, right] += 1 - np.int64(outline[row + down, column + right])
-    return cells
-
-
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
-LOW_M = 0.15  # floor shadows make hulls up to this height: so low, a veto tells nothing
+FLOOR_M = 0.15  # floor shadows make hulls up to this height, so vetoes below are ignored
+LEAST_OFFSET_SHARE = 0.01  # a smaller gain says nothing about the direction of an offset
+
+Floats = npt.NDArray[np.float64]
+
+
+class CameraResiduals(NamedTuple):
+    """One camera's residuals of a frame set; see :class:`Residuals`."""
+
+    veto_fraction: float = 0.0
+    excess: float = 0.0
+    coverage: float = 0.0
+    consistency: float = 1.0
+
+    def moved(self, target: CameraResiduals, share: float) -> CameraResiduals:
+        """Return the residuals moved by ``share`` of the way to ``target``: one step of a running mean."""
+        return CameraResiduals(*(old + share * (new - old) for old, new in zip(self, target, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """What one frame set says about each camera heard. Arrays are in the order of ``cameras``, the panel first.
+class Residuals:
+    """The residuals of one frame set. Arrays (n,) are in the order of ``cameras``, the voters first.
 
-    cameras : indices in the rig. panel : how many of them have a veto.
-    denied : (n,) share of the body that a camera denies: of the foreground in the panel's other pictures that the
-        hull without its veto explains, the part that the veto leaves unexplained. 0 to 1.
-    body_litres : (n,) the hull without this camera's veto. explained_m2 : (n,) how much of this camera's foreground it
+    cameras : indices in the rig. voters : how many of them can veto.
+    veto_fraction : share of the body that a camera vetoes: of the foreground in the voters' other images that the hull
+        without its veto explains, the part that the veto leaves unexplained. 0 to 1.
+    body_litres : volume of the hull without this camera's veto. explained_m2 : how much of this camera's foreground it
         explains, as an area at the distance of the volume's middle.
-    excess : (n,) share of the camera's view that is foreground which that hull does not explain.
-    coverage : (n,) share of the camera's view that is foreground.
-    covered : (n,) share of the camera's foreground that the hull without its veto explains (silhouette coherence); 1
-        where it shows nothing.
-    conflict : (n,) share of the panel's other foreground that stays unexplained without this camera's veto.
-    unexplained : share of the panel's foreground that its common hull leaves unexplained. showing : how many cameras
-        of the panel show any foreground.
+    excess : share of the camera's view that is foreground which that hull does not explain.
+    coverage : share of the camera's view that is foreground.
+    consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
+    where
+        it shows nothing), times the share of the body that it does not veto.
+    conflict : share of the voters' other foreground that stays unexplained without this camera's veto.
+    unexplained : share of the voters' foreground that their common hull leaves unexplained. showing : how many voters
+        show any foreground.
     """
 
     cameras: tuple[int, ...]
-    panel: int
-    denied: npt.NDArray[np.float64]
-    body_litres: npt.NDArray[np.float64]
-    explained_m2: npt.NDArray[np.float64]
-    excess: npt.NDArray[np.float64]
-    coverage: npt.NDArray[np.float64]
-    covered: npt.NDArray[np.float64]
-    conflict: npt.NDArray[np.float64]
+    voters: int
+    veto_fraction: Floats
+    body_litres: Floats
+    explained_m2: Floats
+    excess: Floats
+    coverage: Floats
+    consistency: Floats
+    conflict: Floats
     unexplained: float
     showing: int
 
+    def of(self, slot: int) -> CameraResiduals:
+        """Return those of the camera ``cameras[slot]``."""
+        shares = self.veto_fraction, self.excess, self.coverage, self.consistency
+        return CameraResiduals(*(float(share[slot]) for share in shares))
 
-class Hearing:
-    """Finds the evidence of frame sets on a coarse grid; what depends on the calibration is computed once, here.
 
-    Not for two threads at a time.
+class SilhouetteOffset(NamedTuple):
+    """share : of a silhouette, that comes to lie inside the hull's outline when it is shifted to where it fits best.
+
+    offset_px : that shift, to the right and down; (0, 0) when nothing is gained.
     """
 
+    share: float = 0.0
+    offset_px: tuple[float, float] = (0.0, 0.0)
+
+
+class ResidualEstimator:
+    """Estimates the residuals of frame sets; tables of the calibration are computed once. One thread at a time."""
+
     def __init__(self, rig: Rig, views: RigViews, voxel_size_m: float, requested_seeing: int = 0) -> None:
-        self.names, self._requested_seeing = views.names, requested_seeing
-        self.grid = VoxelGrid.covering(rig.volume, voxel_size_m)
-        self._voxel_litres = self.grid.voxel_volume_m3 * 1e3
-        px_per_m = _focal_px(views) / _depth_of_middle(views, self.grid)
-        # a cell is about half as large as the picture of a voxel
+        self._requested_seeing = requested_seeing
+        grid = VoxelGrid.covering(rig.volume, voxel_size_m)
+        self._voxel_litres = grid.voxel_volume_m3 * 1e3
+        self.focal_px = _focal_px(views)
+        px_per_m = self.focal_px / _depth_of_middle(views, grid)
+        # a cell is about half as large as a voxel in the image
         self._stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
         self._cell_m2 = (self._stride / px_per_m) ** 2
-        self.focal_px = _focal_px(views)
         cells = _decimated(views, self._stride)
-        self._room = _room(cells, self.grid)
+        self._views = _coarse_views(cells, grid)
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
         n, height, width = cells.seen.shape
         self._seen, self._shown = cells.seen, np.zeros_like(cells.seen)
@@ -163,110 +128,123 @@ class Hearing:
         self._tables = np.zeros((n, height + 1, width + 1), np.int32)
         self._voxels = np.empty((MAX_SHARED_VOXELS, 3), np.int16)
         self._vetoes = np.empty(MAX_SHARED_VOXELS, np.int64)
-        self._obeyed, self._ignored = (np.zeros((n, height * width), np.int64) for _ in range(2))
+        self._with_veto, self._without_veto = (np.zeros((n, height * width), np.int64) for _ in range(2))
         self._counts = np.zeros(n, np.int64)
         self._found = 0
 
-    def open(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
-        """Take one camera's mask; return a number that differs when another mask is seen."""
-        first = self._stride // 2
-        height, width = self._room.sizes[camera, 1], self._room.sizes[camera, 0]
+    def set_mask(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
+        """Take one camera's mask (h, w); return a fingerprint that differs for another mask."""
+        first, (width, height) = self._stride // 2, self._views.sizes[camera]
         shown, labels = self._shown[camera, :height, :width], self._labels[camera, :height, :width]
         np.bitwise_and(mask[first :: self._stride, first :: self._stride], self._seen[camera, :height, :width], shown)
         np.copyto(labels, self._unshown[camera, :height, :width])
         left, top, across, down = cv2.boundingRect(shown)
-        box = (left, top, left + across, top + down)
         table = self._tables[camera, : height + 1, : width + 1]
-        self._counts[camera], fingerprint = number_cells(shown, box, labels, table)
+        self._counts[camera], fingerprint = number_cells(shown, (left, top, left + across, top + down), labels, table)
         return int(fingerprint)
 
     def coverage(self, camera: int) -> float:
-        """Share of the camera's view that is foreground."""
+        """Return the share of the camera's view that is foreground."""
         return float(self._counts[camera] / self._cells_seen[camera])
 
-    def hear(self, panel: tuple[int, ...], others: tuple[int, ...]) -> Evidence | None:
-        """The evidence against the cameras of the ``panel``, which have a veto, and the ``others``, which have none.
+    def estimate(self, voters: tuple[int, ...], others: tuple[int, ...]) -> Residuals | None:
+        """Estimate the residuals of the ``voters``, which can veto, and of the ``others``, which cannot.
 
-        None when so much is foreground that it cannot be told (more than two cubic metres).
+        None when too much is foreground: more than two cubic metres.
         """
-        cameras = np.array(panel + others, np.int64)
-        needed, without = (min_seeing(len(panel) - k, self._requested_seeing) for k in (0, 1))
-        question = Question(cameras, len(panel), needed, without)
-        # the voxels that at most one camera of the panel vetoes
-        found = find_shared(self._room, self._labels, self._tables, question, self._voxels, self._vetoes)
+        cameras = np.array(voters + others, np.int64)
+        needed, without = (min_seeing(len(voters) - k, self._requested_seeing) for k in (0, 1))
+        voting = VotingSet(cameras, len(voters), needed, without)
+        # the voxels that at most one voter vetoes
+        found = find_shared_voxels(self._views, self._labels, self._tables, voting, self._voxels, self._vetoes)
         if found == TOO_MANY:
             return None
         self._found, voxels, vetoes = found, self._voxels[:found], self._vetoes[:found]
-        # what they explain in each picture, each camera's veto obeyed and ignored
+        # the foreground that they explain in each image, with and without each camera's veto
         cells, n = self._counts[cameras], len(cameras)
         for slot, filled in enumerate(cells):
-            self._obeyed[slot, :filled] = 0
-            self._ignored[slot, :filled] = 0
-        explain(self._room, self._labels, question, voxels, vetoes, self._obeyed, self._ignored)
-        explained, denied = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
-        count_cells(cells, self._obeyed, self._ignored, explained, denied)
-        return self._weigh(question, vetoes, cells, explained, denied)
+            self._with_veto[slot, :filled] = 0
+            self._without_veto[slot, :filled] = 0
+        mark_explained(self._views, self._labels, voting, voxels, vetoes, self._with_veto, self._without_veto)
+        explained, vetoed = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
+        count_explained(cells, self._with_veto, self._without_veto, explained, vetoed)
+        return self._shares(voting, vetoes, cells, explained, vetoed)
 
-    def misfit(self, evidence: Evidence, slot: int) -> Misfit:
-        """Of the camera ``evidence.cameras[slot]``, to the hull without its veto; of the last hearing."""
-        camera = evidence.cameras[slot]
-        on_panel = self._vetoes[: self._found] & (1 << evidence.panel) - 1
-        hull = self._voxels[: self._found][(on_panel & ~(1 << slot)) == 0]
-        return find_misfit(self._room, self._labels[camera], camera, hull, self._stride)
+    def silhouette_offset(self, residuals: Residuals, slot: int) -> SilhouetteOffset:
+        """Find the shift at which the silhouette of ``residuals.cameras[slot]`` fits the hull without its veto best.
 
-    def _weigh(self, question: Question, vetoes, cells, explained, denied) -> Evidence:  # type: ignore[no-untyped-def]
-        """Counts to shares. A picture has a say about every camera but its own, and only when it is on the panel."""
-        n, panel, cameras = len(cells), question.panel, question.cameras
-        say = (np.arange(n)[:, None] < panel) & ~np.eye(n, dtype=bool)
-        theirs = (explained * say).sum(0)
-        own = np.diagonal(explained)
-        on_panel = vetoes & (1 << panel) - 1
-        agreed = int(np.count_nonzero(on_panel == 0))
-        alone = np.array([np.count_nonzero(on_panel == 1 << slot) if slot < panel else 0 for slot in range(n)])
-        return Evidence(
+        A rotated camera's silhouette fits again when it is shifted back; a shadow on the floor does not. The hull is
+        that
+        of the last call of :meth:`estimate`.
+        """
+        camera = residuals.cameras[slot]
+        by_voters = self._vetoes[: self._found] & (1 << residuals.voters) - 1
+        hull = self._voxels[: self._found][(by_voters & ~(1 << slot)) == 0]
+        labels, (width, height) = self._labels[camera], self._views.sizes[camera]
+        outline = np.zeros(tuple(side + 2 * OFFSET_REACH for side in labels.shape), np.uint8)
+        draw_hull(self._views, camera, hull, outline)
+        outside = np.zeros((2 * OFFSET_REACH + 1, 2 * OFFSET_REACH + 1), np.int64)
+        cells = count_outside(labels[:height, :width], outline, outside)
+        share = (outside[OFFSET_REACH, OFFSET_REACH] - outside.min()) / max(cells, 1)
+        if share < LEAST_OFFSET_SHARE:
+            return SilhouetteOffset()
+        offsets = np.argwhere(outside == outside.min()) - OFFSET_REACH
+        down, right = offsets[np.argmin(np.hypot(*offsets.T))].astype(float) * self._stride
+        return SilhouetteOffset(float(share), (float(right), float(down)))
+
+    def _shares(self, voting: VotingSet, vetoes, cells, explained, vetoed) -> Residuals:  # type: ignore[no-untyped-def]
+        """Convert counts to shares. A camera is compared with the images of the voters other than itself."""
+        n, voters, cameras = len(cells), voting.voters, voting.cameras
+        compared = (np.arange(n)[:, None] < voters) & ~np.eye(n, dtype=bool)
+        theirs, own = (explained * compared).sum(0), np.diagonal(explained)
+        by_voters = vetoes & (1 << voters) - 1
+        agreed = int(np.count_nonzero(by_voters == 0))
+        alone = np.array([np.count_nonzero(by_voters == 1 << slot) if slot < voters else 0 for slot in range(n)])
+        veto_fraction = (vetoed * compared).sum(0) / np.maximum(theirs, 1)
+        return Residuals(
             cameras=tuple(cameras.tolist()),
-            panel=panel,
-            denied=(denied * say).sum(0) / np.maximum(theirs, 1),
+            voters=voters,
+            veto_fraction=veto_fraction,
             body_litres=(agreed + alone) * self._voxel_litres,
             explained_m2=own * self._cell_m2[cameras],
             excess=(cells - own) / self._cells_seen[cameras],
             coverage=cells / self._cells_seen[cameras],
-            covered=np.where(cells > 0, own / np.maximum(cells, 1), 1.0),
-            conflict=1.0 - theirs / np.maximum((cells[:, None] * say).sum(0), 1),
-            unexplained=1.0 - float((own - np.diagonal(denied))[:panel].sum() / max(int(cells[:panel].sum()), 1)),
-            showing=int(np.count_nonzero(cells[:panel])),
+            consistency=np.where(cells > 0, own / np.maximum(cells, 1), 1.0) * (1.0 - veto_fraction),
+            conflict=1.0 - theirs / np.maximum((cells[:, None] * compared).sum(0), 1),
+            unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
+            showing=int(np.count_nonzero(cells[:voters])),
         )
 
 
-def _room(cells: RigViews, grid: VoxelGrid) -> Room:
+def _coarse_views(cells: RigViews, grid: VoxelGrid) -> CoarseViews:
     seen_table = summed_area(cells.seen)
     coarse, fine = (block_boxes(cells, grid, edge, seen_table) for edge in (COARSE_EDGE, FINE_EDGE))
-    return Room(
+    return CoarseViews(
         projections=pixel_projections(cells, grid),
         sizes=cells.sizes,
         shape=np.array(grid.shape, np.int64),
-        low_layers=max(0, int(np.ceil((LOW_M - grid.origin[2]) / grid.voxel_size))),
+        floor_layers=max(0, int(np.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size))),
         coarse=coarse,
         fine=fine,
         reach=_focal_px(cells) * grid.voxel_size / 2,
     )
 
 
-def _focal_px(views: RigViews) -> npt.NDArray[np.float64]:
-    """(N,) focal lengths in pixels: what a projection's first row has across the view."""
+def _focal_px(views: RigViews) -> Floats:
+    """Return focal lengths (N,) in pixels: the part of a projection's first row across the optical axis."""
     M = views.P[:, :, :3]
     along = np.einsum("nk,nk->n", M[:, 0], M[:, 2])
     return np.sqrt(np.einsum("nk,nk->n", M[:, 0], M[:, 0]) - along**2)
 
 
-def _depth_of_middle(views: RigViews, grid: VoxelGrid) -> npt.NDArray[np.float64]:
-    """(N,) depth of the volume's middle in front of each camera, metres; at least half a metre."""
+def _depth_of_middle(views: RigViews, grid: VoxelGrid) -> Floats:
+    """Return the depth (N,) of the volume's middle in front of each camera, metres; at least half a metre."""
     middle = np.append(grid.centres_world(np.array(grid.shape) / 2 - 0.5), 1.0)
     return np.maximum(views.P[:, 2] @ middle, 0.5)
 
 
 def _decimated(views: RigViews, stride: int) -> RigViews:
-    """The views of every ``stride``-th pixel, from pixel stride // 2 on."""
+    """Keep every ``stride``-th pixel of the views, from pixel stride // 2 on."""
     first = stride // 2
     P = views.P.copy()
     P[:, :2] -= first * P[:, 2:]

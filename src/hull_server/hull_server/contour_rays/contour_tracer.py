@@ -1,9 +1,14 @@
-"""From the silhouettes of one instant and their hull to rays that touch the body."""
+"""Traces rays along the silhouettes' contours that are tangent to the body (occluding contour rays).
+
+Every point of a silhouette's contour is the view of a ray that touches the body's surface somewhere without entering
+it.
+The steps of :func:`trace_contour_rays`: outlines, sub-pixel edges (:mod:`.outlines`), rays with their normals, and the
+interval of each ray along the hull, which is where it can touch. docs/contour_rays.md has the measurements.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import cv2
@@ -13,127 +18,79 @@ from numba import njit
 
 from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
 
-from ..grid import BrickVolume, VoxelGrid
+from ..grid import VoxelGrid
 from ..kernel import kernel
 from ..settings import ContourSettings
-from ..slicing.skeletonisation import HullRuns, slice_hull
+from ..slicing.skeletonisation import HullRuns
 from ..slicing.voxel_runs import run_at
 from ..views import Masks, RigViews
-from .outlines import RADIUS_PX, doubt_around, find_edge, pick_contour_pixels, weights
+from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
 
-COLUMNS = 12  # of the table as the kernels fill it: point, direction, normal, half_length, sigma, part
-
-
-# --- Where a ray runs along the hull: marching through its voxels and their neighbours.
+# chosen with bench/contour_rays.py
+MIN_OUTLINE_PX = 30.0  # shorter outlines, of holes or specks, get no rays
+SIGMA_PX = 0.5  # standard deviation of a contour across itself
+SHADOW_SIGMA_PX = 4.0  # added to it, in squares, where all pixels around may be shadow; less where fewer are
 
 PAD = 2  # empty voxels around the box, so that its neighbours have room
 FRACTION = 32  # bits of a voxel's fraction while marching: whole numbers are faster, and err by 1e-7 voxels at the end
 _U1 = np.uint64(1)
+Mask = npt.NDArray[np.uint8]
+
+COLUMNS = 12  # of the table as the kernels fill it: point, direction, normal, half_length, sigma, part
 
 
-@njit(cache=True, nogil=True)
-def widen(words, starts, ends, first):  # type: ignore[no-untyped-def]
-    """The voxels of a hull's runs and their 26 neighbours, as bits of rows along x of a box wider by PAD, and the
-    voxels of that box along x, y and z."""
-    layers, rows, width = words.shape
-    wide = np.zeros((layers + 2 * PAD, rows + 2 * PAD, width + 1), np.uint64)
-    size = (ends.max() + 2 * PAD, rows + 2 * PAD, layers + 2 * PAD)
-    for s in range(layers):
-        for r in range(rows):
-            for run in range(first[s * rows + r], first[s * rows + r + 1]):
-                for layer in range(s + PAD - 1, s + PAD + 2):
-                    for row in range(r + PAD - 1, r + PAD + 2):
-                        _fill(wide[layer, row], starts[run] + PAD - 1, ends[run] + PAD + 1)
-    return wide, size
+class ContourTracer:
+    """Traces the contour rays of frame sets. One thread at a time: it keeps scratch memory."""
 
+    def __init__(self, views: RigViews, grid: VoxelGrid, settings: ContourSettings) -> None:
+        self._views, self._grid = views, grid
+        self._weights = weights()
+        self._cameras = [_camera(P, seen) for P, seen in zip(views.P, views.seen, strict=True)]
+        self._limits = settings.per_camera, settings.spacing_px
+        height, width = views.seen.shape[1:]
+        cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
+        path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
+        self._scratch = Scratch(np.zeros((height, width), np.uint8), ends, path, along, 0)
 
-@kernel
-def _fill(row, start, end):  # type: ignore[no-untyped-def]
-    """Set the bits from ``start`` up to but not including ``end``."""
-    for word in range(start >> 6, ((end - 1) >> 6) + 1):
-        low, high = max(start - 64 * word, 0), min(end - 64 * word, 64)
-        ones = ~np.uint64(0) >> np.uint64(64 - (high - low))
-        row[word] |= ones << np.uint64(low)
+    def trace(
+        self,
+        masks: Masks,
+        runs: HullRuns,
+        levels: Masks | None = None,
+        number_of_part: npt.NDArray[np.int32] | None = None,
+    ) -> ContourRays:
+        """Trace binary canvas masks (h, w) uint8, nonzero is foreground; keep the rays that touch their hull.
 
+        levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
+        may be shadow get a larger sigma. At most ``per_camera`` rays a camera, evenly along the outlines,
+        deterministic. They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`);
+        without ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a
+        mask of the wrong size.
+        """
+        present = self._views.present(masks)
+        if not len(runs.starts) or not self._limits[0]:
+            return NO_CONTOUR_RAYS
+        hull = _hull(runs, self._grid)
+        tables = []
+        for index in present:
+            name = self._views.names[index]
+            tables.append(self._trace(index, masks[name], (levels or masks)[name], hull))
+        camera = np.repeat(present.astype(np.int32), [len(table) for table in tables])
+        table = np.concatenate(tables)
+        part = table[:, 11].astype(np.int32)
+        body = part if number_of_part is None else number_of_part[part]
+        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], body, camera)
 
-@kernel
-def graze(wide, size, start, direction):  # type: ignore[no-untyped-def]
-    """From where to where the longest stretch of a ray along the hull runs; equal where there is none.
-
-    wide and size as :func:`widen` gives them; start (3,) and unit direction (3,) in voxels from that box's corner;
-    lengths in voxels from the start. A stretch of a single voxel may be passed over.
-    """
-    near, far = _within_box(size, start, direction)
-    first, step = _fixed(start, direction, near + 0.5), _fixed((0.0, 0.0, 0.0), direction, 1.0)
-    steps, begin, best, longest = int(max(far - near, 0.0)), -1, 0, 0
-    for n in range(0, steps + 2, 2):
-        occupied = n < steps and _occupied(wide, first, step, n)
-        if occupied and begin < 0:
-            begin = n - (n > 0 and _occupied(wide, first, step, n - 1))
-        elif not occupied and begin >= 0:
-            end = n - 1 + (n - 1 < steps and _occupied(wide, first, step, n - 1))
-            if end - begin > longest:
-                best, longest = begin, end - begin
-            begin = -1
-    return near + best, near + best + longest
-
-
-@kernel
-def _within_box(size, start, direction):  # type: ignore[no-untyped-def]
-    """The lengths between which a ray is in the box, less a voxel all around that is always empty."""
-    near, far = 0.0, 1e9
-    for axis in range(3):
-        low, high = 1.0, size[axis] - 1.0
-        if abs(direction[axis]) < 1e-12:
-            if not low <= start[axis] < high:
-                return 1.0, 0.0
-            continue
-        a, b = (low - start[axis]) / direction[axis], (high - start[axis]) / direction[axis]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near, far
-
-
-@kernel
-def _fixed(start, direction, length):  # type: ignore[no-untyped-def]
-    """A place on a ray as whole numbers of 1 / 2^FRACTION voxels."""
-    one = 1 << FRACTION
-    x, y, z = start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2]
-    return int(x * one), int(y * one), int(z * one)
-
-
-@kernel
-def _occupied(wide, first, step, n):  # type: ignore[no-untyped-def]
-    """Is the voxel ``n`` steps along occupied?"""
-    x = np.uint64(first[0] + n * step[0] >> FRACTION)
-    y = np.uint64(first[1] + n * step[1] >> FRACTION)
-    z = np.uint64(first[2] + n * step[2] >> FRACTION)
-    return wide[z, y, x >> np.uint64(6)] >> (x & np.uint64(63)) & _U1 != 0
-
-
-@kernel
-def part_near(runs, place):  # type: ignore[no-untyped-def]
-    """The part of the hull that a voxel near a place belongs to: the first one in ever larger cubes around it.
-
-    runs : starts, ends, first, part and the shape of words of :class:`hull_server.slicing.skeletonisation.HullRuns`; place (3,)
-    in voxels from the corner of the widened box.
-    """
-    starts, ends, first, part, (layers, rows, _) = runs
-    x, y, z = int(place[0]) - PAD, int(place[1]) - PAD, int(place[2]) - PAD
-    for reach in range(PAD + 2):
-        for s in range(max(z - reach, 0), min(z + reach + 1, layers)):
-            for r in range(max(y - reach, 0), min(y + reach + 1, rows)):
-                for column in range(x - reach, x + reach + 1):
-                    run = run_at(starts, ends, first, s * rows + r, column)
-                    if run >= 0:
-                        return part[run]
-    return part[0]
-
-
-# --- From the outlines of a silhouette to rays in the world.
+    def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
+        self._scratch = self._scratch._replace(stamp=self._scratch.stamp % 255 + 1)
+        if self._scratch.stamp == 1:  # every mark has been used
+            self._scratch.marks[:] = 0
+        mask, levels = np.ascontiguousarray(mask), np.ascontiguousarray(levels)
+        return trace_contour_rays(mask, levels, self._cameras[index], hull, self._weights, self._limits, self._scratch)
 
 
 class Camera(NamedTuple):
-    """What a view's calibration gives.
+    """The calibration of one view.
 
     P (3, 4): map points, metres, to canvas pixels. pixel_to_ray (3, 3): homogeneous pixels to directions away from the
     camera. centre (3,): map frame. clear (H, W) uint8: nonzero where the camera sees all pixels around.
@@ -146,10 +103,10 @@ class Camera(NamedTuple):
 
 
 class Hull(NamedTuple):
-    """Where rays may touch.
+    """The hull that rays may touch.
 
-    wide, size : see :func:`hull_server.contour_rays.contour_tracer.widen`. corner (3,) of its box in metres, map frame; voxel_m.
-    runs : see :func:`hull_server.contour_rays.contour_tracer.part_near`; several : has the hull more than one part?
+    wide, size : see :func:`widen`. corner (3,) of its box in metres, map frame; voxel_m. runs : see :func:`part_near`;
+    several : whether the hull has more than one part.
     """
 
     wide: npt.NDArray[np.uint64]
@@ -161,7 +118,7 @@ class Hull(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Memory to work in; see :func:`hull_server.contour_rays.outlines.pick_contour_pixels`."""
+    """Scratch memory; see :func:`.outlines.pick_contour_pixels`."""
 
     marks: npt.NDArray[np.uint8]
     ends: npt.NDArray[np.int32]
@@ -170,40 +127,46 @@ class Scratch(NamedTuple):
     stamp: int
 
 
-class Rules(NamedTuple):
-    """What :class:`hull_server.settings.ContourSettings` says."""
+def _hull(runs: HullRuns, grid: VoxelGrid) -> Hull:
+    wide, size = widen(runs.words, runs.starts, runs.ends, runs.first)
+    corner = grid.origin + (runs.low - PAD) * grid.voxel_size
+    lines = runs.starts, runs.ends, runs.first, runs.part, runs.words.shape
+    return Hull(wide, size, corner, grid.voxel_size, lines, bool(runs.part.any()))
 
-    per_camera: int
-    min_outline_px: float
-    spacing_px: float
-    sigma_px: float
-    shadow_sigma_px: float
+
+def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:
+    pixel_to_ray = np.linalg.inv(P[:, :3]).astype(np.float64)
+    window = np.ones((2 * RADIUS_PX + 1, 2 * RADIUS_PX + 1), np.uint8)
+    clear = cv2.erode(seen, window, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
+    return Camera(P, pixel_to_ray, -pixel_to_ray @ P[:, 3], np.asarray(clear, np.uint8))
 
 
 @njit(cache=True, nogil=True)
-def trace_contour_rays(mask, levels, camera, hull, weights, rules, scratch):  # type: ignore[no-untyped-def]
-    """Rows (n, COLUMNS) of the rim table of one camera's silhouette (h, w) uint8, as carved and as sent."""
-    pixels, table, n = np.empty((rules.per_camera, 2), np.int32), np.empty((rules.per_camera, COLUMNS)), 0
+def trace_contour_rays(mask, levels, camera, hull, weights, limits, scratch):  # type: ignore[no-untyped-def]
+    """Trace the rays of one camera: rows (n, COLUMNS) of the table.
+
+    mask, levels (h, w) uint8 : its silhouette as carved, and as sent. limits : most rays, and their least distance.
+    """
+    per_camera, spacing_px = limits
+    pixels, table, n = np.empty((per_camera, 2), np.int32), np.empty((per_camera, COLUMNS)), 0
     # outlines, as far as the hull reaches in this view, sampled evenly
     box = _image_box(camera.P, hull, mask.shape)
-    limits = rules.min_outline_px, rules.spacing_px
-    picked = pick_contour_pixels(mask, box, scratch, limits, pixels)
+    picked = pick_contour_pixels(mask, box, scratch, (MIN_OUTLINE_PX, spacing_px), pixels)
     for u, v in pixels[:picked]:
-        # the edge to a fraction of a pixel; none at the border of what the camera sees, where silhouettes are cut
+        # the edge to a fraction of a pixel; none where silhouettes are cut at the border of what the camera sees
         if camera.clear[v, u] != 0:
             is_edge, edge = find_edge(mask, u, v, weights)
             if is_edge:
-                # a ray, which touches the body where it grazes the hull
+                # a ray, which touches the body within its interval along the hull
                 scale = _cast(camera, edge, table[n])
-                sigma_px = math.hypot(rules.sigma_px, rules.shadow_sigma_px * doubt_around(levels, u, v))
+                sigma_px = math.hypot(SIGMA_PX, SHADOW_SIGMA_PX * shadow_share(levels, u, v))
                 n += _touch(camera, hull, sigma_px / scale, table[n])
     return table[:n]
 
 
 @kernel
 def _image_box(P, hull, shape):  # type: ignore[no-untyped-def]
-    """Left, top, right, bottom (exclusive) of the part of an image (h, w) in which the hull can be; left and right are
-    multiples of 8."""
+    """Bound the hull in an image (h, w): left, top, right, bottom (exclusive); left and right are multiples of 8."""
     (height, width), (least_u, least_v, most_u, most_v) = shape, (1e9, 1e9, -1e9, -1e9)
     for n in range(8):
         x = hull.corner[0] + (n & 1) * hull.size[0] * hull.voxel_m
@@ -223,9 +186,9 @@ def _image_box(P, hull, shape):  # type: ignore[no-untyped-def]
 def _cast(camera, edge, row):  # type: ignore[no-untyped-def]
     """Write the edge's ray and normal to the row; return the scale of its plane.
 
-    A pixel (u, v, 1) is seen along the inverse of P's left part (thesis eq. 3.1). The line l of the image along the
-    edge is seen in the plane P^T l (Hartley and Zisserman, Multiple View Geometry, result 8.2). l, and so the plane, is
-    negative inside the silhouette; a pixel of l is depth over scale in metres.
+    A pixel (u, v, 1) back-projects along the inverse of P's left part (thesis eq. 3.1), and an image line l to the
+    plane P^T l (Hartley and Zisserman, Multiple View Geometry, result 8.2). l, and so the plane, is negative inside the
+    silhouette; a pixel of l is depth over scale in metres.
     """
     u, v, across, down = edge
     distance = -(across * u + down * v)
@@ -238,16 +201,16 @@ def _cast(camera, edge, row):  # type: ignore[no-untyped-def]
 
 @kernel
 def _touch(camera, hull, sigma_per_depth, row):  # type: ignore[no-untyped-def]
-    """Write to the row where its ray can touch the hull; return whether it can.
+    """Write the interval in which the row's ray can touch the hull; return whether it can.
 
-    A ray that passes by the hull touches where it is nearest: where it would, were it a voxel further inside.
+    A ray that misses the hull is tried again a voxel further inside.
     """
     x = (camera.centre[0] - hull.corner[0]) / hull.voxel_m
     y = (camera.centre[1] - hull.corner[1]) / hull.voxel_m
     z = (camera.centre[2] - hull.corner[2]) / hull.voxel_m
-    begin, end = graze(hull.wide, hull.size, (x, y, z), row[3:6])
+    begin, end = ray_hull_interval(hull.wide, hull.size, (x, y, z), row[3:6])
     if begin == end:
-        begin, end = graze(hull.wide, hull.size, (x - row[6], y - row[7], z - row[8]), row[3:6])
+        begin, end = ray_hull_interval(hull.wide, hull.size, (x - row[6], y - row[7], z - row[8]), row[3:6])
     if begin == end:
         return False
     middle, depth = 0.5 * (begin + end), camera.P[2, 3]
@@ -264,82 +227,105 @@ def _touch(camera, hull, sigma_per_depth, row):  # type: ignore[no-untyped-def]
 
 @kernel
 def _normalise(vector):  # type: ignore[no-untyped-def]
-    """Scale a vector (3,) to length 1; return what it was."""
+    """Scale a vector (3,) to length 1; return its length before."""
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     for k in range(3):
         vector[k] /= length
     return length
 
 
-Mask = npt.NDArray[np.uint8]
+@njit(cache=True, nogil=True)
+def widen(words, starts, ends, first):  # type: ignore[no-untyped-def]
+    """Dilate a hull's runs by their 26 neighbours: bits of rows along x of a box wider by PAD, and that box's size."""
+    layers, rows, width = words.shape
+    wide = np.zeros((layers + 2 * PAD, rows + 2 * PAD, width + 1), np.uint64)
+    size = (ends.max() + 2 * PAD, rows + 2 * PAD, layers + 2 * PAD)
+    for s in range(layers):
+        for r in range(rows):
+            for run in range(first[s * rows + r], first[s * rows + r + 1]):
+                for layer in range(s + PAD - 1, s + PAD + 2):
+                    for row in range(r + PAD - 1, r + PAD + 2):
+                        _fill_bits(wide[layer, row], starts[run] + PAD - 1, ends[run] + PAD + 1)
+    return wide, size
 
 
-class ContourTracer:
-    """Finds the rim rays of one frame set after another. Not for two threads at a time: it keeps scratch memory."""
-
-    def __init__(self, views: RigViews, grid: VoxelGrid, settings: ContourSettings) -> None:
-        self._views, self._grid = views, grid
-        self._weights = weights()
-        self._cameras = [_camera(P, seen) for P, seen in zip(views.P, views.seen, strict=True)]
-        self._rules = Rules(**asdict(settings))
-        height, width = views.seen.shape[1:]
-        cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
-        path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
-        self._scratch = Scratch(np.zeros((height, width), np.uint8), ends, path, along, 0)
-
-    def trace(
-        self,
-        masks: Masks,
-        runs: HullRuns,
-        levels: Masks | None = None,
-        number_of_part: npt.NDArray[np.int32] | None = None,
-    ) -> ContourRays:
-        """The rims of binary canvas masks (h, w) uint8, nonzero is foreground, that touch the hull carved from them.
-
-        levels : the same silhouettes as the cameras sent them, of the levels of ``capture_rig.mask_levels``; rims in
-        doubt have a larger sigma. At most ``per_camera`` rays a camera, evenly along the outlines; the same ones every
-        time. They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`); without
-        ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a mask of
-        the wrong size.
-        """
-        present = self._views.present(masks)
-        if not len(runs.starts) or not self._rules.per_camera:
-            return NO_CONTOUR_RAYS
-        hull = _hull(runs, self._grid)
-        tables = []
-        for index in present:
-            name = self._views.names[index]
-            tables.append(self._trace(index, masks[name], (levels or masks)[name], hull))
-        camera = np.repeat(present.astype(np.int32), [len(table) for table in tables])
-        table = np.concatenate(tables)
-        part = table[:, 11].astype(np.int32)
-        body = part if number_of_part is None else number_of_part[part]
-        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], body, camera)
-
-    def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
-        self._scratch = self._scratch._replace(stamp=self._scratch.stamp % 255 + 1)
-        if self._scratch.stamp == 1:  # every mark has been used
-            self._scratch.marks[:] = 0
-        mask, levels = np.ascontiguousarray(mask), np.ascontiguousarray(levels)
-        return trace_contour_rays(mask, levels, self._cameras[index], hull, self._weights, self._rules, self._scratch)
+@kernel
+def _fill_bits(row, start, end):  # type: ignore[no-untyped-def]
+    """Set the bits from ``start`` up to but not including ``end``."""
+    for word in range(start >> 6, ((end - 1) >> 6) + 1):
+        low, high = max(start - 64 * word, 0), min(end - 64 * word, 64)
+        ones = ~np.uint64(0) >> np.uint64(64 - (high - low))
+        row[word] |= ones << np.uint64(low)
 
 
-def trace_hull_contours(
-    masks: Masks, views: RigViews, volume: BrickVolume, grid: VoxelGrid, settings: ContourSettings
-) -> ContourRays:
-    """:meth:`ContourTracer.trace` of a hull that has not been sliced yet."""
-    return ContourTracer(views, grid, settings).trace(masks, slice_hull(volume).runs)
+@kernel
+def ray_hull_interval(wide, size, start, direction):  # type: ignore[no-untyped-def]
+    """Find the longest interval of a ray inside the dilated hull: lengths from and to, equal where there is none.
+
+    wide and size as :func:`widen` gives them; start (3,) and unit direction (3,) in voxels from that box's corner;
+    lengths in voxels from the start. An interval of a single voxel may be missed.
+    """
+    near, far = _within_box(size, start, direction)
+    first, step = _fixed(start, direction, near + 0.5), _fixed((0.0, 0.0, 0.0), direction, 1.0)
+    steps, begin, best, longest = int(max(far - near, 0.0)), -1, 0, 0
+    for n in range(0, steps + 2, 2):
+        occupied = n < steps and _occupied(wide, first, step, n)
+        if occupied and begin < 0:
+            begin = n - (n > 0 and _occupied(wide, first, step, n - 1))
+        elif not occupied and begin >= 0:
+            end = n - 1 + (n - 1 < steps and _occupied(wide, first, step, n - 1))
+            if end - begin > longest:
+                best, longest = begin, end - begin
+            begin = -1
+    return near + best, near + best + longest
 
 
-def _hull(runs: HullRuns, grid: VoxelGrid) -> Hull:
-    wide, size = widen(runs.words, runs.starts, runs.ends, runs.first)
-    corner = grid.origin + (runs.low - PAD) * grid.voxel_size
-    lines = runs.starts, runs.ends, runs.first, runs.part, runs.words.shape
-    return Hull(wide, size, corner, grid.voxel_size, lines, bool(runs.part.any()))
+@kernel
+def _within_box(size, start, direction):  # type: ignore[no-untyped-def]
+    """Return the lengths between which a ray is in the box, less its outermost voxels, which are always empty."""
+    near, far = 0.0, 1e9
+    for axis in range(3):
+        low, high = 1.0, size[axis] - 1.0
+        if abs(direction[axis]) < 1e-12:
+            if not low <= start[axis] < high:
+                return 1.0, 0.0
+            continue
+        a, b = (low - start[axis]) / direction[axis], (high - start[axis]) / direction[axis]
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near, far
 
 
-def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:
-    pixel_to_ray = np.linalg.inv(P[:, :3]).astype(np.float64)
-    window = np.ones((2 * RADIUS_PX + 1, 2 * RADIUS_PX + 1), np.uint8)
-    clear = cv2.erode(seen, window, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
-    return Camera(P, pixel_to_ray, -pixel_to_ray @ P[:, 3], np.asarray(clear, np.uint8))
+@kernel
+def _fixed(start, direction, length):  # type: ignore[no-untyped-def]
+    """Return a point on a ray in fixed point: whole numbers of 1 / 2^FRACTION voxels."""
+    one = 1 << FRACTION
+    x, y, z = start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2]
+    return int(x * one), int(y * one), int(z * one)
+
+
+@kernel
+def _occupied(wide, first, step, n):  # type: ignore[no-untyped-def]
+    """Check the voxel ``n`` steps along."""
+    x = np.uint64(first[0] + n * step[0] >> FRACTION)
+    y = np.uint64(first[1] + n * step[1] >> FRACTION)
+    z = np.uint64(first[2] + n * step[2] >> FRACTION)
+    return wide[z, y, x >> np.uint64(6)] >> (x & np.uint64(63)) & _U1 != 0
+
+
+@kernel
+def part_near(runs, place):  # type: ignore[no-untyped-def]
+    """Return the part of the hull that a voxel near a place belongs to: the first found in growing cubes around it.
+
+    runs : starts, ends, first, part and the shape of words of :class:`hull_server.slicing.skeletonisation.HullRuns`;
+    place (3,) in voxels from the corner of the widened box.
+    """
+    starts, ends, first, part, (layers, rows, _) = runs
+    x, y, z = int(place[0]) - PAD, int(place[1]) - PAD, int(place[2]) - PAD
+    for reach in range(PAD + 2):
+        for s in range(max(z - reach, 0), min(z + reach + 1, layers)):
+            for r in range(max(y - reach, 0), min(y + reach + 1, rows)):
+                for column in range(x - reach, x + reach + 1):
+                    run = run_at(starts, ends, first, s * rows + r, column)
+                    if run >= 0:
+                        return part[run]
+    return part[0]

@@ -1,10 +1,14 @@
-"""The outlines of a silhouette, followed between its pixels, and points evenly along them.
+"""Follows the outlines of a silhouette, samples them evenly, and finds the edge at each sample to a fraction of a
+pixel.
 
-An outline runs on cracks, the edges between a foreground and a background pixel, with the foreground on its right;
-foreground pixels that touch in a corner belong together. Outer outlines and those of holes are treated alike. Every
-outline has a crack that runs along the top of a pixel, so looking at these finds them all.
+An outline runs along cracks, the sides between a foreground and a background pixel, with the foreground on its right;
+foreground pixels that touch in a corner belong together. Outer outlines and holes are treated alike. Every outline has
+a crack along the top of some pixel, so testing the tops of all pixels finds every outline. A crack's corner has the
+coordinates of the pixel to its lower right.
 
-A corner has the coordinates of the pixel to the lower right of it.
+For a straight edge, the mask blurred by a Gaussian is the normal distribution of the distance from the edge, and its
+gradient is perpendicular to the edge (the edge model of Canny, 1986). So one small window of pixels gives both place
+and normal, without blurring the image. The thresholds were chosen with bench/contour_rays.py.
 """
 
 from __future__ import annotations
@@ -20,19 +24,27 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND
 from ..kernel import kernel
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
+RADIUS_PX, SHADOW_RADIUS_PX = 4, 2
+PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # narrow for the place (curved edges shift less), wide for the normal
+LEAST_SLOPE = 0.6  # of a straight edge's gradient: less is a corner, or a thin or torn limb
+MOST_FILLED = 0.95  # a pixel whose surroundings are filled more is not at an edge
+QUANTILE_STEPS = 256
+QUANTILES = np.array(
+    [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]
+)
+ONE = 1 << 20  # weights are whole numbers, whose sums are exact in any order, so that they vectorise
 
 
 @kernel
-def pick_contour_pixels(mask, box, scratch, rules, pixels):  # type: ignore[no-untyped-def]
-    """Write foreground pixels, u and v, at equal distances along all outlines in a box to ``pixels`` (most, 2); return
-    how many.
+def pick_contour_pixels(mask, box, scratch, limits, pixels):  # type: ignore[no-untyped-def]
+    """Write foreground pixels u, v at equal distances along all outlines in a box to ``pixels`` (most, 2); return how
+    many.
 
-    mask (h, w) uint8, nonzero is foreground. box (left, top, right, bottom), left and right multiples of 8: what lies
-    outside counts as background. rules : outlines shorter than the first, in pixels, are left out; the distance is the
-    second, or as much more as the size of ``pixels`` asks for.
-    scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as :func:`_find_outlines` says.
+    mask (h, w) uint8, nonzero is foreground. box (left, top, right, bottom), left and right multiples of 8; outside is
+    background. limits : shortest outline, and least distance, in pixels; the distance grows if ``pixels`` is too small.
+    scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as in :func:`_find_outlines`.
     """
-    (shortest_px, spacing_px), n, begin = rules, 0, 0
+    (shortest_px, spacing_px), n, begin = limits, 0, 0
     count, total = _find_outlines(mask, box, scratch, shortest_px)
     step = max(spacing_px, total / pixels.shape[0])
     for outline in range(count):
@@ -46,8 +58,11 @@ def pick_contour_pixels(mask, box, scratch, rules, pixels):  # type: ignore[no-u
 
 @kernel
 def _find_outlines(mask, box, scratch, shortest_px):  # type: ignore[no-untyped-def]
-    """Write the outlines' foreground pixels one behind the other to ``path`` (m, 2), the distance up to the end of each
-    pixel's crack to ``along`` (m,), and where each outline ends to ``ends``; return how many, and their length."""
+    """Find all outlines in a box; return how many, and their length.
+
+    Writes their foreground pixels to ``path`` (m, 2), the distance up to the end of each pixel's crack to ``along``
+    (m,), and the row at which each outline ends to ``ends``.
+    """
     (left, top, right, bottom), words = box, mask.view(np.uint64)
     count, total, begin = 0, 0.0, 0
     for v in range(top, bottom):
@@ -68,10 +83,9 @@ def _find_outlines(mask, box, scratch, shortest_px):  # type: ignore[no-untyped-
 
 @kernel
 def _follow(mask, box, scratch, u, v, n):  # type: ignore[no-untyped-def]
-    """Append the outline along the top of a pixel to ``path`` and ``along``; return the new number of rows. Pixels that
-    it runs along the top of are marked.
+    """Append the outline along the top of a pixel to ``path`` and ``along``; return the new number of rows.
 
-    No branches, as the way is not foreseeable.
+    Marks the pixels along whose top it runs. Has no branches, which could not be predicted.
     """
     x, y, dx, dy, length = u, v, 1, 0, 0.0
     while True:
@@ -95,7 +109,7 @@ def _follow(mask, box, scratch, u, v, n):  # type: ignore[no-untyped-def]
 
 @kernel
 def _filled(mask, box, u, v):  # type: ignore[no-untyped-def]
-    """1 for foreground, else 0."""
+    """Return 1 for foreground, else 0."""
     left, top, right, bottom = box
     inside = (np.uint64(u - left) < np.uint64(right - left)) & (np.uint64(v - top) < np.uint64(bottom - top))
     return np.int64(mask[np.uint64(v * inside), np.uint64(u * inside)] != 0) & np.int64(inside)
@@ -103,7 +117,7 @@ def _filled(mask, box, u, v):  # type: ignore[no-untyped-def]
 
 @kernel
 def _spread(path, along, pixels):  # type: ignore[no-untyped-def]
-    """Fill in pixels of a path at equal distances."""
+    """Sample a path at equal distances into ``pixels``."""
     step = along[-1] / max(pixels.shape[0], 1)
     crack = 0
     for n in range(pixels.shape[0]):
@@ -112,26 +126,11 @@ def _spread(path, along, pixels):  # type: ignore[no-untyped-def]
         pixels[n, 0], pixels[n, 1] = path[crack, 0], path[crack, 1]
 
 
-# --- Where exactly a silhouette's edge runs at a pixel, and which way it faces, from the pixels around it.
-#
-# For a straight edge, the mask blurred by a Gaussian is the normal distribution of the distance from the edge, and its
-# gradient points across the edge (the edge model of Canny, 1986). So one look at a small window gives both, without an
-# image being blurred.
-
-RADIUS_PX, DOUBT_RADIUS_PX = 4, 2
-PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # a narrow blur for the place (curved edges shift less), a wide one to turn by
-LEAST_SLOPE = 0.6  # of the gradient that a straight edge would have: less is a corner, or a thin or torn limb
-MOST_FILLED = 0.95  # a pixel whose surroundings are filled beyond this is not at an edge
-QUANTILE_STEPS = 256
-QUANTILES = np.array(
-    [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]
-)
-ONE = 1 << 20  # weights are whole numbers: sums of those are exact in any order, so they may be done in parallel
-
-
 def weights() -> npt.NDArray[np.int32]:
-    """(3, 2 r + 1, 2 r + 1) weights of the pixels of a window, in units of 1 / ONE: a Gaussian for the place, sum 1;
-    and for the normal, a Gaussian times the distance to the right, and times that downward."""
+    """Return the weights (3, 2 r + 1, 2 r + 1) of a window's pixels, in units of 1 / ONE.
+
+    For the place a Gaussian of sum 1; for the normal a Gaussian times the distance to the right, and downward.
+    """
     steps = np.arange(-RADIUS_PX, RADIUS_PX + 1.0)
     squared = np.square(steps)[:, None] + np.square(steps)
     place, turn = (np.exp(-0.5 * squared / sigma**2) for sigma in (PLACE_BLUR_PX, NORMAL_BLUR_PX))
@@ -141,9 +140,9 @@ def weights() -> npt.NDArray[np.int32]:
 
 @kernel
 def find_edge(mask, u, v, weights):  # type: ignore[no-untyped-def]
-    """Whether there is an edge, and its nearest point u, v and outward normal, pixels.
+    """Return whether there is an edge near foreground pixel (u, v), and its nearest point and outward normal, pixels.
 
-    The window around (u, v), a foreground pixel, must lie in the mask (h, w).
+    The window around (u, v) must lie in the mask (h, w).
     """
     window = mask[v - RADIUS_PX : v + RADIUS_PX + 1, u - RADIUS_PX : u + RADIUS_PX + 1]
     filled, across, down = 0, 0, 0
@@ -162,19 +161,19 @@ def find_edge(mask, u, v, weights):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def doubt_around(levels, u, v):  # type: ignore[no-untyped-def]
-    """The share of doubtful pixels, neither background nor foreground, around (u, v) in a silhouette as sent."""
-    size, doubtful = 2 * DOUBT_RADIUS_PX + 1, 0
-    left, top = u - DOUBT_RADIUS_PX, v - DOUBT_RADIUS_PX
+def shadow_share(levels, u, v):  # type: ignore[no-untyped-def]
+    """Return the share of pixels around (u, v) that may be shadow: neither background nor foreground."""
+    size, count = 2 * SHADOW_RADIUS_PX + 1, 0
+    left, top = u - SHADOW_RADIUS_PX, v - SHADOW_RADIUS_PX
     window = levels[top : top + size, left : left + size]
     for j in range(size):
         for i in range(size):
-            doubtful += (window[j, i] != BACKGROUND) & (window[j, i] != FOREGROUND)
-    return doubtful / size**2
+            count += (window[j, i] != BACKGROUND) & (window[j, i] != FOREGROUND)
+    return count / size**2
 
 
 @kernel
 def normal_quantile(share):  # type: ignore[no-untyped-def]
-    """The value that a standard normal variable is below with this probability, 0.05 to 0.95."""
+    """Return the quantile of the standard normal distribution, for shares of 0.05 to 0.95."""
     row = int(share * QUANTILE_STEPS)
     return QUANTILES[row] + (share * QUANTILE_STEPS - row) * (QUANTILES[row + 1] - QUANTILES[row])

@@ -2,66 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
+
+from ..kernel import lowest_bit, transpose8
 
 _U1 = np.uint64(1)
-
-
-@intrinsic
-def _count_ones(_typing_context: Any, word: types.Integer) -> Any:
-    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.ctpop(args[0])
-
-    return types.int64(types.uint64), generate
-
-
-@intrinsic
-def _count_trailing_zeros(_typing_context: Any, word: types.Integer) -> Any:
-    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
-
-    return types.int64(types.uint64), generate
-
-
-@njit(cache=True, nogil=True)
-def popcount(word):  # type: ignore[no-untyped-def]
-    """Number of set bits."""
-    return _count_ones(word)  # type: ignore[call-arg]
-
-
-@njit(cache=True, nogil=True)
-def lowest_bit(word):  # type: ignore[no-untyped-def]
-    """Position of the lowest set bit of a word; 64 for zero."""
-    return _count_trailing_zeros(word)  # type: ignore[call-arg]
-
-
-@njit(cache=True, nogil=True)
-def select_bit(word, rank):  # type: ignore[no-untyped-def]
-    """Position of the set bit that ``rank`` others lie below."""
-    position = 0
-    for half in (32, 16, 8):
-        below = popcount(word & ((_U1 << np.uint64(half)) - _U1))
-        if rank >= below:
-            rank, position, word = rank - below, position + half, word >> np.uint64(half)
-    for _ in range(rank):
-        word &= word - _U1
-    return position + lowest_bit(word)
-
-
-@njit(cache=True, nogil=True)
-def transpose8(word):  # type: ignore[no-untyped-def]
-    """The 8 x 8 bit matrix of a word, transposed (Warren, Hacker's Delight, 7-3)."""
-    swap = (word ^ word >> np.uint64(7)) & np.uint64(0x00AA00AA00AA00AA)
-    word ^= swap ^ swap << np.uint64(7)
-    swap = (word ^ word >> np.uint64(14)) & np.uint64(0x0000CCCC0000CCCC)
-    word ^= swap ^ swap << np.uint64(14)
-    swap = (word ^ word >> np.uint64(28)) & np.uint64(0x00000000F0F0F0F0)
-    return word ^ swap ^ swap << np.uint64(28)
 
 
 @njit(cache=True, nogil=True)

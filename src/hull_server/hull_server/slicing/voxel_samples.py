@@ -9,8 +9,9 @@ from numba import njit
 from mocap_packets.hull import NO_VOXELS, VoxelSamples
 
 from ..grid import BrickVolume, VoxelGrid
+from ..kernel import popcount, select_bit
 from .skeletonisation import HullRuns, slice_hull
-from .voxel_runs import popcount, run_at, select_bit, sides
+from .voxel_runs import run_at, sides
 
 SURFACE_SHARE = 2.0 / 3.0  # of the samples, as long as there are enough voxels of both kinds
 GOLDEN = 0.6180339887498949
