@@ -22,7 +22,7 @@ from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation
 from ..evaluation.track import Track, track_from_bag
 from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
-from ..recording.session_clock import clock_of, frame_count, is_bag, session_of_bag
+from ..recording.session_clock import clock_of_bag, frame_count, is_bag, session_of_bag
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
 """Of each row of an ablation."""
@@ -85,7 +85,7 @@ def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict
             where="--ablation",
             remedy=f"Run sagoma evaluate {session.folder} --ablation.",
         )
-    clock = clock_of(bag, session)
+    clock = clock_of_bag(bag, session)
     tracks = {OURS: track_from_bag(bag, clock.frame_of).between(0, clock.frames)}
     if args.thesis and not session.videos:
         raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")

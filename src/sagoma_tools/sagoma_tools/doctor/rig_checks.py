@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from camera_client.sources.footage_reader import open_footage
@@ -16,6 +15,7 @@ from capture_rig.rig import Rig, load_rig
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
 from capture_rig.settings import read_mapping
 from capture_rig.verdict import GOOD, REDO, USABLE
+from capture_rig.video import Video
 
 from .findings import Finding, error, graded, note, ok, on, warning
 from .rig_facts import (
@@ -299,7 +299,9 @@ def collect_footage(session: Path, name: str) -> FootageFacts:
         return FootageFacts(name, f"there is no {session / name}.mp4")
     try:
         size, background = _size(video), _first(session, f"{name}_background", STILL_SUFFIXES + VIDEO_SUFFIXES)
-        return FootageFacts(name, "", size, _frames(video), None if background is None else _size(background))
+        with Video(video) as footage:
+            frames = footage.frame_count
+        return FootageFacts(name, "", size, frames, None if background is None else _size(background))
     except InputError as problem:
         return FootageFacts(name, f"{problem.where}: {problem.what}")
 
@@ -348,11 +350,3 @@ def _size(path: Path) -> tuple[int, int]:
     finally:
         reader.close()
     return shape[1], shape[0]
-
-
-def _frames(video: Path) -> int:
-    capture = cv2.VideoCapture(str(video))
-    try:
-        return int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    finally:
-        capture.release()

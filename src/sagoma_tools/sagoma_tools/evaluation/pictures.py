@@ -13,6 +13,7 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import Session, Truth
+from capture_rig.video import Video
 from stick_figure.skeleton import POINT_NAMES
 
 from .track_evaluation import TRACKING, TrackEvaluation
@@ -76,19 +77,14 @@ class Window:
 
 def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
     """The wanted frames (ascending, 0-based) of a video, BGR."""
-    capture = cv2.VideoCapture(str(video))
-    try:
+    with Video(video) as footage:
         position = 0
         for frame in wanted:
-            while position < frame and capture.grab():
-                position += 1
-            ok, image = capture.read()
-            if not ok:
+            position += footage.skip(frame - position) + 1
+            image = footage.read()
+            if image is None:
                 raise EOFError(f"{video} has no frame {frame}")
-            position += 1
             yield image
-    finally:
-        capture.release()
 
 
 def draw_skeleton(

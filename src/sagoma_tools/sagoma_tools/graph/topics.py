@@ -1,4 +1,4 @@
-"""The topics of the graph: what goes in, what comes out, and which of it must replay to the same bytes."""
+"""The topics of the graph: inputs, outputs, which of them replay to the same bytes, and topics of older bags."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PREDICTION_TOPIC = "/ekf/prediction"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 CAMERA_TOPIC = re.compile(r"^/(?P<camera>[^/]+)/silhouette/compressed$")
 
-# A recorder may lag behind for a second; whatever it subscribes to, it must not be the one that loses messages.
+# a recorder may lag behind for a second without losing a message
 LOSSLESS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1000,
@@ -30,7 +30,7 @@ LOSSLESS = QoSProfile(
 @dataclass(frozen=True)
 class Topic:
     """One topic: absolute name, message type, whether a lockstep replay repeats its bytes exactly, and whether its
-    publisher keeps the last message for those who come later."""
+    publisher keeps the last message for later subscribers."""
 
     name: str
     msgtype: str
@@ -59,11 +59,13 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/mocap/state", "diagnostic_msgs/msg/DiagnosticStatus"),
     Topic(PREDICTION_TOPIC, "sensor_msgs/msg/JointState"),
 )
+RENAMED_TOPICS = {"/hull/rims": "/hull/contour_rays"}
+"""Topics of bags that older versions recorded -> their names now."""
 DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False)
 
 
 def camera_topics(camera: str) -> tuple[Topic, ...]:
-    """What one camera client publishes for the hull server: its camera_info first, then its silhouette."""
+    """The topics from one camera client to the hull server: camera_info, then silhouette."""
     return (
         Topic(f"/{camera}{CAMERA_INFO_SUFFIX}", "sensor_msgs/msg/CameraInfo"),
         Topic(f"/{camera}{SILHOUETTE_SUFFIX}", "sensor_msgs/msg/CompressedImage"),

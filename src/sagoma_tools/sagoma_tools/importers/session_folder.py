@@ -1,4 +1,4 @@
-"""A session folder that appears whole or not at all."""
+"""Writes session folders: the folder appears whole or not at all; footage is lossless; truth.csv holds points."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
+CODEC, SUFFIX = "FFV1", ".mkv"
+"""Lossless, and in every OpenCV wheel (which, up to 4.8, puts it into .mkv but not into .mp4)."""
+
 
 @contextmanager
 def new_session_folder(folder: str | Path) -> Iterator[Path]:
     """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
 
-    Raises InputError when ``folder`` is there already and holds anything: nothing of a user's is overwritten.
+    Raises InputError when ``folder`` exists and is not empty.
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -39,14 +42,8 @@ def new_session_folder(folder: str | Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-# --- Footage that is written without loss: what was compressed once by its owners is not compressed again.
-
-CODEC, SUFFIX = "FFV1", ".mkv"
-"""Lossless, and in every OpenCV wheel (which, up to 4.8, puts it into .mkv but not into .mp4)."""
-
-
 class FootageFile:
-    """A video being written, grey or colour; use it as a context manager. InputError when it cannot be opened."""
+    """Writes a lossless video, grey or colour; a context manager. Raises InputError when it cannot be opened."""
 
     def __init__(self, stem: Path, fps: float, image: np.ndarray) -> None:
         """``image`` (h, w) or (h, w, 3) uint8 is like those that follow; it is not written."""
@@ -72,11 +69,8 @@ class FootageFile:
         self._writer.release()
 
 
-# --- Writes ``truth.csv``: named reference points of the frames of a session.
-
-
 def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, np.ndarray]) -> None:
-    """One row a frame: its 0-based number (F,), then x, y, z of every point (F, 3), metres, map frame.
+    """Write one row a frame: its 0-based number (F,), then x, y, z of every point (F, 3), metres, map frame.
 
     Cells of points that are not finite stay empty: unknown.
     """

@@ -1,49 +1,52 @@
-"""Reading rosbag2 bags (mcap or sqlite3, ours or of ``ros2 bag record``) without touching the messages' bytes."""
+"""Reads rosbag2 bags (mcap or sqlite3, from sagoma or ``ros2 bag record``), message bytes unchanged.
+
+Topics that an older version recorded under another name are read under their present name, with a warning. To compare
+messages byte for byte their padding is set to zero: CDR aligns every number to its size, and the sender leaves
+undefined bytes in the gaps.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from capture_rig.errors import InputError
+from capture_rig.settings import read_mapping
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 
-from ..graph.topics import CAMERA_INFO_SUFFIX, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, cameras_in
-
-# --- Serialized messages (CDR) with their undefined bytes set to zero, so that equal messages are equal bytes.
-#
-# CDR aligns every number to its size; what lies in the gaps is whatever the sender's memory held.
+from ..graph.topics import (
+    CAMERA_INFO_SUFFIX,
+    OUTPUT_TOPICS,
+    RENAMED_TOPICS,
+    SILHOUETTE_SUFFIX,
+    camera_topics,
+    cameras_in,
+)
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-
-
-def canonical_bytes(data: bytes, msgtype: str) -> bytes:
-    """The message with zeros in its gaps; unchanged when it is of a type that is not known or does not parse."""
-    try:
-        return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
-    except (SerdeError, TypesysError, KeyError):
-        return data
-
-
 SIDECAR_RIG, SIDECAR_PROVENANCE = "rig.yaml", "sagoma.yaml"
 NEVER_NS = 2**62
 UNPAIRED_SETS = 64
 DEFAULT_TOLERANCE_NS = 8_000_000
+_log = logging.getLogger("sagoma.bags")
 
 
 @dataclass(frozen=True)
 class BagMessage:
-    """One message as it lies in the bag: ``data`` is the serialized (CDR) message, untouched."""
+    """One message of a bag; ``data`` is the serialized (CDR) message, unchanged."""
 
     topic: str
     msgtype: str
@@ -82,7 +85,7 @@ class Difference:
 
 
 def header_stamp_ns(data: bytes) -> int:
-    """Stamp of a serialized message that starts with a Header: CDR puts sec, nanosec right behind 4 lead-in bytes."""
+    """Stamp of a serialized message that starts with a Header: CDR puts sec, nanosec behind 4 lead-in bytes."""
     order = "<" if data[1] & 1 else ">"
     sec, nanosec = struct.unpack_from(order + "iI", data, 4)
     return sec * 1_000_000_000 + nanosec
@@ -90,7 +93,7 @@ def header_stamp_ns(data: bytes) -> int:
 
 @contextmanager
 def open_bag(bag: str | Path) -> Iterator[Reader]:
-    """Open a bag folder (or a single .mcap/.db3 file); InputError says what is wrong with it and what to do."""
+    """Open a bag folder (or a single .mcap/.db3 file). Raises InputError for a bag that cannot be read."""
     bag = Path(bag)
     if not bag.exists():
         raise InputError("there is no such bag", where=str(bag), remedy="Give the folder that holds metadata.yaml.")
@@ -117,17 +120,24 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
 def bag_topics(bag: str | Path) -> dict[str, str]:
     """Topic name -> message type."""
     with open_bag(bag) as reader:
-        return {connection.topic: connection.msgtype for connection in reader.connections}
+        return {_present_name(connection.topic, bag): connection.msgtype for connection in reader.connections}
 
 
 def read_messages(bag: str | Path, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[BagMessage]:
     """The messages of the wanted topics in log order."""
     with open_bag(bag) as reader:
-        connections = [c for c in reader.connections if wanted(c.topic)]
+        names = {c.id: _present_name(c.topic, bag) for c in reader.connections}
+        connections = [c for c in reader.connections if wanted(names[c.id])]
         if not connections:
             return
         for connection, log_ns, data in reader.messages(connections):
-            yield BagMessage(connection.topic, connection.msgtype, log_ns, bytes(data))
+            yield BagMessage(names[connection.id], connection.msgtype, log_ns, bytes(data))
+
+
+def read_provenance(bag: str | Path) -> Mapping[str, Any]:
+    """What made the bag (``sagoma.yaml``): software, graph, session, session clock; empty where the file is absent."""
+    sidecar = Path(bag) / SIDECAR_PROVENANCE
+    return read_mapping(sidecar, "Delete it, or restore what sagoma recorded.") if sidecar.is_file() else {}
 
 
 def bag_cameras(bag: str | Path) -> tuple[str, ...]:
@@ -190,7 +200,7 @@ def _read_frames(bag: str | Path, cameras: tuple[str, ...]) -> Iterator[tuple[st
 def bag_digest(bag: str | Path, topics: Iterable[str] | None = None) -> dict[str, TopicDigest]:
     """SHA-256 of each topic's messages in order; by default of the output topics that replay to the same bytes.
 
-    Undefined bytes between fields count as zero (see :mod:`.cdr`).
+    Undefined bytes between fields count as zero (:func:`canonical_bytes`).
     """
     names = default_comparison(bag) if topics is None else tuple(topics)
     hashes = {name: hashlib.sha256() for name in names}
@@ -220,6 +230,26 @@ def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> Differ
         elif found is None and a.data != b.data:
             found = _position(index, *(canonical_bytes(m.data, m.msgtype) for m in (a, b)))
     return None if found is None else Difference(topic, *found, count_a, count_b)
+
+
+def canonical_bytes(data: bytes, msgtype: str) -> bytes:
+    """The message with zeros in its padding; unchanged when its type is unknown or it does not parse."""
+    try:
+        return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
+    except (SerdeError, TypesysError, KeyError):
+        return data
+
+
+def _present_name(topic: str, bag: str | Path) -> str:
+    name = RENAMED_TOPICS.get(topic, topic)
+    if name != topic:
+        _warn_of_old_name(str(bag), topic, name)
+    return name
+
+
+@cache  # once a bag
+def _warn_of_old_name(bag: str, old: str, new: str) -> None:
+    _log.warning("%s: topic %s of an older version is read as %s", bag, old, new)
 
 
 def _position(index: int, a: bytes, b: bytes) -> tuple[int, int | None] | None:

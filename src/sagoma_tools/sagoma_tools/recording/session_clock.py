@@ -1,31 +1,29 @@
-"""When which frame of a session was seen: the clock that relates a bag's stamps to the session's truth."""
+"""Relates a bag to the session that it recorded: which session, and which of its frames was visible at a stamp."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-import yaml
-
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
+from capture_rig.video import Video
 
 from ..graph.topics import camera_topics
-from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, frame_tolerance_ns, read_messages
+from .reader import SIDECAR_RIG, frame_tolerance_ns, read_messages, read_provenance
 
-KEY = "play"
+KEY = "play"  # of the clock in the bag's provenance
+SUFFIXES = (".mcap", ".db3")
 
 
 @dataclass(frozen=True)
 class SessionClock:
-    """One playing of a session: frame k was seen ``k / fps`` seconds after ``epoch_ns``, for k < ``frames``.
+    """One playback of a session: frame k < ``frames`` was visible ``k / fps`` seconds after ``epoch_ns``.
 
-    ``exposed`` : cameras looked at it, at any time while the frame was seen; otherwise stamps are those of the frames.
+    ``exposed`` : cameras exposed at any time while the frame was visible; otherwise stamps are those of the frames.
     """
 
     epoch_ns: int
@@ -34,7 +32,7 @@ class SessionClock:
     exposed: bool = False
 
     def frame_of(self, stamp_ns: int) -> int:
-        """The number of the frame that was seen at a stamp; beyond the playing it is negative, or too large."""
+        """The number of the frame visible at a stamp; outside the playback it is negative or too large."""
         frame = (stamp_ns - self.epoch_ns) * 1e-9 * self.fps
         return math.floor(frame) if self.exposed else round(frame)
 
@@ -42,22 +40,25 @@ class SessionClock:
         return 0 <= self.frame_of(stamp_ns) < self.frames
 
     def provenance(self) -> dict[str, Any]:
-        """For the bag's description, where :func:`clock_of_bag` finds it."""
+        """The clock as plain data for the bag's provenance, which :func:`clock_of_bag` reads."""
         return {KEY: asdict(self)}
 
 
 def clock_of_bag(bag: str | Path, session: Session) -> SessionClock:
-    """How the session was played into a bag: as the bag says, else its first silhouette is the session's frame 0."""
-    sidecar = Path(bag) / SIDECAR_PROVENANCE
-    described = yaml.safe_load(sidecar.read_text()) if sidecar.is_file() else None
-    if isinstance(described, Mapping) and KEY in described:
-        return SessionClock(**described[KEY])
-    first_ns = min(stamps[0] for stamps in silhouette_stamps(bag, session).values())
-    return SessionClock(first_ns, frame_count(session), session.fps)
+    """The clock in the bag's provenance; otherwise frame 0 is the first silhouette's.
+
+    A session of live cameras, without videos, lasts from the first silhouette to the last.
+    """
+    described = read_provenance(bag).get(KEY)
+    if described is not None and session.videos:
+        return SessionClock(**described)
+    stamps = [stamp for seen in silhouette_stamps(bag, session).values() for stamp in seen]
+    live_frames = round((max(stamps) - min(stamps)) * 1e-9 * session.fps) + 1
+    return SessionClock(min(stamps), frame_count(session) if session.videos else live_frames, session.fps)
 
 
 def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]:
-    """The stamps of each camera's silhouettes in a bag, in order; InputError when there is none at all."""
+    """The stamps of each camera's silhouettes in a bag, in order. Raises InputError when there is none at all."""
     cameras = {camera_topics(name)[1].name: name for name in session.rig.names}
     stamps: dict[str, list[int]] = {}
     for message in read_messages(bag, cameras.__contains__):
@@ -73,12 +74,11 @@ def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]
 
 def frame_count(session: Session) -> int:
     """Frames of the session's shortest video."""
-    return min(int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT)) for path in session.videos.values())
-
-
-# --- Which session a bag is a recording of, or what can be made of one that was recorded from live cameras.
-
-SUFFIXES = (".mcap", ".db3")
+    counts = []
+    for path in session.videos.values():
+        with Video(path) as video:
+            counts.append(video.frame_count)
+    return min(counts)
 
 
 def is_bag(path: Path) -> bool:
@@ -89,10 +89,11 @@ def is_bag(path: Path) -> bool:
 
 
 def session_of_bag(bag: Path) -> Session:
-    """The session that the bag says it was recorded on; of live cameras, the bag's own rig without footage or truth."""
-    sidecar = bag / SIDECAR_PROVENANCE
-    description = yaml.safe_load(sidecar.read_text()) if sidecar.is_file() else None
-    named = description.get("session") if isinstance(description, Mapping) else None
+    """The session named in the bag's provenance; of live cameras, the bag's own rig without footage or truth.
+
+    Raises InputError when the bag has neither.
+    """
+    named = read_provenance(bag).get("session")
     if named:
         return load_session(named)
     if not (bag / SIDECAR_RIG).is_file():
@@ -103,11 +104,3 @@ def session_of_bag(bag: Path) -> Session:
         )
     fps = 0.5e9 / frame_tolerance_ns(bag)
     return Session(bag, load_rig(bag / SIDECAR_RIG), fps, videos={}, backgrounds={}, masks={}, truth=None)
-
-
-def clock_of(bag: str, session: Session) -> SessionClock:
-    """When which frame was seen; of live cameras, frame 0 is the first silhouette's."""
-    if session.videos:
-        return clock_of_bag(bag, session)
-    stamps = [stamp for seen in silhouette_stamps(bag, session).values() for stamp in seen]
-    return SessionClock(min(stamps), round((max(stamps) - min(stamps)) * 1e-9 * session.fps) + 1, session.fps)

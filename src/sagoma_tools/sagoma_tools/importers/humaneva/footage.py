@@ -1,4 +1,4 @@
-"""Copies the footage of a trial, all cameras in step, and the empty room that fits it."""
+"""Copies the footage of a trial, all cameras in step, and the movie of the empty room that fits it."""
 
 from __future__ import annotations
 
@@ -12,59 +12,46 @@ import cv2
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.video import Video
 
 from ..session_folder import FootageFile
-from .formats import FIRST_USABLE_FRAME
+from .formats import COPY_AGAIN, FIRST_USABLE_FRAME
 
-# --- The data set's movies, read frame after frame from the beginning: seeking in them is not exact.
-
+MAX_ROOM_IMAGES = 300
+MEAN_IMAGES = 30  # enough for the noise to average out
+COMPARE_EVERY = 60  # images between those that are compared with the movies of the empty room
+REMEDY = f"{COPY_AGAIN[:-1]}; it is a .avi with codec XVID."
 Image = np.ndarray
 
 
 class Movie:
-    """Images of a file in order; grey (h, w) or colour (h, w, 3), uint8."""
+    """Reads the images of a movie in order; grey (h, w) or colour (h, w, 3), uint8. Raises InputError."""
 
     def __init__(self, path: Path, grey: bool) -> None:
         self.path, self.grey = path, grey
-        self._capture = cv2.VideoCapture(str(path))
+        self.video = Video(path, remedy=REMEDY)
         self.read_count = 0
-        if not self._capture.isOpened():
-            raise InputError(
-                "cannot be opened as a video",
-                where=str(path),
-                remedy="Copy it again from the data set; it is a .avi with codec XVID.",
-            )
-
-    @property
-    def fps(self) -> float:
-        return float(self._capture.get(cv2.CAP_PROP_FPS))
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height of the images."""
-        return int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
 
     def skip_to(self, number: int) -> None:
-        """Make the 1-based image ``number`` the next one; InputError when the movie is shorter."""
-        while self.read_count < number - 1:
-            if not self._capture.grab():
-                raise InputError(
-                    f"ends after {self.read_count} images, before image {number}",
-                    where=str(self.path),
-                    remedy="Import other frames, or copy it again from the data set.",
-                )
-            self.read_count += 1
+        """Make the 1-based image ``number`` the next one. Raises InputError when the movie is shorter."""
+        self.read_count += self.video.skip(number - 1 - self.read_count)
+        if self.read_count < number - 1:
+            raise InputError(
+                f"ends after {self.read_count} images, before image {number}",
+                where=str(self.path),
+                remedy="Import other frames, or copy it again from the data set.",
+            )
 
     def read(self) -> Image | None:
         """The next image, None at the end."""
-        read, image = self._capture.read()
-        if not read:
+        image = self.video.read()
+        if image is None:
             return None
         self.read_count += 1
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if self.grey else image
 
     def images(self) -> Iterator[Image]:
-        """All images that are left."""
+        """All remaining images."""
         while (image := self.read()) is not None:
             yield image
 
@@ -72,7 +59,7 @@ class Movie:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._capture.release()
+        self.video.close()
 
 
 def is_grey(camera: str) -> bool:
@@ -80,10 +67,10 @@ def is_grey(camera: str) -> bool:
     return camera.startswith("BW")
 
 
-def together(videos: Mapping[str, Path], first: Mapping[str, int], count: int | None) -> Iterator[dict[str, Image]]:
-    """``count`` images of every camera, from its 1-based image ``first`` on; without a count, until one movie ends.
+def read_in_step(videos: Mapping[str, Path], first: Mapping[str, int], count: int | None) -> Iterator[dict[str, Image]]:
+    """Read ``count`` images of every camera, from its 1-based image ``first`` on.
 
-    Raises InputError when a movie ends too early.
+    Without a count, until one movie ends. Raises InputError when a movie ends too early.
     """
     with ExitStack() as stack:
         movies = {camera: stack.enter_context(Movie(path, is_grey(camera))) for camera, path in videos.items()}
@@ -106,17 +93,10 @@ def together(videos: Mapping[str, Path], first: Mapping[str, int], count: int | 
             done += 1
 
 
-# --- Which movie of the empty room fits a trial: three were taken in a week, and the light changed in between.
-
-MOST_IMAGES = 300
-MEAN_IMAGES = 30
-"""Enough for a mean that the noise does not matter in."""
-
-
 class EmptyRoom:
-    """A camera's movies of the empty room, compared with images of a trial.
+    """Chooses the movie of the empty room nearest to a trial: three were taken in a week, and the light changed.
 
-    The movie that differs least is the one: by the median over the pixels, which a person in the image does not move.
+    The difference is the median over the pixels, which a person in the image does not change.
     """
 
     def __init__(self, movies: list[Path], grey: bool) -> None:
@@ -125,13 +105,13 @@ class EmptyRoom:
         self._differences: list[list[float]] = []
 
     def compare(self, image: Image) -> None:
-        """Take an image of the trial into account. Raises InputError when it has another size than the movies."""
+        """Add an image of the trial to the comparison. Raises InputError when it has another size than the movies."""
         for path, mean in zip(self._movies, self._means, strict=True):
             if mean.shape != image.shape:
                 raise InputError(
                     f"its images have shape {mean.shape}, those of the trial {image.shape}",
                     where=str(path),
-                    remedy="Copy it again from the data set.",
+                    remedy=COPY_AGAIN,
                 )
         self._differences.append([float(np.median(np.abs(image - mean))) for mean in self._means])
 
@@ -143,7 +123,7 @@ class EmptyRoom:
     def write(self, stem: Path, fps: float) -> None:
         """Copy the best movie's usable images."""
         with self._open(self.best) as movie:
-            images = islice(movie.images(), MOST_IMAGES)
+            images = islice(movie.images(), MAX_ROOM_IMAGES)
             first = next(images)
             with FootageFile(stem, fps, first) as footage:
                 footage.write(first)
@@ -154,21 +134,13 @@ class EmptyRoom:
         with self._open(path) as movie:
             images = list(islice(movie.images(), MEAN_IMAGES))
         if not images:
-            raise InputError(
-                f"has fewer than {FIRST_USABLE_FRAME} images",
-                where=str(path),
-                remedy="Copy it again from the data set.",
-            )
+            raise InputError(f"has fewer than {FIRST_USABLE_FRAME} images", where=str(path), remedy=COPY_AGAIN)
         return np.asarray(np.mean(images, axis=0, dtype=np.float32))
 
     def _open(self, path: Path) -> Movie:
         movie = Movie(path, self._grey)
         movie.skip_to(FIRST_USABLE_FRAME)
         return movie
-
-
-COMPARE_EVERY = 60
-"""Images between those that the movies of the empty room are compared with."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +155,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Footage:
-    """How many frames were copied, and which movie of the empty room was taken for each camera."""
+    """The number of frames copied, and the movie of the empty room chosen for each camera."""
 
     frames: int
     empty_rooms: dict[str, str]
@@ -197,7 +169,7 @@ def copy_footage(
     frames = 0
     with ExitStack() as stack:
         files: dict[str, FootageFile] = {}
-        for images in together(
+        for images in read_in_step(
             {c: s.movie for c, s in sources.items()}, {c: s.first_image for c, s in sources.items()}, count
         ):
             for camera, image in images.items():

@@ -1,4 +1,15 @@
-"""Text files that are nothing but numbers in a known order."""
+"""Parsers of HumanEva's file formats, and the common clock of a sequence.
+
+.cal : a camera's calibration in the terms of Bouguet's toolbox, whose model is OpenCV's plumb_bob. 22 numbers: focal
+lengths (2), principal point (2), skew (1), k1 k2 p1 p2 k3 (5), rotation by rows (9), translation in mm (3), with
+x_camera = R x_world + T; the world is Vicon's, z up.
+.mp : a subject's measures as Vicon's software stores them, lines ``$Name = value`` in millimetres.
+.c3d : labelled points of a motion capture, read with the library py-c3d.
+.ofs : three numbers a, b, s: mocap frame = b + (image frame - a) s, both counted from 1; s is near 2 (120 Hz against
+60 Hz).
+
+Frames are counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 to 876 training).
+"""
 
 from __future__ import annotations
 
@@ -13,10 +24,20 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.rigid import nearest_rotation
+
+COPY_AGAIN = "Copy it again from the data set."
+CAL_NUMBERS = "fc(2) cc(2) alpha_c kc(5) R(9, row by row) T(3, mm)"
+ROTATION_TOLERANCE = 1e-3
+LINE = re.compile(r"^\s*\$\s*(\w+)\s*=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*$", re.MULTILINE)
+MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+OFS_NUMBERS = "image frame, mocap frame, mocap frames per image frame"
+FIRST_USABLE_FRAME = 6
+"""The codec repeats the first image of every movie: its first five frames show nothing new."""
 
 
 def read_numbers(path: Path, count: int, meaning: str) -> np.ndarray:
-    """The first ``count`` numbers (count,) of a file, separated by white space; InputError naming the file."""
+    """The first ``count`` numbers (count,) of a text file. Raises InputError naming the file."""
     remedy = f"It reads {meaning}: copy it again from the data set."
     try:
         words = path.read_text(encoding="ascii").split()
@@ -29,15 +50,6 @@ def read_numbers(path: Path, count: int, meaning: str) -> np.ndarray:
         found = f"{int(np.isfinite(numbers).sum())} finite numbers"
         raise InputError(f"holds {found} instead of {count}", where=str(path), remedy=remedy)
     return numbers
-
-
-# --- ``.cal``: a camera's calibration in the terms of Bouguet's toolbox, whose model is OpenCV's plumb_bob.
-#
-# 22 numbers: focal lengths (2), principal point (2), skew (1), k1 k2 p1 p2 k3 (5), rotation by rows (9), translation in
-# mm (3), with x_camera = R x_world + T; the world is Vicon's, z up.
-
-CAL_NUMBERS = "fc(2) cc(2) alpha_c kc(5) R(9, row by row) T(3, mm)"
-ROTATION_TOLERANCE = 1e-3
 
 
 def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
@@ -69,17 +81,11 @@ def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
             where=str(path),
             remedy=f"It reads {CAL_NUMBERS}: copy it again from the data set.",
         )
-    U, _, Vt = np.linalg.svd(R)
-    return U @ Vt
-
-
-# --- ``.mp``: the subject's measures as Vicon's software keeps them, lines ``$Name = value`` in millimetres.
-
-LINE = re.compile(r"^\s*\$\s*(\w+)\s*=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*$", re.MULTILINE)
+    return nearest_rotation(R)
 
 
 def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
-    """The named measures of a ``.mp`` file, mm; InputError naming the file and what it lacks."""
+    """The named measures of a ``.mp`` file, mm. Raises InputError naming the file and the missing line."""
     try:
         text = path.read_text(encoding="latin-1")
     except OSError as error:
@@ -89,15 +95,8 @@ def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
     measures = {name: float(value) for name, value in LINE.findall(text)}
     missing = [name for name in names if name not in measures]
     if missing:
-        raise InputError(
-            f"has no line '${missing[0]} = number'", where=str(path), remedy="Copy it again from the data set."
-        )
+        raise InputError(f"has no line '${missing[0]} = number'", where=str(path), remedy=COPY_AGAIN)
     return {name: measures[name] for name in names}
-
-
-# --- ``.c3d``: labelled points of a motion capture, read with the library py-c3d.
-
-MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +112,7 @@ class Mocap:
     rate_hz: float
 
     def track_mm(self, *labels: str) -> np.ndarray:
-        """(F, 3) of the first of ``labels`` that the file has; InputError when it has none of them."""
+        """(F, 3) of the first of ``labels`` that the file has. Raises InputError when it has none of them."""
         for label in labels:
             if label in self.column:
                 return self.points_mm[:, self.column[label]]
@@ -125,10 +124,10 @@ class Mocap:
 
 
 def read_c3d(path: Path) -> Mocap:
-    """All points of a ``.c3d`` file; InputError naming the file when it is missing, damaged or cut short."""
+    """All points of a ``.c3d`` file. Raises InputError naming a file that is missing, damaged or cut short."""
     try:
         with path.open("rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on parameters that nothing here needs
+            warnings.simplefilter("ignore")  # about parameters that are not read here
             reader = c3d.Reader(file)
             labels = [str(label).split(":")[-1].strip() for label in reader.point_labels]
             unit = reader.get("POINT:UNITS")
@@ -140,23 +139,12 @@ def read_c3d(path: Path) -> Mocap:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except Exception as error:  # the library asserts and indexes its way through damaged files
         raise InputError(
-            f"is not a readable .c3d file ({type(error).__name__}: {error})",
-            where=str(path),
-            remedy="Copy it again from the data set.",
+            f"is not a readable .c3d file ({type(error).__name__}: {error})", where=str(path), remedy=COPY_AGAIN
         ) from None
     if not frames or len(frames) < expected:
-        raise InputError(
-            f"ends after {len(frames)} of {expected} frames", where=str(path), remedy="Copy it again from the data set."
-        )
+        raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path), remedy=COPY_AGAIN)
     column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts
     return Mocap(path, column, scale * np.stack(frames).astype(float), rate_hz)
-
-
-# --- ``.ofs``: how the frames of one camera and those of the motion capture belong together.
-#
-# Three numbers a, b, s: mocap frame = b + (image frame - a) s, both counted from 1; s is near 2 (120 Hz against 60 Hz).
-
-OFS_NUMBERS = "image frame, mocap frame, mocap frames per image frame"
 
 
 @dataclass(frozen=True)
@@ -169,7 +157,7 @@ class Offset:
 
 
 def read_ofs(path: Path) -> Offset:
-    """The offset of one camera; InputError naming the file."""
+    """The offset of one camera. Raises InputError naming the file."""
     offset = Offset(*read_numbers(path, 3, OFS_NUMBERS).tolist())
     if offset.mocap_per_image <= 0:
         raise InputError(
@@ -178,14 +166,6 @@ def read_ofs(path: Path) -> Offset:
             remedy="It must be positive, near 2: copy the file again from the data set.",
         )
     return offset
-
-
-# The common clock of a sequence: which image of each camera and which motion capture instant belong together. Frames
-# are counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 to 876 training). All cameras
-# of the sequence take part, also those that are not imported.
-
-FIRST_USABLE_FRAME = 6
-"""The codec repeats the first image of every movie: its first five frames show nothing new."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +189,7 @@ class CommonTime:
 
 
 def common_time(offsets: Mapping[str, Offset]) -> CommonTime:
-    """The clock that the authors' code derives from all cameras' offsets, in the order colour before grey cameras."""
+    """The clock that the authors' code derives from the offsets of all cameras, imported or not, colour before grey."""
     cameras = list(offsets.values())
     # every camera's image at one instant: mocap frame b of the first camera
     instant = cameras[0].mocap

@@ -1,4 +1,4 @@
-"""A trial of HumanEva-I as a session folder: footage, empty room, rig and, where it was published, the truth."""
+"""Imports a trial of HumanEva-I as a session folder: footage, empty room, rig and, where it is published, the truth."""
 
 from __future__ import annotations
 
@@ -20,15 +20,13 @@ from .footage import Footage, Movie, Source, copy_footage, is_grey
 from .formats import FIRST_USABLE_FRAME, CommonTime, Mocap, common_time, read_c3d, read_cal, read_ofs
 from .joints import Joints, joints, markers_mm, measures
 
-# --- Where the data set keeps the files of one trial of one subject.
-
 CAMERAS = ("C1", "C2", "C3", "BW1", "BW2", "BW3", "BW4")
 """Colour before grey cameras: the order in which the data set's own code takes them."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial, e.g. subject ``S2``, action ``Walking``, number 1, below the folder that holds S1 to S4."""
+    """The files of one trial, e.g. subject ``S2``, action ``Walking``, number 1; ``root`` holds S1 to S4."""
 
     root: Path
     subject: str
@@ -94,7 +92,7 @@ class Trial:
 
 
 SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
-"""From the outermost markers to the sides of the capture volume: flesh and hands lie beyond them."""
+"""From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Summary:
-    """What was written: the footage, and how many of its frames have a truth."""
+    """The footage written, and how many of its frames have a truth."""
 
     footage: Footage
     frames_with_truth: int
@@ -169,7 +167,7 @@ def _source(request: Request, time: CommonTime, camera: str, number: int) -> Sou
 
 def _camera(trial: Trial, camera: str, source: Source) -> CameraModel:
     with Movie(source.movie, is_grey(camera)) as movie:
-        return read_cal(trial.calibration(camera), source.name, *movie.size_px)
+        return read_cal(trial.calibration(camera), source.name, *movie.video.size_px)
 
 
 def _frame_rate(sources: Mapping[str, Source], time: CommonTime, mocap: Mocap | None) -> float:
@@ -178,7 +176,7 @@ def _frame_rate(sources: Mapping[str, Source], time: CommonTime, mocap: Mocap | 
         return mocap.rate_hz / time.mocap_per_frame
     camera, source = next(iter(sources.items()))
     with Movie(source.movie, is_grey(camera)) as movie:
-        return movie.fps
+        return movie.video.fps
 
 
 def _write_truth(path: Path, found: Joints, trial: Trial) -> int:

@@ -2,6 +2,10 @@
 
 These are the points of the authors' 3D error measure. Rotations there are written with a matrix that turns z towards
 -x for a positive angle; here every turned stick is written out as its direction instead.
+
+A segment NAME of Vicon's body model has an origin NAMEO and a point on each axis: NAMEA on x, NAMEL on y, NAMEP on z.
+Between two mocap frames its origin moves on a straight line and its axes on the shortest turn (slerp), as in the
+authors' code.
 """
 
 from __future__ import annotations
@@ -13,13 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import nearest_rotation
 
-from .formats import Mocap, read_mp
-
-# --- Segment frames from the points that Vicon's body model adds to a ``.c3d``, at fractional mocap frames.
-#
-# A segment NAME has an origin NAMEO and a point on each axis: NAMEA on x, NAMEL on y, NAMEP on z. Between two mocap
-# frames its origin moves on a straight line and its axes on the shortest turn (slerp), as in the authors' code.
+from .formats import COPY_AGAIN, Mocap, read_mp
 
 SQUARE_TOLERANCE = 0.02
 """How far from square three axis points may stand, as the sine of an angle, before the frame counts as damaged."""
@@ -61,7 +61,7 @@ class Segment:
 
 
 def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
-    """The frame of segment ``name``, with its origin at the point labelled ``origin`` instead when that is given."""
+    """The frame of segment ``name``; its origin is the point labelled ``origin`` where that is given."""
     tracks = [mocap.track_mm(name + letter) for letter in "OALP"]
     centre = mocap.track_mm(origin) if origin else tracks[0]
     (R_lower, square_lower), (R_upper, square_upper) = (_axes(*(t[r] for t in tracks)) for r in (at.lower, at.upper))
@@ -98,52 +98,16 @@ def _axes(origin: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tu
     gram = np.einsum("fki,fkj->fij", axes, axes)
     square = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) < SQUARE_TOLERANCE) & (np.linalg.det(axes) > 0)
     axes[~square] = np.eye(3)
-    U, _, Vt = np.linalg.svd(axes)
-    return U @ Vt, square
+    return nearest_rotation(axes), square
 
 
-MARKERS = (
-    "RASI",
-    "LASI",
-    "RPSI",
-    "LPSI",
-    "C7",
-    "T10",
-    "RBAK",
-    "STRN",
-    "CLAV",
-    "LSHO",
-    "RSHO",
-    "LUPA",
-    "RUPA",
-    "LELB",
-    "RELB",
-    "LFRM LFRA",
-    "RFRM RFRA",
-    "LWRA",
-    "RWRA",
-    "LWRB",
-    "RWRB",
-    "LFIN",
-    "RFIN",
-    "LTHI",
-    "RTHI",
-    "LKNE",
-    "RKNE",
-    "LTIB",
-    "RTIB",
-    "LANK",
-    "RANK",
-    "LHEE",
-    "RHEE",
-    "LTOE",
-    "RTOE",
-    "LFHD",
-    "RFHD",
-    "LBHD",
-    "RBHD",
-)
-"""The 39 markers on the body, two of them with two names; a frame that lacks any of them is not used."""
+_LABELS = """
+RASI, LASI, RPSI, LPSI, C7, T10, RBAK, STRN, CLAV, LSHO, RSHO, LUPA, RUPA, LELB, RELB, LFRM LFRA,
+RFRM RFRA, LWRA, RWRA, LWRB, RWRB, LFIN, RFIN, LTHI, RTHI, LKNE, RKNE, LTIB, RTIB, LANK, RANK, LHEE,
+RHEE, LTOE, RTOE, LFHD, RFHD, LBHD, RBHD
+"""
+MARKERS = tuple(" ".join(_LABELS.split()).split(", "))
+"""The 39 markers on the body, two of them with two names; a frame without any of them is not used."""
 PELVIS_SHIFT_MM = -50.0
 HEAD_MM = 316.103
 """From the thorax's origin to the top of the head: one constant for all subjects."""
@@ -168,7 +132,7 @@ class Joints:
 
 
 def markers_mm(mocap: Mocap) -> list[np.ndarray]:
-    """The tracks (T, 3), mm, of the 39 markers; zero where one was not seen. InputError for one that is not there."""
+    """The tracks (T, 3), mm, of the 39 markers; zero where one was not seen. Raises InputError for a missing one."""
     return [mocap.track_mm(*names.split()) for names in MARKERS]
 
 
@@ -178,9 +142,7 @@ def measures(static: Mocap, mp: Path) -> Measures:
     seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
     if not seen.any():
         raise InputError(
-            "both shoulder markers (LSHO, RSHO) are never seen together",
-            where=str(static.path),
-            remedy="Copy it again from the data set.",
+            "both shoulder markers (LSHO, RSHO) are never seen together", where=str(static.path), remedy=COPY_AGAIN
         )
     width_mm = np.linalg.norm(left - right, axis=1)[seen].mean()
     offset = read_mp(mp, MEASURES)
