@@ -109,10 +109,7 @@ class SpreadPoints:
 
     def jacobian(self, pose: Pose) -> np.ndarray:
         """(n, 3, 24) derivative of `placed` with respect to the pose's tangent."""
-        G, axes = np.empty((10, 3, 3)), np.zeros((18, 3))
-        A, B = np.empty((10, 3)), np.empty((10, 3))
-        kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
-        kernels.stick_ends(G, pose.position_world, self.body.lengths, self.body.stick_origins_torso, A, B)
+        _, axes, A, B = kernels.place_sticks(pose.arrays, self.body.lengths, self.body.stick_origins_torso)
         ends = np.zeros((10, 2, 3, 24))
         columns, slots = np.empty((3, 11)), np.empty(11, np.int64)
         for j in range(10):

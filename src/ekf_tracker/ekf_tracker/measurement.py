@@ -135,11 +135,8 @@ def empty_linearised():
 @njit(cache=True)
 def linearise(pose, lengths, origins, at):
     """at <- points and Jacobian at the pose (t0, R0, RJ, hinges) of a body."""
-    t0, R0, RJ, hinges = pose
-    G, axes = np.empty((10, 3, 3)), np.zeros((18, 3))
-    A, B = np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(R0, RJ, hinges, G, axes)
-    kernels.stick_ends(G, t0, lengths, origins, A, B)
+    t0 = pose[0]
+    _, axes, A, B = kernels.place_sticks(pose, lengths, origins)
     kernels.reference_points(A, B, t0, at.h)
     for point in range(15):
         at.columns[point] = kernels.point_jacobian(

@@ -15,7 +15,6 @@ limit there is a saddle that traps arms) and are bent the right way again afterw
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -23,21 +22,11 @@ from capture_rig.settings import setting
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
-from stick_figure.least_squares.gauss_newton import (
-    GEMAN_MCCLURE,
-    X84,
-    ContourArrays,
-    Data,
-    Stop,
-    Weights,
-    body_surface_distances,
-    gauss_newton,
-    measure,
-    points_and_covariances,
-)
-from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.point_factor import STICKS, TANGENT, mirror_upper
+from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.gauss_newton import Data, Stop, Weights, gauss_newton, linearise
+from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper, point_covariances
+from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place, reference_points, surface_distances
+from stick_figure.least_squares.point_factor import GEMAN_MCCLURE, X84, summarise
 from stick_figure.pose import Pose
 
 # --- What a fit of the stick figure to one cloud of centerline points returns.
@@ -224,26 +213,23 @@ def fit_articulated(
 
 
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
-    """The pose reached from ``start``, the iterations it took, and how far (m) the last one moved a reference point."""
-    state = State.of(start)
+    """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
+    state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
+    _, _, distance = surface_distances(data.voxels, place(state, figure))
     stop = Stop(settings.max_iterations, settings.tolerance_m, settings.step_limit)
-    weights = discount_loose_hull(make_weights(data, settings), body, start, data, settings)
-    iterations, moved = gauss_newton(data, *state, *_figure(body), weights, stop)
+    iterations, moved = gauss_newton(data, state, figure, discount_loose_hull(weights, distance, settings), stop)
     kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), HINGE_MARGIN)
     return state.pose(), iterations, moved
 
 
-def discount_loose_hull(weights: Weights, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Weights:
-    """The weights with the surface voxels trusted as far as the hull is tight.
+def discount_loose_hull(weights: Weights, distance: np.ndarray, settings: ArticulatedSettings) -> Weights:
+    """Reduce the weight of the surface voxels, by their distances (m,) m from the body's surface.
 
-    A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not flesh. Its excess
-    is the median distance of the surface from the flesh at ``pose``: about 10 mm for six cameras around a person,
-    60 mm for four on two sides.
+    A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not the body's. Its
+    excess is the median distance: about 10 mm for six cameras around a person, 60 mm for four on two sides.
     """
     if weights.voxel == 0.0:
         return weights
-    distance = np.empty(len(data.voxels))
-    body_surface_distances(data, *State.of(pose), *_figure(body), distance)
     excess = max(float(np.median(distance)), 0.0)
     return weights._replace(voxel=weights.voxel / (1.0 + (excess / settings.volume.tight_m) ** 4))
 
@@ -251,24 +237,24 @@ def discount_loose_hull(weights: Weights, body: Body, pose: Pose, data: Data, se
 def assess(
     body: Body, pose: Pose, data: Data, iterations: int, converged: bool, settings: ArticulatedSettings
 ) -> FitResult:
-    """What the data say about ``pose``: residuals, information matrix, reference points and their covariance.
+    """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
 
     The covariance is ``correlation * J (H + Lambda)^-1 J^T`` per point, and larger by the reduced chi-square where the
     inliers lie farther off than their own sigma says. It serves any fit, also the hierarchical one. What
-    hull and stick figure share (a hull is fatter than the body, a shoulder is no single point) is not in it: it lasts
+    hull and stick figure share (a hull is wider than the body, a shoulder is no single point) is not in it: it lasts
     for many sets, and the filter accounts for it.
     """
-    state, (figure, capsules) = State.of(pose), _figure(body)
-    weights = discount_loose_hull(make_weights(data, settings), body, pose, data, settings)
+    placed = place(State.of(pose), Figure.of(body))
+    capsule, _, distance = surface_distances(data.voxels, placed)
+    weights = discount_loose_hull(make_weights(data, settings), distance, settings)
     weights = weights._replace(voxel=settings.volume.covariance_share * weights.voxel, inside=0.0)
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
-    counts, distances = np.zeros(STICKS, np.int64), np.empty(len(data.points))
-    total, chi2, freedom = measure(data, *state, figure, capsules, weights, H, g, distances, counts)
+    match, counts = linearise(data, placed, weights, H, g), np.zeros(STICKS, np.int64)
     mirror_upper(H)
-    inliers = int(counts.sum())
+    total, chi2, freedom = summarise(match, counts)
     scale = settings.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
-    P, covariance = np.empty((15, 3)), np.empty((15, 3, 3))
-    points_and_covariances(*state, figure, H + np.diag(weights.prior), scale, P, covariance)
+    inliers, near = int(counts.sum()), capsule[np.abs(distance) < settings.volume.gate_m]
+    near_sticks = np.bincount(placed.surface.stick[near], minlength=STICKS)
     return FitResult(
         pose,
         bool(converged),
@@ -278,9 +264,9 @@ def assess(
         float(np.sqrt(total / max(inliers, 1))),
         counts,
         H,
-        P,
-        covariance,
-        _visible(counts, state, body, data, settings),
+        reference_points(placed),
+        point_covariances(H + np.diag(weights.prior), placed, scale),
+        visible_points(counts, settings.support_points) | visible_points(near_sticks, settings.support_voxels),
     )
 
 
@@ -308,16 +294,12 @@ def make_data(
     )
 
 
-def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> ContourArrays:
-    """The rays with their share of what all of them are worth."""
+def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
+    """Lay out the rays with their share of the weight of all of them."""
     rays = (rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS).thinned(settings.contour.rays)
     trust = settings.contour.surface_sd_m**2 / (settings.contour.surface_sd_m**2 + rays.sigma**2)
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
-    tangents = np.cross(rays.normals, rays.directions)
-    points, directions, normals, along = (
-        np.ascontiguousarray(a.T) for a in (rays.points_world, rays.directions, rays.normals, tangents)
-    )
-    return ContourArrays(points, directions, normals, along, rays.half_lengths, information)
+    return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, information)
 
 
 def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
@@ -340,22 +322,6 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
         neck_pitch=prior.neck_pitch,
         limit=_information(prior.limit_sd),
     )
-
-
-def _visible(counts: np.ndarray, state: State, body: Body, data: Data, settings: ArticulatedSettings) -> np.ndarray:
-    """(15,) bool: the points whose sticks have centerline points, or hull surface where their flesh is."""
-    seen = visible_points(counts, settings.support_points)
-    if len(data.voxels) == 0:
-        return seen
-    distance = np.empty(len(data.voxels))
-    stick = body_surface_distances(data, *state, *_figure(body), distance)
-    near = np.bincount(stick[np.abs(distance) < settings.volume.gate_m], minlength=STICKS)
-    return seen | visible_points(near, settings.support_voxels)
-
-
-@lru_cache(maxsize=4)
-def _figure(body: Body) -> tuple[Figure, BodySurface]:
-    return Figure.of(body), BodySurface.of(body)
 
 
 def _information(sd: float) -> float:

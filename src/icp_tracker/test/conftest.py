@@ -8,6 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from stick_figure.body import Body
 from stick_figure.kinematics import sticks
+from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.gauss_newton import Data, Weights
+from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
 
@@ -57,11 +60,11 @@ def stick_cloud(body, pose, rng, count=300, sigma=0.034):
     return clean + sigma * rng.normal(size=clean.shape)
 
 
-RADII = np.array([0.13, 0.09, 0.05, 0.05, 0.08, 0.08, 0.04, 0.04, 0.05, 0.05])  # flesh around the sticks, m
+RADII = np.array([0.13, 0.09, 0.05, 0.05, 0.08, 0.08, 0.04, 0.04, 0.05, 0.05])  # of the body around the sticks, m
 FOOT_LENGTH, FOOT_HEIGHT = 0.25, 0.07
 
 
-def flesh(body, pose, spacing=0.03):
+def person_voxels(body, pose, spacing=0.03):
     """Voxels (m, 3) of a person: a capsule about every stick, and feet that point forward of the ankles."""
     ends = sticks(body, pose)
     points = ends.reshape(-1, 3)
@@ -80,7 +83,45 @@ def flesh(body, pose, spacing=0.03):
     return grid[solid]
 
 
+def placed(body, pose):
+    """The body of average build in a pose, as the kernels take it."""
+    return place(State.of(pose), Figure.of(body))
+
+
+NO_POINTS = np.empty((0, 3))
+NO_DATA = Data(NO_POINTS, np.empty(0), np.empty(0), NO_POINTS, NO_POINTS, RayArrays(np.empty((13, 0)), np.empty(0)))
+WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
+NO_WEIGHTS = Weights(np.zeros(24), 0, 0.005, 0.0, WIDE_M, WIDE_M, 0.05, 0.0, 0.0, 0.0, WIDE_M, 0.0, 0.0, 0.0)
+
+
+def data_alone(**data):
+    """Data of one kind and nothing else."""
+    return NO_DATA._replace(**data)
+
+
+def weights_alone(**weights):
+    """Weights of one term, all others off, all gates wide."""
+    return NO_WEIGHTS._replace(**weights)
+
+
+def equations(term, *arguments):
+    """Both triangles of H, and g, of one term of the fit, given what it takes before H and g."""
+    H, g = np.zeros((24, 24)), np.zeros(24)
+    term(*arguments, H, g)
+    assert not np.tril(H, -1).any()
+    return H + np.triu(H, 1).T, g
+
+
 @pytest.fixture(scope="session")
 def synthetic():
     """The helpers above as one object."""
-    return types.SimpleNamespace(t_pose=t_pose, smooth_motion=smooth_motion, stick_cloud=stick_cloud, flesh=flesh)
+    return types.SimpleNamespace(
+        t_pose=t_pose,
+        smooth_motion=smooth_motion,
+        stick_cloud=stick_cloud,
+        voxels=person_voxels,
+        placed=placed,
+        data=data_alone,
+        weights=weights_alone,
+        equations=equations,
+    )

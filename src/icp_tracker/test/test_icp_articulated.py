@@ -7,11 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from icp_tracker.articulated_fit import ArticulatedSettings, PriorSettings, fit_articulated
-from stick_figure import kernels
 from stick_figure.joint_limits import add_joint_limits, add_neck_rest
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.point_factor import add_point_residuals, foot_points, mirror_upper
+from stick_figure.least_squares.point_factor import add_points
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, HEAD
 
@@ -37,17 +35,10 @@ def nearest_on_sticks(ends, points):
     return stick, u[rows, stick], feet[rows, stick]
 
 
-def normal_equations(body, pose, points, weight):
-    state, figure, n = State.of(pose), Figure.of(body), len(points)
-    G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(state.R0, state.RJ, state.hinges, G, axes)
-    kernels.stick_ends(G, state.t0, *figure, A, B)
-    stick, along, feet, squared = np.empty(n, int), np.empty(n), np.empty((n, 3)), np.empty(n)
-    foot_points(points, A, B, stick, along, feet, squared)
-    H, g = np.zeros((24, 24)), np.zeros(24)
-    add_point_residuals(points, weight, stick, along, feet, A, B, state.t0, axes, H, g)
-    mirror_upper(H)
-    return H, g
+def normal_equations(body, pose, points, weight, synthetic):
+    """H and g of points that all count by their information: the gate is wide."""
+    data = synthetic.data(points=points, information=weight, gate2=np.full(len(points), 1e12))
+    return synthetic.equations(add_points, data, synthetic.placed(body, pose), synthetic.weights())
 
 
 @pytest.fixture
@@ -58,9 +49,9 @@ def scene(body, synthetic):
     return pose, points, rng.uniform(0.5, 2.0, len(points))
 
 
-def test_gradient_equals_the_slope_of_the_squared_distances(body, scene):
+def test_gradient_equals_the_slope_of_the_squared_distances(body, scene, synthetic):
     pose, points, weight = scene
-    _, g = normal_equations(body, pose, points, weight)
+    _, g = normal_equations(body, pose, points, weight, synthetic)
 
     def cost(x):
         _, _, feet = nearest_on_sticks(sticks(body, pose.retract(x)), points)
@@ -70,9 +61,9 @@ def test_gradient_equals_the_slope_of_the_squared_distances(body, scene):
     assert np.abs(-g - slope).max() < 1e-7 * np.abs(g).max()
 
 
-def test_hessian_is_the_sum_of_finite_difference_jacobians(body, scene):
+def test_hessian_is_the_sum_of_finite_difference_jacobians(body, scene, synthetic):
     pose, points, weight = scene
-    H, _ = normal_equations(body, pose, points, weight)
+    H, _ = normal_equations(body, pose, points, weight, synthetic)
     ends = sticks(body, pose)
     stick, u, _ = nearest_on_sticks(ends, points)
     assert {0.0, 1.0} < set(u.tolist())  # both clamped and sliding feet are there

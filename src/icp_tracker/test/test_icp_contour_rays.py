@@ -9,12 +9,11 @@ from scipy.optimize import minimize_scalar
 
 from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, VolumeSettings, fit_articulated
 from mocap_packets.hull import ContourRays
-from stick_figure import kernels
-from stick_figure.body_surface import BodySurface, place_capsules
+from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.contour_factor import add_contour_residuals, match_contour_rays
-from stick_figure.least_squares.gauss_newton import ContourArrays
-from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.contour_factor import RayArrays, add_contour, match_rays
+from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.pose import Pose
 
 STEP = 1e-6
 CAMERAS = np.array([[3.0 * np.cos(a), 3.0 * np.sin(a), 1.6] for a in np.arange(6) * np.pi / 3])
@@ -23,14 +22,8 @@ RIMS_ALONE = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight
 
 
 def placed(body, pose):
-    """World ends P, Q of the flesh's capsules, and what the kernels need beside them."""
-    state, figure, flesh = State.of(pose), Figure.of(body), BodySurface.of(body)
-    G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(state.R0, state.RJ, state.hinges, G, axes)
-    kernels.stick_ends(G, state.t0, *figure, A, B)
-    P, Q = np.empty((len(flesh.stick), 3)), np.empty((len(flesh.stick), 3))
-    place_capsules(flesh, G, A, P, Q)
-    return flesh, P, Q, state.t0, A, axes
+    """The body of average build in a pose, as the kernels take it."""
+    return place(State.of(pose), Figure.of(body))
 
 
 def clearance(origin, directions, P, Q, radii):
@@ -47,7 +40,8 @@ def grazing_rays(body, pose, rng, per_camera=120):
 
     Each starts at a random point of a silhouette's inside and is turned outward until it just leaves the flesh.
     """
-    flesh, P, Q, *_ = placed(body, pose)
+    posed = placed(body, pose)
+    P, Q, radii = posed.P, posed.Q, posed.surface.radii
     rays = []
     for camera in CAMERAS:
         capsule = rng.integers(0, len(P), per_camera)
@@ -57,17 +51,17 @@ def grazing_rays(body, pose, rng, per_camera=120):
         aside /= np.linalg.norm(aside, axis=1)[:, None]
         far = np.zeros(per_camera)
         for angle in np.arange(0.4, 0.0, -0.004):  # from outside inwards: the outermost crossing is the rim
-            inside = clearance(camera, ahead + np.tan(angle) * aside, P, Q, flesh.radii).min(1) < 0.0
+            inside = clearance(camera, ahead + np.tan(angle) * aside, P, Q, radii).min(1) < 0.0
             far = np.where((far == 0.0) & inside, angle, far)
         low, high = far, far + 0.004
         for _ in range(20):
             middle = 0.5 * (low + high)
-            inside = clearance(camera, _turned(ahead, aside, middle), P, Q, flesh.radii).min(1) < 0.0
+            inside = clearance(camera, _turned(ahead, aside, middle), P, Q, radii).min(1) < 0.0
             low, high = np.where(inside, middle, low), np.where(inside, high, middle)
         directions = _turned(ahead, aside, high)
-        owner = clearance(camera, directions, P, Q, flesh.radii).argmin(1)
+        owner = clearance(camera, directions, P, Q, radii).argmin(1)
         for d, k in zip(directions[far > 0.0], owner[far > 0.0], strict=True):
-            rays.append(_touching(camera, d, P[k], Q[k], flesh.radii[k]))
+            rays.append(_touching(camera, d, P[k], Q[k], radii[k]))
     points, directions, normals = (np.array(part) for part in zip(*rays, strict=True))
     count = len(points)
     return ContourRays(points, directions, normals, np.full(count, 0.1), np.full(count, 0.003), np.zeros(count))
@@ -91,17 +85,9 @@ def _touching(camera, d, p, q, radii):
     return camera + (c @ d) * d, d, normal / np.linalg.norm(normal)
 
 
-def as_columns(rays, information=1.0):
-    tangents = np.cross(rays.normals, rays.directions)
-    columns = (np.ascontiguousarray(a.T) for a in (rays.points_world, rays.directions, rays.normals, tangents))
-    return ContourArrays(*columns, rays.half_lengths, np.full(len(rays), information))
-
-
-def matched(rays, P, Q, radii, slack=0.05):
-    n = len(rays)
-    match = (np.zeros(n, np.int64), np.zeros(n), np.empty(n), np.empty(n))
-    match_contour_rays(as_columns(rays), P, Q, radii, slack, match)
-    return match
+def as_arrays(rays):
+    """The rays for the kernels, each of information 1."""
+    return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, np.ones(len(rays)))
 
 
 def disturbed(pose, rng, turn, shift):
@@ -124,8 +110,7 @@ def scene(posed):
 
 def test_rays_touch_the_flesh_at_the_true_pose(scene):
     body, pose, rays, _ = scene
-    flesh, P, Q, *_ = placed(body, pose)
-    _, _, distance, separation = matched(rays, P, Q, flesh.radii)
+    _, _, distance, separation = match_rays(as_arrays(rays), placed(body, pose), 0.05)
     assert len(rays) > 300
     # a tapered capsule's true rim lies off the middle of its cone by less than this
     assert np.percentile(np.abs(distance), 95) < 2e-3
@@ -133,30 +118,31 @@ def test_rays_touch_the_flesh_at_the_true_pose(scene):
 
 
 def test_a_ray_beyond_the_hulls_stretch_belongs_to_the_other_of_two_limbs_in_line():
-    radii = np.full((2, 2), 0.05)
     P, Q = np.array([[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]]), np.array([[2.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
+    surface = BodySurface(np.zeros(2, int), P, Q, np.full((2, 2), 0.05))
+    upright = Pose(np.zeros(3), np.eye(3), np.tile(np.eye(3), (5, 1, 1)), np.zeros(4))
+    torso_at_zero = Figure(np.ones(10), np.zeros((10, 3)), surface)
+    two_limbs = place(State.of(upright), torso_at_zero)
     at = [np.array([[x, 0.05, 0.5]]) for x in (2.0, 3.0)]
     rays = [
         ContourRays(p, np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.1]), np.ones(1), np.zeros(1))
         for p in at
     ]
-    assert [int(matched(ray, P, Q, radii)[0][0]) for ray in rays] == [0, 1]
+    assert [int(match_rays(as_arrays(ray), two_limbs, 0.05).capsule[0]) for ray in rays] == [0, 1]
 
 
-def test_the_gradient_of_the_squared_distances_is_the_pull(scene):
+def test_the_gradient_of_the_squared_distances_is_the_pull(scene, synthetic):
     body, pose, rays, rng = scene
     off = disturbed(pose, rng, 0.05, 0.02)
-    flesh, P, Q, t0, A, axes = placed(body, off)
-    match = matched(rays, P, Q, flesh.radii)
-    H, g = np.zeros((24, 24)), np.zeros(24)
-    add_contour_residuals(as_columns(rays), flesh, P, Q, match, np.ones(len(rays)), t0, A, axes, H, g)
+    match, radii = match_rays(as_arrays(rays), placed(body, off), 0.05), Figure.of(body).surface.radii
+    data, weights = synthetic.data(contour_rays=as_arrays(rays)), synthetic.weights(contour_slack=0.05)
+    _, g = synthetic.equations(add_contour, data, placed(body, off), weights)
 
     def cost(slot, step):
         """Half the squared distances with the axis points held to their capsules, as the linearisation does."""
-        _, p, q, *_ = placed(body, off.retract(step * np.eye(24)[slot]))
-        capsule, along = match[0], match[1][:, None]
-        c = p[capsule] + along * (q - p)[capsule]
-        radius = flesh.radii[capsule, 0] + match[1] * (flesh.radii[capsule, 1] - flesh.radii[capsule, 0])
+        moved, capsule = placed(body, off.retract(step * np.eye(24)[slot])), match.capsule
+        c = moved.P[capsule] + match.along[:, None] * (moved.Q - moved.P)[capsule]
+        radius = radii[capsule, 0] + match.along * (radii[capsule, 1] - radii[capsule, 0])
         e = np.einsum("ni,ni->n", rays.normals, rays.points_world - c) - radius
         return 0.5 * (e * e).sum()
 

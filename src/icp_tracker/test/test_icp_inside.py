@@ -16,25 +16,19 @@ from icp_tracker.articulated_fit import (
 )
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts, VoxelSamples
-from stick_figure import kernels
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.surface_factor import SAMPLES, add_inside_residuals
+from stick_figure.least_squares.placed_figure import surface_distances
+from stick_figure.least_squares.surface_factor import SAMPLES, add_inside
 
 STEP = 1e-6
-SLACK, WIDE = 0.04, 1e6
+SLACK = 0.04
 LEFT_SHOULDER_X = 8
 LEFT_ELBOW, LEFT_HAND = 7, 11
 
 
-def inside_equations(body, pose, voxels):
-    state, figure = State.of(pose), Figure.of(body)
-    G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(state.R0, state.RJ, state.hinges, G, axes)
-    kernels.stick_ends(G, state.t0, *figure, A, B)
-    H, g = np.zeros((24, 24)), np.zeros(24)
-    add_inside_residuals(voxels, SLACK, 2.0, WIDE, A, B, state.t0, axes, H, g)
-    return np.triu(H) + np.triu(H, 1).T, g
+def inside_equations(body, pose, voxels, synthetic):
+    weights = synthetic.weights(inside=2.0, inside_slack=SLACK)
+    return synthetic.equations(add_inside, synthetic.data(hull=voxels), synthetic.placed(body, pose), weights)
 
 
 def outside_by(body, pose, voxels):
@@ -48,7 +42,7 @@ def outside_by(body, pose, voxels):
 
 def hull_of(body, pose, synthetic):
     """The flesh as a voxel cloud, surface flagged."""
-    points = synthetic.flesh(body, pose)
+    points = synthetic.voxels(body, pose)
     cells = {tuple(c) for c in np.round(points / 0.03).astype(int)}
     steps = np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])
     around = [[tuple(np.round(p / 0.03).astype(int) + s) in cells for s in steps] for p in points]
@@ -60,12 +54,12 @@ def away(body, synthetic):
     """A pose that is out of the hull of another, and that hull's voxels."""
     truth = synthetic.smooth_motion(5, seed=3)[4]
     pose = truth.retract(0.3 * np.random.default_rng(4).uniform(-1, 1, 24))
-    return pose, synthetic.flesh(body, truth)
+    return pose, synthetic.voxels(body, truth)
 
 
-def test_inside_gradient_is_the_slope_of_the_squared_distances(body, away):
+def test_inside_gradient_is_the_slope_of_the_squared_distances(body, away, synthetic):
     pose, voxels = away
-    _, g = inside_equations(body, pose, voxels)
+    _, g = inside_equations(body, pose, voxels, synthetic)
 
     def cost(x):
         return 0.5 * 2.0 * (outside_by(body, pose.retract(x), voxels) ** 2).sum()
@@ -75,9 +69,9 @@ def test_inside_gradient_is_the_slope_of_the_squared_distances(body, away):
     assert np.abs(g + slope).max() < 1e-6 * np.abs(g).max()
 
 
-def test_inside_hessian_is_the_square_of_the_distances_jacobian(body, away):
+def test_inside_hessian_is_the_square_of_the_distances_jacobian(body, away, synthetic):
     pose, voxels = away
-    H, _ = inside_equations(body, pose, voxels)
+    H, _ = inside_equations(body, pose, voxels, synthetic)
     J = np.stack(
         [
             (outside_by(body, pose.retract(STEP * e), voxels) - outside_by(body, pose.retract(-STEP * e), voxels))
@@ -91,7 +85,7 @@ def test_inside_hessian_is_the_square_of_the_distances_jacobian(body, away):
 
 def test_pose_inside_its_hull_feels_nothing(body, synthetic):
     truth = synthetic.t_pose()
-    H, g = inside_equations(body, truth, synthetic.flesh(body, truth))
+    H, g = inside_equations(body, truth, synthetic.voxels(body, truth), synthetic)
     assert not H.any() and not g.any()
 
 
@@ -125,7 +119,8 @@ def test_fat_hull_is_trusted_less_than_a_tight_one(body, synthetic):
     def trust(hull):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
         weights = make_weights(data, settings)
-        return discount_loose_hull(weights, body, truth, data, settings).voxel / weights.voxel
+        _, _, distance = surface_distances(data.voxels, synthetic.placed(body, truth))
+        return discount_loose_hull(weights, distance, settings).voxel / weights.voxel
 
     assert trust(tight) > 0.8
     assert trust(fat) < 0.5 * trust(tight)

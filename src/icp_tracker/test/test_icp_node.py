@@ -197,7 +197,7 @@ def test_bad_prediction_is_counted_and_not_used(bench, walk):
 def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body, synthetic):
     pose = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
     cloud = synthetic.stick_cloud(body, pose, np.random.default_rng(2), 300, 0.01)
-    voxels = synthetic.flesh(body, pose)
+    voxels = synthetic.voxels(body, pose)
     node = bench(**{"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0, "voxels_wait_s": NEVER_S}).start()
     for k in range(3):
         node.voxels.publish(voxel_cloud(voxels, k))

@@ -11,12 +11,12 @@ from icp_tracker.acquisition.initial_pose import InitialPose
 from icp_tracker.articulated_fit import PriorSettings
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
-from icp_tracker.refinement.shape import SIZE, THICKNESS, ShapeModel, ShapePrior, body_of, girths_of, rim_system
+from icp_tracker.refinement.shape import SIZE, THICKNESS, ShapeModel, ShapePrior, body_of, contour_system, girths_of
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.placed_figure import State
+from stick_figure.least_squares.placed_figure import State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 H = 1.75
@@ -158,12 +158,12 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
     model, n = ShapeModel(values), 24 + len(values)
     H_, g = np.empty((n, n)), np.empty(n)
     wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
-    rim_system(contour_rays, *State.of(pose), *model.at(values), model.derivatives, wide, H_, g)
+    contour_system(contour_rays, place(State.of(pose), model.at(values)), model.derivatives, wide, H_, g)
 
-    place = matched(contour_rays, *capsules_at(values, pose))
+    matches = matched(contour_rays, *capsules_at(values, pose))
 
     def cost(step):
-        return sum_of_squares(contour_rays, place, *capsules_at(values + step[24:], pose.retract(step[:24])))
+        return sum_of_squares(contour_rays, matches, *capsules_at(values + step[24:], pose.retract(step[:24])))
 
     for k in range(n):
         step = np.zeros(n)
@@ -181,14 +181,9 @@ def capsules_at(values, pose):
 def matched(contour_rays, P, Q, radii):
     """The capsule that is off least from each ray, and where along its axis."""
     found = []
-    for o, d, n, t, half in zip(
-        contour_rays.points.T,
-        contour_rays.directions.T,
-        contour_rays.normals.T,
-        contour_rays.tangents.T,
-        contour_rays.half_lengths,
-        strict=True,
-    ):
+    for row in contour_rays.rows.T:
+        n, t, d, half = row[0:3], row[4:7], row[8:11], row[12]
+        o = np.linalg.solve([n, t, d], row[[3, 7, 11]])  # the ray's middle, from its scalar products
         flat, off = np.array([n, t]), []
         for k in range(len(P)):
             s = flat @ (Q[k] - P[k])
@@ -200,12 +195,12 @@ def matched(contour_rays, P, Q, radii):
     return found
 
 
-def sum_of_squares(contour_rays, place, P, Q, radii):
+def sum_of_squares(contour_rays, matches, P, Q, radii):
     """Information times squared distance across, each ray against its place on a capsule."""
     total = 0.0
-    for i, (k, u) in enumerate(place):
+    for i, (k, u) in enumerate(matches):
         c = P[k] + u * (Q[k] - P[k])
-        across = contour_rays.normals[:, i] @ (contour_rays.points[:, i] - c) - radii[k] @ [1 - u, u]
+        across = contour_rays.rows[3, i] - contour_rays.rows[:3, i] @ c - radii[k] @ [1 - u, u]
         total += contour_rays.information[i] * across**2
     return total
 

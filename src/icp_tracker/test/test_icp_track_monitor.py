@@ -27,8 +27,8 @@ from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, TrackQuality
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
+from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, T_POSE_ANGLES
 
@@ -69,12 +69,13 @@ def _inside(body, pose, spacing=0.03):
     """Grid points (m, 3) inside the flesh, by a test of every capsule of its own."""
     from test_icp_contour_rays import placed
 
-    flesh, P, Q, *_ = placed(body, pose)
+    posed = placed(body, pose)
+    P, Q, radii = posed.P, posed.Q, posed.surface.radii
     low, high = np.minimum(P, Q).min(0) - 0.15, np.maximum(P, Q).max(0) + 0.15
     axes = [np.arange(a, b, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     solid = np.zeros(len(grid), bool)
-    for p, q, (r0, r1) in zip(P, Q, flesh.radii, strict=True):
+    for p, q, (r0, r1) in zip(P, Q, radii, strict=True):
         u = np.clip((grid - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
         solid |= np.linalg.norm(grid - p - u[:, None] * (q - p), axis=1) < r0 + u * (r1 - r0)
     return grid[solid]
@@ -135,7 +136,7 @@ def data_of(person):
 
 def test_the_true_pose_explains_the_outlines_and_lies_in_the_hull(person):
     data = data_of(person)
-    evidence = evidence_of(person.body, BodySurface.of(person.body), person.pose, data.contour_rays, data.hull)
+    evidence = evidence_of(Figure.of(person.body), person.pose, data.contour_rays, data.hull)
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * evidence.rays
     assert not evidence.outside.any()
@@ -145,7 +146,7 @@ def test_the_true_pose_explains_the_outlines_and_lies_in_the_hull(person):
 def test_an_arm_in_the_air_is_doubtful_and_named(person):
     data = data_of(person)
     raised = posed({"left_shoulder_x": 1.3, "left_shoulder_z": 0.0, "left_elbow": -0.1}, person.pose)
-    evidence = evidence_of(person.body, BodySurface.of(person.body), raised, data.contour_rays, data.hull)
+    evidence = evidence_of(Figure.of(person.body), raised, data.contour_rays, data.hull)
     others = [part for part in range(len(PART_NAMES)) if part != LEFT_ARM]
     assert evidence.outside[LEFT_ARM] >= 4
     assert not evidence.outside[others].any()
@@ -158,17 +159,15 @@ def test_an_arm_in_the_air_is_doubtful_and_named(person):
 def test_a_body_elsewhere_is_lost(person):
     data = data_of(person)
     beside = replace(person.pose, position_world=person.pose.position_world + np.array([0.6, 0.0, 0.0]))
-    quality = judge_track(
-        evidence_of(person.body, BodySurface.of(person.body), beside, data.contour_rays, data.hull), 0.95
-    )
+    quality = judge_track(evidence_of(Figure.of(person.body), beside, data.contour_rays, data.hull), 0.95)
     assert quality.state == LOST
     assert "95 % is usual" in quality.reason
 
 
 def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):
-    data, flesh = data_of(person), BodySurface.of(person.body)
-    right = evidence_of(person.body, flesh, person.pose, data.contour_rays, data.hull)
-    wrong = evidence_of(person.body, flesh, posed(FOLDED, person.pose), data.contour_rays, data.hull)
+    data, figure = data_of(person), Figure.of(person.body)
+    right = evidence_of(figure, person.pose, data.contour_rays, data.hull)
+    wrong = evidence_of(figure, posed(FOLDED, person.pose), data.contour_rays, data.hull)
     assert wrong.margin_of(right) > 10.0
     assert right.margin_of(wrong) < -10.0
     assert right.margin_of(right) == 0.0
@@ -180,7 +179,7 @@ def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):
 @pytest.mark.parametrize("limb", LIMBS, ids=lambda limb: PART_NAMES[limb.part])
 def test_the_library_holds_possible_limbs_only(limb):
     library = limb_poses(limb)
-    assert len(library) > 100
+    assert len(library.flexion) > 100
     rest = posed({})
     for R, flexion in zip(library.R[::7], library.flexion[::7], strict=True):
         assert np.abs(R @ R.T - np.eye(3)).max() < 1e-12 and np.linalg.det(R) > 0.0
@@ -193,7 +192,7 @@ def test_the_library_holds_possible_limbs_only(limb):
 def test_the_parts_of_a_library_are_the_whole():
     library = limb_poses(LIMBS[0])
     parts = [library.part(k, 4) for k in range(4)]
-    assert sum(len(part) for part in parts) == len(library)
+    assert sum(len(part.flexion) for part in parts) == len(library.flexion)
     assert np.array_equal(np.sort(np.concatenate([p.R[:, 0, 1] for p in parts])), np.sort(library.R[:, 0, 1]))
 
 
@@ -210,13 +209,7 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
         person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5}).R_joints[limb.ball], -0.1
     )
     found = other_place(
-        person.body,
-        BodySurface.of(person.body),
-        astray,
-        limb,
-        limb_poses(limb),
-        data.contour_rays,
-        HullMap.of(data.hull),
+        Figure.of(person.body), astray, limb, limb_poses(limb), data.contour_rays, HullMap.of(data.hull)
     )
     truth = forward(person.body, person.pose)
     off = np.linalg.norm(forward(person.body, found) - truth, axis=1)

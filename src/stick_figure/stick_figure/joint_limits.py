@@ -22,6 +22,8 @@ _TWIST_HIGH = np.array([ANGLE_HIGH[BALL_ANGLES[m, 2]] for m in range(1, 5)])
 @njit(cache=True)
 def add_neck_rest(R_neck, rest_pitch, information, H, g):
     """Pull the head's direction to its rest, ``rest_pitch`` rad forward of the torso's axis, with weight 1/rad^2."""
+    if information == 0.0:
+        return
     rest0, rest2 = np.sin(rest_pitch), np.cos(rest_pitch)
     d0, d1, d2 = R_neck[0, 2], R_neck[1, 2], R_neck[2, 2]
     c0, c1, c2 = d1 * rest2, d2 * rest0 - d0 * rest2, -d1 * rest0  # direction x rest
@@ -43,6 +45,8 @@ def add_scalar(slot, residual, information, H, g):
 @njit(cache=True)
 def add_joint_limits(RJ, hinges, information, H, g):
     """Cost, 1/rad^2, on the part of each limb's twist and each hinge's flexion that lies beyond its range."""
+    if information == 0.0:
+        return
     for h in range(4):
         sign = -1.0 if h < 2 else 1.0  # elbows flex negatively
         excess = sign * hinges[h] - LARGEST_FLEXION

@@ -136,6 +136,20 @@ def neck_from_direction(x, y, z, R):
 
 
 @njit(cache=True)
+def place_sticks(pose, lengths, origins):
+    """Place the sticks of a body (lengths, origins) in a pose (t0, R0, RJ, hinges), world frame.
+
+    Returns stick frames G (10, 3, 3), joint axes (18, 3), stick starts A and ends B (10, 3).
+    """
+    t0, R0, RJ, hinges = pose
+    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
+    A, B = np.empty((10, 3)), np.empty((10, 3))
+    stick_frames(R0, RJ, hinges, G, axes)
+    stick_ends(G, t0, lengths, origins, A, B)
+    return G, axes, A, B
+
+
+@njit(cache=True)
 def stick_frames(R0, RJ, hinges, G, axes):
     """World rotations of the ten sticks and world axes of the eighteen joint slots.
 

@@ -198,9 +198,5 @@ def _hinge_signs(pose: Pose, angles: Array) -> Array:
 
 
 def _placed(body: Body, pose: Pose) -> tuple[Array, Array, Array, Array]:
-    """Stick frames G (10, 3, 3), joint axes (18, 3), stick starts A and ends B (10, 3), all in the world."""
-    G, axes = np.empty((10, 3, 3)), np.zeros((18, 3))
-    A, B = np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
-    kernels.stick_ends(G, pose.position_world, body.lengths, body.stick_origins_torso, A, B)
-    return G, axes, A, B
+    """Place the sticks: frames G (10, 3, 3), joint axes (18, 3), starts A and ends B (10, 3), all in the world."""
+    return kernels.place_sticks(pose.arrays, body.lengths, body.stick_origins_torso)

@@ -174,9 +174,7 @@ def test_point_jacobian_of_inner_points_matches_differences():
     """Points between the ends of every stick, as the solvers use them."""
     rng = np.random.default_rng(11)
     pose = random_pose(rng)
-    G, axes, A, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
-    kernels.stick_ends(G, pose.position_world, BODY.lengths, BODY.stick_origins_torso, A, B)
+    _, axes, A, B = kernels.place_sticks(pose.arrays, BODY.lengths, BODY.stick_origins_torso)
     J, slots, u = np.empty((3, 11)), np.empty(11, np.int64), 0.3
     for stick in range(10):
         n = kernels.point_jacobian(stick, A[stick] + u * (B[stick] - A[stick]), pose.position_world, A, axes, J, slots)

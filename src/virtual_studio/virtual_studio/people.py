@@ -242,10 +242,7 @@ def _legs(body: Body, s: float) -> list[_Part]:
 
 def _frames(body: Body, pose: Pose) -> tuple[Array, Array, Array]:
     """Stick rotations (10, 3, 3), starts and ends (10, 3), world frame."""
-    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
-    A, B = np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
-    kernels.stick_ends(G, pose.position_world, body.lengths, body.stick_origins_torso, A, B)
+    G, _, A, B = kernels.place_sticks(pose.arrays, body.lengths, body.stick_origins_torso)
     return G, A, B
 
 

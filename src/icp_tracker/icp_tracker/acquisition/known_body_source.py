@@ -14,10 +14,9 @@ import numpy as np
 
 from capture_rig.rig import Volume
 from mocap_packets.hull import HullProducts, VoxelSamples
-from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface, nearest_capsule, place_capsules
 from stick_figure.kinematics import forward
+from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import ANGLE_NAMES, HEAD, mirror_angles
@@ -46,37 +45,16 @@ class SurfaceMatch:
     cost: float
 
 
-def match_surface(
-    body: Body, capsules: BodySurface, pose: Pose, surface_world: np.ndarray, hull_world: np.ndarray
-) -> SurfaceMatch:
+def match_surface(figure: Figure, pose: Pose, surface_world: np.ndarray, hull_world: np.ndarray) -> SurfaceMatch:
     """Compare a body in a pose with samples of a hull's surface (m, 3) and of all of it (n, 3), metres, world frame."""
-    P, Q = _placed(body, capsules, pose)
-    distance = _surface_distances(P, Q, capsules, surface_world)
-    axes = (P[:, None] + AXIS_SAMPLES[:, None] * (Q - P)[:, None]).reshape(-1, 3)
-    radii = (capsules.radii[:, :1] + AXIS_SAMPLES * (capsules.radii[:, 1:] - capsules.radii[:, :1])).ravel()
+    placed, radii = place(State.of(pose), figure), figure.surface.radii
+    _, _, distance = surface_distances(surface_world, placed)
+    axes = (placed.P[:, None] + AXIS_SAMPLES[:, None] * (placed.Q - placed.P)[:, None]).reshape(-1, 3)
     offsets = axes[:, None] - hull_world
-    outside = np.sqrt(np.einsum("anj,anj->an", offsets, offsets).min(axis=1)) - radii
+    nearest = np.sqrt(np.einsum("anj,anj->an", offsets, offsets).min(axis=1))
+    outside = nearest - (radii[:, :1] + AXIS_SAMPLES * (radii[:, 1:] - radii[:, :1])).ravel()
     cost = np.clip(np.abs(distance), 0.0, FAR_M).mean() + np.clip(outside, 0.0, FAR_M).mean()
     return SurfaceMatch(float(np.mean(np.abs(distance) < NEAR_M)), float(np.mean(outside < NEAR_M / 2)), float(cost))
-
-
-def _placed(body: Body, capsules: BodySurface, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """World ends (k, 3) of the capsules."""
-    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
-    A, B = np.empty((10, 3)), np.empty((10, 3))
-    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
-    kernels.stick_ends(G, pose.position_world, body.lengths, body.stick_origins_torso, A, B)
-    P, Q = np.empty_like(capsules.start), np.empty_like(capsules.end)
-    place_capsules(capsules, G, A, P, Q)
-    return P, Q
-
-
-def _surface_distances(P: np.ndarray, Q: np.ndarray, capsules: BodySurface, points_world: np.ndarray) -> np.ndarray:
-    """Signed distance (m,) of points to the flesh, metres, negative inside."""
-    x, y, z = (np.ascontiguousarray(column) for column in points_world.T)
-    capsule, along, distance = np.zeros(len(x), np.int64), np.empty(len(x)), np.empty(len(x))
-    nearest_capsule(x, y, z, P, Q, capsules.radii, capsule, along, distance)
-    return distance
 
 
 ELEVATIONS = (-0.95, -0.5, 0.0, 0.5)  # rad, of an arm at the start
@@ -111,7 +89,8 @@ class KnownBodySource:
         self, settings: TPoseSettings, body: Body, volume: Volume | None = None, girths: LimbGirths | None = None
     ) -> None:
         self._settings, self._body, self._volume, self._girths = settings, body, volume, girths
-        self._capsules = (girths or LimbGirths()).on(BodySurface.of(body))
+        figure = Figure.of(body)
+        self._figure = figure._replace(surface=(girths or LimbGirths()).on(figure.surface))
         self._agreed: list[np.ndarray] = []
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
@@ -161,14 +140,14 @@ class KnownBodySource:
         """Of many rough poses the one that matches the hull best; its heading is one of two."""
         surface = voxels.surface_points(SAMPLES)
         poses = [_rough_pose(self._body, upright, crown, *limbs) for limbs in product(ELEVATIONS, ELEVATIONS, SPREADS)]
-        return min(poses, key=lambda pose: match_surface(self._body, self._capsules, pose, surface, surface).cost)
+        return min(poses, key=lambda pose: match_surface(self._figure, pose, surface, surface).cost)
 
     def _fitted(self, seen: HullProducts, voxels: VoxelSamples, upright: Upright, start: Pose) -> Fitted:
         settings = replace(ArticulatedSettings(), prior=FREE, max_iterations=ITERATIONS)
         points = seen.centerline.points_world
         points = points[np.isfinite(points).all(axis=1)]
         pose = fit_articulated(self._body, start, points, 0.0, voxels, settings=settings).pose
-        match = match_surface(self._body, self._capsules, pose, voxels.surface_points(1000), voxels.hull_points(1500))
+        match = match_surface(self._figure, pose, voxels.surface_points(1000), voxels.hull_points(1500))
         return Fitted(pose, match, _facing(self._body, pose, upright))
 
 

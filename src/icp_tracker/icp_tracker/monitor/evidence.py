@@ -13,17 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from stick_figure import kernels
-from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface, place_capsules
-from stick_figure.least_squares.contour_factor import match_contour_rays
-from stick_figure.least_squares.gauss_newton import ContourArrays
-from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.surface_factor import nearest_voxel
+from stick_figure.least_squares.contour_factor import RayArrays, match_rays
+from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
+from stick_figure.least_squares.surface_factor import nearest_voxel, point_on_stick
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW
 
-TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(5)
+PARTS = 5
+TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
 PART_NAMES = ("trunk", "left arm", "right arm", "left leg", "right leg")
 LIMBS_OF_STICKS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
 PART_OF_STICK = np.array((TRUNK, TRUNK, *LIMBS_OF_STICKS, *LIMBS_OF_STICKS))
@@ -81,16 +78,21 @@ class Evidence:
         return float(self.explained.sum()) / self.rays if self.rays else 1.0
 
 
-def evidence_of(
-    body: Body, capsules: BodySurface, pose: Pose, contour_rays: ContourArrays, hull: np.ndarray
-) -> Evidence:
-    """The evidence about a pose from rims and from samples (m, 3) of the hull, world frame, metres."""
-    explained, unexplained, outside = np.zeros(5, np.int64), np.zeros(5, np.int64), np.zeros(5, np.int64)
-    costs = np.empty(len(contour_rays.information))
-    beyond = _count_evidence(
-        *State.of(pose), Figure.of(body), capsules, contour_rays, hull, costs, explained, unexplained, outside
+def evidence_of(figure: Figure, pose: Pose, contour_rays: RayArrays, hull: np.ndarray) -> Evidence:
+    """Weigh a pose against contour rays and samples (m, 3) of the hull, world frame, metres."""
+    placed = place(State.of(pose), figure)
+    match = match_rays(contour_rays, placed, SLACK_M)
+    part = PART_OF_STICK[figure.surface.stick[match.capsule]]
+    explained, unexplained = match.separation < EXPLAINED_M, match.separation > GATE_M
+    outside = np.zeros(PARTS, np.int64)
+    beyond = count_outside(placed, hull, outside) + beyond_limits(pose)
+    return Evidence(
+        ray_cost(match.separation, GATE_M),
+        beyond,
+        np.bincount(part[explained], minlength=PARTS),
+        np.bincount(part[unexplained], minlength=PARTS),
+        outside,
     )
-    return Evidence(costs, beyond + beyond_limits(pose), explained, unexplained, outside)
 
 
 def beyond_limits(pose: Pose) -> float:
@@ -101,32 +103,14 @@ def beyond_limits(pose: Pose) -> float:
 
 
 @njit(cache=True)
-def _count_evidence(t0, R0, RJ, hinges, figure, capsules, contour_rays, hull, costs, explained, unexplained, outside):
-    k, n = capsules.stick.shape[0], contour_rays.information.shape[0]
-    A, B, P, Q = np.empty((10, 3)), np.empty((10, 3)), np.empty((k, 3)), np.empty((k, 3))
-    place(t0, R0, RJ, hinges, figure, capsules, A, B, P, Q)
-    capsule, separation = np.zeros(n, np.int64), np.empty(n)
-    match_contour_rays(contour_rays, P, Q, capsules.radii, SLACK_M, (capsule, np.zeros(n), np.empty(n), separation))
-    for i in range(n):
-        part = PART_OF_STICK[capsules.stick[capsule[i]]]
-        costs[i] = ray_cost(separation[i], GATE_M)
-        if separation[i] < EXPLAINED_M:
-            explained[part] += 1
-        elif separation[i] > GATE_M:
-            unexplained[part] += 1
-    return _outside(A, B, hull, outside)
-
-
-@njit(cache=True)
-def _outside(A, B, hull, outside):
-    """Counts the points of sticks 1 to 9 that lie outside the hull; returns what they cost, in rays."""
+def count_outside(placed, hull, outside):
+    """Count the points of sticks 1 to 9 that lie outside the hull, part by part; returns what they cost, in rays."""
     cost, point = 0.0, np.empty(3)
     if hull.shape[0] == 0:
         return cost
-    for j in range(1, 10):
+    for j in range(1, STICKS):
         for s in range(SAMPLES):
-            for q in range(3):
-                point[q] = A[j, q] + (s + 1.0) / SAMPLES * (B[j, q] - A[j, q])
+            point_on_stick(placed, j, (s + 1.0) / SAMPLES, point)
             _, distance = nearest_voxel(hull, point, OUTSIDE_SLACK_M)
             beyond = min(distance - OUTSIDE_SLACK_M, OUTSIDE_MOST_M)
             if beyond > 0.0:
@@ -137,16 +121,7 @@ def _outside(A, B, hull, outside):
 
 
 @njit(cache=True)
-def place(t0, R0, RJ, hinges, figure, capsules, A, B, P, Q):
-    """Stick ends A, B (10, 3) and capsule ends P, Q (k, 3) of a pose, world, metres."""
-    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
-    kernels.stick_frames(R0, RJ, hinges, G, axes)
-    kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
-    place_capsules(capsules, G, A, P, Q)
-
-
-@njit(cache=True)
 def ray_cost(separation, gate):
-    """0 for a ray on the flesh, a half at the gate, 1 far off."""
+    """Return what a ray, or each of them, costs: 0 on the surface, a half at the gate, 1 far off."""
     g = separation * separation / (gate * gate)
     return g / (1.0 + g)

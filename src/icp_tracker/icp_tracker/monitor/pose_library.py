@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,8 +95,7 @@ STRAIGHT = 0.3  # rad below which all turns are the same limb
 RANGE_SLACK = 0.2  # rad beyond a joint's range that is still tried
 
 
-@dataclass(frozen=True, eq=False)
-class Limb:
+class Limb(NamedTuple):
     """part : of evidence.PART_NAMES; ball, hinge : its joints' numbers; upper, lower : its sticks; slots (4,) of the
     pose's tangent that move it."""
 
@@ -104,7 +104,7 @@ class Limb:
     hinge: int
     upper: int
     lower: int
-    slots: tuple[int, ...]
+    slots: tuple[int, int, int, int]
 
     @property
     def is_arm(self) -> bool:
@@ -124,15 +124,11 @@ LIMBS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class LimbPoses:
+class LimbPoses(NamedTuple):
     """R (h, 3, 3) upper limb to torso; flexion (h,) rad, signed as the pose's hinges are."""
 
     R: np.ndarray
     flexion: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.flexion)
 
     def part(self, number: int, parts: int) -> LimbPoses:
         """Every ``parts``-th pose: together the parts are the whole."""

@@ -10,16 +10,15 @@ once its lead is clear: a single set is not enough, chance leads do not last.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from capture_rig.settings import setting
 from mocap_packets.fit import GOOD, LOST, UNKNOWN, TrackQuality
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
@@ -81,13 +80,12 @@ class ObservedSet:
     """One frame set as the watch looks at it."""
 
     body: Body
-    capsules: BodySurface
     data: Data
     settings: ArticulatedSettings
 
     def evidence_of(self, pose: Pose) -> Evidence:
         """The evidence about a pose."""
-        return evidence_of(self.body, self.capsules, pose, self.data.contour_rays, self.data.hull)
+        return evidence_of(Figure.of(self.body), pose, self.data.contour_rays, self.data.hull)
 
     def fitted(self, pose: Pose, free: bool = False) -> Pose:
         """The pose that the fit reaches from another one, more freely if it is only a guess."""
@@ -117,7 +115,7 @@ class TrackMonitor:
         """Judge a pose that was fitted to the data, and look for a better one."""
         if len(data.contour_rays.information) == 0 or len(data.hull) == 0:
             return Examination(UNKNOWN)
-        observed = ObservedSet(body, _capsules(body), data, settings)
+        observed = ObservedSet(body, data, settings)
         evidence = observed.evidence_of(pose)
         quality = judge_track(evidence, self._baseline.share)
         self._sets += 1
@@ -221,10 +219,5 @@ class TrackMonitor:
         if not doubtful:
             library = library.part(look // len(limbs), parts)
         hull = HullMap.of(observed.data.hull)
-        other = other_place(observed.body, observed.capsules, pose, limb, library, observed.data.contour_rays, hull)
+        other = other_place(Figure.of(observed.body), pose, limb, library, observed.data.contour_rays, hull)
         return None if other is None else Hypothesis(other, f"{PART_NAMES[limb.part]} elsewhere", limb.part)
-
-
-@lru_cache(maxsize=4)
-def _capsules(body: Body) -> BodySurface:
-    return BodySurface.of(body)

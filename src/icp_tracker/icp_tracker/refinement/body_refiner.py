@@ -16,14 +16,14 @@ from capture_rig.settings import setting
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_limits import add_joint_limits, add_neck_rest
-from stick_figure.least_squares.gauss_newton import ContourArrays
-from stick_figure.least_squares.placed_figure import State
-from stick_figure.least_squares.point_factor import TANGENT, mirror_upper
+from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
+from stick_figure.least_squares.placed_figure import State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from ..acquisition.body_sizes import BodyEstimate, LimbGirths, prior_sizes
 from ..articulated_fit import PriorSettings
-from .shape import SIZE, UNKNOWNS, ShapeModel, ShapePrior, body_of, girths_of, rim_system
+from .shape import SIZE, UNKNOWNS, ShapeModel, ShapePrior, body_of, contour_system, girths_of
 
 # --- How a body's sizes are refined while it moves, as settings.
 
@@ -83,9 +83,7 @@ class Keyframe:
     flesh explains too few of its rays.
     """
 
-    def __init__(
-        self, pose: Pose, contour_rays: ContourArrays, settings: RefinementSettings, prior: PriorSettings
-    ) -> None:
+    def __init__(self, pose: Pose, contour_rays: RayArrays, settings: RefinementSettings, prior: PriorSettings) -> None:
         self.pose, self.contour_rays = pose, _evenly_spread(contour_rays, settings)
         self.explained = 0.0
         self._settings, self._prior = settings, prior
@@ -105,9 +103,8 @@ class Keyframe:
             self.pose = state.pose()
         H, g = np.empty((n, n)), np.empty(n)
         robust = (self._settings.gate_m, self._settings.slack_m, self._settings.explained_m)
-        self.explained = float(
-            rim_system(self.contour_rays, *state, *model.at(values), model.derivatives, robust, H, g)
-        )
+        placed = place(state, model.at(values))
+        self.explained = float(contour_system(self.contour_rays, placed, model.derivatives, robust, H, g))
         pose, shape = slice(0, TANGENT), slice(TANGENT, n)
         own, pull = self._with_prior(state, H, g)
         self._through, self._values = np.linalg.solve(own, np.column_stack([H[pose, shape], pull])), values
@@ -133,14 +130,12 @@ class Keyframe:
         return bool(np.abs(pose.minus(self.pose)[6:]).max() > turn)
 
 
-def _evenly_spread(contour_rays: ContourArrays, settings: RefinementSettings) -> ContourArrays:
+def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> RayArrays:
     """At most so many rays, evenly spread, together worth the independent ones."""
     count = len(contour_rays.information)
     rows = np.arange(count) if count <= settings.rays else np.arange(settings.rays) * count // settings.rays
     information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
-    points, directions, normals, tangents = (np.ascontiguousarray(part[:, rows]) for part in contour_rays[:4])
-    half_lengths = np.ascontiguousarray(contour_rays.half_lengths[rows])
-    return ContourArrays(points, directions, normals, tangents, half_lengths, information)
+    return contour_rays.chosen(rows, information)
 
 
 NS_PER_S = 1e9
@@ -174,7 +169,7 @@ class BodyRefiner:
         full = len(self._kept) >= self._settings.keyframes
         return full and self._looks >= LOOKS_TO_SETTLE * self._settings.keyframes
 
-    def step(self, stamp_ns: int, pose: Pose, contour_rays: ContourArrays) -> Body | None:
+    def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays) -> Body | None:
         """Take a well fitted pose and its rims; a body to go on with when its sizes have changed enough."""
         if self.done or len(contour_rays.information) == 0:
             return None
@@ -193,7 +188,7 @@ class BodyRefiner:
         estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
         return RefinedBody(estimate, girths_of(self._values), len(self._kept))
 
-    def _keep(self, pose: Pose, contour_rays: ContourArrays) -> bool:
+    def _keep(self, pose: Pose, contour_rays: RayArrays) -> bool:
         """Whether the pose is a new one that the flesh explains; then it is kept."""
         if len(self._kept) >= self._settings.keyframes:
             return False
@@ -228,5 +223,6 @@ class BodyRefiner:
 def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> None:
     """One step on a made-up ray, so that compiled code is loaded before it is needed."""
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
-    x, y, z = np.eye(3).reshape(3, 3, 1)
-    BodyRefiner(prior_sizes(1.7), settings, pose_prior).step(0, pose, ContourArrays(x, y, x, z, np.ones(1), np.ones(1)))
+    x, y = np.eye(3)[:2, None]
+    ray = RayArrays.of(x, y, x, np.ones(1), np.ones(1))
+    BodyRefiner(prior_sizes(1.7), settings, pose_prior).step(0, pose, ray)

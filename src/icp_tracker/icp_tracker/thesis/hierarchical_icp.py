@@ -18,8 +18,8 @@ from capture_rig.settings import setting
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
-from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.point_factor import STICKS, columns, place_feet, prefer_stick, x84_keep
+from stick_figure.least_squares.placed_figure import STICKS, Figure, State, columns
+from stick_figure.least_squares.point_factor import place_feet, prefer_stick, x84_keep
 from stick_figure.pose import Pose
 from stick_figure.skeleton import PARENT, PREORDER
 

@@ -1,87 +1,112 @@
-"""Silhouettes' rims in the all-joints solve: every ray along a rim touches the flesh.
+"""Contour rays against the body: every ray along a silhouette's outline touches the body's surface.
 
-A visual hull of few cameras is much fatter than the body, and its surface and centerline with it. The rays that bound
-it are not: each one grazes the body's own surface, to a fraction of a pixel, at a place along it that only the figure
+A visual hull of few cameras is much wider than the body, and its surface and centerline with it. The rays that bound
+it are not: each one touches the body's own surface, to a fraction of a pixel, at a place along it that only the figure
 can tell (contour generators: Kutulakos & Seitz, IJCV 2000; the "bounding edges" of Cheung, Baker & Kanade, CVPR 2003).
-So the residual is the distance between ray and flesh, along the rim's normal:
+So the residual is the distance between ray and surface, along the outline's normal:
 
     e = n . (q - c) - r,    c on a capsule's axis and q on the ray, where they pass each other nearest
 
-which is zero when the capsule of radius r shows its own rim there. The ray belongs to the capsule that explains it
+which is zero when the capsule of radius r shows its own outline there. The ray belongs to the capsule that explains it
 best: nearest across the ray, on the right side of it, and not outside the stretch where the ray touches the hull.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
-from .point_factor import STICKS
-from .surface_factor import LINE, spread_lines
+from .normal_equations import OF_ENDS, add_pose_sums, add_to_sums
 
-REACH = 12  # row after three directions with their offsets
+NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
+HALF_LENGTH, ROWS = 12, 13
 CAPSULE, ALONG, DISTANCE, SEPARATION = range(4)
 PARALLEL_M2 = 1e-12  # keeps an axis that the ray sees as a point from dividing by zero
 
 
-@njit(cache=True)
-def add_contour_residuals(contour_rays, capsules, P, Q, match, weight, t0, A, axes, H, g):
-    """Add every ray's distance ``match.distance`` to its capsule, with ``weight`` (n,) 1/m^2, to upper H and g."""
-    capsule, along, distance, _ = match
-    squares, pulls = np.zeros((STICKS, LINE, LINE)), np.zeros((STICKS, LINE))
-    line = np.empty(LINE)
-    for i in range(capsule.shape[0]):
-        k, u, w = capsule[i], along[i], weight[i]
-        c0 = P[k, 0] + u * (Q[k, 0] - P[k, 0])
-        c1 = P[k, 1] + u * (Q[k, 1] - P[k, 1])
-        c2 = P[k, 2] + u * (Q[k, 2] - P[k, 2])
-        line[0], line[1], line[2] = contour_rays.normals[0, i], contour_rays.normals[1, i], contour_rays.normals[2, i]
-        line[3] = c1 * line[2] - c2 * line[1]
-        line[4] = c2 * line[0] - c0 * line[2]
-        line[5] = c0 * line[1] - c1 * line[0]
-        j = capsules.stick[k]
-        for p in range(LINE):
-            a = w * line[p]
-            pulls[j, p] += a * distance[i]
-            for q in range(LINE):
-                squares[j, p, q] += a * line[q]
-    spread_lines(squares, pulls, t0, A, axes, H, g)
+class RayArrays(NamedTuple):
+    """Contour rays (n), laid out for the matching kernel.
 
-
-@njit(cache=True, error_model="numpy")
-def match_contour_rays(contour_rays, P, Q, radii, slack, match):
-    """The capsule that explains each ray best, into ``match`` = capsule, along, distance and misfit (n,).
-
-    ``along`` is the position on the capsule's axis, ``distance`` (m) is e above, ``misfit`` (m) adds what is off along
-    the rim and beyond ``slack`` (m) from the stretch where the ray touches the hull.
+    rows (13, n) : unit normal across the outline, tangent = normal x direction along it, and direction of each ray,
+    each with its scalar product with the ray's middle (m); last half the length (m) of the stretch where the ray
+    touches the hull. information (n,) : 1/m^2.
     """
-    n = match[0].shape[0]
-    rows, best = np.empty((13, n)), np.empty((4, n))
+
+    rows: np.ndarray
+    information: np.ndarray
+
+    @staticmethod
+    def of(points, directions, normals, half_lengths, information) -> RayArrays:
+        """Lay out rays given by their middles, unit directions and normals (n, 3), world frame, metres."""
+        rows = np.empty((ROWS, len(information)))
+        tangents = np.cross(normals, directions)
+        for first, across in ((NORMAL, normals), (TANGENT, tangents), (DIRECTION, directions)):
+            product = (across * points).T
+            rows[first : first + 3], rows[first + 3] = across.T, product[0] + product[1] + product[2]
+        rows[HALF_LENGTH] = half_lengths
+        return RayArrays(rows, np.ascontiguousarray(information, dtype=np.float64))
+
+    def chosen(self, which: np.ndarray, information: np.ndarray) -> RayArrays:
+        """Return some of the rays, by index or mask, with other information."""
+        return RayArrays(np.ascontiguousarray(self.rows[:, which]), information)
+
+
+class RayMatch(NamedTuple):
+    """The capsule (n,) that explains each ray, the place along its axis (n,), the residual ``distance`` e (n,) m, and
+    the ``separation`` (n,) m: with what is off along the outline and beyond the stretch where the ray may touch."""
+
+    capsule: np.ndarray
+    along: np.ndarray
+    distance: np.ndarray
+    separation: np.ndarray
+
+
+@njit(cache=True)
+def add_contour(data, placed, weights, H, g):
+    """Add every ray's distance from its capsule to upper H and g, Geman-McClure."""
+    rays, k = data.contour_rays, placed.P.shape[0]
+    if rays.information.shape[0] == 0:
+        return
+    V, b = np.zeros((k, OF_ENDS, OF_ENDS)), np.zeros((k, OF_ENDS))
+    sum_rays(rays, match_rays(rays, placed, weights.contour_slack), weights.contour_gate, V, b)
+    add_pose_sums(V, b, placed, H, g)
+
+
+@njit(cache=True)
+def sum_rays(rays, match, gate, V, b):
+    """Add the rays' residuals to the sums of their capsules, V (k, c, c) and b (k, c), with Geman-McClure weights."""
+    for i in range(match.capsule.shape[0]):
+        ratio = 1.0 + (match.separation[i] / gate) ** 2
+        weight = rays.information[i] / (ratio * ratio)
+        n0, n1, n2 = rays.rows[0, i], rays.rows[1, i], rays.rows[2, i]
+        add_to_sums(match.capsule[i], match.along[i], n0, n1, n2, weight, match.distance[i], V, b)
+
+
+@njit(cache=True)
+def match_rays(rays, placed, slack):
+    """Find the capsule that explains each ray best; ``slack`` (m) lengthens the stretch where a ray may touch."""
+    n, radii = rays.rows.shape[1], placed.surface.radii
+    best = np.zeros((4, n))
+    best[SEPARATION] = np.inf
+    for k in range(placed.P.shape[0]):
+        match_capsule(k, placed.P[k], placed.Q[k], radii[k, 0], radii[k, 1] - radii[k, 0], slack, rays.rows, best)
+    capsule = np.empty(n, np.int64)
     for i in range(n):
-        for m, across in enumerate((contour_rays.normals, contour_rays.tangents, contour_rays.directions)):
-            offset = 0.0
-            for j in range(3):
-                rows[4 * m + j, i] = across[j, i]
-                offset += across[j, i] * contour_rays.points[j, i]
-            rows[4 * m + 3, i] = offset
-        rows[REACH, i] = contour_rays.half_lengths[i] + slack
-        best[SEPARATION, i] = np.inf
-    for k in range(P.shape[0]):
-        match_capsule(k, P[k], Q[k], radii[k, 0], radii[k, 1] - radii[k, 0], rows, best)
-    for i in range(n):
-        match[0][i], match[1][i] = int(best[CAPSULE, i]), best[ALONG, i]
-        match[2][i], match[3][i] = best[DISTANCE, i], np.sqrt(best[SEPARATION, i])
+        capsule[i], best[SEPARATION, i] = int(best[CAPSULE, i]), np.sqrt(best[SEPARATION, i])
+    return RayMatch(capsule, best[ALONG], best[DISTANCE], best[SEPARATION])
 
 
 @njit(cache=True, error_model="numpy")  # a check for zero would keep it from being vectorised
-def match_capsule(k, start, end, r0, dr, rows, best):
-    """Offer one capsule to all rays. Two arrays, ``rows`` (13, n) to read and ``best`` (4, n) to improve: more of them,
-    and the compiler could not tell that they do not overlap."""
+def match_capsule(k, start, end, r0, dr, slack, rows, best):
+    """Offer one capsule to all rays. Two arrays, ``rows`` (13, n) to read and ``best`` (4, n) to improve: with more of
+    them the compiler could not tell that they do not overlap."""
     P0, P1, P2 = start[0], start[1], start[2]
     s0, s1, s2 = end[0] - P0, end[1] - P1, end[2] - P2
     number = float(k)
     for i in range(rows.shape[1]):
-        # the axis as the ray sees it: across the rim (a, p), along it (b, q), in depth (c, s)
+        # the axis as the ray sees it: across the outline (a, p), along it (b, q), in depth (c, s)
         a = rows[0, i] * P0 + rows[1, i] * P1 + rows[2, i] * P2 - rows[3, i]
         b = rows[4, i] * P0 + rows[5, i] * P1 + rows[6, i] * P2 - rows[7, i]
         c = rows[8, i] * P0 + rows[9, i] * P1 + rows[10, i] * P2 - rows[11, i]
@@ -93,7 +118,7 @@ def match_capsule(k, start, end, r0, dr, rows, best):
         u = u if u < 1.0 else 1.0
         across = -(a + u * p) - (r0 + u * dr)
         aside = b + u * q
-        depth = abs(c + u * s) - rows[REACH, i]
+        depth = abs(c + u * s) - (rows[HALF_LENGTH, i] + slack)
         depth = depth if depth > 0.0 else 0.0
         squared = across * across + aside * aside + depth * depth
         better = squared < best[SEPARATION, i]
@@ -101,11 +126,3 @@ def match_capsule(k, start, end, r0, dr, rows, best):
         best[ALONG, i] = u if better else best[ALONG, i]
         best[DISTANCE, i] = across if better else best[DISTANCE, i]
         best[SEPARATION, i] = squared if better else best[SEPARATION, i]
-
-
-@njit(cache=True)
-def contour_weights(separation, information, gate, weight):
-    """Geman-McClure weights (n,) of the rays, 1/m^2, from their ``information`` (n,) 1/m^2."""
-    for i in range(separation.shape[0]):
-        ratio = 1.0 + (separation[i] / gate) ** 2
-        weight[i] = information[i] / (ratio * ratio)

@@ -1,44 +1,114 @@
-"""Gauss-Newton normal equations of data points against an articulated stick figure, all joints at once.
+"""Centerline points against the sticks: matched to their foot points, weighted robustly, summed into H and g.
 
-Every data point pulls on the stick it is nearest to, through its foot point's derivative with respect to the 24
-tangent slots of the pose. For a foot inside a stick the component along the stick is free (the foot slides); for a
-foot clamped to a stick's end all three components count. This is articulated ICP as in Demirdjian & Darrell, "3-D
-articulated pose tracking for untethered diectic reference", ICMI 2002, with hard joint constraints; the columns are
-the thesis's Table 5.8 corrected.
+Matching is step 3 of the thesis's Algorithm 2: the foot point is the nearest point of the nearest stick. (The text of
+its section 4.3 looks for the closest LINE first and falls back on end points; that picks another stick for one point in
+five and contradicts Algorithm 2 and figure 4.4.) Every point pulls on its stick through its foot point's derivative.
+For a foot inside a stick the component along the stick is free (the foot slides); for a foot clamped to a stick's end
+all three components count. This is articulated ICP as in Demirdjian & Darrell, "3-D articulated pose tracking for
+untethered diectic reference", ICMI 2002, with hard joint constraints; the columns are the thesis's Table 5.8 corrected.
+
+The X84 rejection rule (thesis 4.3, eq. 4.11) discards pairs with ``|e - med e| > 3.5 * 1.4826 MAD``. Two corrections: a
+distance BELOW the median is never an outlier, so the rule is one-sided; and the median absolute deviation of a nearly
+perfect set is nearly zero and would discard half of it, so the scale never falls below a floor of a few millimetres.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
-from capture_rig.small_matrices import inverse_positive
-from stick_figure import kernels
-from stick_figure.skeleton import POINT_STICK
+from .. import kernels
+from .normal_equations import CHAIN_COLUMNS
+from .placed_figure import STICKS, columns
 
-TANGENT = 24
-CHAIN_COLUMNS = 11  # most columns a point's Jacobian can have
+GEMAN_MCCLURE, X84 = 0, 1
+CUT = 3.5  # standard deviations (Hampel et al., "Robust Statistics", 1986)
+MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
+SIGMA_FLOOR_M = 0.005
+
+
+class PointMatch(NamedTuple):
+    """Each point's stick (n,), the place along it (n,) from 0 to 1, foot (n, 3) m, squared distance (n,) m^2, robust
+    weight (n,) 1/m^2, and whether it counts as an inlier (n,)."""
+
+    stick: np.ndarray
+    along: np.ndarray
+    feet: np.ndarray
+    squared: np.ndarray
+    weight: np.ndarray
+    inlier: np.ndarray
 
 
 @njit(cache=True)
-def add_point_residuals(points, weight, stick, along, feet, A, B, t0, axes, H, g):
-    """Add sum w J^T J to the upper triangle of ``H`` (24, 24) and sum w J^T r to ``g`` (24,), r = point - foot.
+def add_points(data, placed, weights, H, g):
+    """Add the points' residuals to upper H and g; returns their match."""
+    n = data.points.shape[0]
+    match = PointMatch(
+        np.empty(n, np.int64), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.bool_)
+    )
+    foot_points(data.points, placed.A, placed.B, match.stick, match.along, match.feet, match.squared)
+    robust_weights(data, weights, match)
+    add_point_residuals(data.points, match, placed, H, g)
+    return match
 
-    ``weight`` (n,) is the robust weight over the point's variance, 1/m^2. A foot at ``along`` = u has the Jacobian
-    (1-u) J_A + u J_B of its stick's two ends, so that a stick's points enter through a handful of sums.
+
+@njit(cache=True)
+def robust_weights(data, weights, match):
+    """Fill in the weights, 1/m^2, and the inliers of a match."""
+    if weights.robust == X84:
+        x84_keep(np.sqrt(match.squared), match.stick, STICKS, weights.floor, match.inlier)
+        for i in range(match.squared.shape[0]):
+            match.weight[i] = data.information[i] if match.inlier[i] else 0.0
+        return
+    for i in range(match.squared.shape[0]):
+        ratio = 1.0 + match.squared[i] / data.gate2[i]
+        match.weight[i] = data.information[i] / (ratio * ratio)
+        match.inlier[i] = match.squared[i] <= data.gate2[i]
+
+
+@njit(cache=True)
+def summarise(match, counts):
+    """Count the inliers of each stick into ``counts`` (10,).
+
+    Returns their square sum (m^2), weighted square sum, and degrees of freedom: a foot inside a stick slides, so its
+    residual has two; a clamped one has three.
     """
-    sticks = A.shape[0]
-    squares = np.zeros((sticks, 5))
-    pulls = np.zeros((sticks, 2, 3))
-    sum_over_sticks(points, weight, stick, along, feet, squares, pulls)
+    total, chi2, freedom = 0.0, 0.0, 0.0
+    counts[:] = 0
+    for i in range(match.stick.shape[0]):
+        if not match.inlier[i]:
+            continue
+        counts[match.stick[i]] += 1
+        total += match.squared[i]
+        chi2 += match.weight[i] * match.squared[i]
+        freedom += 2.0 if 0.0 < match.along[i] < 1.0 else 3.0
+    return total, chi2, freedom
+
+
+# --- residuals and their derivatives
+
+
+@njit(cache=True)
+def add_point_residuals(points, match, placed, H, g):
+    """Add sum w J^T J to upper H and sum w J^T r to g, r = point - foot.
+
+    A foot at ``along`` = u has the Jacobian (1-u) J_A + u J_B of its stick's two ends, so that a stick's points enter
+    through a handful of sums.
+    """
+    squares = np.zeros((STICKS, 5))
+    pulls = np.zeros((STICKS, 2, 3))
+    sum_over_sticks(points, match, squares, pulls)
+    A, B = placed.A, placed.B
     J_A, J_B = np.empty((3, CHAIN_COLUMNS)), np.empty((3, CHAIN_COLUMNS))
     slots = np.empty(CHAIN_COLUMNS, np.int64)
-    for j in range(sticks):
+    for j in range(STICKS):
         inside_aa, inside_ab, inside_bb, at_start, at_end = squares[j]
         if inside_aa + inside_bb + at_start + at_end == 0.0:
             continue
-        kernels.point_jacobian(j, A[j], t0, A, axes, J_A, slots)
-        n = kernels.point_jacobian(j, B[j], t0, A, axes, J_B, slots)
+        kernels.point_jacobian(j, A[j], placed.t0, A, placed.axes, J_A, slots)
+        n = kernels.point_jacobian(j, B[j], placed.t0, A, placed.axes, J_B, slots)
         for m in range(n):
             for k in range(3):
                 g[slots[m]] += J_A[k, m] * pulls[j, 0, k] + J_B[k, m] * pulls[j, 1, k]
@@ -53,11 +123,11 @@ def add_point_residuals(points, weight, stick, along, feet, A, B, t0, axes, H, g
 
 
 @njit(cache=True)
-def sum_over_sticks(points, weight, stick, along, feet, squares, pulls):
-    """Sums over each stick's points: squares (10, 5) = w (1-u)^2, w u (1-u), w u^2 of the feet inside the stick, w of
+def sum_over_sticks(points, match, squares, pulls):
+    """Sum over each stick's points: squares (10, 5) = w (1-u)^2, w u (1-u), w u^2 of the feet inside the stick, w of
     those clamped to its start, to its end; pulls (10, 2, 3) = w (1-u) r, w u r."""
     for i in range(points.shape[0]):
-        j, u, w = stick[i], along[i], weight[i]
+        j, u, w = match.stick[i], match.along[i], match.weight[i]
         if w <= 0.0:
             continue
         if u <= 0.0:
@@ -69,7 +139,7 @@ def sum_over_sticks(points, weight, stick, along, feet, squares, pulls):
             squares[j, 1] += w * u * (1.0 - u)
             squares[j, 2] += w * u * u
         for k in range(3):
-            pull = w * (points[i, k] - feet[i, k])
+            pull = w * (points[i, k] - match.feet[i, k])
             pulls[j, 0, k] += (1.0 - u) * pull
             pulls[j, 1, k] += u * pull
 
@@ -88,7 +158,7 @@ def remove_direction(J, n, start, end):
 
 @njit(cache=True)
 def add_products(J, K, slots, n, w, H):
-    """Half of w J^T K (the pairs m <= q) into the upper triangle of H: J^T J whole, or J^T K with K^T J added next."""
+    """Add half of w J^T K (the pairs m <= q) to upper H: J^T J whole, or J^T K with K^T J added next."""
     if w == 0.0:
         return
     for m in range(n):
@@ -97,42 +167,7 @@ def add_products(J, K, slots, n, w, H):
             H[row, column] += w * (J[0, m] * K[0, q] + J[1, m] * K[1, q] + J[2, m] * K[2, q])
 
 
-@njit(cache=True)
-def mirror_upper(H):
-    """Copy the upper triangle of H onto the lower."""
-    for i in range(H.shape[0]):
-        for j in range(i):
-            H[i, j] = H[j, i]
-
-
-@njit(cache=True)
-def point_covariances(information, A, B, t0, axes, scale, covariance):
-    """``scale`` J information^-1 J^T of the 15 reference points into ``covariance`` (15, 3, 3), m^2, world frame."""
-    P = np.empty((15, 3))
-    kernels.reference_points(A, B, t0, P)
-    S = inverse_positive(information)
-    J = np.empty((3, CHAIN_COLUMNS))
-    slots = np.empty(CHAIN_COLUMNS, np.int64)
-    for i in range(15):
-        n = kernels.point_jacobian(POINT_STICK[i], P[i], t0, A, axes, J, slots)
-        if i == 0:
-            n = 3  # the torso's centre does not move with any rotation
-        for p in range(3):
-            for q in range(p + 1):
-                s = 0.0
-                for k in range(n):
-                    for m in range(n):
-                        s += J[p, k] * S[slots[k], slots[m]] * J[q, m]
-                covariance[i, p, q] = scale * s
-                covariance[i, q, p] = scale * s
-
-
-# --- The foot point of every data point on the stick figure: the nearest point of the nearest stick.
-#
-# Thesis Algorithm 2, step 3. (The text of its section 4.3 looks for the closest LINE first and falls back on end points;
-# that picks another stick for one point in five and contradicts Algorithm 2 and figure 4.4. This is Algorithm 2.)
-
-STICKS = 10
+# --- foot points
 
 
 @njit(cache=True)
@@ -149,16 +184,6 @@ def foot_points(points, A, B, stick, along, feet, squared):
     for j in range(STICKS):
         prefer_stick(j, x, y, z, A[j], B[j], stick, along, squared)
     place_feet(A, B, stick, along, feet)
-
-
-@njit(cache=True)
-def columns(points):
-    """The coordinates of ``points`` (n, 3) as three contiguous arrays (n,)."""
-    n = points.shape[0]
-    x, y, z = np.empty(n), np.empty(n), np.empty(n)
-    for i in range(n):
-        x[i], y[i], z[i] = points[i, 0], points[i, 1], points[i, 2]
-    return x, y, z
 
 
 @njit(cache=True)
@@ -185,27 +210,19 @@ def prefer_stick(j, x, y, z, start, end, stick, along, squared):
 
 @njit(cache=True)
 def place_feet(A, B, stick, along, feet):
-    """The foot points (n, 3) at ``along`` of their sticks."""
+    """Fill ``feet`` (n, 3) with the points at ``along`` of their sticks."""
     for i in range(stick.shape[0]):
         j, u = stick[i], along[i]
         for k in range(3):
             feet[i, k] = A[j, k] + u * (B[j, k] - A[j, k])
 
 
-# --- The X84 rejection rule (thesis 4.3, eq. 4.11), one-sided and with a floor.
-#
-# The thesis discards pairs with ``|e - med e| > 3.5 * 1.4826 MAD``. Two corrections: a distance BELOW the median is
-# never an outlier, so the rule is one-sided; and the median absolute deviation of a nearly perfect set is nearly zero
-# and would discard half of it, so the scale never falls below a floor of a few millimetres.
-
-CUT = 3.5  # standard deviations (Hampel et al., "Robust Statistics", 1986)
-MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
-SIGMA_FLOOR_M = 0.005
+# --- X84
 
 
 @njit(cache=True)
 def x84_threshold(distances, floor=SIGMA_FLOOR_M):
-    """Largest distance (m) that is kept of ``distances`` (n,), in m; infinite for an empty set."""
+    """Return the largest distance (m) that is kept of ``distances`` (n,), m; infinite for an empty set."""
     if distances.shape[0] == 0:
         return np.inf
     centre = np.median(distances)
