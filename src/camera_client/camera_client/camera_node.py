@@ -243,7 +243,7 @@ class CameraNode(SagomaNode):
             response.message = "no frames are coming: activate the camera first"
             return response
         if source.lost:
-            reason = source.link.reason if source.link is not None else ""
+            reason = source.connection.reason if source.connection is not None else ""
             response.message = f"no frames are coming: {reason or 'the camera is away'}"
             return response
         details = source.details
@@ -310,17 +310,17 @@ class CameraNode(SagomaNode):
         source, loop, chain = self.source, self.loop, self.chain
         if loop is None or source is None or chain is None:
             return
-        link, last = source.link, self._last
+        connection, last = source.connection, self._last
         self.health.set(PROGRESS_KEY, self.trainer.progress)
         values = source_values(source) | (frame_values(*last) if last else {}) | background_values(chain, time.time())
         for key, value in values.items():
             self.health.set(key, value)
-        recent = self._recent.update(time.monotonic(), source.account)
+        recent = self._recent.update(time.monotonic(), source.statistics)
         state = CameraState(
             loop.state,
             loop.frames,
             loop.reason,
-            link,
+            connection,
             recent,
             calibrated=chain.camera is not None,
             placed=self._calibration.placed,
@@ -331,8 +331,8 @@ class CameraNode(SagomaNode):
         self._say(*assess(state.with_result(last[1]) if last else state))
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
             self.trainer.cancel(f"{loop.state.value} {loop.reason}".strip())
-        elif link is not None and link.state.away and link.down_s > LEARNING_PATIENCE_S:
-            self.trainer.cancel(f"the camera went away ({link.reason})")
+        elif connection is not None and connection.state.away and connection.down_s > LEARNING_PATIENCE_S:
+            self.trainer.cancel(f"the camera went away ({connection.reason})")
 
     def _say(self, level: Level, text: str) -> None:
         """Show it in the diagnostics; a new kind of trouble, and its end, go to the log."""

@@ -1,4 +1,8 @@
-"""What a camera client says of itself: one level and line for whoever looks, and the figures behind it."""
+"""Diagnostics of a camera client: one level and line for people, and the figures behind it.
+
+:func:`assess` gives the level and the line: the worst trouble alone, with its remedy. The ``..._values`` give the keys
+of diagnostic_msgs.
+"""
 
 from __future__ import annotations
 
@@ -32,17 +36,17 @@ class Level(IntEnum):
 class CameraState:
     """A camera client at one instant.
 
-    ``link`` is None for footage. ``recent`` is what happened to the frames of the last seconds. ``frame_flags`` and
+    ``connection`` is None for footage. ``recent`` counts the frames of the last seconds. ``frame_flags`` and
     ``mask_flags`` are those of the newest frame and silhouette. ``calibrated``: its lens is known, and ``placed``: its
-    place. ``mismatch`` says why the picture cannot look like the background, if that is known; ``concerns`` what else
-    speaks against the background, the gravest first; ``moved`` how the camera was moved since its calibration, if it
-    was, and ``severe`` whether that much makes its silhouettes useless.
+    pose. ``mismatch`` says why the picture cannot look like the background, if that is known; ``concerns`` what else
+    speaks against the background, the worst first; ``moved`` how the camera was moved since its calibration, if it
+    was, and ``severe`` whether that makes its silhouettes useless.
     """
 
     grab: GrabState
     frames: int = 0
     failure: str = ""
-    link: Connection | None = None
+    connection: Connection | None = None
     recent: FrameStatistics = field(default_factory=FrameStatistics)
     calibrated: bool = True
     placed: bool = True
@@ -54,24 +58,24 @@ class CameraState:
     moved: str = ""
     severe: bool = False
 
-    def with_result(self, seen: FrameResult) -> CameraState:
-        """The same with the flags of the newest frame."""
-        silhouette = seen.silhouette
-        seen_so = replace(self, frame_flags=seen.flags, mask_flags=() if silhouette is None else silhouette.flags)
-        if seen.movement is None or seen.canvas is None:
-            return seen_so
-        return replace(seen_so, moved=seen.movement.describe(seen.canvas.name), severe=seen.movement.severe)
+    def with_result(self, result: FrameResult) -> CameraState:
+        """The same with the flags of the newest frame, and the camera's movement."""
+        mask_flags = () if result.silhouette is None else result.silhouette.flags
+        state = replace(self, frame_flags=result.flags, mask_flags=mask_flags)
+        if result.movement is None or result.canvas is None:
+            return state
+        return replace(state, moved=result.movement.describe(result.canvas.name), severe=result.movement.severe)
 
 
 def assess(state: CameraState) -> tuple[Level, str]:
-    """Level and text of what the camera is doing: the gravest trouble alone, with its remedy where there is one."""
+    """Level and text of what the camera is doing: the worst trouble alone, with its remedy where there is one."""
     if state.grab is GrabState.FAILED:
         return Level.ERROR, state.failure
     if state.grab is not GrabState.RUNNING:
         text = state.grab.value
         return Level.OK, f"{text} after {state.frames} frames" if state.frames else text
-    if state.link is not None and state.link.state is not ConnectionState.STREAMING:
-        return Level.ERROR, _absence(state.link)
+    if state.connection is not None and state.connection.state is not ConnectionState.STREAMING:
+        return Level.ERROR, _absence(state.connection)
     if state.moved and state.severe:
         return Level.ERROR, state.moved
     if state.mismatch and LIGHTS in state.frame_flags:
@@ -79,7 +83,7 @@ def assess(state: CameraState) -> tuple[Level, str]:
     if state.frame_flags:
         return Level.WARN, "; ".join(f"{flag}: {REMEDIES.get(flag, flag)}" for flag in state.frame_flags)
     bad = state.recent.lost + state.recent.incomplete
-    if bad and state.link is not None:
+    if bad and state.connection is not None:
         return Level.WARN, f"{bad} of the last {state.recent.expected} frames were lost or incomplete: see the network"
     if not state.calibrated:
         return Level.WARN, UNCALIBRATED
@@ -96,71 +100,70 @@ def assess(state: CameraState) -> tuple[Level, str]:
     return Level.OK, state.grab.value
 
 
-def _absence(link: Connection) -> str:
-    since = f", nothing for {link.down_s:.0f} s" if link.down_s >= 1 else ""
-    if link.state in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
-        return f"{link.state.value}: {link.reason}; connecting anew{since}"
-    what = "the camera cannot be used as it is set" if link.refused else "no camera"
-    when = f"next attempt in {link.next_try_s:.1f} s" if link.state is ConnectionState.WAITING else "connecting"
-    return f"{what}: {link.reason or 'not connected yet'} ({when}{since})"
+def _absence(connection: Connection) -> str:
+    since = f", nothing for {connection.down_s:.0f} s" if connection.down_s >= 1 else ""
+    if connection.state in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
+        return f"{connection.state.value}: {connection.reason}; connecting anew{since}"
+    what = "the camera cannot be used as it is set" if connection.refused else "no camera"
+    waiting = connection.state is ConnectionState.WAITING
+    when = f"next attempt in {connection.next_try_s:.1f} s" if waiting else "connecting"
+    return f"{what}: {connection.reason or 'not connected yet'} ({when}{since})"
 
 
-def frame_statistics_values(account: FrameStatistics) -> dict[str, object]:
-    """The frames' account: expected = delivered + incomplete + lost."""
+def frame_statistics_values(frames: FrameStatistics) -> dict[str, object]:
+    """What became of the frames: expected = delivered + incomplete + lost."""
     return {
-        "expected": account.expected,
-        "delivered": account.delivered,
-        "incomplete": account.incomplete,
-        "lost": account.lost,
-        "repeated": account.repeated,
+        "expected": frames.expected,
+        "delivered": frames.delivered,
+        "incomplete": frames.incomplete,
+        "lost": frames.lost,
+        "repeated": frames.repeated,
     }
 
 
-def connection_values(link: Connection) -> dict[str, object]:
-    """The connection: where it stands, how long it was away, and how the last outage went."""
-    values: dict[str, object] = {"link": link.state.value, "downtime_s": round(link.downtime_s, 2)}
-    if link.last_outage is not None:
-        values["last_outage_s"] = round(link.last_outage.length_s, 3)
-        values["last_outage_noticed_s"] = round(link.last_outage.noticed_s, 3)
-        values["last_restart_s"] = round(link.last_outage.restart_s, 3)
+def connection_values(connection: Connection) -> dict[str, object]:
+    """How the connection stands, how long it was away, and how the last outage went."""
+    values: dict[str, object] = {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
+    if connection.last_outage is not None:
+        values["last_outage_s"] = round(connection.last_outage.length_s, 3)
+        values["last_outage_noticed_s"] = round(connection.last_outage.noticed_s, 3)
+        values["last_restart_s"] = round(connection.last_outage.restart_s, 3)
     return values
 
 
-def stamp_values(frame: Frame) -> dict[str, object]:
-    """Whose clock the stamps are, and how far they may be from the truth."""
-    return {"stamp_source": frame.clock, "stamp_uncertainty_us": round(frame.uncertainty_ns / 1e3, 1)}
-
-
 def source_values(source: FrameSource) -> dict[str, object]:
-    """All figures of a source: details, counters, connection, account. What a live one counts is there from zero."""
-    link = source.link
+    """All figures of a source: details, counters, connection, frames. What a live one counts is there from zero."""
+    connection = source.connection
     counted: dict[str, object] = {**source.counters}
-    if link is not None:
-        counted = {**dict.fromkeys(CONNECTION_COUNTERS, 0), **counted, **connection_values(link)}
-    return {**source.details, **counted, **frame_statistics_values(source.account)}
+    if connection is not None:
+        counted = {**dict.fromkeys(CONNECTION_COUNTERS, 0), **counted, **connection_values(connection)}
+    return {**source.details, **counted, **frame_statistics_values(source.statistics)}
 
 
-def frame_values(frame: Frame, seen: FrameResult) -> dict[str, object]:
-    """The newest frame's stamp and silhouette."""
-    values = stamp_values(frame)
-    if seen.silhouette is not None:
-        values["mask_fraction"] = seen.silhouette.foreground_fraction
-        values["candidate_fraction"] = seen.silhouette.candidate_fraction
-        values["light_gain"] = seen.gain
-    if seen.movement is not None:
-        values |= seen.movement.values()
+def frame_values(frame: Frame, result: FrameResult) -> dict[str, object]:
+    """The newest frame's stamp (whose clock it is, and how far it may be from the truth) and silhouette."""
+    values: dict[str, object] = {
+        "stamp_source": frame.clock,
+        "stamp_uncertainty_us": round(frame.uncertainty_ns / 1e3, 1),
+    }
+    if result.silhouette is not None:
+        values["mask_fraction"] = result.silhouette.foreground_fraction
+        values["candidate_fraction"] = result.silhouette.candidate_fraction
+        values["light_gain"] = result.gain
+    if result.movement is not None:
+        values |= result.movement.values()
     return values
 
 
 class RecentStatistics:
-    """What became of the frames of the last few seconds, from totals looked at now and then."""
+    """Statistics of the frames of the last few seconds, from totals sampled now and then."""
 
     def __init__(self, window_s: float = LOSS_WINDOW_S) -> None:
         self._window_s = window_s
         self._totals: deque[tuple[float, FrameStatistics]] = deque()
 
     def update(self, now_s: float, total: FrameStatistics) -> FrameStatistics:
-        """Take note of the totals; returns the difference to those of a window ago."""
+        """Add a sample of the totals; returns the difference to those of a window ago."""
         self._totals.append((now_s, total.snapshot()))
         while len(self._totals) > 1 and self._totals[1][0] <= now_s - self._window_s:
             self._totals.popleft()
@@ -174,13 +177,13 @@ class RecentStatistics:
         )
 
 
-# --- What a camera client says of its background: whether it still fits, and the figures behind that.
+# --- whether the background in use still fits
 
 
 def background_concerns(
     chain: CameraChain, source: FrameSource, settings: CameraClientSettings, now_s: float
 ) -> tuple[str, ...]:
-    """What speaks against the background in use, the gravest first; ``now_s`` is the system's clock.
+    """What speaks against the background in use, the worst first; ``now_s`` is the system's clock.
 
     Footage is as old as its background, whatever the clock says.
     """
@@ -193,7 +196,7 @@ def background_concerns(
         watch.found,
         settings.background_watch,
         background.shape,
-        now_s=None if source.link is None else now_s,
+        now_s=None if source.connection is None else now_s,
         followed=settings.background_model.drift.mode == "slow",
     )
 
@@ -206,7 +209,7 @@ def background_mismatch(chain: CameraChain, source: FrameSource) -> str:
 
 
 def background_values(chain: CameraChain, now_s: float) -> dict[str, object]:
-    """How well the background still fits: its age, the drift of the light, and what stands in the room."""
+    """How well the background still fits: its age, the drift of the light, and the static foreground."""
     background, watch = chain.background, chain.watch
     if background is None or watch is None:
         return {}

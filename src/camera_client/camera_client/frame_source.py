@@ -1,4 +1,8 @@
-"""The contract of everything that delivers frames: a camera on the network, a video file, a folder of stills."""
+"""The contract of everything that delivers frames: a camera on the network, a video file, a folder of stills.
+
+A :class:`FrameSource` gives :class:`Frame` after :class:`Frame`, and says what became of the others
+(:class:`FrameStatistics`) and, of a live camera, how its connection stands (:class:`Connection`).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,125 @@ import numpy as np
 
 from capture_rig.errors import InputError
 
-# --- How many frames a source should have delivered, and what became of each of them.
+Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
+Mask = np.ndarray  # (H, W) uint8, 0 or 255
+
+
+class SourceUnavailable(InputError):
+    """The device does not answer, is controlled by another program, or went away: time may help, other settings not."""
+
+
+class EndOfFootage(Exception):
+    """The footage has no further frame. Live cameras never raise it."""
+
+
+class UndecodableFrame(Exception):
+    """One frame of the footage cannot be decoded; the next one may be fine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image as it left its source.
+
+    ``image`` (H, W) or (H, W, 3) uint8, BGR; ``stamp_ns`` the capture time; ``frame_id`` counts the source's frames,
+    so that a gap shows a loss; ``clock`` says in words whose clock the stamp is, and ``uncertainty_ns`` how far it may
+    be from the truth on the system's clock (0: exact by definition, as footage is).
+    """
+
+    image: Image
+    stamp_ns: int
+    frame_id: int
+    clock: str
+    uncertainty_ns: int = 0
+
+
+class FrameSource(ABC):
+    """A device or file that delivers frames; connect, start, stop and close follow the thesis's verbs.
+
+    connect() is all or nothing: after an error nothing is left open. start() after stop() goes on. As a context
+    manager a source connects on entry and closes on exit.
+    """
+
+    def __init__(self) -> None:
+        self._counters: dict[str, int] = {}
+        self._statistics = FrameStatistics()
+        self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What happened how often, by name."""
+        return self._counters
+
+    @property
+    def statistics(self) -> FrameStatistics:
+        """What became of every frame."""
+        return self._statistics
+
+    def count(self, name: str, by: int = 1) -> None:
+        self.counters[name] = self.counters.get(name, 0) + by
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Open the device or file.
+
+        Raises SourceUnavailable when it is absent or in use, and InputError when it cannot do what the settings ask.
+        """
+
+    @abstractmethod
+    def start(self) -> None:
+        """Begin to deliver frames. Raises InputError when not connected, SourceUnavailable when the device refuses."""
+
+    @abstractmethod
+    def read(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None when none came within ``timeout_s``. Raises EndOfFootage after the last one."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop delivering; a stopped source may be started again. Does nothing when not started."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the device or file back. Does nothing when not connected."""
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) or (H, W, 3): the shape of every image, known once connected."""
+
+    @property
+    @abstractmethod
+    def description(self) -> str:
+        """What this is, in words, for logs and the provenance of a background."""
+
+    @property
+    def details(self) -> dict[str, str]:
+        """What is known of the device once connected: serial number, exposure time."""
+        return {}
+
+    @property
+    def lost(self) -> bool:
+        """Whether a connected device does not answer any more, or another program has taken control of it."""
+        return False
+
+    @property
+    def connection(self) -> Connection | None:
+        """The connection to the device where it is watched, else None."""
+        return None
+
+    def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027 (a live source has nothing to do)
+        """Consumers have worked off every frame up to ``stamp_ns``; only paced footage listens."""
+
+    def __enter__(self) -> FrameSource:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+# --- what became of the frames
 
 WRAP_16_BIT = 65535  # GVSP block ids of 16 bits run 1 ... 65535 and start again at 1
 
@@ -61,7 +183,7 @@ class FrameStatistics:
         return self.delivered + self.incomplete + self.repeated
 
     def snapshot(self) -> FrameStatistics:
-        """The counts of this instant, which nobody changes any more."""
+        """A copy of the counts of this instant."""
         with self._lock:
             return FrameStatistics(self.expected, self.delivered, self.incomplete, self.lost, self.repeated)
 
@@ -87,7 +209,7 @@ class FrameStatistics:
         return step - WRAP_16_BIT if step > WRAP_16_BIT // 2 else step  # a repetition from before the wrap
 
 
-# --- Where the connection to a camera stands, how long it was away, and how long to wait before the next attempt.
+# --- the connection to a live camera
 
 
 class ConnectionState(Enum):
@@ -135,174 +257,3 @@ class Connection:
     down_s: float = 0.0
     downtime_s: float = 0.0
     last_outage: Outage | None = None
-
-
-class Downtime:
-    """Adds up the time in which frames should have come and did not. All times in seconds of one monotonic clock."""
-
-    def __init__(self) -> None:
-        self._sum_s = 0.0
-        self._since_s: float | None = None
-        self._noticed_s = 0.0
-        self.last: Outage | None = None
-
-    def begin(self, since_s: float, now_s: float) -> None:
-        """Nothing has come since ``since_s``, as is noticed now. An outage that goes on stays one."""
-        if self._since_s is None:
-            self._since_s, self._noticed_s = since_s, now_s
-
-    def end(self, now_s: float, attempted_s: float | None = None) -> None:
-        """A frame came, on a connection that was attempted at ``attempted_s``; None: nobody waits for one any more."""
-        if self._since_s is None:
-            return
-        if attempted_s is not None:
-            self.last = Outage(self._noticed_s - self._since_s, now_s - self._since_s, now_s - attempted_s)
-        self._sum_s, self._since_s = self.sum_s(now_s), None
-
-    def present_s(self, now_s: float) -> float:
-        """How long the present outage has lasted; 0 when there is none."""
-        return 0.0 if self._since_s is None else now_s - self._since_s
-
-    def sum_s(self, now_s: float) -> float:
-        """All of it, the present outage included."""
-        return self._sum_s + self.present_s(now_s)
-
-
-class Backoff:
-    """Pauses between attempts: ``first_s``, then twice the last one, up to ``longest_s``."""
-
-    def __init__(self, first_s: float, longest_s: float) -> None:
-        self._first_s, self._longest_s = first_s, longest_s
-        self._last_s = 0.0
-
-    def next_s(self) -> float:
-        """The pause before the next attempt."""
-        self._last_s = min(2 * self._last_s or self._first_s, self._longest_s)
-        return self._last_s
-
-    def slowest_s(self) -> float:
-        """The longest pause, and all that follow stay as long."""
-        self._last_s = self._longest_s
-        return self._last_s
-
-    def reset(self) -> None:
-        """The device is well: begin with the shortest pause next time."""
-        self._last_s = 0.0
-
-
-Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
-Mask = np.ndarray  # (H, W) uint8, 0 or 255
-
-
-class SourceUnavailable(InputError):
-    """The device does not answer, is held by somebody else, or went away: other settings will not help, time may."""
-
-
-class EndOfFootage(Exception):
-    """The footage has no further frame. Live cameras never raise it."""
-
-
-class UndecodableFrame(Exception):
-    """One frame of the footage cannot be decoded; the next one may be fine."""
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """One image as it left its source.
-
-    ``image`` (H, W) or (H, W, 3) uint8, BGR; ``stamp_ns`` the capture time; ``frame_id`` counts the source's frames,
-    so that a gap shows a loss; ``clock`` says in words whose clock the stamp is, and ``uncertainty_ns`` how far it may
-    be from the truth on the system's clock (0: exact by definition, as footage is).
-    """
-
-    image: Image
-    stamp_ns: int
-    frame_id: int
-    clock: str
-    uncertainty_ns: int = 0
-
-
-class FrameSource(ABC):
-    """A device or file that delivers frames; connect, start, stop and close follow the thesis's verbs.
-
-    connect() is all or nothing: after an error nothing is left open. start() after stop() goes on. As a context
-    manager a source connects on entry and closes on exit.
-    """
-
-    def __init__(self) -> None:
-        self._counters: dict[str, int] = {}
-        self._account = FrameStatistics()
-        self.warnings: tuple[str, ...] = ()  # of connect(): it works, but the user should know
-
-    @property
-    def counters(self) -> dict[str, int]:
-        """What happened how often, by name."""
-        return self._counters
-
-    @property
-    def account(self) -> FrameStatistics:
-        """What became of every frame."""
-        return self._account
-
-    def count(self, name: str, by: int = 1) -> None:
-        self.counters[name] = self.counters.get(name, 0) + by
-
-    @abstractmethod
-    def connect(self) -> None:
-        """Open the device or file.
-
-        Raises SourceUnavailable when it is absent or in use, and InputError when it cannot do what the settings ask.
-        """
-
-    @abstractmethod
-    def start(self) -> None:
-        """Begin to deliver frames. Raises InputError when not connected, SourceUnavailable when the device refuses."""
-
-    @abstractmethod
-    def read(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None when none came within ``timeout_s``. Raises EndOfFootage after the last one."""
-
-    @abstractmethod
-    def stop(self) -> None:
-        """Stop delivering; a stopped source may be started again. Does nothing when not started."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Give the device or file back. Does nothing when not connected."""
-
-    @property
-    @abstractmethod
-    def shape(self) -> tuple[int, ...]:
-        """(H, W) or (H, W, 3): the shape of every image, known once connected."""
-
-    @property
-    @abstractmethod
-    def description(self) -> str:
-        """What this is, in words, for logs and the provenance of a background."""
-
-    @property
-    def details(self) -> dict[str, str]:
-        """What is known of the device once connected: serial number, exposure time."""
-        return {}
-
-    @property
-    def lost(self) -> bool:
-        """True once a connected device has stopped to answer, or somebody else has taken it."""
-        return False
-
-    @property
-    def link(self) -> Connection | None:
-        """The connection to the device where it is watched, else None."""
-        return None
-
-    def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027 (a live source has nothing to do)
-        """Consumers have worked off every frame up to ``stamp_ns``; only paced footage listens."""
-
-    def __enter__(self) -> FrameSource:
-        self.connect()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -21,13 +21,13 @@ def frames_of(source, count):
     """That many frames; incomplete ones are passed over."""
     frames, silences = [], 0
     while len(frames) < count:
-        arrived = source.account.arrived
+        arrived = source.statistics.arrived
         frame = source.read(1.0)
         if frame is not None:
             frames.append(frame)
-        elif source.account.arrived == arrived:
+        elif source.statistics.arrived == arrived:
             silences += 1
-            assert silences < PATIENCE_S, f"no frames: {source.counters} {source.account}"
+            assert silences < PATIENCE_S, f"no frames: {source.counters} {source.statistics}"
     return frames
 
 
@@ -234,8 +234,9 @@ def test_frame_in_another_format_than_agreed_is_counted_and_not_misread(gige_cam
             source.read(1.0)
         camera.faults.wrong_format = False
         assert frames_of(source, 1)[0].image.shape == (192, 256)
-    account = source.account
-    assert account.incomplete >= 3 and account.expected == account.delivered + account.incomplete + account.lost
+    statistics = source.statistics
+    assert statistics.incomplete >= 3
+    assert statistics.expected == statistics.delivered + statistics.incomplete + statistics.lost
 
 
 # --- streaming ---------------------------------------------------------------------------------------------------
@@ -249,7 +250,7 @@ def test_frames_arrive_in_order_with_rising_stamps_and_none_is_missing(gige_came
     assert [PatternScene.read(frame.image)[0] for frame in frames] == list(range(40))
     assert all(b.stamp_ns > a.stamp_ns for a, b in pairwise(frames))
     assert not np.shares_memory(frames[0].image, frames[17].image)  # copies: the pool goes round after 16
-    assert (source.account.expected, source.account.delivered) == (40, 40)
+    assert (source.statistics.expected, source.statistics.delivered) == (40, 40)
 
 
 def test_stop_pauses_and_start_counts_on(gige_camera):
@@ -263,7 +264,7 @@ def test_stop_pauses_and_start_counts_on(gige_camera):
         again = frames_of(source, 5)
     assert again[0].stamp_ns > last.stamp_ns
     assert [frame.frame_id for frame in again] == [1, 2, 3, 4, 5]  # the camera begins at 1 again, and so do we
-    assert (source.account.expected, source.account.lost) == (8, 0)
+    assert (source.statistics.expected, source.statistics.lost) == (8, 0)
 
 
 def test_lost_packets_are_asked_for_again(gige_camera):
@@ -276,7 +277,7 @@ def test_lost_packets_are_asked_for_again(gige_camera):
     assert source.counters["resent_packets"] > 10
     truth = [PatternScene(256, 192).picture(*PatternScene.read(frame.image)) for frame in frames]
     assert all((frame.image == picture).all() for frame, picture in zip(frames, truth, strict=True))
-    assert source.account.delivered == 60
+    assert source.statistics.delivered == 60
 
 
 def test_every_frame_is_accounted_for_when_the_camera_cannot_resend(gige_camera):
@@ -290,10 +291,10 @@ def test_every_frame_is_accounted_for_when_the_camera_cannot_resend(gige_camera)
         camera.faults.packet_loss = 0.0
         last = frames_of(source, 3)[-1]
         source.stop()
-    account = source.account
-    assert account.expected == last.frame_id == account.delivered + account.incomplete + account.lost
-    assert account.incomplete > 10 and account.delivered == 43
-    assert sum(n for name, n in source.counters.items() if name.startswith("incomplete_")) == account.incomplete
+    statistics = source.statistics
+    assert statistics.expected == last.frame_id == statistics.delivered + statistics.incomplete + statistics.lost
+    assert statistics.incomplete > 10 and statistics.delivered == 43
+    assert sum(n for name, n in source.counters.items() if name.startswith("incomplete_")) == statistics.incomplete
 
 
 def test_frames_that_nobody_fetches_are_lost_and_counted(gige_camera):
@@ -306,9 +307,9 @@ def test_frames_that_nobody_fetches_are_lost_and_counted(gige_camera):
             threading.Event().wait(0.01)
         last = frames_of(source, 5)[-1]
         source.stop()
-    account = source.account
-    assert account.lost >= 6 and source.counters["underruns"] >= 6
-    assert account.expected == last.frame_id == account.delivered + account.lost + account.incomplete
+    statistics = source.statistics
+    assert statistics.lost >= 6 and source.counters["underruns"] >= 6
+    assert statistics.expected == last.frame_id == statistics.delivered + statistics.lost + statistics.incomplete
 
 
 def test_taken_control_is_noticed(gige_camera):

@@ -31,7 +31,7 @@ def frames_of(source, count):
             frames.append(frame)
         if len(frames) == count:
             return frames
-    raise AssertionError(f"only {len(frames)} frames: {source.counters} {source.account}")
+    raise AssertionError(f"only {len(frames)} frames: {source.counters} {source.statistics}")
 
 
 def errors_ns(frames):

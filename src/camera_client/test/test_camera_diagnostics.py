@@ -15,13 +15,14 @@ from camera_client.diagnostics import (
     frame_values,
     source_values,
 )
-from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics, Outage
+from camera_client.frame_source import Connection, ConnectionState, Frame, FrameStatistics, Outage
 from camera_client.silhouettes.pipeline import Silhouette
 from camera_client.sources.frame_checks import REMEDIES
 from camera_client.sources.grab_loop import GrabState
+from camera_client.sources.supervised_source import Downtime
 
 STREAMING = Connection(ConnectionState.STREAMING)
-RUNNING = {"grab": GrabState.RUNNING, "link": STREAMING}
+RUNNING = {"grab": GrabState.RUNNING, "connection": STREAMING}
 
 
 def mask(*flags):
@@ -35,24 +36,28 @@ def mask(*flags):
         ({"grab": GrabState.WAITING}, Level.OK, "waiting for a consumer"),
         ({"grab": GrabState.ENDED, "frames": 7}, Level.OK, "end of footage after 7 frames"),
         ({"grab": GrabState.FAILED, "failure": "file: gone."}, Level.ERROR, "file: gone."),
-        ({"link": Connection(ConnectionState.CONNECTING)}, Level.ERROR, "no camera: not connected yet (connecting)"),
         (
-            {"link": Connection(ConnectionState.WAITING, "off", next_try_s=1.5, down_s=9.6)},
+            {"connection": Connection(ConnectionState.CONNECTING)},
+            Level.ERROR,
+            "no camera: not connected yet (connecting)",
+        ),
+        (
+            {"connection": Connection(ConnectionState.WAITING, "off", next_try_s=1.5, down_s=9.6)},
             Level.ERROR,
             "no camera: off (next attempt in 1.5 s, nothing for 10 s)",
         ),
         (
-            {"link": Connection(ConnectionState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)},
+            {"connection": Connection(ConnectionState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)},
             Level.ERROR,
             "the camera cannot be used as it is set: lacks Mono12",
         ),
         (
-            {"link": Connection(ConnectionState.STALLED, "nothing came for 0.5 s")},
+            {"connection": Connection(ConnectionState.STALLED, "nothing came for 0.5 s")},
             Level.ERROR,
             "stalled: nothing came for 0.5 s",
         ),
         (
-            {"link": Connection(ConnectionState.CONTROL_LOST, "taken")},
+            {"connection": Connection(ConnectionState.CONTROL_LOST, "taken")},
             Level.ERROR,
             "control lost: taken; connecting anew",
         ),
@@ -78,8 +83,8 @@ def test_gravest_trouble_is_told_alone():
         "mask_flags": ("full",),
     }
     away = Connection(ConnectionState.WAITING, "off")
-    assert assess(CameraState(GrabState.RUNNING, link=away, **everything))[1].startswith("no camera: off")
-    assert assess(CameraState(GrabState.RUNNING, link=STREAMING, **everything))[1].startswith("dark: ")
+    assert assess(CameraState(GrabState.RUNNING, connection=away, **everything))[1].startswith("no camera: off")
+    assert assess(CameraState(GrabState.RUNNING, connection=STREAMING, **everything))[1].startswith("dark: ")
 
 
 def test_setting_that_changed_explains_why_the_scene_looks_brighter():
@@ -90,7 +95,7 @@ def test_setting_that_changed_explains_why_the_scene_looks_brighter():
 
 
 def test_frames_missing_in_footage_do_not_blame_the_network():
-    assert assess(CameraState(GrabState.RUNNING, link=None, recent=FrameStatistics(9, 8, 1)))[0] is Level.OK
+    assert assess(CameraState(GrabState.RUNNING, connection=None, recent=FrameStatistics(9, 8, 1)))[0] is Level.OK
 
 
 def test_flags_of_the_newest_frame_and_mask_are_taken_over():
@@ -112,9 +117,11 @@ def test_recent_losses_are_forgotten_after_the_window():
     assert window.expected == window.delivered + window.incomplete + window.lost
 
 
-def source(link=None):
-    account = FrameStatistics(10, 7, 1, 2, 3)
-    return SimpleNamespace(link=link, account=account, counters={"stalls": 4}, details={"camera_serial": "S"})
+def source(connection=None):
+    statistics = FrameStatistics(10, 7, 1, 2, 3)
+    return SimpleNamespace(
+        connection=connection, statistics=statistics, counters={"stalls": 4}, details={"camera_serial": "S"}
+    )
 
 
 def test_figures_of_a_live_source_are_there_before_anything_happened():

@@ -223,8 +223,8 @@ def test_still_that_cannot_be_decoded_is_dropped_and_counted(tmp_path, images):
         source.start()
         frames = read_all(source)
         assert source.counters["undecodable"] == 1
-        account = source.account
-    assert (account.expected, account.delivered, account.incomplete, account.lost) == (3, 2, 1, 0)
+        statistics = source.statistics
+    assert (statistics.expected, statistics.delivered, statistics.incomplete, statistics.lost) == (3, 2, 1, 0)
     assert [frame.frame_id for frame in frames] == [0, 2]  # the gap shows, the stamps stay true
     assert frames[1].stamp_ns == EPOCH_NS + 200_000_000
 

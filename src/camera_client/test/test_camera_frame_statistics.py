@@ -1,4 +1,4 @@
-"""The account of frames: expected = delivered + incomplete + lost, whatever a device and a network do."""
+"""Statistics of frames: expected = delivered + incomplete + lost, whatever a device and a network do."""
 
 import threading
 
@@ -19,43 +19,43 @@ def ids_from(first):
         value = value % WRAP_16_BIT + 1
 
 
-def play(account, fates, first, says_first=True):
-    """One run of acquisition; what a bystander who knows every frame's fate expects of the account."""
-    account.restart(first if says_first else None)
+def play(statistics, fates, first, says_first=True):
+    """One run of acquisition; what a bystander who knows every frame's fate expects of the statistics."""
+    statistics.restart(first if says_first else None)
     known, arrived = 0, []
     for place, (frame_id, fate) in enumerate(zip(ids_from(first), fates, strict=False)):
         if fate != LOST:
             arrived.append(place)
-            account.add(frame_id, complete=fate != HALF)
+            statistics.add(frame_id, complete=fate != HALF)
         if fate == TWICE:
-            account.add(frame_id)
+            statistics.add(frame_id)
     if arrived:
         known = arrived[-1] + 1 - (0 if says_first else arrived[0])
     kept = [fates[place] for place in arrived]
     return known, kept.count(WHOLE) + kept.count(TWICE), kept.count(HALF), known - len(kept), kept.count(TWICE)
 
 
-def counts(account):
-    return account.expected, account.delivered, account.incomplete, account.lost, account.repeated
+def counts(statistics):
+    return statistics.expected, statistics.delivered, statistics.incomplete, statistics.lost, statistics.repeated
 
 
 @given(st.lists(st.tuples(FATES, st.integers(1, WRAP_16_BIT), st.booleans()), max_size=5))
 def test_account_agrees_with_the_fate_of_every_frame_over_wraps_and_restarts(runs):
-    account, totals = FrameStatistics(), (0, 0, 0, 0, 0)
+    statistics, totals = FrameStatistics(), (0, 0, 0, 0, 0)
     for fates, first, says_first in runs:
-        totals = tuple(a + b for a, b in zip(totals, play(account, fates, first, says_first), strict=True))
-    assert counts(account) == totals
-    assert account.expected == account.delivered + account.incomplete + account.lost
+        totals = tuple(a + b for a, b in zip(totals, play(statistics, fates, first, says_first), strict=True))
+    assert counts(statistics) == totals
+    assert statistics.expected == statistics.delivered + statistics.incomplete + statistics.lost
 
 
 @given(st.lists(st.tuples(st.integers(0, 2**40), st.booleans()), max_size=40))
 def test_sum_rule_holds_for_any_ids_at_all(arrivals):
-    account = FrameStatistics()
+    statistics = FrameStatistics()
     for frame_id, complete in arrivals:
-        account.add(frame_id, complete)
-        assert account.expected == account.delivered + account.incomplete + account.lost
-        assert min(counts(account)) >= 0
-    assert account.arrived == len(arrivals)
+        statistics.add(frame_id, complete)
+        assert statistics.expected == statistics.delivered + statistics.incomplete + statistics.lost
+        assert min(counts(statistics)) >= 0
+    assert statistics.arrived == len(arrivals)
 
 
 @given(FATES, FATES)
@@ -67,46 +67,46 @@ def test_accounts_of_two_connections_add_up(first, second):
 
 
 def test_ids_skipped_before_a_frame_are_told_when_it_comes():
-    account = FrameStatistics()
-    assert [account.add(i) for i in (65533, 65534, 65535, 1, 2, 5, 6)] == [0, 0, 0, 0, 0, 2, 0]
-    assert counts(account) == (9, 7, 0, 2, 0)
+    statistics = FrameStatistics()
+    assert [statistics.add(i) for i in (65533, 65534, 65535, 1, 2, 5, 6)] == [0, 0, 0, 0, 0, 2, 0]
+    assert counts(statistics) == (9, 7, 0, 2, 0)
 
 
 def test_first_frames_are_known_to_be_lost_when_the_device_says_where_it_begins():
-    account = FrameStatistics()
-    account.restart(first_id=1)
-    assert account.add(4) == 3
-    assert counts(account) == (4, 1, 0, 3, 0)
+    statistics = FrameStatistics()
+    statistics.restart(first_id=1)
+    assert statistics.add(4) == 3
+    assert counts(statistics) == (4, 1, 0, 3, 0)
 
 
 def test_frame_repeated_from_before_the_wrap_is_no_loss():
-    account = FrameStatistics()
+    statistics = FrameStatistics()
     for frame_id in (65535, 1, 65535, 2):
-        account.add(frame_id)
-    assert counts(account) == (3, 3, 0, 0, 1)
+        statistics.add(frame_id)
+    assert counts(statistics) == (3, 3, 0, 0, 1)
 
 
 def test_ids_of_64_bits_do_not_wrap():
-    account = FrameStatistics()
-    account.add(70_000)
-    assert account.add(170_000) == 99_999
-    assert account.add(100_000) == 0 and account.repeated == 1
+    statistics = FrameStatistics()
+    statistics.add(70_000)
+    assert statistics.add(170_000) == 99_999
+    assert statistics.add(100_000) == 0 and statistics.repeated == 1
 
 
 def test_snapshot_keeps_the_rule_while_another_thread_adds():
-    account, finished = FrameStatistics(), threading.Event()
+    statistics, finished = FrameStatistics(), threading.Event()
 
     def add():
         for frame_id in range(1, 60_000, 3):
-            account.add(frame_id, complete=frame_id % 2 == 0)
+            statistics.add(frame_id, complete=frame_id % 2 == 0)
         finished.set()
 
     thread = threading.Thread(target=add)
     thread.start()
     looks = 0
     while not finished.is_set() or looks == 0:
-        seen = account.snapshot()
+        seen = statistics.snapshot()
         assert seen.expected == seen.delivered + seen.incomplete + seen.lost
         looks += 1
     thread.join()
-    assert account.snapshot() == account and account.expected == 59_998
+    assert statistics.snapshot() == statistics and statistics.expected == 59_998

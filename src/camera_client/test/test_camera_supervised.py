@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from camera_client.frame_source import ConnectionState, Frame, FrameSource, SourceUnavailable
 from camera_client.settings import SupervisionSettings
-from camera_client.sources.supervised_source import BackgroundCall, SupervisedSource
+from camera_client.sources.supervised_source import SupervisedSource
 from capture_rig.errors import InputError
 
 PATIENCE_S = 20.0  # only ever used up by a failing test
@@ -25,6 +25,8 @@ class World:
         self.now_s, self.fault, self.start_fault = 0.0, None, None
         self.silent = self.control_taken = self.starved = False
         self.made, self.shape = [], (2, 3)
+        self.answering = threading.Event()  # while clear, connecting blocks as to a dead device
+        self.answering.set()
 
     def make(self):
         self.made.append(FakeSource(self))
@@ -35,7 +37,7 @@ class World:
 
     def supervised(self, **options):
         options.setdefault("settings", SupervisionSettings())
-        return SupervisedSource(self.make, clock=lambda: self.now_s, wait=self.wait, **options)
+        return SupervisedSource(self.make, clock=lambda: self.now_s, pause=self.wait, **options)
 
 
 class FakeSource(FrameSource):
@@ -44,18 +46,21 @@ class FakeSource(FrameSource):
         self.world, self.calls, self.taken, self.next_ids = world, [], False, count(1)
         self.hold = threading.Event()  # while clear, starting, stopping and closing block as on a dead device
         self.hold.set()
+        self.connected, self.closed = threading.Event(), threading.Event()
 
     def connect(self):
         self.calls.append("connect")
+        self.world.answering.wait(PATIENCE_S)
         if self.world.fault is not None:
             raise self.world.fault
+        self.connected.set()
 
     def start(self):
         self.calls.append("start")
         self.hold.wait(PATIENCE_S)
         if self.world.start_fault is not None:
             raise self.world.start_fault
-        self.account.restart()
+        self.statistics.restart()
 
     def read(self, timeout_s):
         if self.world.fault is not None or self.world.silent:
@@ -64,7 +69,7 @@ class FakeSource(FrameSource):
             return None
         self.world.now_s += STEP_S
         frame_id = next(self.next_ids)
-        self.account.add(frame_id)
+        self.statistics.add(frame_id)
         self.count("packets", 10)
         return Frame(np.zeros(self.world.shape, np.uint8), round(self.world.now_s * 1e9), frame_id, "test")
 
@@ -76,6 +81,7 @@ class FakeSource(FrameSource):
         self.calls.append("close")
         self.hold.wait(PATIENCE_S)
         self.calls.append("closed")
+        self.closed.set()
 
     @property
     def lost(self):
@@ -101,7 +107,7 @@ def until(source, done, reads=10_000):
         frames += [] if frame is None else [frame]
         if done(source, frames):
             return frames
-    raise AssertionError(f"did not come about: {source.link}")
+    raise AssertionError(f"did not come about: {source.connection}")
 
 
 def frames_of(source, wanted):
@@ -110,11 +116,11 @@ def frames_of(source, wanted):
 
 def test_camera_that_is_there_streams_from_the_first_read(world):
     with world.supervised() as source:
-        assert source.link.state is ConnectionState.CONNECTED and source.shape == (2, 3)
+        assert source.connection.state is ConnectionState.CONNECTED and source.shape == (2, 3)
         source.start()
         assert [frame.frame_id for frame in frames_of(source, 3)] == [1, 2, 3]
-        assert source.link.state is ConnectionState.STREAMING and not source.lost
-        assert source.link.downtime_s == 0.0 and source.counters == {"packets": 30}
+        assert source.connection.state is ConnectionState.STREAMING and not source.lost
+        assert source.connection.downtime_s == 0.0 and source.counters == {"packets": 30}
         assert source.details == {"camera_serial": "F1"}
 
 
@@ -122,7 +128,7 @@ def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(w
     world.fault = OFF
     source = world.supervised()
     source.connect()
-    assert source.link.state is ConnectionState.WAITING and "does not answer" in source.link.reason
+    assert source.connection.state is ConnectionState.WAITING and "does not answer" in source.connection.reason
     assert source.shape == ()
     source.start()
     tries = []
@@ -136,8 +142,8 @@ def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(w
     assert pauses.max() == pytest.approx(2.0)
     world.fault = None
     frames_of(source, 1)
-    assert source.link.state is ConnectionState.STREAMING and source.shape == (2, 3)
-    assert source.link.downtime_s == pytest.approx(world.now_s, abs=1e-6)
+    assert source.connection.state is ConnectionState.STREAMING and source.shape == (2, 3)
+    assert source.connection.downtime_s == pytest.approx(world.now_s, abs=1e-6)
 
 
 def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world):
@@ -146,13 +152,13 @@ def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world):
         frames_of(source, 50)
         last_s = world.now_s
         world.fault = OFF
-        until(source, lambda s, _: s.link.state is ConnectionState.WAITING)
+        until(source, lambda s, _: s.connection.state is ConnectionState.WAITING)
         assert world.now_s - last_s == pytest.approx(0.5)
         assert source.counters["stalls"] == 1
         until(source, lambda s, _: world.now_s - last_s > 5.0)
         world.fault, back_s = None, world.now_s
         frames_of(source, 1)
-        link = source.link
+        link = source.connection
         assert link.last_outage.length_s == pytest.approx(world.now_s - last_s)
         assert link.last_outage.noticed_s == pytest.approx(0.5)
         assert world.now_s - back_s <= 2.0 + STEP_S  # at most the longest pause
@@ -166,7 +172,7 @@ def test_stalled_camera_that_still_answers_is_connected_anew_at_once(world):
         source.start()
         frames_of(source, 5)
         world.silent = True
-        until(source, lambda s, _: s.link.state is ConnectionState.STALLED)
+        until(source, lambda s, _: s.connection.state is ConnectionState.STALLED)
         world.silent = False
         before_s = world.now_s
         frames_of(source, 1)
@@ -191,8 +197,8 @@ def test_control_loss_is_told_from_a_stall(world):
         source.start()
         frames_of(source, 1)
         world.silent = world.control_taken = True
-        until(source, lambda s, _: s.link.state is ConnectionState.CONTROL_LOST)
-        assert "control" in source.link.reason and source.counters == {"packets": 10, "control_losses": 1}
+        until(source, lambda s, _: s.connection.state is ConnectionState.CONTROL_LOST)
+        assert "control" in source.connection.reason and source.counters == {"packets": 10, "control_losses": 1}
         world.silent = world.control_taken = False
         frames_of(source, 1)
 
@@ -204,7 +210,7 @@ def test_stall_limit_is_that_of_the_connected_source(world):
         world.silent = True
         for _ in range(1000):
             source.read(0.2)
-        assert source.link.state is ConnectionState.STREAMING and world.now_s > 199.0
+        assert source.connection.state is ConnectionState.STREAMING and world.now_s > 199.0
 
 
 def test_incomplete_frames_are_a_sign_of_life(world):
@@ -213,10 +219,10 @@ def test_incomplete_frames_are_a_sign_of_life(world):
         frames_of(source, 1)
         world.silent = True
         for frame_id in range(2, 40):
-            world.made[0].account.add(frame_id, complete=False)
+            world.made[0].statistics.add(frame_id, complete=False)
             source.read(0.2)
-        assert source.link.state is ConnectionState.STREAMING
-        assert source.account.incomplete == 38
+        assert source.connection.state is ConnectionState.STREAMING
+        assert source.statistics.incomplete == 38
 
 
 def test_settings_that_the_camera_refuses_fail_connect(world):
@@ -239,11 +245,11 @@ def test_refusal_at_a_reconnection_is_shown_and_retried_at_the_slowest_pace(worl
         source.start()
         frames_of(source, 1)
         world.fault = WRONG
-        until(source, lambda s, _: s.link.refused)
-        assert "Mono12" in source.link.reason and source.link.next_try_s == pytest.approx(2.0)
+        until(source, lambda s, _: s.connection.refused)
+        assert "Mono12" in source.connection.reason and source.connection.next_try_s == pytest.approx(2.0)
         world.fault = None
         frames_of(source, 1)
-        assert source.link.reason == "" and not source.link.refused
+        assert source.connection.reason == "" and not source.connection.refused
 
 
 def test_camera_that_connects_but_never_delivers_is_not_stormed(world):
@@ -263,7 +269,7 @@ def test_camera_that_connects_but_does_not_start_is_tried_again(world):
         source.start()
         for _ in range(50):
             source.read(0.2)
-        assert source.link.state is ConnectionState.WAITING and "does not answer" in source.link.reason
+        assert source.connection.state is ConnectionState.WAITING and "does not answer" in source.connection.reason
         assert all("closed" in made.calls for made in world.made[:-1])
         world.start_fault = None
         frames_of(source, 1)
@@ -285,7 +291,7 @@ def test_error_of_the_driver_does_not_give_the_camera_up(world):
     source.connect()
     source.start()
     world.fault = RuntimeError("a defect of the driver")
-    until(source, lambda s, _: "defect" in s.link.reason)
+    until(source, lambda s, _: "defect" in s.connection.reason)
     world.fault = None
     frames_of(source, 1)
 
@@ -297,13 +303,11 @@ def test_dead_camera_blocks_neither_stop_nor_close(world):
     frames_of(source, 1)
     world.made[0].hold.clear()
     source.stop()  # gives up waiting after half a second
-    assert "did not answer" in source.link.reason
+    assert "did not answer" in source.connection.reason
     source.close()
     assert "closed" not in world.made[0].calls
     world.made[0].hold.set()
-    for errand in source._errands:
-        assert errand.wait(PATIENCE_S)
-    assert world.made[0].calls[-1] == "closed"
+    assert world.made[0].closed.wait(PATIENCE_S)
 
 
 def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(world):
@@ -324,7 +328,7 @@ def test_camera_that_was_lost_while_suspended_is_connected_anew(world):
         source.start()
         frames_of(source, 1)
         source.stop()
-        assert source.link.state is ConnectionState.CONNECTED
+        assert source.connection.state is ConnectionState.CONNECTED
         world.made[0].taken = True
         source.start()
         frames_of(source, 1)
@@ -339,7 +343,7 @@ def test_suspension_is_no_downtime_and_keeps_the_connection(world):
         world.now_s += 100.0
         source.start()
         frames_of(source, 3)
-        assert len(world.made) == 1 and source.link.downtime_s == 0.0
+        assert len(world.made) == 1 and source.connection.downtime_s == 0.0
         with pytest.raises(InputError, match="not started"):
             source.stop()
             source.read(0.0)
@@ -362,7 +366,7 @@ def test_accounts_and_counters_add_up_over_reconnections(runs):
             world.silent = True
             until(source, lambda s, _: s.lost)
             world.silent = False
-        total = source.account
+        total = source.statistics
         assert total.delivered == delivered
         assert total.lost == 3 * sum(loses_some for _, loses_some in runs)
         assert total.expected == total.delivered + total.incomplete + total.lost
@@ -370,29 +374,37 @@ def test_accounts_and_counters_add_up_over_reconnections(runs):
         assert source.counters["stalls"] == len(runs)
 
 
-def test_abandoned_errand_disposes_of_its_late_result():
-    go, disposed = threading.Event(), []
-    errand = BackgroundCall(lambda: go.wait(PATIENCE_S) and "result", disposed.append)
-    assert not errand.wait(0)
-    errand.abandon()
-    go.set()
-    assert errand.wait(PATIENCE_S) and disposed == ["result"]
+def test_connection_that_is_made_after_the_source_was_stopped_is_closed_again(world):
+    world.answering.clear()
+    world.fault = None
+    source = world.supervised()
+    source.start()
+    source.read(0.01)  # an attempt is under way
+    source.stop()
+    assert world.made[0].calls == ["connect"]
+    world.answering.set()
+    source.close()
+    assert world.made[0].calls == ["connect", "close", "closed"]
 
 
-def test_errand_abandoned_after_its_end_disposes_of_the_result():
-    disposed = []
-    errand = BackgroundCall(lambda: "result", disposed.append)
-    assert errand.result() == "result" and disposed == []
-    errand.abandon()
-    assert errand.wait(PATIENCE_S) and disposed == ["result"]
+def test_connection_that_was_made_when_the_source_is_stopped_but_not_used_yet_is_closed(world):
+    world.answering.clear()
+    source = world.supervised()
+    source.start()
+    source.read(0.01)
+    world.answering.set()
+    world.made[0].connected.wait(PATIENCE_S)
+    source.close()
+    assert world.made[0].calls == ["connect", "close", "closed"]
 
 
-def test_errand_raises_what_its_call_raised_and_has_nothing_to_dispose_of():
-    def fail():
-        raise InputError("no")
-
-    errand = BackgroundCall(fail, dispose=lambda result: pytest.fail("there is no result"))
-    with pytest.raises(InputError, match="no"):
-        errand.result()
-    errand.abandon()
-    assert errand.wait(PATIENCE_S)
+def test_attempt_that_fails_after_the_source_was_stopped_leaves_nothing_to_close(world):
+    world.answering.clear()
+    world.fault = WRONG
+    source = world.supervised()
+    source.start()
+    source.read(0.01)
+    source.stop()
+    world.answering.set()
+    source.close()
+    assert world.made[0].calls == ["connect"] and source.connection.state is ConnectionState.CLOSED

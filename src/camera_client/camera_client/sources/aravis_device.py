@@ -180,7 +180,7 @@ class GrabbedFrame:
 class AravisStream:
     """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
 
-    account : told of every frame, whole or not. ``warnings`` of the set-up.
+    statistics : told of every frame, whole or not. ``warnings`` of the set-up.
     Raises InputError when the camera does not keep the packet size or delay that was set.
     """
 
@@ -202,10 +202,10 @@ class AravisStream:
     )
 
     def __init__(
-        self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, account: FrameStatistics
+        self, Aravis: Any, camera: Any, settings: AravisSettings, setup: CameraSetup, statistics: FrameStatistics
     ) -> None:
         self._Aravis, self._camera, self._settings = Aravis, camera, settings
-        self._setup, self._account = setup, account
+        self._setup, self._statistics = setup, statistics
         self._device = camera.get_device()
         self._format_code = camera.get_pixel_format()
         self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
@@ -265,7 +265,7 @@ class AravisStream:
         else:
             setup = self._setup
             image = to_image(buffer.memory[: self._image_bytes], setup.pixel_format, setup.width, setup.height)
-        self._account.add(frame_id, complete=image is not None)
+        self._statistics.add(frame_id, complete=image is not None)
         if image is None:
             return None
         camera_ns, exposure_ns = self._times(buffer)
@@ -276,7 +276,7 @@ class AravisStream:
         """The frame's id; without its leader packet it has none, and then it is the one after the last."""
         frame_id = buffer.get_frame_id() or (1 if self._last_id is None else self._last_id + 1)
         if not self._run_begun:
-            self._account.restart(first_of_run(frame_id, self._last_id))
+            self._statistics.restart(first_of_run(frame_id, self._last_id))
             self._run_begun = True
         self._last_id = frame_id
         return frame_id

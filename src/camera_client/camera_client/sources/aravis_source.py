@@ -88,7 +88,7 @@ class AravisSource(FrameSource):
                 assert self._features is not None
                 self._setup = set_up_camera(self._features, self._settings, self._channels)
                 self._prepare_time_and_triggers(self._features)
-                self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.account)
+                self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.statistics)
                 self._details = self._read_details(self._features)
         except BaseException:
             self.close()

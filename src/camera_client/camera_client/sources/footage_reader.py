@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES
+from capture_rig.video import Video
 
 from ..frame_source import Image, UndecodableFrame
 
@@ -59,33 +59,21 @@ class FootageReader(ABC):
 
 
 class VideoReader(FootageReader):
-    """A video file through OpenCV's FFmpeg, with one decoding thread (each further one holds several images)."""
+    """A video file, with one decoding thread (each further one holds several images)."""
 
     def __init__(self, path: str | Path, channels: str) -> None:
         super().__init__(path, channels)
-        self._capture = self._open()
-        self.frame_count = max(int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
-        fps = self._capture.get(cv2.CAP_PROP_FPS)
-        self.fps = fps if math.isfinite(fps) and fps > 0 else 0.0
+        self._video = Video(path, threads=1)
+        self.frame_count, self.fps = self._video.frame_count, self._video.fps
 
     def rewind(self) -> None:
-        self._capture.release()
-        self._capture = self._open()
+        self._video.rewind()
 
     def close(self) -> None:
-        self._capture.release()
+        self._video.close()
 
     def _next(self) -> Image | None:
-        ok, image = self._capture.read()
-        return image if ok else None
-
-    def _open(self) -> cv2.VideoCapture:
-        capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
-        if not capture.isOpened():
-            raise InputError(
-                "cannot be opened as a video", where=str(self.path), remedy="Check the file with a video player."
-            )
-        return capture
+        return self._video.read()
 
 
 class StillsReader(FootageReader):

@@ -212,7 +212,7 @@ class FootageSource(FrameSource):
             raise item
         if item is _SKIP:
             self.count("undecodable")
-            self.account.add(self._frame, complete=False)
+            self.statistics.add(self._frame, complete=False)
             self._pass_frame()
             return None
         if not self._pace.wait(self._frame, max(deadline_s - time.monotonic(), 0.0)):
@@ -220,7 +220,7 @@ class FootageSource(FrameSource):
         stamp_ns = footage_stamp_ns(self._epoch_ns, self._frame, self.fps)
         frame = Frame(item, stamp_ns, self._frame, CLOCK)  # type: ignore[arg-type]
         self.counters["pace_timeouts"] = self._pace.timeouts
-        self.account.add(frame.frame_id)
+        self.statistics.add(frame.frame_id)
         self._pass_frame()
         return frame
 

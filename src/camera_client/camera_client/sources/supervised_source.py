@@ -1,7 +1,7 @@
-"""A live camera that may go and come back: a source around a factory of sources, which never blocks and never gives up.
+"""Keeps a live camera connected: a source around a factory of sources, which never blocks and never gives up.
 
 Whatever talks to the device (connecting, starting, stopping, closing) can block for seconds once the device is dead, so
-each such call is an errand on a thread of its own. read() and all others return within a fraction of a second.
+each such call runs on a thread of its own. read() and all others return within a fraction of a second.
 """
 
 from __future__ import annotations
@@ -10,90 +10,22 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from concurrent.futures import Future, wait
+from typing import TypeVar
 
 from capture_rig.errors import InputError
 
-from ..frame_source import (
-    Backoff,
-    Connection,
-    ConnectionState,
-    Downtime,
-    Frame,
-    FrameSource,
-    FrameStatistics,
-    SourceUnavailable,
-)
+from ..frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics, Outage, SourceUnavailable
 from ..settings import SupervisionSettings
-
-# --- Calls that may block for seconds, each on a thread of its own: a dead device keeps nobody else waiting.
-
-T = TypeVar("T")
-
-
-class BackgroundCall(Generic[T]):
-    """Runs ``call`` on a daemon thread from now on.
-
-    Whoever loses interest calls :meth:`abandon`: a result that comes nevertheless is handed to ``dispose`` (a camera
-    that answered too late is closed again).
-    """
-
-    def __init__(self, call: Callable[[], T], dispose: Callable[[T], object] = lambda result: None) -> None:
-        self._call, self._dispose = call, dispose
-        self._error: Exception | None = None
-        self._lock = threading.Lock()
-        self._returned = self._abandoned = False
-        self._over = threading.Event()
-        threading.Thread(target=self._run, name="errand", daemon=True).start()
-
-    def wait(self, timeout_s: float | None = None) -> bool:
-        """True once the call has returned or raised (and, when abandoned, its result is disposed of)."""
-        return self._over.wait(timeout_s)
-
-    def result(self) -> T:
-        """What the call returned; raises what it raised. Waits for it."""
-        self._over.wait()
-        if self._error is not None:
-            raise self._error
-        return self._result
-
-    def abandon(self) -> None:
-        """Never mind; does not wait."""
-        with self._lock:
-            if self._abandoned:
-                return
-            self._abandoned = True
-            if not self._returned or self._error is not None:
-                return
-            self._over.clear()
-        threading.Thread(target=self._throw_away, name="errand", daemon=True).start()
-
-    def _run(self) -> None:
-        try:
-            self._result = self._call()
-        except Exception as error:
-            self._error = error
-        with self._lock:
-            self._returned = True
-            unwanted = self._abandoned and self._error is None
-        if unwanted:
-            self._throw_away()
-        else:
-            self._over.set()
-
-    def _throw_away(self) -> None:
-        try:
-            self._dispose(self._result)
-        finally:
-            self._over.set()
-
 
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
 START_S = 2.0  # a living camera starts within this
 STOP_S = 0.5  # ... stops within this
 RELEASE_S = 1.0  # ... and gives its resources back within this
-ROUNDING_S = 1e-3
 FIRST_RETRY_S = 0.25  # the pause after the first attempt that failed; it doubles
+ROUNDING_S = 1e-3
+
+T = TypeVar("T")
 
 
 class SupervisedSource(FrameSource):
@@ -102,11 +34,11 @@ class SupervisedSource(FrameSource):
     accept : looks at each new connection before its first frame, on the thread that called connect() or read();
         InputError when it cannot be used.
     stall_timeout_s : of a connected source: how long it may be silent; infinite while nothing is expected.
-    clock : seconds, monotonic; wait : sleeps so many seconds (a test may give its own).
+    clock : seconds, monotonic; pause : sleeps so many seconds (a test may give its own).
 
     A connection that delivered and stopped is made anew at once. An attempt that fails with SourceUnavailable, and a
     connection that never delivered, are followed by another after a quarter of a second, then twice that, and so on to
-    ``longest_retry_s``; an attempt that fails with a plain InputError by one at this slowest pace. ``account`` and
+    ``longest_retry_s``; an attempt that fails with a plain InputError by one at this slowest pace. ``statistics`` and
     ``counters`` add up over all connections; the counters include reconnects, stalls, control_losses, failed_attempts.
     """
 
@@ -117,18 +49,18 @@ class SupervisedSource(FrameSource):
         accept: Callable[[FrameSource], None] = lambda source: None,
         stall_timeout_s: Callable[[FrameSource], float] | None = None,
         clock: Callable[[], float] = time.monotonic,
-        wait: Callable[[float], object] | None = None,
+        pause: Callable[[float], object] | None = None,
     ) -> None:
         settings = settings or SupervisionSettings()
         self._make, self._accept, self._clock = make, accept, clock
         self._stall_timeout_s = stall_timeout_s or (lambda source: settings.stall_timeout_s)
         self._stopping = threading.Event()
-        self._wait = wait or self._stopping.wait
+        self._pause = pause or self._stopping.wait
         self._lock = threading.Lock()  # of the source and of what former sources have counted
         self._source: FrameSource | None = None
-        self._past_account, self._past_counters = FrameStatistics(), Counter[str]()
-        self._attempt: BackgroundCall[FrameSource] | None = None
-        self._errands: list[BackgroundCall] = []  # that close dead connections
+        self._past_statistics, self._past_counters = FrameStatistics(), Counter[str]()
+        self._attempt: Future[FrameSource] | None = None
+        self._closing: list[Future[None]] = []  # calls that close former connections
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
@@ -144,13 +76,12 @@ class SupervisedSource(FrameSource):
 
     def connect(self) -> None:
         """Try once. A camera that does not answer is tried again while the source runs; InputError is raised."""
-        self._launch()
-        assert self._attempt is not None
-        if not self._attempt.wait(CONNECT_WAIT_S):
+        attempt = self._launch()
+        if not is_over(attempt, CONNECT_WAIT_S):
             return
-        attempt, self._attempt = self._attempt, None
+        self._attempt = None
         try:
-            self._adopt(attempt.result())
+            self._use(attempt.result())
         except SourceUnavailable as error:
             self._back_off(str(error))
         except Exception:
@@ -167,43 +98,43 @@ class SupervisedSource(FrameSource):
         if source is None:
             self._next_try_s = self._clock()
         elif source.lost:
-            self._lose(ConnectionState.CONTROL_LOST, "was lost while it was suspended")
+            self._disconnect(ConnectionState.CONTROL_LOST, "was lost while it was suspended")
         else:
-            self._begin_again(source)
+            self._resume(source)
 
     def read(self, timeout_s: float) -> Frame | None:
         if not self._running:
             raise InputError("is not started", where=self.description, remedy="Call start() first.")
         if self._source is None:
-            self._seek(timeout_s)
+            self._reconnect(timeout_s)
             return None
         return self._read(self._source, timeout_s)
 
     def stop(self) -> None:
         self._running = False
         self._stopping.set()
-        self._abandon_attempt()
+        if self._attempt is not None:
+            self._closing.append(in_background(_closer_of(self._attempt)))
+            self._attempt = None
         source = self._source
         self._downtime.end(self._clock())
         if source is None or self._state is not ConnectionState.STREAMING:
             return
-        stopping = BackgroundCall(source.stop)
-        if stopping.wait(STOP_S):
+        stopping = in_background(source.stop)
+        if is_over(stopping, STOP_S):
             self._state = ConnectionState.CONNECTED
         else:
-            self._retire(after=stopping)
+            self._release(after=stopping)
             self._state, self._reason = ConnectionState.WAITING, "did not answer when it was stopped"
 
     def close(self) -> None:
-        """Give the device back; waits no longer than a living one needs. A dead one is closed behind our back."""
+        """Give the device back; waits no longer than a living one needs. A dead one is closed on its own thread."""
         self.stop()
-        self._retire()
+        self._release()
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._backoff.reset()
-        deadline_s = time.monotonic() + RELEASE_S
-        for errand in self._errands:
-            errand.wait(max(deadline_s - time.monotonic(), 0.0))
-        self._errands = [errand for errand in self._errands if not errand.wait(0)]
+        wait(self._closing, RELEASE_S)
+        self._closing = [call for call in self._closing if not call.done()]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -224,10 +155,10 @@ class SupervisedSource(FrameSource):
         return self._state.away
 
     @property
-    def account(self) -> FrameStatistics:
+    def statistics(self) -> FrameStatistics:
         """The frames of all connections so far."""
         with self._lock:
-            return self._past_account + (FrameStatistics() if self._source is None else self._source.account)
+            return self._past_statistics + (FrameStatistics() if self._source is None else self._source.statistics)
 
     @property
     def counters(self) -> dict[str, int]:
@@ -242,7 +173,7 @@ class SupervisedSource(FrameSource):
             self._past_counters[name] += by
 
     @property
-    def link(self) -> Connection:
+    def connection(self) -> Connection:
         now_s, state = self._clock(), self._state
         reason = self._reason if state.away else ""
         next_try_s = max(self._next_try_s - now_s, 0.0) if state is ConnectionState.WAITING else 0.0
@@ -256,9 +187,9 @@ class SupervisedSource(FrameSource):
         try:
             frame = source.read(wait_s)
         except Exception as error:  # the driver's own errors too: no reason to give the camera up
-            self._lose(ConnectionState.STALLED, str(error) if isinstance(error, InputError) else repr(error))
+            self._disconnect(ConnectionState.STALLED, str(error) if isinstance(error, InputError) else repr(error))
             return None
-        now_s, arrived = self._clock(), source.account.arrived
+        now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
             self._arrived, self._heard_s, self._delivering, self._silent_s = arrived, now_s, True, 0.0
             self._backoff.reset()
@@ -267,54 +198,51 @@ class SupervisedSource(FrameSource):
         if frame is not None:
             self._downtime.end(now_s, self._attempted_s)
         if source.lost:
-            self._lose(ConnectionState.CONTROL_LOST, "does not answer any more, or another program has taken control")
+            reason = "does not answer any more, or another program has taken control"
+            self._disconnect(ConnectionState.CONTROL_LOST, reason)
         elif self._silent_s >= self._limit_s - ROUNDING_S:
-            self._lose(ConnectionState.STALLED, f"nothing came for {now_s - self._heard_s:.1f} s")
+            self._disconnect(ConnectionState.STALLED, f"nothing came for {now_s - self._heard_s:.1f} s")
         return frame
 
-    def _lose(self, state: ConnectionState, reason: str, after: BackgroundCall | None = None) -> None:
-        """The connection is no good any more: put it away, and try at once to make another."""
+    def _disconnect(self, state: ConnectionState, reason: str) -> None:
+        """Release a connection that is of no use any more, and try at once to make another."""
         self.count("control_losses" if state is ConnectionState.CONTROL_LOST else "stalls")
-        self._retire(after)
+        self._release()
         now_s = self._clock()
         self._downtime.begin(self._heard_s, now_s)
         self._state, self._reason, self._refused = state, reason, False
         self._next_try_s = now_s + (0.0 if self._delivering else self._backoff.next_s())
 
-    def _retire(self, after: BackgroundCall | None = None) -> None:
+    def _release(self, after: Future | None = None) -> None:
         """Close the present connection on a thread of its own (once ``after`` is over) and keep its counts."""
         with self._lock:
             source, self._source = self._source, None
             if source is None:
                 return
-            self._past_account = self._past_account + source.account
+            self._past_statistics = self._past_statistics + source.statistics
             self._past_counters.update(source.counters)
         self._details = {}
 
-        def put_away() -> None:
-            if after is not None:
-                after.wait()
+        def close() -> None:
+            wait([] if after is None else [after])
             source.close()
 
-        self._errands = [errand for errand in self._errands if not errand.wait(0)] + [BackgroundCall(put_away)]
+        self._closing = [call for call in self._closing if not call.done()] + [in_background(close)]
 
     # --- while it does not ---------------------------------------------------------------------------------------
 
-    def _seek(self, timeout_s: float) -> None:
+    def _reconnect(self, timeout_s: float) -> None:
         """One step towards a connection; takes no longer than ``timeout_s``."""
         pause_s = self._next_try_s - self._clock()
         if self._attempt is None and pause_s > 0:
-            self._wait(min(pause_s, timeout_s))
+            self._pause(min(pause_s, timeout_s))
             return
-        if self._attempt is None:
-            self._launch()
-        attempt = self._attempt
-        assert attempt is not None
-        if not attempt.wait(timeout_s):
+        attempt = self._attempt or self._launch()
+        if not is_over(attempt, timeout_s):
             return
         self._attempt = None
         try:
-            self._adopt(attempt.result())
+            self._use(attempt.result())
         except SourceUnavailable as error:
             self._back_off(str(error))
         except InputError as error:
@@ -322,21 +250,23 @@ class SupervisedSource(FrameSource):
         except Exception as error:  # the driver's own
             self._back_off(repr(error))
 
-    def _launch(self) -> None:
+    def _launch(self) -> Future[FrameSource]:
+        """Begin an attempt to connect."""
         source = self._make()
         self._description = source.description
         if self._state not in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
             self._state = ConnectionState.CONNECTING
         self._attempted_s = self._clock()
 
-        def open_it() -> FrameSource:
+        def connect() -> FrameSource:
             source.connect()
             return source
 
-        self._attempt = BackgroundCall(open_it, dispose=lambda opened: opened.close())
+        self._attempt = in_background(connect)
+        return self._attempt
 
-    def _adopt(self, source: FrameSource) -> None:
-        """Take a connection that was made into use. Raises InputError, with nothing left open, when that fails."""
+    def _use(self, source: FrameSource) -> None:
+        """Take a new connection into use. Raises InputError, with nothing left open, when that fails."""
         with self._lock:
             self._source = source
         self._shape, self._description, self._details = source.shape, source.description, source.details
@@ -344,9 +274,9 @@ class SupervisedSource(FrameSource):
         try:
             self._accept(source)
             if self._running:
-                self._begin(source)
+                self._start(source)
         except Exception:
-            self._retire()
+            self._release()
             raise
         if self._ever_connected:
             self.count("reconnects")
@@ -355,19 +285,19 @@ class SupervisedSource(FrameSource):
         self._reason, self._refused = "", False
         self._state = ConnectionState.STREAMING if self._running else ConnectionState.CONNECTED
 
-    def _begin(self, source: FrameSource) -> None:
-        starting = BackgroundCall(source.start)
-        if not starting.wait(START_S):
-            self._retire(after=starting)
+    def _start(self, source: FrameSource) -> None:
+        starting = in_background(source.start)
+        if not is_over(starting, START_S):
+            self._release(after=starting)
             raise SourceUnavailable("does not answer when it is started", where=self.description)
         starting.result()
 
-    def _begin_again(self, source: FrameSource) -> None:
+    def _resume(self, source: FrameSource) -> None:
         """Start a connection that was suspended, and may have died meanwhile."""
         try:
-            self._begin(source)
+            self._start(source)
         except SourceUnavailable as error:
-            self._lose(ConnectionState.STALLED, str(error))
+            self._disconnect(ConnectionState.STALLED, str(error))
         except Exception:
             self._running = False
             raise
@@ -383,8 +313,91 @@ class SupervisedSource(FrameSource):
         self._next_try_s = now_s + (self._backoff.slowest_s() if refused else self._backoff.next_s())
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
 
-    def _abandon_attempt(self) -> None:
-        if self._attempt is not None:
-            self._attempt.abandon()
-            self._errands.append(self._attempt)
-            self._attempt = None
+
+# --- calls that may block for seconds
+
+
+def in_background(call: Callable[[], T]) -> Future[T]:
+    """Run ``call`` on a daemon thread of its own: the process ends without waiting for it, unlike for an executor's."""
+    over = Future[T]()
+
+    def run() -> None:
+        try:
+            over.set_result(call())
+        except Exception as error:
+            over.set_exception(error)
+
+    threading.Thread(target=run, name="device call", daemon=True).start()
+    return over
+
+
+def is_over(call: Future, timeout_s: float) -> bool:
+    """Whether ``call`` has returned or raised, within ``timeout_s`` from now."""
+    return not wait([call], timeout_s).not_done
+
+
+def _closer_of(attempt: Future[FrameSource]) -> Callable[[], None]:
+    """What closes a connection again that nobody wants any more, once it is made; nothing if it fails."""
+
+    def close() -> None:
+        wait([attempt])
+        if attempt.exception() is None:
+            attempt.result().close()
+
+    return close
+
+
+# --- time without frames, and between attempts
+
+
+class Downtime:
+    """Adds up the time in which frames should have come and did not. All times in seconds of one monotonic clock."""
+
+    def __init__(self) -> None:
+        self._sum_s = 0.0
+        self._since_s: float | None = None
+        self._noticed_s = 0.0
+        self.last: Outage | None = None
+
+    def begin(self, since_s: float, now_s: float) -> None:
+        """Nothing has come since ``since_s``, as is noticed now. An outage that goes on stays one."""
+        if self._since_s is None:
+            self._since_s, self._noticed_s = since_s, now_s
+
+    def end(self, now_s: float, attempted_s: float | None = None) -> None:
+        """A frame came, on a connection that was attempted at ``attempted_s``; None: the source was stopped."""
+        if self._since_s is None:
+            return
+        if attempted_s is not None:
+            self.last = Outage(self._noticed_s - self._since_s, now_s - self._since_s, now_s - attempted_s)
+        self._sum_s, self._since_s = self.sum_s(now_s), None
+
+    def present_s(self, now_s: float) -> float:
+        """How long the present outage has lasted; 0 when there is none."""
+        return 0.0 if self._since_s is None else now_s - self._since_s
+
+    def sum_s(self, now_s: float) -> float:
+        """All of it, the present outage included."""
+        return self._sum_s + self.present_s(now_s)
+
+
+class Backoff:
+    """Pauses between attempts: ``first_s``, then twice the last one, up to ``longest_s``."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_s, self._longest_s = first_s, longest_s
+        self._last_s = 0.0
+
+    def next_s(self) -> float:
+        """The pause before the next attempt."""
+        self._last_s = min(2 * self._last_s or self._first_s, self._longest_s)
+        return self._last_s
+
+    def slowest_s(self) -> float:
+        """The longest pause, and all that follow stay as long."""
+        self._last_s = self._longest_s
+        return self._last_s
+
+    def reset(self) -> None:
+        """Begin with the shortest pause next time."""
+        self._last_s = 0.0
