@@ -1,50 +1,46 @@
-"""Drills for the calibration watchdog: who notices that a camera was bumped, how soon, and who cries wolf?
+"""Drills of the detectors of camera movement: which one notices a moved camera, how soon, with how many false alarms?
 
     python bench/camera_movement.py --quick        # two cameras, 1 degree and 5 cm, no recorded footage
     python bench/camera_movement.py                # every camera, 0.5, 1 and 2 degrees, recorded footage: ten minutes
     python bench/camera_movement.py --only studio  # or a part of the name of recorded footage
 
-Each camera of the studio in turn films a walking person from where it stands, and after a second from where a bump has
-put it. Every frame goes through the camera client's chain, so that the silhouettes flood as they would. Columns:
+Each camera of the studio in turn films a walking person from where it stands, and after a second from where it was
+moved to. Every frame goes through the camera client's chain, so that moved backgrounds become foreground. Columns:
 
-picture : drills in which the camera client named itself, of all; median and worst seconds from the bump.
-silhouettes : in which the hull server named the camera ("stands 1.0 degrees from ..."), by silhouettes as they would be
-    with a background learned since: exact ones. flooded : the same with what the chain makes of the bumped picture.
+picture : drills in which the camera client named itself, of all; median and worst seconds from the movement.
+silhouettes : in which the hull server named the camera ("stands 1.0 degrees from ..."), by exact silhouettes, as with
+    a background learned since. flooded : the same with what the chain makes of the moved camera's picture.
 left out : in which that camera was left out, or suspected, because it contradicts the others.
 system : in which any of picture, flooded and left out named it. wrong : drills in which another camera was named.
-kept : after the background was learned anew, the camera client still says that the camera was moved.
+kept : after the background was learned anew, the camera client still reports that the camera was moved.
 
-Then silhouettes of recorded footage, one camera's turned, 12 s each; and everything that is as it should be: false
-alarms among its looks. The last line is JSON: seconds are medians, *_named shares of drills, *_ms per frame or set.
+Then silhouettes of recorded footage, one camera's turned, 12 s each; and everything unmoved: false alarms among its
+updates. The last line is JSON: seconds are medians, *_named shares of drills, *_ms per frame or set.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
 from camera_movement_scenes import (
     EVERY,
     FPS,
-    Bump,
-    Clip,
+    SESSIONS,
+    Displacement,
     Mask,
-    Masks,
     Studio,
-    bumps,
+    displacements,
     seen_by,
     session_clips,
-    sessions,
     stamp_ns,
 )
+from scenes import Clip, shared_sessions
 
 from camera_client.background.model import read_background
 from camera_client.movement.detector import CameraMovedDetector, MovementState
@@ -54,33 +50,34 @@ from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.consistency.extrinsic_monitor import ExtrinsicMonitor
 from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews
+from sagoma_tools.evaluation.chain import Masks
 
-BUMPED_AT = 10  # frames that are looked at: a second
+MOVED_AT = 10  # frames that are looked at: a second
 CLIP_LOOKS = 120
-ERRORS_DEG, GROWN_PX = 0.2, 2  # of honest calibrations and silhouettes
-WITNESSES = ("picture", "silhouettes", "flooded", "left out", "system")
+ERRORS_DEG, GROWN_PX = 0.2, 2  # of good calibrations and silhouettes
+DETECTORS = ("picture", "silhouettes", "flooded", "left out", "system")
 
 
 @dataclass
 class Drill:
-    """Frames from the bump until each witness named the camera."""
+    """Frames from the displacement until each detector named the camera."""
 
     named: dict[str, int] = field(default_factory=dict)
     wrong: set[str] = field(default_factory=set)
     kept: bool = False
 
-    def note(self, witness: str, since: int, camera: str, names: Iterable[str]) -> None:
+    def note(self, detector: str, since: int, camera: str, names: Iterable[str]) -> None:
         names = set(names)
         self.wrong |= names - {camera}
         if camera in names and since >= 0:
-            self.named.setdefault(witness, since)
-            if witness != "silhouettes":
+            self.named.setdefault(detector, since)
+            if detector != "silhouettes":
                 self.named.setdefault("system", since)
 
 
 @dataclass
-class Honest:
-    """What was looked at when nobody touched a camera, and how often somebody was named."""
+class FalseAlarms:
+    """What was looked at when no camera was moved, and how often a camera was named."""
 
     false_alarms_pictures: int = 0
     pictures: int = 0
@@ -89,8 +86,8 @@ class Honest:
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
-    """Every camera's pictures, our silhouettes and the exact ones, when nobody touches a camera."""
+class Footage:
+    """Every camera's pictures, our silhouettes and the exact ones, when no camera is moved."""
 
     pictures: list[dict[str, Mask]]
     ours: list[Masks]
@@ -100,8 +97,8 @@ class Film:
     client_ms: float
 
 
-def film(studio: Studio) -> Film:
-    """All cameras, honest; how often a camera client cries wolf, and what its watch costs a frame."""
+def footage_of(studio: Studio) -> Footage:
+    """All cameras in their places; false alarms of the camera clients, and what the detector costs a frame."""
     chains = {camera.name: studio.chain(camera) for camera in studio.rig.cameras}
     watches = {
         camera.name: CameraMovedDetector(camera, chains[camera.name].background) for camera in studio.rig.cameras
@@ -125,18 +122,18 @@ def film(studio: Studio) -> Film:
         ours.append({name: s.silhouette.mask for name, s in seen.items() if s.silhouette is not None})
         exact.append({c.name: c.undistorted_view().undistort_mask(shot[c.name][1]) for c in studio.rig.cameras})
     frames = len(pictures) * len(chains)
-    return Film(pictures, ours, exact, alarms, frames, 1e3 * spent_s / frames / EVERY)
+    return Footage(pictures, ours, exact, alarms, frames, 1e3 * spent_s / frames / EVERY)
 
 
-def drill(studio: Studio, honest: Film, camera: str, bump: Bump, sign: float) -> Drill:
-    """One camera films honestly for a second, and then from where the bump has put it."""
+def drill(studio: Studio, unmoved: Footage, camera: str, displacement: Displacement, sign: float) -> Drill:
+    """One camera films from its place for a second, and then from where the displacement has put it."""
     result, model, views = Drill(), studio.rig.camera(camera), RigViews.from_rig(studio.rig)
-    chain, moved, view = studio.chain(model), bump.moved(model, sign), model.undistorted_view()
+    chain, moved, view = studio.chain(model), displacement.moved(model, sign), model.undistorted_view()
     by_exact, by_ours = ExtrinsicMonitor(studio.rig, views), ExtrinsicMonitor(studio.rig, views)
     dissent = CameraFaultDetector(studio.rig, views, CameraFaultSettings())
     for frame in range(len(studio.capsules)):
-        since = frame - BUMPED_AT
-        picture, mask = honest.pictures[frame][camera], honest.exact[frame][camera]
+        since = frame - MOVED_AT
+        picture, mask = unmoved.pictures[frame][camera], unmoved.exact[frame][camera]
         if since >= 0:
             picture, raw = studio.film(moved, frame)
             mask = view.undistort_mask(raw)
@@ -144,61 +141,62 @@ def drill(studio: Studio, honest: Film, camera: str, bump: Bump, sign: float) ->
         assert seen.movement is not None and seen.silhouette is not None
         if seen.movement.state in (MovementState.MOVED, MovementState.LOST):
             result.note("picture", since, camera, [camera])
-        masks = honest.ours[frame] | {camera: seen.silhouette.mask}
+        masks = unmoved.ours[frame] | {camera: seen.silhouette.mask}
         verdict = dissent.update(masks, stamp_ns(frame))
         result.note("left out", since, camera, verdict.left_out + verdict.suspects)
         result.note("flooded", since, camera, by_ours.update(masks, stamp_ns(frame)).suspects)
-        exact = honest.exact[frame] | {camera: mask}
+        exact = unmoved.exact[frame] | {camera: mask}
         result.note("silhouettes", since, camera, by_exact.update(exact, stamp_ns(frame)).suspects)
     chain.use_learned_background(studio.empty(moved))
-    for frame in range(len(studio.capsules) - 2 * BUMPED_AT, len(studio.capsules)):
+    for frame in range(len(studio.capsules) - 2 * MOVED_AT, len(studio.capsules)):
         seen = seen_by(chain, studio.film(moved, frame)[0], frame + len(studio.capsules))
     result.kept = seen.movement is not None and seen.movement.state is MovementState.MOVED
     return result
 
 
-def play_studio(studio: Studio, honest: Film, quick: bool, every: int) -> dict[str, list[Drill]]:
-    print(f"\n{'':16s}" + "".join(f"{witness:>20s}" for witness in WITNESSES) + f"{'wrong':>7s}{'kept':>6s}")
+def play_studio(studio: Studio, unmoved: Footage, quick: bool, every: int) -> dict[str, list[Drill]]:
+    table = Table({"movement": "<16", **dict.fromkeys(DETECTORS, ">19"), "wrong": ">6d", "kept": ">5d"})
     drills: dict[str, list[Drill]] = {}
-    for bump in bumps(quick):
+    for displacement in displacements(quick):
         names = studio.rig.names[::3] if quick else studio.rig.names[::every]
-        runs = [drill(studio, honest, name, bump, 1.0 if number % 2 else -1.0) for number, name in enumerate(names)]
-        drills[bump.name] = runs
-        cells = "".join(f"{_cell(runs, witness):>20s}" for witness in WITNESSES)
+        runs = [
+            drill(studio, unmoved, name, displacement, 1.0 if number % 2 else -1.0) for number, name in enumerate(names)
+        ]
+        drills[displacement.name] = runs
         wrong, kept = sum(bool(run.wrong) for run in runs), sum(run.kept for run in runs)
-        print(f"{bump.name:16s}{cells}{wrong:7d}{kept:6d}", flush=True)
+        table.row(displacement.name, *(_cell(runs, detector) for detector in DETECTORS), wrong, kept)
     return drills
 
 
-def _cell(runs: list[Drill], witness: str) -> str:
-    after_s = _seconds(runs, witness)
+def _cell(runs: list[Drill], detector: str) -> str:
+    after_s = _seconds(runs, detector)
     times = f"{np.median(after_s):.1f}, {max(after_s):.1f} s" if after_s else "-"
     return f"{len(after_s)} of {len(runs)}  {times}"
 
 
-def _seconds(runs: list[Drill], witness: str) -> list[float]:
-    return [run.named[witness] * EVERY / FPS for run in runs if witness in run.named]
+def _seconds(runs: list[Drill], detector: str) -> list[float]:
+    return [run.named[detector] * EVERY / FPS for run in runs if detector in run.named]
 
 
 def play_clip(clip: Clip) -> dict[str, list[Drill]]:
     """Recorded silhouettes, one camera's turned: the hull server alone."""
     views, drills = RigViews.from_rig(clip.rig), {}
-    for bump in bumps(quick=False):
-        if bump.turn_deg < 1.0:
+    for displacement in displacements(quick=False):
+        if displacement.turn_deg < 1.0:
             continue
         runs = []
         for number, camera in enumerate(clip.rig.names):
             run, watch = Drill(), ExtrinsicMonitor(clip.rig, views)
             K = clip.rig.camera(camera).undistorted_view().camera.K
-            H = bump.homography(K, 1.0 if number % 2 else -1.0)
+            H = displacement.homography(K, 1.0 if number % 2 else -1.0)
             for look in range(0, CLIP_LOOKS, 2):
                 masks = clip.masks(look)
                 masks[camera] = _warped(masks[camera], H)
                 run.note("silhouettes", look, camera, watch.update(masks, stamp_ns(look)).suspects)
             runs.append(run)
-        drills[bump.name] = runs
+        drills[displacement.name] = runs
         wrong = sum(bool(run.wrong) for run in runs)
-        print(f"  {bump.name:16s}{_cell(runs, 'silhouettes'):>24s}   wrong {wrong}", flush=True)
+        print(f"  {displacement.name:16s}{_cell(runs, 'silhouettes'):>24s}   wrong {wrong}", flush=True)
     return drills
 
 
@@ -206,7 +204,7 @@ def _warped(mask: Mask, H: np.ndarray) -> Mask:
     return cv2.warpPerspective(mask, H, mask.shape[::-1], flags=cv2.INTER_NEAREST)
 
 
-def honest_sets(honest: Honest, name: str, rig: Rig, frames: list[Masks], quick: bool) -> float:
+def unmoved_sets(unmoved: FalseAlarms, name: str, rig: Rig, frames: list[Masks], quick: bool) -> float:
     """Sets as they are, with small errors of all calibrations, with one camera's silhouettes too large or too small;
     returns milliseconds a frame set."""
     views = RigViews.from_rig(rig)
@@ -231,8 +229,8 @@ def honest_sets(honest: Honest, name: str, rig: Rig, frames: list[Masks], quick:
             total, looked = total + found, looked + sets
             report += [f"{camera} {word} by {GROWN_PX} px {found}"] if found else []
     print(f"{name}: false alarms: {', '.join(report)}; {looked} sets, {spent_ms:.2f} ms a frame set", flush=True)
-    honest.false_alarms_sets += total
-    honest.sets += looked
+    unmoved.false_alarms_sets += total
+    unmoved.sets += looked
     return spent_ms
 
 
@@ -245,9 +243,9 @@ def _alarms(rig: Rig, views: RigViews, frames: list[Masks]) -> tuple[int, int, f
     return alarms, len(frames), 1e3 * spent_s / len(frames) / (2 * EVERY)
 
 
-def honest_pictures(honest: Honest, only: str) -> None:
+def unmoved_pictures(unmoved: FalseAlarms, only: str) -> None:
     """The camera clients on recorded footage."""
-    for name, session in sessions(only):
+    for name, session in shared_sessions(SESSIONS, only):
         found = 0
         for camera, path in session.videos.items():
             capture, frame = cv2.VideoCapture(str(path)), 0
@@ -262,18 +260,18 @@ def honest_pictures(honest: Honest, only: str) -> None:
                 movement = watch.update(picture, round(frame / session.fps * 1e9))
                 found += movement.state in (MovementState.MOVED, MovementState.LOST)
                 frame += 1
-            honest.pictures += frame
+            unmoved.pictures += frame
         print(f"{name}: {found} false alarms of the camera clients", flush=True)
-        honest.false_alarms_pictures += found
+        unmoved.false_alarms_pictures += found
 
 
 def summary(drills: dict[str, list[Drill]]) -> dict[str, float]:
     figures: dict[str, float] = {}
     for kind in ("0.5 degrees", "1 degrees", "2 degrees", "5 cm"):
         runs = [run for name, of_it in drills.items() if kind in name for run in of_it]
-        for witness in ("picture", "silhouettes", "system") if runs else ():
-            after_s = _seconds(runs, witness)
-            key = f"{kind.replace(' ', '_').replace('.', '')}_{witness}"
+        for detector in ("picture", "silhouettes", "system") if runs else ():
+            after_s = _seconds(runs, detector)
+            key = f"{kind.replace(' ', '_').replace('.', '')}_{detector}"
             figures[f"{key}_named"] = round(len(after_s) / len(runs), 3)
             figures[f"{key}_s"] = round(float(np.median(after_s)), 2) if after_s else -1.0
     everything = [run for runs in drills.values() for run in runs]
@@ -283,45 +281,43 @@ def summary(drills: dict[str, list[Drill]]) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="two cameras of the studio, one size of bump")
-    parser.add_argument("--only", default="", help="'studio', or a part of the name of recorded footage")
-    parser.add_argument("--every", type=int, default=1, help="every so many-th camera of the studio")
-    options = parser.parse_args()
-    cv2.setNumThreads(1)
+    given = parser(__doc__, quick="two cameras of the studio, one size of movement")
+    given.add_argument("--only", default="", help="'studio', or a part of the name of recorded footage")
+    given.add_argument("--every", type=int, default=1, help="every so many-th camera of the studio")
+    options = given.parse_args()
     figures: dict[str, float] = {"wrong": 0}
-    honest = Honest()
+    unmoved = FalseAlarms()
     if options.only in "studio":
-        figures |= at_the_studio(honest, options.quick, options.every)
+        figures |= at_the_studio(unmoved, options.quick, options.every)
     if not options.quick and options.only != "studio":
-        figures["wrong"] += on_footage(honest, options.only)
-    print(json.dumps(figures | asdict(honest)))
+        figures["wrong"] += on_footage(unmoved, options.only)
+    finish(figures | asdict(unmoved))
 
 
-def at_the_studio(honest: Honest, quick: bool, every: int) -> dict[str, float]:
+def at_the_studio(unmoved: FalseAlarms, quick: bool, every: int) -> dict[str, float]:
     studio = Studio()
-    filmed = film(studio)
+    filmed = footage_of(studio)
     print(
-        f"studio, 6 cameras: {filmed.looks} honest pictures, {filmed.alarms} false alarms of the camera clients, "
+        f"studio, 6 cameras: {filmed.looks} unmoved pictures, {filmed.alarms} false alarms of the camera clients, "
         f"{filmed.client_ms:.2f} ms a frame"
     )
-    honest.false_alarms_pictures, honest.pictures = filmed.alarms, filmed.looks
+    unmoved.false_alarms_pictures, unmoved.pictures = filmed.alarms, filmed.looks
     drills = play_studio(studio, filmed, quick, every)
     print()
     for name, masks in (("studio, ours", filmed.ours), ("studio, exact", filmed.exact)):
-        sets_ms = honest_sets(honest, name, studio.rig, masks[::2], quick)
+        sets_ms = unmoved_sets(unmoved, name, studio.rig, masks[::2], quick)
     return summary(drills) | {"picture_ms": round(filmed.client_ms, 3), "silhouettes_ms": round(sets_ms, 3)}
 
 
-def on_footage(honest: Honest, only: str) -> int:
+def on_footage(unmoved: FalseAlarms, only: str) -> int:
     """Recorded footage; returns in how many drills a wrong camera was named."""
     wrong = 0
     for clip in session_clips(only):
-        honest_sets(honest, clip.name, clip.rig, [clip.masks(look) for look in range(0, CLIP_LOOKS, 2)], False)
+        unmoved_sets(unmoved, clip.name, clip.rig, [clip.masks(look) for look in range(0, CLIP_LOOKS, 2)], False)
         wrong += sum(bool(run.wrong) for runs in play_clip(clip).values() for run in runs)
-    honest_pictures(honest, only)
+    unmoved_pictures(unmoved, only)
     return wrong
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

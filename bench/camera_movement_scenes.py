@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
+from itertools import islice
 
 import cv2
 import numpy as np
+from scenes import STATURE_M, STUDIO_FPS, Clip, canvas_masks, shared_sessions
 
 from camera_client.background.model import BackgroundLearner, BackgroundModel
 from camera_client.camera_chain import CameraChain, FrameResult
 from camera_client.frame_source import Frame
 from camera_client.settings import CameraClientSettings
-from capture_rig import CameraModel, Rig
-from capture_rig.session import Session, load_session
-from sagoma_tools.evaluation.in_process import exact_silhouettes, silhouettes
+from capture_rig import CameraModel
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import walk
 from virtual_studio.people import Capsules, VolumetricBody
@@ -25,20 +23,18 @@ from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import floor_shadow
 from virtual_studio.rig import ring
 
-SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 SESSIONS = ("sessions/walk_ring5top", "sessions/charleston_ring5top", "sessions/zombie_he3", "real_4cam")
-FPS = 60.0
+FPS = STUDIO_FPS
 EVERY = 6  # frames of which one is rendered and looked at
-STATURE_M, SECONDS, BACKGROUND_FRAMES = 1.75, 9.0, 20
+SECONDS, BACKGROUND_FRAMES = 9.0, 20
 AXES = {"pan": 1, "tilt": 0, "roll": 2}
 PUSHES = {"sideways": 0, "upwards": 1}
 
 Mask = np.ndarray
-Masks = dict[str, Mask]
 
 
 @dataclass(frozen=True)
-class Bump:
+class Displacement:
     """What befalls a camera: a turn about one of its own axes, degrees, or a push along one of them, metres."""
 
     name: str
@@ -62,10 +58,12 @@ class Bump:
         return K @ self.matrix(sign)[:3, :3] @ np.linalg.inv(K)
 
 
-def bumps(quick: bool) -> list[Bump]:
+def displacements(quick: bool) -> list[Displacement]:
     degrees = (1.0,) if quick else (0.5, 1.0, 2.0)
-    turns = [Bump(f"{name} {deg:g} degrees", axis, turn_deg=deg) for deg in degrees for name, axis in AXES.items()]
-    return turns + [Bump(f"5 cm {name}", axis, push_m=0.05) for name, axis in PUSHES.items()]
+    turns = [
+        Displacement(f"{name} {deg:g} degrees", axis, turn_deg=deg) for deg in degrees for name, axis in AXES.items()
+    ]
+    return turns + [Displacement(f"5 cm {name}", axis, push_m=0.05) for name, axis in PUSHES.items()]
 
 
 class Studio:
@@ -121,50 +119,10 @@ def seen_by(chain: CameraChain, picture: Mask, frame: int) -> FrameResult:
     return chain.run(Frame(picture, stamp_ns(frame), frame, "the studio's"))
 
 
-@dataclass(frozen=True, eq=False)
-class Clip:
-    """Canvas masks (levels of capture_rig.mask_levels) of every camera, packed: what is the person, and what may be."""
-
-    name: str
-    rig: Rig
-    packed: list[dict[str, tuple[tuple[int, ...], np.ndarray, np.ndarray]]]
-
-    @classmethod
-    def of(cls, name: str, rig: Rig, frames: Iterable[Mapping[str, Mask]]) -> Clip:
-        kept = [masks for frame, masks in enumerate(frames) if frame % EVERY == 0]
-        return cls(
-            name,
-            rig,
-            [{n: (m.shape, np.packbits(m == 255), np.packbits(m > 0)) for n, m in masks.items()} for masks in kept],
-        )
-
-    def masks(self, frame: int) -> Masks:
-        """Frames count on backwards from the clip's end, and forwards again from its start."""
-        last = len(self.packed) - 1
-        frame = frame % (2 * last)
-        return {name: _unpacked(*bits) for name, bits in self.packed[min(frame, 2 * last - frame)].items()}
-
-
-def _unpacked(shape: tuple[int, ...], person: np.ndarray, any_: np.ndarray) -> Mask:
-    count = shape[0] * shape[1]
-    levels = np.unpackbits(any_, count=count) * np.uint8(85) + np.unpackbits(person, count=count) * np.uint8(170)
-    return levels.reshape(shape)
-
-
-def sessions(only: str) -> Iterator[tuple[str, Session]]:
-    """Those that are there, and have ``only`` in their name."""
-    for name in SESSIONS:
-        if only not in name:
-            continue
-        if (SHARED / name).is_dir():
-            yield Path(name).name, load_session(SHARED / name)
-        else:
-            print(f"{name} is not in {SHARED}: left out")
-
-
 def session_clips(only: str) -> Iterator[Clip]:
-    """Our silhouettes of the sessions, and the exact ones where there are any."""
-    for name, session in sessions(only):
-        yield Clip.of(f"{name}, from video", session.rig, silhouettes(session, CameraClientSettings()))
-        if session.masks:
-            yield Clip.of(f"{name}, exact", session.rig, exact_silhouettes(session))
+    """Our silhouettes of the sessions, and the exact ones where there are any; every EVERY-th frame."""
+    for name, session in shared_sessions(SESSIONS, only):
+        for kind, exact in (("from video", False), ("exact", True)):
+            if not exact or session.masks:
+                frames = islice(canvas_masks(session, exact), 0, None, EVERY)
+                yield Clip.of(f"{name}, {kind}", session.rig, FPS / EVERY, frames)

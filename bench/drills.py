@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from clips import Clip
+from scenes import Clip
 
 from icp_tracker.tracker import TRACKING
 from mocap_packets.hull import HullProducts

@@ -13,19 +13,17 @@ picture of its worst frame lands in output/hard_cases (white: truth). The last l
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, add_settings, execute, finish, parser
 
 import cv2
 import numpy as np
-from clips import Clip, session_clip, studio_clip
 from drills import Outcome, good_spells, play
+from scenes import Clip, session_clip, studio_clip
 
 from capture_rig.errors import InputError
 from sagoma_tools.arguments import parse_settings
@@ -107,19 +105,17 @@ def draw(clip: Clip, outcome: Outcome, frame: int, path: Path) -> None:
     cv2.imwrite(str(path), montage(pictures, columns=3))
 
 
-def row_of(case: str, cameras: int, figures: Figures) -> str:
-    """One line of the table."""
+def cells(figures: Figures) -> tuple[str, ...]:
+    """A row's cells after case and cameras."""
     if figures.mean_mm is None:
-        return f"| {case} | {cameras} | not found | | | | |"
+        return ("not found", "", "", "", "")
     lost = ", ".join(f"{t:.1f}" for t in figures.lost_s) or "-"
     found = ", ".join(f"{t:.1f}" for t in figures.recovered_s) or "-"
-    return (
-        f"| {case} | {cameras} | {figures.mean_mm:.0f} | {100 * figures.over_200mm:.0f} % | {figures.worst_mm:.0f} "
-        f"({figures.worst_point.replace('_', ' ')}, {figures.worst_s:.1f} s) | {lost} | {found} |"
-    )
+    worst = f"{figures.worst_mm:.0f} ({figures.worst_point.replace('_', ' ')}, {figures.worst_s:.1f} s)"
+    return (f"{figures.mean_mm:.0f}", f"{100 * figures.over_200mm:.0f} %", worst, lost, found)
 
 
-def run(case: str, cameras: int, arguments: argparse.Namespace, settings: dict[str, Any]) -> Figures:
+def track_case(case: str, cameras: int, arguments: argparse.Namespace, settings: dict[str, Any]) -> Figures:
     """Make, track and judge one case."""
     body = person_of(arguments.stature, arguments.arms, arguments.legs)
     if arguments.video:
@@ -135,30 +131,30 @@ def run(case: str, cameras: int, arguments: argparse.Namespace, settings: dict[s
 
 def main() -> None:
     """Print the table and the line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", help="default: all", default=[])
-    parser.add_argument("--cameras", nargs="+", type=int, default=[6, 8], help="sizes of the rig")
-    parser.add_argument("--stature", type=float, default=1.75, help="m")
-    parser.add_argument("--build", type=float, default=1.0, help="thickness over the average's")
-    parser.add_argument("--arms", type=float, default=1.0, help="length over the average's")
-    parser.add_argument("--legs", type=float, default=1.0, help="length over the average's")
-    parser.add_argument("--video", action="store_true", help="footage and own silhouettes instead of exact ones")
-    parser.add_argument("--set", dest="settings", action="append", default=[], metavar="NODE.PARAMETER=VALUE")
-    arguments = parser.parse_args()
+    given = parser(__doc__)
+    given.add_argument("cases", nargs="*", help="default: all", default=[])
+    given.add_argument("--cameras", nargs="+", type=int, default=[6, 8], help="sizes of the rig")
+    given.add_argument("--stature", type=float, default=1.75, help="m")
+    given.add_argument("--build", type=float, default=1.0, help="thickness over the average's")
+    given.add_argument("--arms", type=float, default=1.0, help="length over the average's")
+    given.add_argument("--legs", type=float, default=1.0, help="length over the average's")
+    given.add_argument("--video", action="store_true", help="footage and own silhouettes instead of exact ones")
+    add_settings(given)
+    arguments = given.parse_args()
     cases, settings = arguments.cases or list(HARD_CASES), parse_settings(arguments.settings)
     for case in cases:
         if case not in HARD_CASES:
             raise InputError(f"there is no hard case '{case}'", remedy=f"Known: {', '.join(HARD_CASES)}.")
-    print("| case | cameras | mean mm | over 200 mm | worst mm (point, time) | lost at s | recovered at s |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    columns = ("case", "cameras", "mean mm", "over 200 mm", "worst mm (point, time)", "lost at s", "recovered at s")
+    shown = Table(dict.fromkeys(columns, ""), markdown=True)
     table: dict[str, dict[str, Any]] = {}
     for case in cases:
         for cameras in arguments.cameras:
-            figures = run(case, cameras, arguments, settings)
-            print(row_of(case, cameras, figures), flush=True)
+            figures = track_case(case, cameras, arguments, settings)
+            shown.row(case, cameras, *cells(figures))
             table[f"{case}_{cameras}"] = asdict(figures)
-    print(json.dumps(table))
+    finish(table)
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

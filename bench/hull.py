@@ -39,8 +39,7 @@ sys.path += [str(package) for package in sorted((ROOT / "src").iterdir())]  # ru
 
 import cv2
 import numpy as np
-from hull_baselines import RIVALS, PlainNumpy
-from hull_scene import VOLUME, Masks, scene
+from hull_baselines import BASELINES, VOLUME, Masks, PlainNumpy, scene
 
 from capture_rig import InputError
 from hull_server.carve_backends import CarveBackend, make_backend
@@ -88,7 +87,7 @@ def entries(views: RigViews, grid: VoxelGrid, wanted: list[str]) -> Iterator[tup
                 backend = make_backend(OURS[name], views, grid).backend
                 yield name, Entry(points_of(backend, grid), backend.close)
             else:
-                yield name, Entry(RIVALS[name](views, grid))
+                yield name, Entry(BASELINES[name](views, grid))
         except (InputError, ImportError, AttributeError) as error:
             print(f"  without {name}: {error}")
 
@@ -119,7 +118,7 @@ def measure(cameras: int, voxel_mm: int, wanted: list[str], poses: int, budget_s
 
 def table(configurations: list[tuple[int, int]], poses: int, budget_s: float, limit_s: float) -> dict:
     """Print the table; return {(cameras, voxel_mm): {method: median ms}}."""
-    names, found = [*OURS, *RIVALS], {}
+    names, found = [*OURS, *BASELINES], {}
     print(f"{'cameras':>7} {'voxel':>6} " + " ".join(f"{name:>24}" for name in names))
     last: dict[int, tuple[int, dict[str, float]]] = {}
     for cameras, voxel_mm in configurations:
@@ -187,7 +186,7 @@ def plot(found: dict, path: Path) -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(7.5, 5), layout="constrained")
-    for name in [*OURS, *RIVALS]:
+    for name in [*OURS, *BASELINES]:
         cells = sorted((mm, row[name]) for (cameras, mm), row in found.items() if cameras == 5 and name in row)
         axes.loglog(*zip(*cells, strict=True), "o-" if name in OURS else "s--", label=name)
     ticks = sorted({mm for _, mm in found})

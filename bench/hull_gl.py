@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from hull_scene import VOLUME, Masks, scene
+from hull_baselines import VOLUME, Masks, scene
 
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.gl_buffers import GL

@@ -16,18 +16,15 @@ is JSON.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
-from clips import Clip, session_clip, studio_clip
 from drills import DRILLS, Outcome, is_good, play
+from scenes import Clip, session_clip, studio_clip
 
 from sagoma_tools.arguments import parse_settings
 from virtual_studio.motions.catalogue import HARD_CASES
@@ -39,19 +36,19 @@ DISTURBED_AT = 0.45
 """Where in the clip the disturbance begins, as a share of its length."""
 
 Figures = dict[str, float | None]
-Table = dict[str, Figures]
+Column = dict[str, Figures]
 
 
-def drilled(clip: Clip, settings: dict[str, Any]) -> Table:
+def drilled(clip: Clip, settings: dict[str, Any]) -> Column:
     """The figures of the undisturbed clip and of every drill."""
     begin, clouds = round(DISTURBED_AT * len(clip)), clip.carved(settings)
     longest = begin + max(drill.frames(clip.fps) for drill in DRILLS)
     calm = play(clip, clouds, settings).errors_m[longest:]
-    table: Table = {"undisturbed": {"good": round(float(is_good(calm).mean()), 3), "mean_mm": _mean_mm(calm)}}
+    column: Column = {"undisturbed": {"good": round(float(is_good(calm).mean()), 3), "mean_mm": _mean_mm(calm)}}
     for drill in DRILLS:
         outcome = play(clip, clouds, settings, drill, begin)
-        table[drill.name] = figures_of(outcome, begin, begin + drill.frames(clip.fps), clip.fps)
-    return table
+        column[drill.name] = figures_of(outcome, begin, begin + drill.frames(clip.fps), clip.fps)
+    return column
 
 
 def moved(name: str, settings: dict[str, Any]) -> Figures:
@@ -86,12 +83,11 @@ def _mean_mm(errors_m: np.ndarray) -> float | None:
     return round(float(1e3 * np.nanmean(errors_m)), 1) if np.isfinite(errors_m).any() else None
 
 
-def print_table(table: Mapping[str, Table]) -> None:
+def print_table(columns: Mapping[str, Column]) -> None:
     """Rows are drills, columns are clips."""
-    print(f"| drill | {' | '.join(table)} |")
-    print("|---|" + "---|" * len(table))
-    for name in {name: None for column in table.values() for name in column}:
-        print(f"| {name} | {' | '.join(_cell(column.get(name)) for column in table.values())} |")
+    table = Table({"drill": "", **dict.fromkeys(columns, "")}, markdown=True)
+    for name in {name: None for column in columns.values() for name in column}:
+        table.row(name, *(_cell(column.get(name)) for column in columns.values()))
 
 
 def _cell(figures: Figures | None) -> str:
@@ -106,22 +102,22 @@ def _cell(figures: Figures | None) -> str:
 
 def main() -> None:
     """Print the table and the line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sessions", nargs="*", type=Path, help="session folders with a reference")
-    parser.add_argument("--exact", action="store_true", help="the sessions' exact silhouettes, not their footage")
-    parser.add_argument("--motion", nargs="*", default=["tour", "walk"], help="motions of the virtual studio")
-    parser.add_argument("--set", dest="settings", action="append", default=[], metavar="NODE.PARAMETER=VALUE")
-    arguments = parser.parse_args()
+    given = parser(__doc__)
+    given.add_argument("sessions", nargs="*", type=Path, help="session folders with a reference")
+    given.add_argument("--exact", action="store_true", help="the sessions' exact silhouettes, not their footage")
+    given.add_argument("--motion", nargs="*", default=["tour", "walk"], help="motions of the virtual studio")
+    add_settings(given)
+    arguments = given.parse_args()
     settings = parse_settings(arguments.settings)
     motions = {name: moved(name, settings) for name in MOTION_DRILLS} if arguments.motion else {}
     clips = [studio_clip(motion, MOTION_S) for motion in arguments.motion]
     clips += [session_clip(folder, arguments.exact) for folder in arguments.sessions]
-    table = {clip.name: drilled(clip, settings) for clip in clips}
+    columns = {clip.name: drilled(clip, settings) for clip in clips}
     if motions:
-        table["itself"] = motions
-    print_table(table)
-    print(json.dumps(table))
+        columns["itself"] = motions
+    print_table(columns)
+    finish(columns)
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

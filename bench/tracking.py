@@ -13,22 +13,16 @@ Times are CPU time of one thread. The last line is JSON: {"mean_mm", "thesis_mea
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import sys
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
 import numpy as np
 from synthetic.bounds import Bounds, bounds
 from synthetic.clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
-from synthetic.contest import labelled_contest, unlabelled_contest
-from synthetic.timing import times_ms
-from synthetic.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, track
+from synthetic.solvers import compare_labelled, compare_unlabelled
+from synthetic.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, times_ms, track
 
-from capture_rig.errors import InputError
 from virtual_studio.motion_files.recorded import ReadingOptions
 from virtual_studio.motions.catalogue import MOTIONS
 
@@ -42,20 +36,15 @@ QUICK_CLIPS = ("tour", "walk")
 QUICK_S, FULL_S = 4.0, 6.0
 
 
-def main() -> int:
-    """Returns the exit code: 0, or 2 with one clear line on standard error."""
+def main() -> None:
+    """Print the tables and the line of JSON."""
     options = _parser().parse_args()
-    try:
-        clips = gather(options)
-    except InputError as error:
-        print(f"bench/tracking.py: {error}", file=sys.stderr)
-        return 2
+    clips = gather(options)
     figures = protocol(clips)
     frames = 20 if options.quick else 100
-    unlabelled_contest(clips[0].cut(frames))
-    labelled_contest(clips[0].cut(5 * frames))
-    print(json.dumps(figures | times_ms(studio_clip("tour", 2.0 if options.quick else QUICK_S))))
-    return 0
+    compare_unlabelled(clips[0].cut(frames))
+    compare_labelled(clips[0].cut(5 * frames))
+    finish(figures | times_ms(studio_clip("tour", 2.0 if options.quick else QUICK_S)))
 
 
 def gather(options: argparse.Namespace) -> list[Clip]:
@@ -84,15 +73,17 @@ def protocol(clips: list[Clip]) -> dict[str, float]:
     print(
         f"{len(clips)} clips at {FPS:g} Hz, {POINTS} points, noise of a sixth of the hips' distance, {noise_mm:.0f} mm"
     )
-    print("\nmean error of the 15 filtered points, mm (+: at the end a point is over 200 mm off)")
-    columns = ("thesis 0.1", "thesis 0.2", "all joints", "chain", "sticks", "bound")
-    print(f"{'clip':24}{'frames':>7}" + "".join(f"{column:>12}" for column in columns), flush=True)
+    columns = ("thesis 0.1", "thesis 0.2", "all joints", "chain", "sticks")
+    table = Table(
+        {"clip": "<24", "frames": ">6d", **dict.fromkeys(columns, ">11"), "bound": ">10.1f"},
+        "mean error of the 15 filtered points, mm (+: at the end a point is over 200 mm off)",
+    )
     for seed, clip in enumerate(clips):
         points = clouds(clip, seed)
         for method in methods:
             runs[method].append(track(method, clip, points, clip.sigma_m))
         limits.append(bounds(clip, BOUND_EVERY, SETTLED))
-        _print_clip(clip, [run[-1] for run in runs.values()], limits[-1])
+        table.row(clip.name, len(clip.poses), *(_cell(run[-1]) for run in runs.values()), limits[-1].mm)
     _print_means(runs, limits)
     ours, theirs = runs[chain()], runs[thesis()]
     return {
@@ -107,31 +98,33 @@ def mean_mm(runs: list[Run], fitted: bool = False) -> float:
     return float(np.mean([1e3 * (run.fitted if fitted else run.filtered)[SETTLED:].mean() for run in runs]))
 
 
-def _print_clip(clip: Clip, runs: list[Run], limit: Bounds) -> None:
-    cells = ""
-    for run in runs:
-        mark = "+" if run.filtered[-1].max() > LOST_M else " "
-        cells += f"{1e3 * run.filtered[SETTLED:].mean():11.1f}{mark}"
-    print(f"{clip.name:24}{len(clip.poses):7}{cells}{limit.mm:11.1f}", flush=True)
+def _cell(run: Run) -> str:
+    return f"{1e3 * run.filtered[SETTLED:].mean():.1f}{'+' if run.filtered[-1].max() > LOST_M else ' '}"
 
 
 def _print_means(runs: dict[Method, list[Run]], limits: list[Bounds]) -> None:
-    columns = f"{'fit mm':>8}{'filter mm':>10}{'lost':>6}{'inside 95 %':>12}{'fit ms':>8}{'filter ms':>10}"
-    print(f"\n{'mean of all clips':44}{columns}")
+    table = Table(
+        {
+            "mean of all clips": "<44",
+            "fit mm": ">7.1f",
+            "filter mm": ">9.1f",
+            "lost": ">5d",
+            "inside 95 %": ">11.0%",
+            "fit ms": ">7.2f",
+            "filter ms": ">9.2f",
+        }
+    )
     for method, run in runs.items():
         lost = sum(r.filtered[-1].max() > LOST_M for r in run)
-        inside = np.mean([r.inside[SETTLED:].mean() for r in run])
+        inside = float(np.mean([r.inside[SETTLED:].mean() for r in run]))
         icp_ms, ekf_ms = (np.median(np.concatenate(ms)) for ms in ([r.icp_ms for r in run], [r.ekf_ms for r in run]))
-        print(
-            f"{method.name:44}{mean_mm(run, fitted=True):8.1f}{mean_mm(run):10.1f}{lost:6}{100 * inside:11.0f}%"
-            f"{icp_ms:8.2f}{ekf_ms:10.2f}"
-        )
+        table.row(method.name, mean_mm(run, fitted=True), mean_mm(run), lost, inside, icp_ms, ekf_ms)
     for name, one, all_so_far in (
         ("bound: which place a point is of, unknown", "frame_mm", "mm"),
         ("bound, were it known", "labelled_frame_mm", "labelled_mm"),
     ):
-        values = [np.mean([getattr(limit, key) for limit in limits]) for key in (one, all_so_far)]
-        print(f"{name:44}{values[0]:8.1f}{values[1]:10.1f}")
+        values = [float(np.mean([getattr(limit, key) for limit in limits])) for key in (one, all_so_far)]
+        table.row(name, *values, None, None, None, None)
 
 
 def _rounded(mm: float) -> float:
@@ -139,16 +132,15 @@ def _rounded(mm: float) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="few, short clips: under a minute")
-    parser.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH or AMC files to track too")
-    parser.add_argument("--motion-scale", type=float, help="metres in one unit of these files")
-    parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of each to leave out")
-    parser.add_argument("--motion-up", default="y", help="their axis that points up")
-    parser.add_argument("--motion-fps", type=float, help="frames a second of AMC files")
-    parser.add_argument("--motion-joints", type=Path, help="YAML that says which joint is which")
-    return parser
+    made = parser(__doc__, quick="few, short clips: under a minute")
+    made.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH or AMC files to track too")
+    made.add_argument("--motion-scale", type=float, help="metres in one unit of these files")
+    made.add_argument("--motion-start", type=float, default=0.0, help="seconds of each to leave out")
+    made.add_argument("--motion-up", default="y", help="their axis that points up")
+    made.add_argument("--motion-fps", type=float, help="frames a second of AMC files")
+    made.add_argument("--motion-joints", type=Path, help="YAML that says which joint is which")
+    return made
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    execute(main)

@@ -11,15 +11,13 @@ footage. The last line is JSON: {row: {session: {"mean_mm", "over_200mm", "insid
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
-from capture_rig.errors import InputError
-from capture_rig.session import Session, load_session
+from scenes import session_with_truth
+
+from capture_rig.session import Session
 from sagoma_tools.evaluation.chain import Configuration
 from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows, track_variants
 from sagoma_tools.evaluation.live_run import start_settings
@@ -53,31 +51,29 @@ def rows_of(session: Session) -> dict[str, Configuration]:
 
 def scores_of(session: Session, exact: bool) -> dict[str, Scores | None]:
     """Every row's scores; None where it found no body."""
-    if session.truth is None:
-        raise InputError("has no truth.csv or reference*.csv", where=str(session.folder), remedy="Leave it out.")
+    assert session.truth is not None
     tracks = track_variants(session, rows_of(session), exact_masks=exact)
     return {name: score(track, session.truth) if len(track) else None for name, track in tracks.items()}
 
 
 def main() -> None:
     """Print the table and the line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sessions", nargs="+", type=Path, help="session folders with a reference")
-    parser.add_argument("--exact", action="store_true", help="exact silhouettes instead of segmented footage")
-    arguments = parser.parse_args()
-    sessions = {path.name: load_session(path) for path in arguments.sessions}
+    given = parser(__doc__)
+    given.add_argument("sessions", nargs="+", type=Path, help="session folders with a reference")
+    given.add_argument("--exact", action="store_true", help="exact silhouettes instead of segmented footage")
+    arguments = given.parse_args()
+    sessions = {path.name: session_with_truth(path) for path in arguments.sessions}
     columns = {name: scores_of(session, arguments.exact) for name, session in sessions.items()}
-    print(f"| mm / over 200 mm / inside 95 % | {' | '.join(columns)} |")
-    print("|---|" + "---|" * len(columns))
+    shown = Table({"mm / over 200 mm / inside 95 %": "", **dict.fromkeys(columns, "")}, markdown=True)
     table: dict[str, dict[str, dict[str, float] | None]] = {}
     for row in [*ablation_rows({}), *CHANGES]:
         found = {name: column[row] for name, column in columns.items()}
-        print(f"| {row} | {' | '.join(cell(scores) for scores in found.values())} |")
+        shown.row(row, *(cell(scores) for scores in found.values()))
         table[row] = {
             name: scores and {key: round(float(getattr(scores, key)), 4) for key in KEYS}
             for name, scores in found.items()
         }
-    print(json.dumps(table))
+    finish(table)
 
 
 def cell(scores: Scores | None) -> str:
@@ -88,4 +84,4 @@ def cell(scores: Scores | None) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

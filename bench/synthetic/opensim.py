@@ -11,8 +11,7 @@ from stick_figure.body import Body
 from stick_figure.skeleton import PARENT
 
 from .clips import FPS, Clip
-from .model import POINT_ENDS, along_stick, local_ends
-from .rivals import Solver
+from .solvers import POINT_ENDS, Solver, along_stick, local_ends
 
 ACCURACY = 1e-4
 ZERO = (0.0, 0.0, 0.0)

@@ -11,8 +11,7 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import BALL_ANGLES, HINGE_ANGLES, PARENT
 
 from .clips import Clip
-from .model import POINT_ENDS, along_stick, local_ends
-from .rivals import ASSIGNMENTS, PRIOR, STOP_M, Solver
+from .solvers import ASSIGNMENTS, POINT_ENDS, PRIOR, STOP_M, Solver, along_stick, local_ends
 
 BALL_AXES = ("xy", "xzy", "xzy", "xyz", "xyz")
 HINGE_AXES = ("z", "z", "y", "y")

@@ -1,1 +1,0 @@
-"""The contest of sticks: clips of random and recorded motion, bounds, trackers, and rivals."""
