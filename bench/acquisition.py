@@ -9,18 +9,16 @@ table is one input; a cell is the error of a size in mm (of many people: mean an
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
 import numpy as np
+from scenes import canvas_masks, session_with_truth
 
-from capture_rig.session import Session, footage_stamp_ns, load_session
+from capture_rig.session import Session, footage_stamp_ns
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.body_sizes import (
@@ -36,13 +34,13 @@ from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.acquisition.upright import PoseRejected
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts, VoxelSamples
-from sagoma_tools.evaluation.in_process import EPOCH_NS, Configuration, exact_silhouettes, silhouettes
+from sagoma_tools.evaluation.in_process import EPOCH_NS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
 from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.camera import VirtualCamera
+from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
 LONGEST = 60  # sets of a session that are looked at
@@ -50,13 +48,12 @@ LONGEST = 60  # sets of a session that are looked at
 
 def of_session(session: Session, exact: bool) -> dict[str, object]:
     """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
-    masks = exact_silhouettes(session) if exact else silhouettes(session, Configuration.of({}).camera)
     pipeline, source = (
         HullPipeline(session.rig, HullSettings(backend="cpu")),
         TPoseSource(TPoseSettings(), session.rig.volume),
     )
     points = session.truth.stick_figure_points()
-    for frame, frame_masks in enumerate(islice(masks, LONGEST)):
+    for frame, frame_masks in enumerate(islice(canvas_masks(session, exact), LONGEST)):
         stamp_ns = footage_stamp_ns(EPOCH_NS, frame, session.fps)
         hull = pipeline.run(FrameSet.of_instant(stamp_ns, frame_masks))
         voxels = VoxelSamples.checked(hull.products.voxels.points_world, hull.products.voxels.surface)
@@ -114,14 +111,13 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
 def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
     """Body, pose and hull voxels of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
     rig = ring(cameras, ceiling=ceiling)
-    eyes = [(camera.name, VirtualCamera(camera), camera.undistorted_view()) for camera in rig.cameras]
-    pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
+    eyes, pipeline = ExactSilhouettes(rig), HullPipeline(rig, HullSettings(backend="cpu"))
     for k in range(number):
         body = body_of_sizes(MEAN_OVER_STATURE * rng.uniform(1.4, 2.05) * rng.uniform(0.95, 1.05, len(SIZES)))
         pose = t_pose(body, rng)
         parts = VolumetricBody(body).place(pose)
         parts.radii[:] *= rng.uniform(0.85, 1.25)
-        masks = {name: view.undistort_mask(eye.render(parts, None)[1]) for name, eye, view in eyes}
+        masks = eyes.render(parts)
         stamp_ns = (k + 1) * 1_000_000_000
         hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
         yield body, pose, hull.products.voxels.points_world, rig.volume
@@ -147,27 +143,26 @@ def t_pose(body: Body, rng: np.random.Generator) -> Pose:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("sessions", nargs="*", type=Path)
-    parser.add_argument("--quick", action="store_true", help="fewer people, exact silhouettes only")
-    given = parser.parse_args()
+    given = parser(__doc__, quick="fewer people, exact silhouettes only")
+    given.add_argument("sessions", nargs="*", type=Path)
+    options = given.parse_args()
     results: dict[str, dict[str, object]] = {}
-    for folder in given.sessions:
-        session = load_session(folder)
-        for exact in (True,) if given.quick else (True, False):
+    for folder in options.sessions:
+        session = session_with_truth(folder)
+        for exact in (True,) if options.quick else (True, False):
             results[f"{folder.name}, {'exact' if exact else 'own'} silhouettes"] = of_session(session, exact)
     for cameras, ceiling in ((5, True), (3, False)):
         name = f"studio, {cameras + ceiling} cameras"
-        results[name] = of_people(cameras, ceiling, 10 if given.quick else 60)
-    print(" " * 40 + " ".join(f"{name[:9]:>9}" for name in SIZES))
+        results[name] = of_people(cameras, ceiling, 10 if options.quick else 60)
+    table = Table({"input": "<30", "figure": "<10", **{name[:9]: ">9.4g" for name in SIZES}})
     for name, result in results.items():
         for key in ("sizes_mm", "mean_mm", "rms_mm", "rms_over_sd"):
             if key in result:
-                print(f"{name[:30]:30} {key:9}" + " ".join(f"{value:9.4g}" for value in result[key]))
+                table.row(name[:30], key, *result[key])
         rest = {key: value for key, value in result.items() if not isinstance(value, list) or key == "refused"}
         print(f"{name[:30]:30} {rest}")
-    print(json.dumps({"sizes": list(SIZES), **results}))
+    finish({"sizes": list(SIZES), **results})
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -7,22 +7,13 @@ Prints a table and, last, one line of JSON.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import argparse
-import json
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
+
+from report import Table, execute, finish, parser
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "src" / "rig_calibration" / "test"))  # the rigs of the tests
-
 from bundle_studio import T_WORLD_FLOOR, TARGETS, carried, carried_and_floor, detections_of, errors, ring, truth
 
 from capture_rig.camera import CameraModel
@@ -91,9 +82,7 @@ def seconds(cameras: int, frames: int) -> tuple[int, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="fewer rigs: under a minute")
-    quick = parser.parse_args().quick
+    quick = parser(__doc__, quick="fewer rigs: under a minute").parse_args().quick
     runs = 6 if quick else 40
 
     def plain(rng: np.random.Generator) -> list[TargetDetection]:
@@ -105,15 +94,15 @@ def main() -> None:
         "uncertain lenses": accuracy(runs, plain, LENSES),
         "uncertain lenses, refined": accuracy(runs, plain, {**LENSES, "refine_intrinsics": True}),
     }
-    print(f"4 cameras of 640 x 480, {FRAMES} moments of a carried board, one floor board (the gauge); {runs} rigs")
     keys = list(cases["noise of 0.2 px"])
-    print(f"{'':30s}" + "".join(f"{key:>20s}" for key in keys))
+    title = f"4 cameras of 640 x 480, {FRAMES} frames of a carried board, one floor board (the gauge); {runs} rigs"
+    table = Table({"case": "<30", **dict.fromkeys(keys, ">19.3f")}, title)
     for name, figures in cases.items():
-        print(f"{name:30s}" + "".join(f"{figures[key]:20.3f}" for key in keys))
+        table.row(name, *(figures[key] for key in keys))
     corners, used_s = seconds(*((4, 100) if quick else (8, 300)))
     print(f"whole solution, {corners} corners: {used_s:.1f} s of one core")
-    print(json.dumps({"bundle": {**cases, "corners": corners, "solve_s": used_s}}))
+    finish({"bundle": {**cases, "corners": corners, "solve_s": used_s}})
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

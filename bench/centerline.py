@@ -12,25 +12,21 @@ the same figures after each limb's mean offset, in a frame that turns with the l
 
 mean : mm, distance of the centerline points to the nearest axis. outliers : % of points farther than 60 mm.
 coverage : % of the limbs' axes, sampled every 20 mm, with a point within 50 mm. points : per frame.
-ratio : rms of the points' centred distance, outliers apart, over sigma, per direction across the limb; 1 is honest.
+ratio : rms of the points' centred distance, outliers apart, over sigma, per direction across the limb; 1 is right.
 
 The last line is JSON: mean_mm, outliers_percent, coverage_percent, by scene.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
-import cv2
 import numpy as np
-from centerline_scenes import LIMBS, SHARED, Frame, Scenes, built_in, rendered
+from centerline_scenes import LIMBS, Frame, Scenes, built_in, rendered
+from scenes import shared_sessions
 from scipy.spatial import cKDTree
 
 from hull_server.grid import BrickVolume
@@ -154,35 +150,29 @@ def centerline(volume: BrickVolume, filters: BlobSettings) -> Centerline:
     return find_centerline(_TABLES[key], volume.grid, filters)
 
 
-def print_scenes(scenes: dict[str, Score]) -> None:
-    print(
-        f"{'mean / outliers / coverage':<26} {'':>17} {'centred':>17} {'ratio':>5} {'points':>6}"
-        f"   by limb, mean / coverage: {', '.join(LIMBS)}"
-    )
+def print_scenes(scenes: dict[str, Score], title: str = "") -> None:
+    limbs = f"  by limb, mean / coverage: {', '.join(LIMBS)}"
+    columns = {"mean / outliers / coverage": "<26", "": ">17", "centred": ">17", "ratio": ">5.2f", "points": ">6.0f"}
+    table = Table({**columns, limbs: "<1"}, title)
     for name, s in scenes.items():
         found, centred = (" / ".join(f"{x:4.1f}" for x in figures) for figures in (s.figures, s.centred_figures))
-        print(
-            f"{name:<26} {found:>17} {centred:>17} {s.ratio:>5.2f} {len(s.distance) / s.frames:>6.0f}"
-            f"   {'  '.join(s.by_limb())}"
-        )
+        table.row(name, found, centred, s.ratio, len(s.distance) / s.frames, f"  {'  '.join(s.by_limb())}")
 
 
 def print_rules(groups: Scenes) -> None:
     """The ablation: one row a rule, mean / outliers / coverage of each group of frames."""
-    print(f"\n{'rule (mean mm / outliers % / coverage %)':<40}  {'  '.join(f'{name:>17}' for name in groups)}")
+    table = Table({"rule (mean mm / outliers % / coverage %)": "<40", **dict.fromkeys(groups, ">18")})
     for rule, filters in RULES.items():
         cells = [" / ".join(f"{x:4.1f}" for x in score(frames, filters).figures) for frames in groups.values()]
-        print(f"{rule:<40}  {'  '.join(f'{cell:>17}' for cell in cells)}")
+        table.row(rule, *cells)
 
 
 def print_voxel_sizes(sizes_mm: tuple[int, ...]) -> None:
-    print("\nbuilt-in body, 6 cameras, by voxel size")
-    print_scenes(
-        {
-            f"{mm} mm": score([f for kind in built_in(6, mm / 1e3, 3).values() for f in kind], BlobSettings())
-            for mm in sizes_mm
-        }
-    )
+    scores = {
+        f"{mm} mm": score([f for kind in built_in(6, mm / 1e3, 3).values() for f in kind], BlobSettings())
+        for mm in sizes_mm
+    }
+    print_scenes(scores, "built-in body, 6 cameras, by voxel size")
 
 
 # --- the picture -----------------------------------------------------------------------------------------------------
@@ -225,11 +215,9 @@ def draw(path: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="fewer frames, one session, no voxel sizes")
-    parser.add_argument("--picture", metavar="PNG", help="draw the picture of docs/centerline.md instead")
-    arguments = parser.parse_args()
-    cv2.setNumThreads(1)
+    given = parser(__doc__, quick="fewer frames, one session, no voxel sizes")
+    given.add_argument("--picture", metavar="PNG", help="draw the picture of docs/centerline.md instead")
+    arguments = given.parse_args()
     if arguments.picture:
         draw(arguments.picture)
         return
@@ -239,22 +227,19 @@ def main() -> None:
         kinds = built_in(cameras, 0.02, 2 if arguments.quick else 6)
         scenes |= {f"{cameras} cameras, {kind}": score(frames, BlobSettings()) for kind, frames in kinds.items()}
         groups[f"{cameras} cameras"] = [frame for frames in kinds.values() for frame in frames]
-    folders = sorted((SHARED / "sessions").iterdir()) if (SHARED / "sessions").is_dir() else []
-    for folder in folders[1:2] if arguments.quick else folders:
+    sessions = list(shared_sessions())
+    for name, session in sessions[1:2] if arguments.quick else sessions:
         for exact in (True, False):
-            name = f"{folder.name.split('_')[0]}, {'exact' if exact else 'own'}"
-            groups[name] = rendered(folder, exact, 0.02)
+            groups[f"{name.split('_')[0]}, {'exact' if exact else 'own'}"] = rendered(session, exact, 0.02)
     scenes |= {name: score(frames, BlobSettings()) for name, frames in groups.items()}
     print_scenes(scenes)
     print_rules(groups)
     if not arguments.quick:
         print_voxel_sizes((40, 30, 20, 15, 10))
-    if not folders:
-        print(f"no rendered sessions: {SHARED / 'sessions'} is not there", file=sys.stderr)
     keys = ("mean_mm", "outliers_percent", "coverage_percent")
     figures = {name: dict(zip(keys, np.round(scenes[name].figures, 2).tolist(), strict=True)) for name in groups}
-    print(json.dumps({key: {name: figures[name][key] for name in figures} for key in keys}))
+    finish({key: {name: figures[name][key] for name in figures} for key in keys})
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -2,33 +2,30 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
 
 import numpy as np
+from scenes import STATURE_M, canvas_masks
 from scipy.spatial.transform import Rotation
 
 from capture_rig import Rig
-from capture_rig.session import load_session
+from capture_rig.session import Session
 from hull_server.grid import BrickVolume
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
-from sagoma_tools.evaluation.in_process import Configuration, exact_silhouettes, silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES, mirror_angles
 from virtual_studio.motions.catalogue import tour
 from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.camera import VirtualCamera
+from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
-SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-BODY = Body.from_stature(1.75)
+BODY = Body.from_stature(STATURE_M)
 EVERY, FIRST = 15, 7  # frames of a session that are measured
 SAMPLE_M = 0.020
 TOUR_S = {"walking": (1.9, 3.3), "raising arms": (3.9, 5.6), "squatting": (6.3, 8.1), "turning": (8.7, 10.4)}
@@ -165,28 +162,24 @@ def _placed(pose: Pose, yaw: float, x: float, y: float) -> Pose:
 
 def built_in(cameras: int, voxel_m: float, number: int) -> Scenes:
     rig = ring(cameras - 1)
-    eyes = {camera.name: (VirtualCamera(camera), camera.undistorted_view()) for camera in rig.cameras}
-    carve = _carver(rig, voxel_m)
+    eyes, carve = ExactSilhouettes(rig), _carver(rig, voxel_m)
     scenes: Scenes = {}
     for kind, chosen in poses(number).items():
         for pose in chosen:
             parts = VolumetricBody(BODY).place(pose)
-            masks = {name: view.undistort_mask(eye.render(parts, None)[1]) for name, (eye, view) in eyes.items()}
             at = dict(zip(POINT_NAMES, forward(BODY, pose), strict=True))
             for side, feet in (("left", slice(-4, -2)), ("right", slice(-2, None))):
                 at |= {f"{side}_heel": parts.starts[feet].mean(axis=0), f"{side}_toe": parts.ends[feet].mean(axis=0)}
-            scenes.setdefault(kind, []).append(Frame(carve(masks), axes_of(at)))
+            scenes.setdefault(kind, []).append(Frame(carve(eyes.render(parts)), axes_of(at)))
     return scenes
 
 
-def rendered(folder: Path, exact: bool, voxel_m: float) -> list[Frame]:
-    session = load_session(folder)
-    table = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
+def rendered(session: Session, exact: bool, voxel_m: float) -> list[Frame]:
+    table = np.genfromtxt(session.folder / "truth.csv", delimiter=",", names=True)
     rows = {int(row["frame"]): row for row in table}
     carve = _carver(session.rig, voxel_m)
-    masks = exact_silhouettes(session) if exact else silhouettes(session, Configuration.of({}).camera)
     frames = []
-    for number, frame_masks in enumerate(masks):
+    for number, frame_masks in enumerate(canvas_masks(session, exact)):
         if number % EVERY == FIRST and number in rows:
             frames.append(Frame(carve(frame_masks), axes_of(_bones(rows[number]))))
     return frames

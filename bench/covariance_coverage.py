@@ -3,9 +3,9 @@
     python bench/covariance_coverage.py SESSION [SESSION ...] [--exact] [--set NODE.PARAMETER=VALUE ...]
 
 One row a point, one column a session; 85 to 99 % is consistent. The last two columns pool the sessions: the share, and
-the additional standard deviation (mm, each direction, in quadrature) with which 95 % of the pooled errors would be inside;
-a negative one is what could be taken away. They tell how to change `ekf_tracker`'s parameters
-filter.measurement_bias.*. The last line is JSON: {session: {point: share}}.
+the standard deviation to add (mm, each direction, in quadrature) so that 95 % of the pooled errors are inside;
+negative: to take away. They tell how to change `ekf_tracker`'s parameters filter.measurement_bias.*. The last line is
+JSON: {session: {point: share}}.
 """
 
 from __future__ import annotations

@@ -23,7 +23,6 @@ exponent (not with --quick): time grows as (1 / voxel size) to this power, 20 to
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import subprocess
@@ -33,9 +32,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-ROOT = Path(__file__).resolve().parent.parent
-sys.path += [str(package) for package in sorted((ROOT / "src").iterdir())]  # runs where nothing is installed
+from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
@@ -119,15 +116,15 @@ def measure(cameras: int, voxel_mm: int, wanted: list[str], poses: int, budget_s
 def table(configurations: list[tuple[int, int]], poses: int, budget_s: float, limit_s: float) -> dict:
     """Print the table; return {(cameras, voxel_mm): {method: median ms}}."""
     names, found = [*OURS, *BASELINES], {}
-    print(f"{'cameras':>7} {'voxel':>6} " + " ".join(f"{name:>24}" for name in names))
+    shown = Table({"cameras": ">7d", "voxel mm": ">8d", **dict.fromkeys(names, ">24")})
     last: dict[int, tuple[int, dict[str, float]]] = {}
     for cameras, voxel_mm in configurations:
         coarser_mm, coarser = last.get(cameras, (voxel_mm, {}))
         growth = (coarser_mm / voxel_mm) ** COST_OF_FINER
         wanted = [n for n in names if n in OURS or coarser.get(n, 0.0 if not coarser else 1e9) * growth < 1e3 * limit_s]
         row = found[cameras, voxel_mm] = measure(cameras, voxel_mm, wanted, poses, budget_s)
-        cells = [f"{row[n]:12.2f} {row[n] / row[BASE]:9.1f} x" if n in row else f"{'-':>24}" for n in names]
-        print(f"{cameras:>7} {voxel_mm:>3} mm " + " ".join(cells), flush=True)
+        cells = [f"{row[n]:.2f} {row[n] / row[BASE]:9.1f} x" if n in row else None for n in names]
+        shown.row(cameras, voxel_mm, *cells)
         last[cameras] = voxel_mm, row
     return found
 
@@ -260,13 +257,11 @@ def figures_of(found: dict, auto: str) -> dict[str, float | None]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="three configurations and the exactness, nothing else")
-    parser.add_argument("--plot", type=Path, help="draw the table to this file")
-    parser.add_argument("--limit", type=float, default=20.0, help="seconds a frame that a method may take")
-    parser.add_argument(MEMORY_OPTION, action="store_true", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    cv2.setNumThreads(1)
+    given = parser(__doc__, quick="three configurations and the exactness, nothing else")
+    given.add_argument("--plot", type=Path, help="draw the table to this file")
+    given.add_argument("--limit", type=float, default=20.0, help="seconds a frame that a method may take")
+    given.add_argument(MEMORY_OPTION, action="store_true", help=argparse.SUPPRESS)
+    arguments = given.parse_args()
     if arguments.memory_of_one_process:
         memory_of_one_process()
         return
@@ -285,7 +280,7 @@ def main() -> None:
     output = subprocess.run([sys.executable, __file__, MEMORY_OPTION], check=True, capture_output=True, text=True)
     figures["rss_10mm_mb"] = round(float(output.stdout.split()[-1]), 1)
     print(f"resident memory at 10 mm with 8 cameras: {figures['rss_10mm_mb']} MB")
-    print(json.dumps(figures))
+    finish(figures)
 
 
 def auto_is_gl() -> bool:
@@ -297,4 +292,4 @@ def auto_is_gl() -> bool:
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -10,17 +10,13 @@ while this one slices.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import argparse
 import queue
 import threading
 import time
 from collections.abc import Callable
 
-import cv2
+from report import execute, parser
+
 import numpy as np
 from hull_baselines import VOLUME, Masks, scene
 
@@ -114,10 +110,9 @@ def time_streams(carver: GlCarver, frames: list[Masks], rounds: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=10)
-    rounds = parser.parse_args().rounds
-    cv2.setNumThreads(1)
+    given = parser(__doc__)
+    given.add_argument("--rounds", type=int, default=10)
+    rounds = given.parse_args().rounds
     for cameras, voxel_mm in ((5, 20), (8, 20), (5, 10), (8, 10)):
         rig, frames = scene(cameras, 6)
         carver = GlCarver(RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, voxel_mm / 1e3))
@@ -129,4 +124,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

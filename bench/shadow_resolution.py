@@ -20,19 +20,17 @@ resolve_per_carve : cost of the judgement as a share of the carve's, in the same
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
+from scenes import shared_sessions
 
 from camera_client.background.model import read_background
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
@@ -50,7 +48,6 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 VOXEL_M, FEET_M = 0.02, 0.25
 DEFAULT, BEFORE = "all cameras judge", "candidates background"
 Masks = dict[str, np.ndarray]
@@ -155,8 +152,10 @@ def mask_scores(found: Masks, exact: Masks) -> np.ndarray:
     return np.mean(rows, axis=0)
 
 
-def score(name: str, session: Session, every: int) -> tuple[dict[str, dict[str, float]], Scorer, list[int]]:
-    """Print the rows of one session; figures by row, the scorer with its times, and message sizes."""
+def score(
+    name: str, session: Session, every: int, table: Table
+) -> tuple[dict[str, dict[str, float]], Scorer, list[int]]:
+    """Add the rows of one session; figures by row, the scorer with its times, and message sizes."""
     scorer, sizes = Scorer(session.rig), []
     counts: dict[str, list[list[int]]] = {row: [] for row in scorer.rows()}
     masks: dict[str, list[np.ndarray]] = {row: [] for row in scorer.rows()}
@@ -183,7 +182,7 @@ def score(name: str, session: Session, every: int) -> tuple[dict[str, dict[str, 
             "feet_miss": feet_miss / (feet + feet_miss),
             "feet_extra": feet_extra / (feet + feet_miss),
         }
-        print(f"{name:<20} {row:<22}" + "".join(f"{value:>10.3f}" for value in figures[row].values()), flush=True)
+        table.row(name, row, *figures[row].values())
     return figures, scorer, sizes
 
 
@@ -220,34 +219,31 @@ def _feet(panel: np.ndarray, levels: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="fewer frames")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="only draw a picture")
-    parser.add_argument("--session", type=Path, metavar="FOLDER", help="the picture's session")
-    parser.add_argument("--frame", type=int, default=4, help="the picture's frame, in fifteenths")
-    arguments = parser.parse_args()
-    cv2.setNumThreads(1)
+    given = parser(__doc__, quick="fewer frames")
+    given.add_argument("--picture", type=Path, metavar="FILE", help="only draw a picture")
+    given.add_argument("--session", type=Path, metavar="FOLDER", help="the picture's session")
+    given.add_argument("--frame", type=int, default=4, help="the picture's frame, in fifteenths")
+    arguments = given.parse_args()
     if arguments.picture:
         picture(load_session(arguments.session), arguments.picture, arguments.frame)
         return
     result: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory(prefix="sagoma_bench_") as folder:
-        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12)
-        sessions = {"studio": (Path(folder) / "studio", 24 if arguments.quick else 6)}
-        if (SHARED / "sessions").is_dir():
-            sessions |= {p.name: (p, 60 if arguments.quick else 15) for p in sorted((SHARED / "sessions").iterdir())}
-        heads = ("mask IoU", "precision", "recall", "hull IoU", "miss", "extra", "feet IoU", "miss", "extra")
-        print(f"{'':<43}" + "".join(f"{head:>10}" for head in heads))
-        for name, (path, every) in sessions.items():
-            figures, scorer, sizes = score(name, load_session(path), every)
+        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12, seed=1)
+        sessions = {"studio": load_session(Path(folder) / "studio"), **dict(shared_sessions())}
+        heads = ("mask IoU", "precision", "recall", "hull IoU", "miss", "extra", "feet IoU", "feet miss", "feet extra")
+        table = Table({"session": "<20", "row": "<22", **dict.fromkeys(heads, ">10.3f")})
+        for name, session in sessions.items():
+            every = (24 if name == "studio" else 60) if arguments.quick else (6 if name == "studio" else 15)
+            figures, scorer, sizes = score(name, session, every, table)
             for key in ("feet_iou", "feet_miss", "feet_extra", "hull_iou", "mask_iou"):
                 result.setdefault(key, {})[name] = round(float(figures[DEFAULT][key]), 3)
                 result.setdefault(f"{key}_before", {})[name] = round(float(figures[BEFORE][key]), 3)
             times = {what: float(np.median(seconds)) for what, seconds in scorer.seconds.items()}
             result.setdefault("resolve_per_carve", {})[name] = round(times["resolve"] / times["carve"], 2)
             result.setdefault("png_bytes", {})[name] = round(float(np.mean(sizes)))
-    print(json.dumps(result))
+    finish(result)
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -21,9 +21,6 @@ png_bytes, png_ms : the message of one silhouette.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -32,10 +29,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
+from scenes import SHARED, shared_sessions
 from scipy.stats import norm
 
 from camera_client.background.model import BackgroundModel, Provenance, read_background
@@ -52,7 +50,6 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 TRAINING_FRAMES = 90
 MOG2_SHADOW = 127
 TINT = np.array([0.7, 0.9, 1.0], np.float32)  # makes a colour image of a grey one
@@ -156,8 +153,8 @@ def score(found: np.ndarray, truth: np.ndarray) -> tuple[float, float, float]:
     return both / either, both / seen, both / there
 
 
-def score_clips(name: str, clips: list[Clip]) -> dict[str, dict[str, float]]:
-    """Print the clip's rows; return IoU by method, and recall of ours."""
+def score_clips(name: str, clips: list[Clip], table: Table) -> dict[str, dict[str, float]]:
+    """Add the clip's rows; return IoU by method, and recall of ours."""
     results: dict[str, list[np.ndarray]] = {}
     for clip in clips:
         for method, run in methods(clip).items():
@@ -167,23 +164,30 @@ def score_clips(name: str, clips: list[Clip]) -> dict[str, dict[str, float]]:
         iou, precision, recall = np.mean([rows.mean(axis=0) for rows in cameras], axis=0)
         worst = min(rows[:, 2].min() for rows in cameras)
         each, label = " ".join(f"{rows[:, 0].mean():.2f}" for rows in cameras), method[4:] or "ours"
-        print(f"{name:<20} {label:<18} {iou:>6.3f} {precision:>9.3f} {recall:>7.3f} {worst:>7.3f}  {each}")
+        table.row(name, label, iou, precision, recall, worst, f" {each}")
     figures = {m: {name: round(float(np.mean([r[:, 0].mean() for r in rows])), 3)} for m, rows in results.items()}
     return figures | {"recall": {name: round(float(np.mean([r[:, 2].mean() for r in results["iou"]])), 3)}}
 
 
 def quality(studio: Session, quick: bool) -> dict[str, dict[str, float]]:
     figures: dict[str, dict[str, float]] = {}
-    print(f"\n{'clip':<20} {'method':<18} {'IoU':>6} {'precision':>9} {'recall':>7} {'lowest':>7}  IoU of each camera")
-    sessions = {"studio": studio}
-    if (SHARED / "sessions").is_dir():
-        sessions |= {path.name: load_session(path) for path in sorted((SHARED / "sessions").iterdir())}
-    else:
-        print(f"no rendered sessions: {SHARED / 'sessions'} is not there")
+    table = Table(
+        {
+            "clip": "<20",
+            "method": "<18",
+            "IoU": ">6.3f",
+            "precision": ">9.3f",
+            "recall": ">7.3f",
+            "lowest": ">7.3f",
+            " IoU of each camera": "<1",
+        }
+    )
+    sessions = {"studio": studio, **dict(shared_sessions())}
     for name, session in sessions.items():
         cameras = session.rig.cameras[:: 3 if quick and name != "studio" else 1]
         every = 10 if name == "studio" else 40 if quick else 20
-        for key, clip in score_clips(name, [read_clip(session, camera, every) for camera in cameras]).items():
+        clips = [read_clip(session, camera, every) for camera in cameras]
+        for key, clip in score_clips(name, clips, table).items():
             figures.setdefault(key, {}).update(clip)
     return figures
 
@@ -251,9 +255,9 @@ def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
         rounds,
     )
     height, width = clip.frames[0].shape[:2]
-    print(f"\n{kind}, {width} x {height}, one thread, median ms a frame")
+    table = Table({"stage": "<44", "ms": ">8.3f"}, f"{kind}, {width} x {height}, one thread, median ms a frame")
     for name, value in (ms | {f"  of it: {n}": v for n, v in stages_ms(pipeline, clip.frames, rounds).items()}).items():
-        print(f"  {name:<42} {value:>8.3f}")
+        table.row(name, value)
     ours, alone = ms["whole chain"], ms["subtraction alone"]
     others = ms["MOG2 (subtraction alone)"], ms["KNN (subtraction alone)"]
     figures = {
@@ -317,12 +321,10 @@ def picture(clip: Clip, path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="fewer cameras and frames")
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="only write the picture")
-    arguments = parser.parse_args()
+    given = parser(__doc__, quick="fewer cameras and frames")
+    given.add_argument("--picture", type=Path, metavar="FILE", help="only write the picture")
+    arguments = given.parse_args()
     quick = arguments.quick or arguments.picture is not None
-    cv2.setNumThreads(1)
     figures: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(prefix="sagoma_bench_") as folder:
         write_session(
@@ -342,8 +344,8 @@ def main() -> None:
         figures |= quality(studio, quick)
     rounds = 2 if quick else 10
     figures |= cost("mono", clip, rounds) | cost("colour", colour_clip(clip, quick), rounds) | wire(clip)
-    print(json.dumps(figures))
+    finish(figures)
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -18,8 +18,8 @@ from scipy.optimize import least_squares
 
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
-from mocap_packets.state import BodyState
 from icp_tracker.articulated_fit import ArticulatedSettings, PriorSettings, fit_articulated
+from mocap_packets.state import BodyState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse, sticks
 from stick_figure.least_squares.point_factor import foot_points
