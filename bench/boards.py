@@ -5,17 +5,12 @@ python bench/boards.py [--quick]
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import time
-from pathlib import Path
+
+from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "src/rig_calibration/test"))
-
 from rendered_boards import camera, looking_at_board, render, true_corners
 
 from rig_calibration.boards.detector import find_board
@@ -115,31 +110,24 @@ def _rms(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def _table(title: str, rows: list[dict]) -> None:
-    print(f"\n{title}")
-    print(" | ".join(f"{key:>12}" for key in rows[0]))
+def _print(title: str, rows: list[dict]) -> None:
+    table = Table({key: ">14.3f" if isinstance(value, float) else ">14" for key, value in rows[0].items()}, title)
     for row in rows:
-        print(" | ".join(f"{value:12.3f}" if isinstance(value, float) else f"{value:>12}" for value in row.values()))
+        table.row(*row.values())
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
+    """Print the tables and the line of JSON."""
+    quick = parser(__doc__, quick="one blur, one tilt").parse_args().quick
     tables = {
         "accuracy": accuracy((1.0,) if quick else (0.5, 1.0, 2.0)),
         "grazing": grazing((80,) if quick else (60, 70, 75, 80, 82), (16,) if quick else (24, 16, 12, 8)),
         "speed": speed(),
     }
     for title, rows in tables.items():
-        _table(title, rows)
-    print(json.dumps({title: [_known(row) for row in rows] for title, rows in tables.items()}))
-
-
-def _known(row: dict) -> dict:
-    """JSON has no NaN."""
-    return {key: None if value != value else value for key, value in row.items()}
+        _print(title, rows)
+    finish(tables)
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -4,29 +4,24 @@
 
 Corners of a board on the floor (15 frames averaged) and of one carried about are projected through the studio's rigs
 with noise, and the cameras are placed from them. Errors are those of the cameras in the floor board's frame; "in sd"
-is the root of the squared Mahalanobis distance over its 6 degrees of freedom (1 where the covariance is honest).
+is the root of the squared Mahalanobis distance over its 6 degrees of freedom (1 where the covariance is right).
 --rendered films the studio's boards instead of projecting corners, and finds them (minutes).
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-ROOT = Path(__file__).resolve().parent.parent
-sys.path += [str(package) for package in sorted((ROOT / "src").iterdir())]  # runs where nothing is installed
+from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from scenes import SHARED
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, load_rig
@@ -39,9 +34,9 @@ from virtual_studio.rig import ring
 
 NOISE_PX = 0.2
 FLOOR_BOARD, CARRIED_BOARD = Checkerboard(7, 4, (0.12, 0.12)), Checkerboard(9, 6, (0.08, 0.08))
-FLOOR_FRAMES, FRAMES, QUICK_MOMENTS = 15, 150, 60
+FLOOR_FRAMES, FRAMES, QUICK_FRAMES = 15, 150, 60
 MARGIN_PX = 3.0
-REAL_RIG = ROOT.parent / "shared" / "data" / "real_4cam" / "rig.yaml"
+REAL_RIG = SHARED / "real_4cam" / "rig.yaml"
 
 
 @dataclass(frozen=True)
@@ -68,7 +63,7 @@ def synthetic_rows(quick: bool) -> Iterator[ExtrinsicRow]:
     if REAL_RIG.is_file():
         rigs["real, 4 portrait cameras"] = load_rig(REAL_RIG)
     for seed, (name, rig) in enumerate(rigs.items()):
-        floor, carried = floor_detections(rig, seed), carried_detections(rig, QUICK_MOMENTS if quick else FRAMES, seed)
+        floor, carried = floor_detections(rig, seed), carried_detections(rig, QUICK_FRAMES if quick else FRAMES, seed)
         cameras = {camera.name: camera for camera in rig.cameras}
         targets = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
         both = calibrate_rig(cameras, floor + carried, targets)
@@ -172,37 +167,15 @@ def project(
     return TargetDetection(camera.name, frame_index, ids, pixels, size, target, NOISE_PX)
 
 
-def print_rows(console: Console, rows: list[ExtrinsicRow]) -> None:
+def print_rows(rows: list[ExtrinsicRow]) -> None:
     """As a table."""
-    table = Table(title="extrinsics: the worst camera of each rig", title_justify="left")
-    for heading in (
-        "rig",
-        "boards",
-        "cameras",
-        "noise px",
-        "residual px",
-        "place mm",
-        "turn deg",
-        "worst in sd",
-        "mean in sd",
-        "verdict",
-    ):
-        table.add_column(heading, justify="left" if heading in ("rig", "boards") else "right")
+    table = Table(
+        "rig:<28 | boards:<15 | cameras:>7d | noise px:>8.2f | residual px:>11.3f | place mm:>8.2f | "
+        "turn deg:>8.3f | worst in sd:>11.2f | mean in sd:>10.2f | verdict:>8",
+        "extrinsics: the worst camera of each rig (noise -: filmed)",
+    )
     for r in rows:
-        noise = "filmed" if np.isnan(r.noise_px) else f"{r.noise_px:.2f}"
-        table.add_row(
-            r.rig,
-            r.boards,
-            str(r.cameras),
-            noise,
-            f"{r.rms_px:.3f}",
-            f"{r.worst_mm:.2f}",
-            f"{r.worst_deg:.3f}",
-            f"{r.worst_in_sd:.2f}",
-            f"{r.mean_in_sd:.2f}",
-            r.verdict,
-        )
-    console.print(table)
+        table.row(r.rig, r.boards, r.cameras, r.noise_px, r.rms_px, *astuple(r)[5:])
 
 
 def figures(rows: list[ExtrinsicRow]) -> dict[str, object]:
@@ -212,7 +185,7 @@ def figures(rows: list[ExtrinsicRow]) -> dict[str, object]:
         "extrinsics_worst_mm": max(r.worst_mm for r in carried),
         "extrinsics_worst_deg": max(r.worst_deg for r in carried),
         "extrinsics_mean_in_sd": round(float(np.sqrt(np.mean([r.mean_in_sd**2 for r in carried]))), 2),
-        "extrinsics": [{k: None if v != v else v for k, v in asdict(r).items()} for r in rows],
+        "extrinsics": [asdict(r) for r in rows],
     }
 
 
@@ -230,16 +203,15 @@ def _centred(board: Board) -> np.ndarray:
     return T
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="three rigs, fewer moments")
-    parser.add_argument("--rendered", action="store_true", help="also find boards in rendered footage")
-    args = parser.parse_args()
-    rows = [*synthetic_rows(args.quick), *([rendered_row()] if args.rendered else [])]
-    print_rows(Console(width=120), rows)
-    print(json.dumps(figures(rows)))
-    return 0
+def main() -> None:
+    """Print the table and the line of JSON."""
+    given = parser(__doc__, quick="three rigs, fewer frames")
+    given.add_argument("--rendered", action="store_true", help="also find boards in rendered footage")
+    options = given.parse_args()
+    rows = [*synthetic_rows(options.quick), *([rendered_row()] if options.rendered else [])]
+    print_rows(rows)
+    finish(figures(rows))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    execute(main)

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from report import Table
+
 import numpy as np
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
@@ -128,49 +129,37 @@ def row_of(source: str, camera: CameraModel, noise_px: float, result: Intrinsics
     )
 
 
-def table_of(rows: list[Row]) -> Table:
-    """Worst of each camera's repetitions."""
+def print_rows(rows: list[Row]) -> None:
+    """A table of the worst of each lens's repetitions."""
     table = Table(
-        "from",
-        "lens",
-        "noise px",
-        "runs",
-        "views",
-        "rms px",
-        "focal %",
-        "sd %",
-        "centre px",
-        "largest error sd",
-        "errors' rms sd",
-        "verdicts",
-        "s",
-        title="intrinsics: the worst of each lens's runs",
+        "from:<8 | lens:<6 | noise px:>8 | runs:>4d | views:>5d | rms px:>6.3f | focal %:>7.3f | sd %:>6.3f | "
+        "centre px:>9.2f | largest error sd:>16.1f | errors' rms sd:>14.2f | s:>5.1f |  verdicts:<1",
+        "intrinsics: the worst of each lens's runs",
     )
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         noise = "" if np.isnan(row.noise_px) else f"{row.noise_px:g}"
         groups.setdefault((row.source, row.camera, noise), []).append(row)
     for (source, camera, noise), some in groups.items():
-        table.add_row(
+        table.row(
             source,
             camera,
             noise,
-            str(len(some)),
-            str(some[0].views),
-            f"{max(row.rms_px for row in some):.3f}",
-            f"{100 * max(row.focal_error for row in some):.3f}",
-            f"{100 * max(row.sd_focal for row in some):.3f}",
-            f"{max(row.centre_error_px for row in some):.2f}",
-            f"{max(row.largest_sds for row in some):.1f}",
-            f"{rms_sds(some):.2f}",
-            ", ".join(sorted({row.verdict for row in some})),
-            f"{np.mean([row.seconds for row in some]):.1f}",
+            len(some),
+            some[0].views,
+            max(row.rms_px for row in some),
+            100 * max(row.focal_error for row in some),
+            100 * max(row.sd_focal for row in some),
+            max(row.centre_error_px for row in some),
+            max(row.largest_sds for row in some),
+            rms_sds(some),
+            np.mean([row.seconds for row in some]),
+            " " + ", ".join(sorted({row.verdict for row in some})),
         )
-    return table
 
 
 def rms_sds(rows: list[Row]) -> float:
-    """Root mean square of all errors in their own standard deviations: 1 for honest ones."""
+    """Root mean square of all errors in their own standard deviations: 1 where they are right."""
     return float(np.sqrt(np.mean([row.squared_sds for row in rows])))
 
 

@@ -4,7 +4,7 @@
     python bench/camera.py --seconds 300 --fps 60             # the long run
     python bench/camera.py --fps 60 80 100 120                # until the machine no longer keeps up
     python bench/camera.py --fps 60 --loss 0 0.0005 0.005     # with packets lost on the way
-    python bench/camera.py --fps 60 --plain                   # clients that leave no doubt to the hull server: cheaper
+    python bench/camera.py --fps 60 --plain                   # clients that send binary masks: cheaper
 
 Every run is the real thing: one process serves the cameras (GigE Vision over loopback, 640 x 480 Mono8, a moving body
 in a room with noise and flicker and, with --shadow, strong shadows on the floor), each camera has a client process that
@@ -18,7 +18,6 @@ figures, and all runs under "runs".
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import shutil
@@ -31,13 +30,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+from report import Table, execute, finish, parser
 
 import numpy as np
 import psutil
-from rich.console import Console
-from rich.table import Table
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.errors import InputError
@@ -86,11 +84,11 @@ class Run:
         return self.lost + self.incomplete == 0 and self.latency_p50_ms < 1e3 / self.fps
 
 
-class Ear:
+class SilhouetteProbe:
     """Takes every silhouette, undecoded, and notes how old it is."""
 
     def __init__(self, cameras: tuple[str, ...]) -> None:
-        self._link, self._lock = RosLink("bench_ear"), threading.Lock()
+        self._link, self._lock = RosLink("bench_probe"), threading.Lock()
         self._ages_ns: list[int] = []
         for camera in cameras:
             topic = camera_topics(camera)[1].name
@@ -121,7 +119,7 @@ def built_in_session(folder: Path, args: argparse.Namespace) -> Path:
 
 
 def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float, plain: bool = False) -> Run:
-    """One run: studio, clients, ear; the clients' counts from SETTLE_S after the play has begun."""
+    """One run: studio, clients, probe; the clients' counts from SETTLE_S after the play has begun."""
     cameras = len(load_session(session).rig.names)
     arguments = ("--session", str(session), "--fps", f"{fps:g}", "--empty", "--address", free_first_address(cameras))
     with StudioProcess(folder / "studio", *arguments) as studio:
@@ -129,29 +127,31 @@ def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float
         graph = select(build_graph(rig=studio.rig, cameras=studio.cameras, settings=settings), ALL_CAMERAS)
         with Supervisor(graph, folder / "logs") as supervisor:
             supervisor.configure(tolerate_cameras=False)
-            ear = Ear(tuple(spec.label for spec in graph))
+            probe = SilhouetteProbe(tuple(spec.label for spec in graph))
             try:
                 supervisor.activate(tolerate_cameras=False)
                 learn_backgrounds(supervisor)
                 studio.ask("play", loop=True)
                 studio.ask("set", faults={"packet_loss": loss})
-                return _count(studio, supervisor, ear, fps, loss, seconds)
+                return _count(studio, supervisor, probe, fps, loss, seconds)
             finally:
-                ear.close()
+                probe.close()
 
 
-def _count(studio: StudioProcess, supervisor: Supervisor, ear: Ear, fps: float, loss: float, seconds: float) -> Run:
+def _count(
+    studio: StudioProcess, supervisor: Supervisor, probe: SilhouetteProbe, fps: float, loss: float, seconds: float
+) -> Run:
     still = threading.Event()
     still.wait(SETTLE_S)
     names = [spec.full_name for spec in supervisor.graph]
     before, cpu_before, began_s = _totals(supervisor, names), _cpu(supervisor, studio), time.monotonic()
-    ear.ages_ms()
+    probe.ages_ms()
     published: list[float] = []
     while time.monotonic() < began_s + seconds:
         still.wait(1.0)
         reports = [supervisor.diagnostics.report(name) for name in names]
         published += [float(r.values["latency_p50_ms"]) for r in reports if r and "latency_p50_ms" in r.values]
-    ages, after, cpu_after = ear.ages_ms(), _totals(supervisor, names), _cpu(supervisor, studio)
+    ages, after, cpu_after = probe.ages_ms(), _totals(supervisor, names), _cpu(supervisor, studio)
     took_s = time.monotonic() - began_s
     clients, served = ((cpu_after[k] - cpu_before[k]) / took_s for k in (0, 1))
     lateness = [camera["late_us"]["p99"] for camera in studio.ask("status")["cameras"].values()]
@@ -198,73 +198,33 @@ def _ms(value: float) -> float:
     return round(float(value), 2)
 
 
-def print_runs(console: Console, runs: list[Run]) -> None:
+def print_runs(runs: list[Run]) -> None:
     """One row a run."""
-    titles = (
-        "cameras",
-        "Hz",
-        "packet loss",
-        "s",
-        "expected",
-        "delivered",
-        "incomplete",
-        "lost",
-        "resent packets",
-        "latency p50 ms",
-        "p99 ms",
-        "published p50 ms",
-        "core/client",
-        "core studio",
-        "late p99 ms",
-    )
     table = Table(
-        title="simulated GigE cameras -> Aravis -> camera clients -> subscriber",
-        title_justify="left",
-        box=None,
-        pad_edge=False,
+        "cameras:>7d | Hz:>5g | packet loss:>11.3% | s:>5.0f | expected:>8d | delivered:>9d | "
+        "incomplete:>10d | lost:>6d | resent packets:>14d | latency p50 ms:>14.2f | p99 ms:>7.2f | "
+        "published p50 ms:>16.2f | core/client:>11.3f | core studio:>11.3f | late p99 ms:>11.2f",
+        "simulated GigE cameras -> Aravis -> camera clients -> subscriber",
     )
-    for title in titles:
-        table.add_column(title, justify="right")
     for r in runs:
-        table.add_row(
-            *map(
-                str,
-                (
-                    r.cameras,
-                    f"{r.fps:g}",
-                    f"{100 * r.packet_loss:g} %",
-                    f"{r.seconds:.0f}",
-                    r.expected,
-                    r.delivered,
-                    r.incomplete,
-                    r.lost,
-                    r.resent_packets,
-                    r.latency_p50_ms,
-                    r.latency_p99_ms,
-                    r.published_p50_ms,
-                    r.cpu_per_client,
-                    r.cpu_studio,
-                    r.studio_late_p99_ms,
-                ),
-            )
-        )
-    console.print(table)
+        shown = asdict(r)
+        shown.pop("received")
+        table.row(*shown.values())
 
 
-def main() -> int:
+def main() -> None:
     """Run every combination of rate and packet loss; stops raising the rate where the machine no longer keeps up."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one run of 15 s")
-    parser.add_argument("--cameras", type=int, default=5)
-    parser.add_argument("--fps", type=float, nargs="+", default=[60.0])
-    parser.add_argument("--loss", type=float, nargs="+", default=[0.0], help="share of the packets lost on the way")
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of a run")
-    parser.add_argument("--shadow", action="store_true", help="strong shadows on the floor: the hardest scene")
-    parser.add_argument("--plain", action="store_true", help="masks of two levels, each camera judging for itself")
-    parser.add_argument("--session", help="what the cameras see (default: the built-in person, rendered now)")
-    args = parser.parse_args()
+    given = parser(__doc__, quick="one run of 15 s")
+    given.add_argument("--cameras", type=int, default=5)
+    given.add_argument("--fps", type=float, nargs="+", default=[60.0])
+    given.add_argument("--loss", type=float, nargs="+", default=[0.0], help="share of the packets lost on the way")
+    given.add_argument("--seconds", type=float, default=60.0, help="length of a run")
+    given.add_argument("--shadow", action="store_true", help="strong shadows on the floor: the hardest scene")
+    given.add_argument("--plain", action="store_true", help="masks of two levels, each camera judging for itself")
+    given.add_argument("--session", help="what the cameras see (default: the built-in person, rendered now)")
+    args = given.parse_args()
     seconds = 15.0 if args.quick else args.seconds
-    console, runs = Console(width=190), list[Run]()
+    runs = list[Run]()
     folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_camera_"))
     try:
         session = Path(args.session) if args.session else built_in_session(folder / "session", args)
@@ -276,20 +236,17 @@ def main() -> int:
                 break
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    print_runs(console, runs)
+    print_runs(runs)
     if args.loss == [0.0] and len(args.fps) > 1:
         stopped = "" if runs[-1].kept_up else f"; it stops at {runs[-1].fps:g} Hz"
         kept = [run.fps for run in runs if run.kept_up]
-        console.print(
-            f"this machine keeps up at {max(kept):g} Hz{stopped}" if kept else "this machine does not keep up"
-        )
-    console.print(
+        print(f"this machine keeps up at {max(kept):g} Hz{stopped}" if kept else "this machine does not keep up")
+    print(
         f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
         f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}"
     )
-    print(json.dumps({**asdict(runs[0]), "runs": [asdict(run) for run in runs]}))
-    return 0
+    finish({**asdict(runs[0]), "runs": [asdict(run) for run in runs]})
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    execute(main)

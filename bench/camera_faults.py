@@ -195,18 +195,8 @@ def play(clip: Clip, views: RigViews, carver: CarveBackend, quick: bool) -> dict
     """Every fault of every camera."""
     rng, drills = np.random.default_rng(7), {}
     table = Table(
-        {
-            "fault": "<18",
-            "found": ">9",
-            "named": ">6d",
-            "after s": ">7.2f",
-            "worst": ">5.2f",
-            "wrong": ">6d",
-            "missing l": ">9.1f",
-            "left out": ">9.1f",
-            "extra l": ">8.1f",
-            "back s": ">7.2f",
-        }
+        "fault:<18 | found:>9 | named:>6d | after s:>7.2f | worst:>5.2f | wrong:>6d | missing l:>9.1f | "
+        "left out:>9.1f | extra l:>8.1f | back s:>7.2f"
     )
     for kind in faults(np.eye(3)):
         drills[kind] = []

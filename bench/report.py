@@ -39,11 +39,13 @@ def add_settings(to: argparse.ArgumentParser) -> None:
 class Table:
     """Rows that are printed as soon as they are known.
 
-    columns : heading -> format of its values with their width, as "<24", ">8.1f" or ">7d"; with ``markdown`` the widths
-    do not matter. None and NaN print as "-".
+    columns : heading -> format of its values with their width, as "<24", ">8.1f" or ">7d", or all of them as text:
+    "clip:<24 | frames:>7d". With ``markdown`` the widths do not matter. None and NaN print as "-".
     """
 
-    def __init__(self, columns: dict[str, str], title: str = "", *, markdown: bool = False) -> None:
+    def __init__(self, columns: dict[str, str] | str, title: str = "", *, markdown: bool = False) -> None:
+        if isinstance(columns, str):
+            columns = dict(column.strip().rsplit(":", 1) for column in columns.split("|"))
         self._formats, self._markdown = list(columns.values()), markdown
         print(f"\n{title}" if title else "")
         self._print([format(heading, _of_text(spec)) for heading, spec in columns.items()])

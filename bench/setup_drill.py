@@ -12,14 +12,11 @@ FOLDER (default output/setup_drill) is kept; footage that is there already is us
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
 from dataclasses import replace
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from report import Table, execute, finish, parser
 
 import numpy as np
 
@@ -83,12 +80,14 @@ def _tracked(session: Session, truth: Truth) -> Scores:
 
 def report(cameras: list[CameraErrors], own: Scores, exact: Scores) -> dict[str, object]:
     """Prints the tables and returns the figures."""
-    print("\n| camera | focal length % | principal point px | centre mm | rotation deg |\n|---|---|---|---|---|")
+    formats = {"focal length %": ".3f", "principal point px": ".2f", "centre mm": ".1f", "rotation deg": ".3f"}
+    table = Table({"camera": "", **formats}, markdown=True)
     for c in cameras:
-        print(f"| {c.name} | {c.focal_percent:.3f} | {c.principal_px:.2f} | {c.centre_mm:.1f} | {c.rotation_deg:.3f} |")
-    print("\n| calibration | mean mm | p95 mm | over 200 mm % | tracked |\n|---|---|---|---|---|")
+        table.row(c.name, c.focal_percent, c.principal_px, c.centre_mm, c.rotation_deg)
+    formats = {"mean mm": ".1f", "p95 mm": ".1f", "over 200 mm %": ".1f", "tracked": ""}
+    table = Table({"calibration": "", **formats}, markdown=True)
     for name, s in (("found", own), ("true", exact)):
-        print(f"| {name} | {s.mean_mm:.1f} | {s.p95_mm:.1f} | {100 * s.over_200mm:.1f} | {s.tracked} of {s.frames} |")
+        table.row(name, s.mean_mm, s.p95_mm, 100 * s.over_200mm, f"{s.tracked} of {s.frames}")
     keys = ("focal_percent", "principal_px", "centre_mm", "rotation_deg")
     worst = {f"worst_{key}": round(max(getattr(c, key) for c in cameras), 4) for key in keys}
     return {
@@ -103,12 +102,11 @@ def report(cameras: list[CameraErrors], own: Scores, exact: Scores) -> dict[str,
 
 def main() -> None:
     """Film, calibrate, track, score."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=Path("output/setup_drill"))
-    parser.add_argument("--cameras", type=int, default=6, help="in all, the last one on the ceiling (default: 6)")
-    parser.add_argument("--seconds", type=float, help="length of the session (default: 6; quick: 3)")
-    parser.add_argument("--quick", action="store_true", help="fewer places and frames of the boards")
-    args = parser.parse_args()
+    given = parser(__doc__, quick="fewer places and frames of the boards")
+    given.add_argument("folder", nargs="?", type=Path, default=Path("output/setup_drill"))
+    given.add_argument("--cameras", type=int, default=6, help="in all, the last one on the ceiling (default: 6)")
+    given.add_argument("--seconds", type=float, help="length of the session (default: 6; quick: 3)")
+    args = given.parse_args()
     seconds, began = args.seconds or (3.0 if args.quick else 6.0), time.monotonic()
     if not (args.folder / "setup.yaml").is_file():
         words = [str(args.folder), "--cameras", str(args.cameras), "--seconds", str(seconds)]
@@ -117,8 +115,8 @@ def main() -> None:
     calibrate(args.folder)
     found, truth = load_rig(args.folder / "session" / RIG_FILE), load_rig(args.folder / TRUTH_RIG_FILE)
     figures = report(camera_errors(found, truth, read_truth_floor(args.folder)), *body_scores(args.folder))
-    print(json.dumps({**figures, "took_s": round(time.monotonic() - began)}))
+    finish({**figures, "took_s": round(time.monotonic() - began)})
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

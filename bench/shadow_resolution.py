@@ -229,7 +229,7 @@ def main() -> None:
         return
     result: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory(prefix="sagoma_bench_") as folder:
-        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12, seed=1)
+        write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12)
         sessions = {"studio": load_session(Path(folder) / "studio"), **dict(shared_sessions())}
         heads = ("mask IoU", "precision", "recall", "hull IoU", "miss", "extra", "feet IoU", "feet miss", "feet extra")
         table = Table({"session": "<20", "row": "<22", **dict.fromkeys(heads, ">10.3f")})

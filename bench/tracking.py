@@ -104,15 +104,8 @@ def _cell(run: Run) -> str:
 
 def _print_means(runs: dict[Method, list[Run]], limits: list[Bounds]) -> None:
     table = Table(
-        {
-            "mean of all clips": "<44",
-            "fit mm": ">7.1f",
-            "filter mm": ">9.1f",
-            "lost": ">5d",
-            "inside 95 %": ">11.0%",
-            "fit ms": ">7.2f",
-            "filter ms": ">9.2f",
-        }
+        "mean of all clips:<44 | fit mm:>7.1f | filter mm:>9.1f | lost:>5d | inside 95 %:>11.0% | "
+        "fit ms:>7.2f | filter ms:>9.2f"
     )
     for method, run in runs.items():
         lost = sum(r.filtered[-1].max() > LOST_M for r in run)
