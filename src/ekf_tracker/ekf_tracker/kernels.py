@@ -15,13 +15,13 @@ from numba import njit
 from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
 from stick_figure import kernels
 from stick_figure.body import Body
+from stick_figure.joint_limits import add_joint_limits, flipped_limb_fits_better, hyperextension
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 from stick_figure.rotations import ball_rates
 from stick_figure.skeleton import HINGE_ANGLES
 
 from .bias import add_measurement_bias
-from .joint_limits import add_joint_limits, flipped_limb_fits_better, hyperextension
 from .measurement import (
     Measurement,
     add_information,

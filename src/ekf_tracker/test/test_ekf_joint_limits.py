@@ -8,11 +8,11 @@ from ekf_person import ALL, BENT_ANGLES, Person, isotropic, run, stamp
 from scipy.spatial.transform import Rotation
 
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.joint_limits import add_joint_limits
 from ekf_tracker.settings import EkfSettings
+from stick_figure.joint_limits import add_joint_limits
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES
+from stick_figure.skeleton import ANGLE_NAMES
 
 MARGIN = 0.15
 NO_LIMITS = EkfSettings(limit_sd_rad=0.0)
@@ -46,49 +46,6 @@ def follow(body, pose, settings, frames=40, sd=0.02):
         points = forward(body, pose) + sd * rng.standard_normal((15, 3))
         state = ekf.step(stamp(k), points, isotropic(sd), ALL)
     return state
-
-
-def test_no_pose_within_the_ranges_meets_a_limit():
-    rng, inside = np.random.default_rng(0), 1e-6
-    for _ in range(500):
-        angles = rng.uniform(ANGLE_LOW + inside, ANGLE_HIGH - inside)
-        assert limits_of(Pose.from_angles(*PLACE, angles))[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "excess"),
-    [
-        ("left_shoulder_y", 3 * np.pi / 4 + 0.4, 0.4),
-        ("left_shoulder_y", -np.pi / 2 - 0.3, -0.3),
-        ("right_shoulder_y", np.pi / 2 + 0.3, 0.3),
-        ("left_hip_x", np.pi / 2 + 0.2, 0.2),
-        ("right_hip_x", -np.pi / 2 - 0.2, -0.2),
-        ("left_hip_y", np.pi / 2 + 0.25, 0.25),
-        ("right_hip_z", np.pi / 3 + 0.5, 0.5),
-        ("left_hip_z", -np.pi / 3 - 0.5, -0.5),
-        ("neck_x", np.pi / 2 + 0.2, 0.2),
-    ],
-)
-def test_residual_is_the_part_beyond_the_range_and_its_row_the_angles_derivative(name, value, excess):
-    """Against finite differences of the angle itself along every tangent slot."""
-    gentle = {"left_hip_y": -0.3, "right_hip_y": -0.3, "left_shoulder_z": 0.2, "right_shoulder_z": 0.2, "neck_y": 0.3}
-    pose = pose_with(**(gentle | {name: value}))
-    count, information, gradient = limits_of(pose)
-    assert count == 1
-    variances, axes = np.linalg.eigh(information)
-    row = axes[:, -1] * np.sqrt(variances[-1])
-    residual = -gradient @ row / (row @ row)
-    assert abs(residual) == pytest.approx(abs(excess), abs=1e-6)
-    row *= np.sign(residual * excess)
-    slot, step = ANGLE_NAMES.index(name), 1e-6
-    reference = BENT_ANGLES.copy()
-    for key, angle in (gentle | {name: value}).items():
-        reference[ANGLE_NAMES.index(key)] = angle
-    numeric = [
-        (pose.retract(step * e).angles(reference)[slot] - pose.retract(-step * e).angles(reference)[slot]) / (2 * step)
-        for e in np.eye(24)
-    ]
-    np.testing.assert_allclose(row, numeric, atol=1e-5)
 
 
 def test_a_person_within_the_ranges_is_estimated_to_the_same_bytes_as_without_limits(body):

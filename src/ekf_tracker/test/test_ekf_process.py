@@ -11,12 +11,12 @@ import hashlib
 import numpy as np
 from ekf_person import ALL, Person, isotropic, stamp
 from capture_rig import small_matrices
-from ekf_tracker import bias, joint_limits, measurement
+from ekf_tracker import bias, measurement
 from ekf_tracker import kernels as ekf_kernels
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.filter import warm_up
 from mocap_packets.fit import ReferencePoints
-from stick_figure import kernels
+from stick_figure import joint_limits, kernels
 from stick_figure.body import Body
 
 def compilations():

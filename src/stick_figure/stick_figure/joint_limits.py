@@ -1,28 +1,178 @@
-"""Soft knowledge about bodies as extra residuals of the articulated solve: the neck's rest, and joint limits.
+"""Where joints can go, as soft residuals of the fit, of the body's refinement and of the filter (compiled).
 
-They keep a joint out of places where the data say nothing (a head that folds into the torso, a knee that points
-backward); they are left out of the covariance, which speaks of the data alone.
+A residual is the part of an angle that lies beyond its range (`skeleton.ANGLE_LOW`, `ANGLE_HIGH`; elbows and knees stop
+where forearm meets upper arm and calf meets thigh), and there is none inside: poses that people can take are estimated
+exactly as without limits. An elbow or knee that passes straight by more than a margin can also be described the other
+way round, with the upper limb turned by pi about itself; it meets a limit only if that description is no better. (A
+limit in any case would trap limbs whose upper part was turned the wrong way. The fit, which bends hinges the right way
+again afterwards, sets no such limit at all: its margin is infinite.)
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
-from stick_figure import kernels
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES
+from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
+from .rotations import wrap_into_range
+from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES
 
-NECK_SLOTS = (6, 7)
-FLATTEST = 0.2  # cosine of the elevation angle below which a limb's twist angle is too ill defined to be limited
 LARGEST_FLEXION = 2.6  # rad, where forearm meets upper arm and calf meets thigh
-_TWIST_LOW = np.array([ANGLE_LOW[BALL_ANGLES[m, 2]] for m in range(1, 5)])
-_TWIST_HIGH = np.array([ANGLE_HIGH[BALL_ANGLES[m, 2]] for m in range(1, 5)])
+FLATTEST = 0.2
+"""Cosine of a limb's second angle below which its first and third turn about almost the same axis: no limit there."""
+NECK_SLOTS = (6, 7)
 
 
 @njit(cache=True)
-def add_neck_rest(R_neck, rest_pitch, information, H, g):
-    """Pull the head's direction to its rest, ``rest_pitch`` rad forward of the torso's axis, with weight 1/rad^2."""
-    if information == 0.0:
+def add_joint_limits(RJ, hinges, hinge_margin, weight, H, g):
+    """Add the excess of joints RJ (5, 3, 3) and hinges (4,) over their ranges, ``weight`` in 1/rad^2, to H and g.
+
+    H (24, 24) += weight row' row, both triangles, and g (24,) -= weight row' excess. Returns the number of angles that
+    are beyond their range; with ``weight`` 0 they are only counted.
+    """
+    first, excess, row, found = np.empty(5), np.empty(18), np.empty(3), 0
+    joint_excess(RJ, hinges, hinge_margin, first, excess)
+    for ball in range(5):
+        for k in range(3):
+            angle = BALL_ANGLES[ball, k]
+            if angle < 0 or excess[angle] == 0.0:
+                continue
+            found += 1
+            if weight > 0.0:
+                angle_gradient(ball, RJ[ball], first[ball], k, row)
+                add_row(SLOT_OF_JOINT_AXIS[ball], row, excess[angle], weight, H, g)
+    for h in range(4):
+        beyond = excess[HINGE_ANGLES[h]]
+        if beyond != 0.0:
+            found += 1
+            H[HINGE_SLOT[h], HINGE_SLOT[h]] += weight
+            g[HINGE_SLOT[h]] -= weight * beyond
+    return found
+
+
+@njit(cache=True)
+def joint_excess(RJ, hinges, hinge_margin, first, excess):
+    """Fill ``excess`` (18,) with the signed part of every angle beyond its range, rad; 0 where it is not defined.
+
+    ``first`` (5,) : the first angle of each ball joint's triple that was taken.
+    """
+    excess[:] = 0.0
+    y, z = RJ[0, 1, 2], RJ[0, 2, 2]
+    first[0] = math.atan2(-y, z)
+    if y * y + z * z >= FLATTEST * FLATTEST:  # the neck's second angle cannot leave its range
+        excess[0] = beyond_range(first[0], 0)
+    values = np.empty(3)
+    for ball in range(1, 5):
+        ball_angles(ball, RJ[ball], values)
+        first[ball] = values[0]
+        sine = RJ[ball, 0, BALL_EULER_AXES[ball, 2]]
+        flat = 1.0 - sine * sine < FLATTEST * FLATTEST
+        for k in range(3):
+            if k == 1 or not flat:
+                excess[BALL_ANGLES[ball, k]] = beyond_range(values[k], BALL_ANGLES[ball, k])
+        h = ball - 1
+        sign, past = (-1.0 if h < 2 else 1.0), hyperextension(h, hinges, hinge_margin)
+        if sign * hinges[h] > LARGEST_FLEXION:
+            excess[HINGE_ANGLES[h]] = hinges[h] - sign * LARGEST_FLEXION
+        elif past > 0.0 and not flipped_limb_fits_better(h, RJ, past):
+            excess[HINGE_ANGLES[h]] = -sign * past
+
+
+@njit(cache=True)
+def hyperextension(hinge, hinges, margin):
+    """Return how much further (rad) than the margin an elbow (hinge 0, 1) or knee (2, 3) is bent the wrong way."""
+    return (hinges[hinge] if hinge < 2 else -hinges[hinge]) - margin
+
+
+@njit(cache=True)
+def flipped_limb_fits_better(hinge, RJ, past):
+    """Return whether a limb, ``past`` (rad) straight, is less beyond its ranges when described the other way round."""
+    turned = RJ[1 + hinge].copy()
+    other = 2 if hinge < 2 else 1  # Ry(pi) turns x and z of an arm, Rz(pi) x and y of a leg
+    for i in range(3):
+        turned[i, 0] = -turned[i, 0]
+        turned[i, other] = -turned[i, other]
+    values = np.empty(3)
+    return ball_angles(1 + hinge, turned, values) < ball_angles(1 + hinge, RJ[1 + hinge], values) + past
+
+
+@njit(cache=True)
+def beyond_range(value, angle):
+    """Return the signed part of an angle's value beyond its range, rad."""
+    return max(value - ANGLE_HIGH[angle], 0.0) + min(value - ANGLE_LOW[angle], 0.0)
+
+
+@njit(cache=True)
+def ball_angles(ball, R, values):
+    """Fill ``values`` (3,) with angles a, b, c of R = Rx(a) Rj(b) Rk(c), of the two triples the one less out of range.
+
+    Returns by how much it is, summed over the three, rad.
+    """
+    j, k = BALL_EULER_AXES[ball, 1], BALL_EULER_AXES[ball, 2]
+    sign = 1.0 if j == 1 else -1.0
+    a = math.atan2(-sign * R[j, k], R[k, k])
+    b = math.atan2(sign * R[0, k], math.hypot(R[j, k], R[k, k]))
+    c = math.atan2(-sign * R[0, j], R[0, 0])
+    cost = math.inf
+    for cover in range(2):
+        if cover == 1:
+            a, b, c = a + math.pi, math.pi - b, c + math.pi
+        first = wrap_into_range(a, BALL_ANGLES[ball, 0])
+        middle = wrap_into_range(b, BALL_ANGLES[ball, 1])
+        last = wrap_into_range(c, BALL_ANGLES[ball, 2])
+        beyond = abs(beyond_range(first, BALL_ANGLES[ball, 0])) + abs(beyond_range(middle, BALL_ANGLES[ball, 1]))
+        beyond += abs(beyond_range(last, BALL_ANGLES[ball, 2]))
+        if beyond < cost:
+            cost = beyond
+            values[0], values[1], values[2] = first, middle, last
+    return cost
+
+
+@njit(cache=True)
+def angle_gradient(ball, R, first, angle, row):
+    """Fill ``row`` (3,) with the derivative of a ball joint's angle (0, 1, 2) with respect to its rotation vector.
+
+    The rotation vector (torso axes) of rates a', b', c' is a' ex + b' m + c' l, with m = Rx(a) ej and l = R ek; m is
+    perpendicular to both others. The neck has two axes, of which the first alone can leave its range.
+    """
+    if ball == 0:
+        square = R[1, 2] ** 2 + R[2, 2] ** 2
+        row[0], row[1], row[2] = 1.0, -R[0, 2] * R[1, 2] / square, 0.0
+        return
+    j, k = BALL_EULER_AXES[ball, 1], BALL_EULER_AXES[ball, 2]
+    sine = R[0, k]
+    square = 1.0 - sine * sine
+    if angle == 0:
+        row[0], row[1], row[2] = 1.0, -sine * R[1, k] / square, -sine * R[2, k] / square
+    elif angle == 2:
+        row[0], row[1], row[2] = 0.0, R[1, k] / square, R[2, k] / square
+    elif j == 1:
+        row[0], row[1], row[2] = 0.0, math.cos(first), math.sin(first)
+    else:
+        row[0], row[1], row[2] = 0.0, -math.sin(first), math.cos(first)
+
+
+@njit(cache=True)
+def add_row(slots, row, excess, weight, H, g):
+    """Add one residual with derivative ``row`` (3,) at ``slots`` (3,); -1 where there is none."""
+    for p in range(3):
+        if slots[p] < 0:
+            continue
+        g[slots[p]] -= weight * row[p] * excess
+        for q in range(3):
+            if slots[q] >= 0:
+                H[slots[p], slots[q]] += weight * row[p] * row[q]
+
+
+@njit(cache=True)
+def add_neck_rest(R_neck, rest_pitch, weight, H, g):
+    """Pull the head's direction to its rest, ``rest_pitch`` rad forward of the torso's axis, weight in 1/rad^2.
+
+    It keeps a head that no datum shows from folding into the torso.
+    """
+    if weight == 0.0:
         return
     rest0, rest2 = np.sin(rest_pitch), np.cos(rest_pitch)
     d0, d1, d2 = R_neck[0, 2], R_neck[1, 2], R_neck[2, 2]
@@ -31,63 +181,7 @@ def add_neck_rest(R_neck, rest_pitch, information, H, g):
     if sine == 0.0:
         return
     angle = np.arctan2(sine, d0 * rest0 + d2 * rest2)
-    add_scalar(NECK_SLOTS[0], angle * c0 / sine, information, H, g)
-    add_scalar(NECK_SLOTS[1], angle * c1 / sine, information, H, g)
-
-
-@njit(cache=True)
-def add_scalar(slot, residual, information, H, g):
-    """One residual that acts on one tangent slot."""
-    H[slot, slot] += information
-    g[slot] += information * residual
-
-
-@njit(cache=True)
-def add_joint_limits(RJ, hinges, information, H, g):
-    """Cost, 1/rad^2, on the part of each limb's twist and each hinge's flexion that lies beyond its range."""
-    if information == 0.0:
-        return
-    for h in range(4):
-        sign = -1.0 if h < 2 else 1.0  # elbows flex negatively
-        excess = sign * hinges[h] - LARGEST_FLEXION
-        if excess > 0.0:
-            add_scalar(kernels.HINGE_SLOT[h], -sign * excess, information, H, g)
-    row = np.zeros(3)
-    for m in range(1, 5):
-        twist, defined = limb_twist(m, RJ[m], row)
-        if not defined:
-            continue
-        excess = max(twist - _TWIST_HIGH[m - 1], 0.0) + min(twist - _TWIST_LOW[m - 1], 0.0)
-        if excess == 0.0:
-            continue
-        for p in range(3):
-            slot = kernels.SLOT_OF_JOINT_AXIS[m, p]
-            g[slot] -= information * row[p] * excess
-            for q in range(3):
-                column = kernels.SLOT_OF_JOINT_AXIS[m, q]
-                if slot <= column:
-                    H[slot, column] += information * row[p] * row[q]
-
-
-@njit(cache=True)
-def limb_twist(m, R, row):
-    """Rotation of ball joint m's limb about itself (rad), and its gradient ``row`` (3,) in the torso's axes.
-
-    Shoulders are Rx Rz Ry, hips Rx Ry Rz; the twist is the last angle. Returns (angle, whether it is well defined):
-    it is not when the limb lies nearly along the torso's x axis.
-    """
-    if m < 3:  # shoulder: R e_y = (-sb, ca cb, sa cb)
-        c = np.hypot(R[1, 1], R[2, 1])
-        twist = np.arctan2(R[0, 2], R[0, 0])
-        y, z = R[1, 1], R[2, 1]
-    else:  # hip: R e_z = (sb, -sa cb, ca cb)
-        c = np.hypot(R[1, 2], R[2, 2])
-        twist = np.arctan2(-R[0, 1], R[0, 0])
-        if R[2, 2] < 0.0:  # the thigh points up: the other cover (a + pi, pi - b) is the joint's, its twist is pi away
-            twist = np.arctan2(R[0, 1], -R[0, 0])
-        y, z = R[1, 2], R[2, 2]
-    if c < FLATTEST:
-        return 0.0, False
-    # the vector with unit component along the twist axis and none along the other two joint axes
-    row[0], row[1], row[2] = 0.0, y / (c * c), z / (c * c)
-    return twist, True
+    for k in range(2):
+        H[NECK_SLOTS[k], NECK_SLOTS[k]] += weight
+    g[NECK_SLOTS[0]] += weight * (angle * c0 / sine)
+    g[NECK_SLOTS[1]] += weight * (angle * c1 / sine)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from stick_figure.joint_limits import joint_excess
 from stick_figure.least_squares.contour_factor import RayArrays, match_rays
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.least_squares.surface_factor import nearest_voxel, point_on_stick
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW
 
 PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
@@ -96,9 +96,9 @@ def evidence_of(figure: Figure, pose: Pose, contour_rays: RayArrays, hull: np.nd
 
 
 def beyond_limits(pose: Pose) -> float:
-    """What angles beyond their joints' ranges cost, in rays."""
-    angles = pose.angles()
-    excess = np.maximum(angles - ANGLE_HIGH, 0.0) + np.maximum(ANGLE_LOW - angles, 0.0)
+    """Return what angles beyond their joints' ranges cost, in rays."""
+    excess = np.empty(18)
+    joint_excess(pose.R_joints, pose.hinges, 0.0, np.empty(5), excess)
     return float(((excess / LIMIT_RAD) ** 2).sum())
 
 

@@ -121,7 +121,7 @@ class Keyframe:
         if self._prior.neck_sd > 0.0:
             add_neck_rest(state.RJ[0], self._prior.neck_pitch, self._prior.neck_sd**-2, own, pull)
         if self._prior.limit_sd > 0.0:
-            add_joint_limits(state.RJ, state.hinges, self._prior.limit_sd**-2, own, pull)
+            add_joint_limits(state.RJ, state.hinges, np.inf, self._prior.limit_sd**-2, own, pull)
         mirror_upper(own)
         return own + H[:TANGENT, :TANGENT] + np.diag(self._prior.information()), pull
 

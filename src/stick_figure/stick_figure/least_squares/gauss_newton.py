@@ -114,5 +114,5 @@ def regularise(start, placed, weights, H, g):
         H[k, k] += weights.prior[k]
         g[k] += weights.prior[k] * back[k]
     add_neck_rest(placed.RJ[0], weights.neck_pitch, weights.neck, H, g)
-    add_joint_limits(placed.RJ, placed.hinges, weights.limit, H, g)
+    add_joint_limits(placed.RJ, placed.hinges, np.inf, weights.limit, H, g)
     add_arm_clearance(placed, weights, H, g)

@@ -1,0 +1,98 @@
+"""Joint limits: nothing inside the ranges, and residuals whose derivatives are those of the angles themselves."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stick_figure.joint_limits import LARGEST_FLEXION, add_joint_limits
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, HINGE_ANGLES
+
+MARGIN, STEP = 0.15, 1e-6
+PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
+BENT = T_POSE_ANGLES.copy()
+BENT[HINGE_ANGLES] = -0.9, -0.9, 0.8, 0.8
+
+
+def limits_of(pose, margin=MARGIN):
+    """Number of angles out of range, and the residuals' information and gradient for unit weight."""
+    information, gradient = np.zeros((24, 24)), np.zeros(24)
+    count = add_joint_limits(pose.R_joints, pose.hinges, margin, 1.0, information, gradient)
+    return count, information, gradient
+
+
+def pose_with(**angles):
+    values = BENT.copy()
+    for name, value in angles.items():
+        values[ANGLE_NAMES.index(name)] = value
+    return Pose.from_angles(*PLACE, values)
+
+
+def test_no_pose_within_the_ranges_meets_a_limit():
+    rng, inside = np.random.default_rng(0), 1e-6
+    for _ in range(500):
+        angles = rng.uniform(ANGLE_LOW + inside, ANGLE_HIGH - inside)
+        angles[HINGE_ANGLES] = np.clip(angles[HINGE_ANGLES], -LARGEST_FLEXION, LARGEST_FLEXION)
+        assert limits_of(Pose.from_angles(*PLACE, angles))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "excess"),
+    [
+        ("left_shoulder_y", 3 * np.pi / 4 + 0.4, 0.4),
+        ("left_shoulder_y", -np.pi / 2 - 0.3, -0.3),
+        ("right_shoulder_y", np.pi / 2 + 0.3, 0.3),
+        ("left_hip_x", np.pi / 2 + 0.2, 0.2),
+        ("right_hip_x", -np.pi / 2 - 0.2, -0.2),
+        ("left_hip_y", np.pi / 2 + 0.25, 0.25),
+        ("right_hip_z", np.pi / 3 + 0.5, 0.5),
+        ("left_hip_z", -np.pi / 3 - 0.5, -0.5),
+        ("neck_x", np.pi / 2 + 0.2, 0.2),
+        ("left_elbow", -2.9, -0.3),
+        ("right_knee", 2.8, 0.2),
+    ],
+)
+def test_residual_is_the_part_beyond_the_range_and_its_row_the_angles_derivative(name, value, excess):
+    """Against finite differences of the angle itself along every tangent slot."""
+    gentle = {"left_hip_y": -0.3, "right_hip_y": -0.3, "left_shoulder_z": 0.2, "right_shoulder_z": 0.2, "neck_y": 0.3}
+    pose = pose_with(**(gentle | {name: value}))
+    count, information, gradient = limits_of(pose)
+    assert count == 1
+    variances, axes = np.linalg.eigh(information)
+    row = axes[:, -1] * np.sqrt(variances[-1])
+    residual = -gradient @ row / (row @ row)
+    assert abs(residual) == pytest.approx(abs(excess), abs=1e-6)
+    row *= np.sign(residual * excess)
+    slot, step = ANGLE_NAMES.index(name), 1e-6
+    reference = BENT.copy()
+    for key, angle in (gentle | {name: value}).items():
+        reference[ANGLE_NAMES.index(key)] = angle
+    numeric = [
+        (pose.retract(step * e).angles(reference)[slot] - pose.retract(-step * e).angles(reference)[slot]) / (2 * step)
+        for e in np.eye(24)
+    ]
+    np.testing.assert_allclose(row, numeric, atol=1e-5)
+
+
+def test_several_limits_push_back_along_the_slope_of_their_squared_excess():
+    angles = {"left_hip_z": 1.5, "right_shoulder_y": 2.0, "left_knee": 2.9, "right_shoulder_x": 2.6, "left_hip_x": 0.3}
+    pose = pose_with(**angles)
+    count, H, g = limits_of(pose)
+
+    def cost(x):
+        moved = pose.retract(x)
+        leg = Rotation.from_matrix(moved.R_joints[3]).as_euler("XYZ")[2]
+        arm = Rotation.from_matrix(moved.R_joints[2]).as_euler("XZY")[2]
+        excess = max(leg - np.pi / 3, 0), max(arm - np.pi / 2, 0), max(moved.hinges[2] - LARGEST_FLEXION, 0)
+        return 0.5 * np.sum(np.square(excess))
+
+    slope = np.array([(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)])
+    assert count == 3 and np.abs(slope).max() > 0.3
+    assert np.abs(g + slope).max() < 1e-6
+    assert np.array_equal(H, H.T) and np.linalg.eigvalsh(H).min() > -1e-12
+
+
+def test_an_infinite_margin_lets_hinges_pass_straight():
+    pose = Pose(*PLACE, pose_with().R_joints, np.array([-0.9, -0.9, -0.3, 0.8]))
+    assert limits_of(pose, margin=np.inf)[0] == 0
+    assert limits_of(pose)[0] == 1
