@@ -1,4 +1,4 @@
-"""From a frame to a silhouette, with the calibration and the background in use; both may come or change at any time."""
+"""Processes a frame: checks, silhouette, background watch, movement; calibration and background may change any time."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """What one frame gave: ``flags`` of the frame itself (see frame_checks.REMEDIES); no silhouette without background.
+    """Results of a frame: ``flags`` of the frame itself (see frame_checks.REMEDIES); no silhouette without background.
 
     ``canvas`` is the undistorted camera that the silhouette's mask belongs to, None of a camera whose lens is unknown:
     it has no silhouettes; ``gain`` how much brighter than learned the scene has slowly become; ``movement`` whether the
-    camera still stands where it stood, as far as that is known.
+    camera has moved since its calibration, as far as that is known.
     """
 
     canvas: CameraModel | None
@@ -56,8 +56,8 @@ class CameraChain:
         volume: Volume | None = None,
         placed: bool = True,
     ) -> None:
-        """``camera``: None while its lens is unknown. ``placed``: its pose is known; without, nobody knows where the
-        floor is, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
+        """``camera``: None while its lens is unknown. ``placed``: its pose is known; without, the floor is
+        unknown, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
         self._settings, self._volume, self._placed = settings, volume, placed
         self._stages = _Stages(camera, FrameChecks(settings.frame_checks))
 
@@ -86,8 +86,8 @@ class CameraChain:
         self._stages = self._made(self.camera, model)
 
     def use_learned_background(self, model: BackgroundModel) -> BackgroundModel:
-        """A background that was learned just now, from the next frame on; returns it as it should be saved: with what
-        the one before tells of how far the camera was moved. Raises InputError as :meth:`use_background` does."""
+        """A background that was learned just now, from the next frame on; returns it as it should be saved: with how
+        far the camera has turned since its calibration. Raises InputError as :meth:`use_background` does."""
         related = model if self.camera is None else carry_turn_over(model, self.background, self.camera)
         self.use_background(related)
         return related
@@ -108,7 +108,7 @@ class CameraChain:
         return bool(path)
 
     def use_saved_background(self, shape: tuple[int, ...]) -> bool:
-        """Take the background that the last lesson saved, if there is one and the settings name no other.
+        """Take the background that the last training saved, if there is one and the settings name no other.
 
         True when it is in use now. Raises InputError when it cannot be read or does not fit images of ``shape``.
         """

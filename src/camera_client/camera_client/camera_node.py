@@ -48,38 +48,10 @@ from .settings import CameraClientSettings
 from .silhouettes.pipeline import Silhouette
 from .sources.grab_loop import GrabLoop, GrabState
 
-# --- Keep the process small: memory that is free inside it goes back to the system (glibc; elsewhere nothing happens).
-
-_M_MMAP_THRESHOLD = -3  # of malloc.h
-_LARGE_BYTES = 1 << 20
-
-
-def return_large_blocks() -> None:
-    """Let blocks of a megabyte and more, such as images, go back to the system as soon as they are freed.
-
-    Otherwise glibc learns to keep them: images decoded on one thread and freed on another pile up in its heaps.
-    """
-    _call("mallopt", _M_MMAP_THRESHOLD, _LARGE_BYTES)
-
-
-def release_free_memory() -> None:
-    """Ask the C library for what freed arrays left in its heap.
-
-    Building maps and models takes tens of megabytes for a moment, and glibc keeps them as its own otherwise.
-    """
-    _call("malloc_trim", 0)
-
-
-def _call(name: str, *arguments: int) -> None:
-    function = getattr(ctypes.CDLL(None), name, None)
-    if function is not None:
-        function(*arguments)
-
-
 T = TypeVar("T")
 
 REPORT_PERIOD_S = 0.5
-LEARNING_PATIENCE_S = 10.0  # a camera that comes back sooner goes on being learned from
+LEARNING_PATIENCE_S = 10.0  # a training goes on when the camera comes back sooner
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
 
@@ -100,8 +72,8 @@ class CameraNode(SagomaNode):
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
         self._said = ""
-        # they live as long as the node, so that no answer is due to a service that is gone; learning in a group of its
-        # own, because its answer takes seconds and must not hold up the timer and the acknowledgements
+        # these live as long as the node, so that every request is answered; learning in a callback group of its own,
+        # because its answer takes seconds and must not hold up the timer and the acknowledgements
         self.create_service(
             Trigger, "~/learn_background", self._on_learn, callback_group=MutuallyExclusiveCallbackGroup()
         )
@@ -160,7 +132,7 @@ class CameraNode(SagomaNode):
             self.source = None
 
     def _accept(self, source: FrameSource) -> None:
-        """Look at a connection before its first frame, and take the background that fits it."""
+        """Check a new connection before its first frame, and take the background that fits it."""
         assert self.chain is not None
         for warning in source.warnings:
             self.get_logger().warning(warning)
@@ -174,7 +146,7 @@ class CameraNode(SagomaNode):
         assert self.chain is not None
         try:
             return self.chain.use_saved_background(source.shape)
-        except InputError as error:  # it was to be replaced anyway
+        except InputError as error:  # it would be replaced anyway
             self.get_logger().warning(f"the background learned last is not used: {error}")
             return False
 
@@ -335,7 +307,7 @@ class CameraNode(SagomaNode):
             self.trainer.cancel(f"the camera went away ({connection.reason})")
 
     def _say(self, level: Level, text: str) -> None:
-        """Show it in the diagnostics; a new kind of trouble, and its end, go to the log."""
+        """Set the level and line of the diagnostics; log when the kind of trouble changes."""
         self.health.status(bytes([level]), text)
         if level is Level.ERROR:
             self.health.set("last_error", text)
@@ -349,6 +321,34 @@ class CameraNode(SagomaNode):
             self.get_logger().warning(text)
         else:
             self.get_logger().error(text)
+
+
+# --- memory that is free inside the process goes back to the system (glibc; elsewhere nothing happens)
+
+_M_MMAP_THRESHOLD = -3  # of malloc.h
+_LARGE_BYTES = 1 << 20
+
+
+def return_large_blocks() -> None:
+    """Let blocks of a megabyte and more, such as images, go back to the system as soon as they are freed.
+
+    Otherwise glibc learns to keep them: images decoded on one thread and freed on another pile up in its heaps.
+    """
+    _call("mallopt", _M_MMAP_THRESHOLD, _LARGE_BYTES)
+
+
+def release_free_memory() -> None:
+    """Ask the C library for what freed arrays left in its heap.
+
+    Building maps and models takes tens of megabytes for a moment, and glibc keeps them as its own otherwise.
+    """
+    _call("malloc_trim", 0)
+
+
+def _call(name: str, *arguments: int) -> None:
+    function = getattr(ctypes.CDLL(None), name, None)
+    if function is not None:
+        function(*arguments)
 
 
 def main(args: list[str] | None = None) -> None:

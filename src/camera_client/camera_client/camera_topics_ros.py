@@ -1,5 +1,5 @@
-"""What one camera publishes of its frames: silhouettes with their camera_info, pictures on request, or while it is
-not calibrated yet the images themselves."""
+"""Publishes what one camera gives: silhouettes with their camera_info, pictures on request, and the images themselves
+while it is not calibrated yet."""
 
 from __future__ import annotations
 
@@ -24,13 +24,11 @@ from .silhouettes.pipeline import Silhouette, outline
 
 PREVIEW_PERIOD_S = 0.2
 
-# --- sensor_msgs/CameraInfo: as the calibration of one of our cameras, and of one that has none yet.
-
 
 def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
     """``camera`` with the intrinsics of ``info``; its pose stays. Raises InputError naming the field and the value."""
     K, R = np.reshape(info.k, (3, 3)), np.reshape(info.r, (3, 3))
-    if not R.any():  # a message that nobody filled in leaves it at zero
+    if not R.any():  # zero where the sender did not fill it in
         R = np.eye(3)
     return with_intrinsics(
         camera, info.width, info.height, K.tolist(), info.distortion_model, list(info.d), R.tolist(), "set_camera_info"
@@ -54,7 +52,7 @@ class CameraTopics:
         settings: CameraClientSettings,
         to_calibrate: bool = False,
     ) -> None:
-        """``to_calibrate``: images are offered to whoever calibrates the camera, and sent while somebody listens."""
+        """``to_calibrate``: images are offered for the calibration, and sent while there is a subscriber."""
         self._frame_id, self._raw_always = frame_id, settings.publish_raw
         self._silhouettes = create(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
         self._infos = create(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
@@ -67,7 +65,7 @@ class CameraTopics:
 
     @property
     def has_listener(self) -> bool:
-        """Does anybody listen to the silhouettes, or to images that are sent only then?"""
+        """Whether there is a subscriber to the silhouettes, or to images that are sent only then."""
         return self._silhouettes.get_subscription_count() > 0 or (not self._raw_always and self._raw_has_listener)
 
     @property
@@ -75,7 +73,7 @@ class CameraTopics:
         return self._raws is not None and self._raws.get_subscription_count() > 0
 
     def publish_image(self, frame: Frame) -> None:
-        """The frame as it came, when that was asked for, or somebody listens who calibrates the camera."""
+        """The frame as it came, with ``publish_raw``, or while there is a subscriber that calibrates the camera."""
         if self._raws is not None and (self._raw_always or self._raw_has_listener):
             self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
 

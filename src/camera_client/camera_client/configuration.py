@@ -1,4 +1,4 @@
-"""From settings to the parts of a camera client: which camera of the rig, which source; all or nothing."""
+"""Makes the parts of a camera client that its settings name: calibration and source; all or nothing."""
 
 from __future__ import annotations
 
@@ -20,15 +20,13 @@ from .sources.aravis_source import AravisSource
 from .sources.footage_source import FootageSource
 from .sources.supervised_source import SupervisedSource
 
-# --- How much is known of a camera: nothing, its lens, or its lens and its place in the room.
-
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What is known of the camera ``name``.
+    """What is known of the camera ``name``: nothing, its lens, or its lens and its pose in the room.
 
     ``camera`` is None while the lens is unknown: silhouettes cannot be undistorted then. ``volume`` is the rig's
-    capture volume, metres, map frame; it is None while the camera's place is unknown, and ``camera``'s pose then means
+    capture volume, metres, map frame; it is None while the camera's pose is unknown, and ``camera``'s pose then means
     nothing.
     """
 
@@ -38,7 +36,7 @@ class Calibration:
 
     @property
     def placed(self) -> bool:
-        """Is the camera's place in the room known?"""
+        """Whether the camera's pose in the room is known."""
         return self.volume is not None
 
 
@@ -53,7 +51,7 @@ STALL_PERIODS = 5  # a camera that is slow has not stalled
 
 
 def load_calibration(settings: CameraClientSettings, name: str) -> Calibration:
-    """What the settings tell of the camera ``name``: all with a rig, else the intrinsics of camera_info_file, if any.
+    """What the settings say of the camera ``name``: all with a rig, else the intrinsics of camera_info_file, if any.
 
     Raises InputError naming the file: one that cannot be read, or does not know this camera.
     """
@@ -125,14 +123,14 @@ def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSou
 def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
     """How long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
     supervision = settings.supervision
-    if settings.aravis.sync == "line":  # nobody here knows when somebody pulses the line
+    if settings.aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
     rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
     return max(supervision.stall_timeout_s, STALL_PERIODS / rate_hz if rate_hz else 0.0)
 
 
 def _rate_hz(details: Mapping[str, str]) -> float:
-    """The rate that the camera told, 0 when it did not."""
+    """The rate that the camera reported, 0 when it did not."""
     try:
         return max(float(details.get("frame_rate", 0.0)), 0.0)
     except ValueError:

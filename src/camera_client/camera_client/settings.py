@@ -150,7 +150,7 @@ class ColourShadowSettings:
     )
     min_brightness: float = setting(
         60.0,
-        "Backgrounds darker than this cannot be told from dark clothes: no shadow there",
+        "Backgrounds darker than this look like dark clothes: no shadow is looked for there",
         unit="grey levels",
         low=0,
         high=255,
@@ -186,7 +186,7 @@ class SilhouetteSettings:
     median_px: int = setting(5, "Side of the median filter", unit="px", choices=(1, 3, 5, 7))
     shadow: str = setting(
         "mark",
-        "Shadows: mark them, and what might be one, for the hull server to judge; remove them; or keep them",
+        "Shadows: mark them, and what might be one, for the hull server to resolve; remove them; or keep them",
         choices=("mark", "remove", "keep"),
     )
     closing: float = setting(
@@ -219,7 +219,7 @@ class SupervisionSettings:
         0.5, "Connect anew when nothing came for so long (and for five frame periods)", unit="s", low=0.05, high=3600
     )
     triggered_stall_timeout_s: float = setting(
-        10.0, "The same while frames wait for somebody else's trigger; 0: never", unit="s", low=0, high=86400
+        10.0, "The same while frames wait for an external trigger; 0: never", unit="s", low=0, high=86400
     )
     longest_retry_s: float = setting(
         2.0,
@@ -260,12 +260,12 @@ class BackgroundWatchSettings:
     static_s: float = setting(
         300.0, "Foreground that has not moved for so long belongs to the room", unit="s", low=1, high=86400
     )
-    static_share: float = setting(0.01, "... and is told of when it fills more than this share", low=0, high=1)
+    static_share: float = setting(0.01, "... and is reported when it fills more than this share", low=0, high=1)
 
 
 @dataclass(frozen=True)
 class CameraMovedSettings:
-    """When the picture says that the camera was moved since it was calibrated."""
+    """When a camera counts as moved since it was calibrated, by its picture."""
 
     limit_deg: float = setting(
         0.2,
@@ -300,7 +300,7 @@ class CameraClientSettings:
         "silhouette.colour_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
         "silhouette.floor_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
         "silhouette.floor_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
-        "silhouette.floor_shadow.window": "texture is told from brightness in windows of 1 % of the image height",
+        "silhouette.floor_shadow.window": "texture is measured in windows of 1 % of the image height",
         "frame_checks.dark_level": "a frame is dark when 99 % of it is no brighter than 16 grey levels",
         "frame_checks.saturated_share": "a frame is saturated when 20 % more of it is white than of the background",
         "camera_moved.period_s": "a frame is compared with the background twice a second",

@@ -40,7 +40,7 @@ class LightDrift:
     def __init__(
         self, background: BackgroundModel, limits: BackgroundLimits, settings: BackgroundSettings, block_px: int
     ) -> None:
-        """``block_px``: side of the square blocks of the image in which :meth:`follow` is told of foreground."""
+        """``block_px``: side of the square blocks of the image of :meth:`follow`'s ``dense``."""
         self._limits, self.gain, self._block_px = limits, 1.0, block_px
         self._learned = background.mean
         sigma = np.maximum(background.sigma.astype(float), settings.sigma_floor)
@@ -77,7 +77,7 @@ class LightDrift:
         self._follow_band(image[band], within[band], band, stamp_ns)
 
     def _follow_gain(self, image: Image, within: Mask, far: npt.NDArray[np.bool_], step_s: float) -> None:
-        """First order, slow, bounded: the median ratio of the pixels that are background, ``far`` from everybody."""
+        """First order, slow, bounded: the median ratio of the background's pixels ``far`` from all foreground."""
         learned = self._learned[self._grid]
         usable = (within[self._grid] > 0) & far[self._blocks_of_grid]
         if usable.mean() < MIN_USABLE_SHARE:

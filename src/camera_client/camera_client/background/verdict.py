@@ -1,7 +1,7 @@
 """Judges a background that was just learned: good, usable or redo, with reasons and remedies.
 
 The recipe is :func:`judge_background`. Each finding looks for one fault: black, white or dim picture, too few frames,
-movement while it was learned, somebody who stood still all the time (against the background before), noise, and lamps
+movement while it was learned, a person who stood still all the time (against the background before), noise, and lamps
 that flicker or warm up. The thresholds were set on rendered and recorded rooms: tests/test_camera_background_verdict.py
 holds what each has to find and has to pass.
 """
@@ -89,7 +89,7 @@ def _frame_count_findings(model: BackgroundModel) -> list[Finding]:
     if frames >= FEW_FRAMES:
         return []
     error = 100 / np.sqrt(2 * max(frames - 1, 1))
-    return [Finding(USABLE, f"{frames} frames tell the noise to {error:.0f} % only", "set background_frames to 100")]
+    return [Finding(USABLE, f"{frames} frames measure the noise to {error:.0f} % only", "set background_frames to 100")]
 
 
 def _movement_findings(model: BackgroundModel) -> list[Finding]:
@@ -129,7 +129,7 @@ def _steadiness_findings(brightness: Sequence[float]) -> list[Finding]:
     return found
 
 
-# --- was the room empty? Somebody who stood still did not move, but was not there before
+# --- was the room empty? A person who stood still did not move, but was not in the background before
 
 CHANGE_LEVELS, CHANGE_SIGMAS = 10.0, 5.0  # a pixel shows something else when it differs by as much as both say
 THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little

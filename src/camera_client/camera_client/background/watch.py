@@ -1,4 +1,8 @@
-"""Does the background still fit the room? Watched on a sparse grid of pixels, twice a second by the frames' stamps."""
+"""Watches whether the background still fits the room, on a sparse grid of pixels, twice a second by the frames' stamps.
+
+:class:`BackgroundWatch` measures; :func:`concerns` says what speaks against the background in use, with remedies. The
+thresholds were chosen on the rooms of test/test_camera_background_watch.py: people who walk, jog and stand, and lamps.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,7 @@ SMALLEST_STATIC_PLACE = 2e-3  # of the grid's pixels: four or five of them
 
 @dataclass(frozen=True)
 class BackgroundFit:
-    """What the watch has found so far.
+    """What was measured so far.
 
     gain_drift : by which share the typical pixel is brighter than it was learned, on top of the drift that is followed;
         None until it was measured long enough.
@@ -49,16 +53,16 @@ class BackgroundWatch:
     """Follows how well the frames of an active camera still fit its background.
 
     Two figures are taken. The drift of the light is the median ratio, frame to background, of all lit pixels that may
-    be background: somebody in the room covers the smaller part. Foreground that never moves is a pixel's share of the
+    be background: a person in the room covers the smaller part. Foreground that never moves is a pixel's share of the
     time in which it was foreground of one grey level, an exponential mean: a walking person covers no pixel for long,
-    and whoever dances on the spot changes the pixels that they cover. Nothing is known of the wall clock: the same
+    and a person who dances on the spot changes the pixels that they cover. The wall clock plays no part: the same
     footage gives the same figures at every speed.
     """
 
     def __init__(
         self, background: BackgroundModel, limits: BackgroundLimits, settings: BackgroundWatchSettings | None = None
     ) -> None:
-        """``limits``: the grey levels of the background in use; they may be moved in place by whoever follows drift."""
+        """``limits``: the grey levels of the background in use; LightDrift may move them in place."""
         settings = settings or BackgroundWatchSettings()
         self._step = grid_step(background.shape)
         self._grid = (slice(self._step // 2, None, self._step),) * 2
@@ -76,7 +80,7 @@ class BackgroundWatch:
         self.found = BackgroundFit(tolerance=self._tolerance)
 
     def update(self, image: Image, stamp_ns: int, gain: float = 1.0) -> None:
-        """Take a frame (H, W) or (H, W, 3) of ``stamp_ns``; most are not looked at.
+        """Take a frame (H, W) or (H, W, 3) of ``stamp_ns`` into account if it is time to.
 
         gain : how much brighter than learned the scene is already taken to be.
         """
@@ -113,7 +117,7 @@ class BackgroundWatch:
         return BackgroundFit(self._drift if known else None, self._tolerance, float(static.mean()), tuple(places))
 
 
-# --- What is wrong with a background that was good once: it is old, of another camera or setting, or the light changed.
+# --- concerns: the background is old, of another camera or setting, or the light changed
 
 REMEDY = "clear the room and run sagoma background"
 SAME_NUMBER = 0.01  # cameras give back what was set with so much error, relative
@@ -121,7 +125,7 @@ UNITS = {"exposure_us": "us", "gain": ""}
 
 
 def age_h(provenance: Provenance, now_s: float) -> float | None:
-    """Hours since a background was learned, None where it does not tell; ``now_s`` is the system's clock."""
+    """Hours since a background was learned, None where that is unknown; ``now_s`` is the system's clock."""
     try:
         created = datetime.datetime.fromisoformat(provenance.created)
     except ValueError:
@@ -138,9 +142,9 @@ def concerns(
     now_s: float | None = None,
     followed: bool = False,
 ) -> tuple[str, ...]:
-    """What speaks against the background in use, the gravest first, each with its remedy; () when nothing does.
+    """What speaks against the background in use, the worst first, each with its remedy; () when nothing does.
 
-    camera : what the connected camera tells of itself. shape : of its images.
+    camera : the details of the connected source. shape : of its images.
     now_s : the system's clock, s; None for footage, whose background is as old as itself.
     followed : slow drift is followed already, so that what is left is more than that.
     """
@@ -156,7 +160,7 @@ def concerns(
 
 
 def other_camera(learned: Provenance, camera: Mapping[str, str]) -> list[str]:
-    """A camera or setting that the background was not learned with; what either does not tell is not compared."""
+    """A camera or setting that the background was not learned with; what is unknown of either is not compared."""
     serial = camera.get("camera_serial", "")
     if learned.camera_serial and serial and serial != learned.camera_serial:
         return [f"the background was learned with camera {learned.camera_serial}, this is {serial}: {REMEDY}"]

@@ -1,4 +1,4 @@
-"""A camera's own clock mapped onto the host's, free of the jitter of the network and of our scheduling.
+"""Maps a camera's own clock onto the host's, free of the jitter of the network and of our scheduling.
 
 Every frame gives one bound: it cannot have arrived before it was taken, so arrival - camera time is the clocks' offset
 plus a delay. The frames least delayed form the lower envelope of these differences; its slope is the drift between the
@@ -21,10 +21,10 @@ from .features import DeviceRefusal
 
 MS, SECOND = 1_000_000, 1_000_000_000
 BUCKET_NS, BUCKETS = 250 * MS, 64  # the envelope: the least delayed frame of each quarter of a second, for 16 s
-DRIFT_SPAN_NS = 4 * SECOND  # a drift is believed once the envelope is this long
+DRIFT_SPAN_NS = 4 * SECOND  # a drift is used once the envelope is this long
 USUAL_DRIFT, MOST_DRIFT = 50e-6, 200e-6  # between two quartz clocks
 JUMP_NS = 50 * MS  # delays vary by less, unless for a moment
-PATIENCE_NS = 5 * SECOND  # so long everything must be late before we believe that the clock has gone back
+LATE_NS = 5 * SECOND  # when everything is late for so long, the clock was set back
 
 
 class CameraClock:
@@ -82,7 +82,7 @@ class CameraClock:
             self._late_since_ns = None
         elif self._late_since_ns is None:
             self._late_since_ns = camera_ns
-        return self._late_since_ns is not None and camera_ns - self._late_since_ns > PATIENCE_NS
+        return self._late_since_ns is not None and camera_ns - self._late_since_ns > LATE_NS
 
     def _add(self, camera_ns: int, offset_ns: int) -> None:
         if self._open is not None and camera_ns >= self._open_until_ns:
@@ -101,12 +101,12 @@ class CameraClock:
         """The line below all points that is closest to them; level as long as their scatter hides a usual drift."""
         points = list(self._closed)
         span_ns = points[-1][0] - points[0][0]
-        self._lay(points, _skew(points) if span_ns >= DRIFT_SPAN_NS else 0.0)
+        self._fit_line(points, _skew(points) if span_ns >= DRIFT_SPAN_NS else 0.0)
         self.knows_drift = span_ns >= DRIFT_SPAN_NS and self.spread_ns <= USUAL_DRIFT * span_ns
         if not self.knows_drift:
-            self._lay(points, 0.0)
+            self._fit_line(points, 0.0)
 
-    def _lay(self, points: list[tuple[int, int]], drift: float) -> None:
+    def _fit_line(self, points: list[tuple[int, int]], drift: float) -> None:
         """The highest line of this slope that lies below all points."""
         self._drift, self._origin_ns = drift, points[-1][0]
         self._base_ns = round(min(offset - drift * (camera - self._origin_ns) for camera, offset in points))
@@ -117,7 +117,7 @@ def _skew(points: list[tuple[int, int]]) -> float:
     """Slope of the edge of the lower convex hull above the middle of ``points`` (sorted by their first coordinate)."""
     hull: list[tuple[int, int]] = []
     for point in points:
-        while len(hull) > 1 and _turn(hull[-2], hull[-1], point) <= 0:
+        while len(hull) > 1 and _orientation(hull[-2], hull[-1], point) <= 0:
             hull.pop()
         hull.append(point)
     middle = sum(camera for camera, _ in points) / len(points)
@@ -126,15 +126,14 @@ def _skew(points: list[tuple[int, int]]) -> float:
     return min(max(slope, -MOST_DRIFT), MOST_DRIFT)
 
 
-def _turn(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
+def _orientation(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
     """Positive when a, b, c turn left."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-# --- Reading a camera's clock over the network: what it shows, and how well we know when it showed that.
+# --- reading a camera's clock over the network
 
 READINGS = 5
-NS_PER_S = 1_000_000_000
 
 
 class RegisterAccess(Protocol):
@@ -181,7 +180,7 @@ def _read_once(registers: RegisterAccess, host_clock: Callable[[], int], ticks_a
     after_ns = host_clock()
     ticks = _long(registers, bootstrap.TIMESTAMP_HIGH, bootstrap.TIMESTAMP_LOW)
     half_ns = (after_ns - before_ns) // 2
-    return ClockReading(ticks * NS_PER_S // ticks_a_second, before_ns + half_ns, half_ns + NS_PER_S // ticks_a_second)
+    return ClockReading(ticks * SECOND // ticks_a_second, before_ns + half_ns, half_ns + SECOND // ticks_a_second)
 
 
 def _long(registers: RegisterAccess, high: int, low: int) -> int:

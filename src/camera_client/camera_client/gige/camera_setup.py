@@ -1,4 +1,4 @@
-"""From settings to a camera that takes pictures that way: every feature set, read back and compared."""
+"""Sets a camera up as the settings say: every feature is set, read back and compared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .pixel_formats import choose_format, find_format, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
-RATE_SHORTFALL = 0.01  # a camera that is slower than asked for by more than this is warned of
+RATE_SHORTFALL = 0.01  # relative; a camera that is slower than its setting by more gets a warning
 CHUNKS = ("Timestamp", "ExposureTime")
 
 
@@ -20,7 +20,7 @@ CHUNKS = ("Timestamp", "ExposureTime")
 class CameraSetup:
     """How the camera takes pictures now.
 
-    pixel_format : its standard name. exposure_us, frame_rate : None where the camera does not tell, or waits for
+    pixel_format : its standard name. exposure_us, frame_rate : None where the camera does not report it, or waits for
     triggers. chunks : names of the chunks that each frame carries.
     """
 

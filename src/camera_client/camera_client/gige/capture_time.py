@@ -1,6 +1,6 @@
-"""When was a frame taken, on the system's clock (UTC)? Three sources, best first: PTP, the camera's clock, arrival.
+"""Stamps frames with their time of capture on the system's clock (UTC), from PTP, the camera's clock, or arrival.
 
-Each strategy turns what a frame carries into the stamp of mid-exposure and an honest bound on its error.
+Each strategy turns what a frame carries into the stamp of mid-exposure and a bound on its error.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from capture_rig.errors import InputError
 
 from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock, ClockReading
 
-PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is not what it is said to be
+PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is set wrong
 PTP_IN_STEP = ("Slave", "Master")
 ARRIVAL_UNCERTAINTY_NS = 5 * MS  # readout, transfer and scheduling between the end of exposure and its first packet
 UNREAD_CLOCK_UNCERTAINTY_NS = 1 * MS  # readout and first packet, of a camera whose clock cannot be read
@@ -76,7 +76,7 @@ class ArrivalTime:
 class CameraTime:
     """The camera's own clock, mapped onto the host's by the least delayed frames.
 
-    reading : of the camera's clock at the start: it tells the smallest delay of a frame, which is then taken out. None:
+    reading : of the camera's clock at the start: it gives the smallest delay of a frame, which is then taken out. None:
         the delay is taken for the rest of the exposure, and the stamp is uncertain by a millisecond more.
 
     Uncertain by that of the reading and by how unsteady the smallest delay is (twice the median height of the
@@ -137,17 +137,17 @@ class PtpTime:
     def __init__(self, tai_utc_offset_s: int, camera_stamps: str, uncertainty_ns: int, fallback: CameraTime) -> None:
         self._ahead_ns, self._camera_stamps = tai_utc_offset_s * SECOND, camera_stamps
         self._uncertainty_ns, self._fallback = uncertainty_ns, fallback
-        self._believed = True
+        self._in_step = True
         self._last_ns: int | None = None
         self.jumps = 0
 
     def stamp(self, times: FrameTimes) -> Stamp:
         mapped = self._fallback.stamp(times)
         taken_ns = times.camera_ns - self._ahead_ns + round(MIDDLE[self._camera_stamps] * times.exposure_ns)
-        believed = abs(taken_ns - mapped.ns) <= PTP_TOLERANCE_NS
-        self.jumps += self._believed and not believed
-        self._believed = believed
-        stamp = Stamp(taken_ns, self._uncertainty_ns, self.name) if believed else mapped
+        in_step = abs(taken_ns - mapped.ns) <= PTP_TOLERANCE_NS
+        self.jumps += self._in_step and not in_step
+        self._in_step = in_step
+        stamp = Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
         if self._last_ns is not None and stamp.ns <= self._last_ns:
             stamp = Stamp(self._last_ns + 1, stamp.uncertainty_ns, stamp.clock)
         self._last_ns = stamp.ns
@@ -187,7 +187,7 @@ def choose_time_source(
 
 
 def _away_ns(reading: ClockReading, tai_utc_offset_s: int) -> int:
-    """How far the camera's clock is from the system's, when it is said to be ahead by so much."""
+    """How far the camera's clock is from the system's, when it should be ahead by so much."""
     return reading.camera_ns - tai_utc_offset_s * SECOND - reading.host_ns
 
 

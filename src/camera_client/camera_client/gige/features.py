@@ -1,4 +1,4 @@
-"""GenICam features: set, read back, compare; and errors that say what the camera would have taken."""
+"""Sets GenICam features, reads them back and compares; errors say what the camera would have taken."""
 
 from __future__ import annotations
 
@@ -10,60 +10,20 @@ from typing import Protocol
 
 from capture_rig.errors import InputError
 
-# --- One feature, many names: how camera generations spell the same thing.
-#
-# Today's names are those of the GenICam SFNC; the others are from before it (GigE Vision 1.x cameras of the 2000s).
-
-ALIASES: tuple[tuple[str, ...], ...] = (
-    ("ExposureTime", "ExposureTimeAbs"),
-    ("Gain", "GainAbs", "GainRaw"),  # dB where the camera knows them, else its own steps
-    ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
-    ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"),
-    ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs"),
-    ("TriggerDelay", "TriggerDelayAbs"),
-    ("PtpEnable", "GevIEEE1588"),
-    ("PtpStatus", "GevIEEE1588Status"),
-    ("PtpDataSetLatch", "GevIEEE1588DataSetLatch"),
-    ("PtpOffsetFromMaster", "GevIEEE1588OffsetFromMaster"),
-    ("TimestampLatch", "GevTimestampControlLatch"),
-    ("TimestampLatchValue", "GevTimestampValue"),
-    ("TimestampReset", "GevTimestampControlReset"),
-    ("SyncFreeRunTimerTriggerRateAbs", "SyncFreeRunTimerTriggerRate"),
-    ("DeviceSerialNumber", "DeviceID"),
-    ("DeviceTemperature", "TemperatureAbs"),
-    ("ChunkExposureTime", "ChunkExposureTimeAbs"),
-    ("UserSetDefault", "UserSetDefaultSelector"),
-)
-_FAMILY = {name: family for family in ALIASES for name in family}
-
-
-def spellings(name: str) -> tuple[str, ...]:
-    """``name`` itself, then the other names of the same feature."""
-    return (name, *(other for other in _FAMILY.get(name, ()) if other != name))
-
-
-def known_as(name: str, present: Callable[[str], bool]) -> str | None:
-    """The first spelling of ``name`` that is ``present``, or None."""
-    return next((spelling for spelling in spellings(name) if present(spelling)), None)
-
-
-# --- What a device's answer can be besides the one hoped for.
-
-
-class DeviceRefusal(Exception):
-    """The device answered no: the feature is locked, absent, or does not take the value."""
-
-
-class DeviceSilence(Exception):
-    """The device did not answer in time: it is off, unplugged, or gone."""
-
-
 Value = bool | int | float | str
 
 FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
 ON, OFF = ("true", "1", "on", "yes"), ("false", "0", "off", "no")
 _SWITCH_WORDS = {True: ("On", "True", "Enable", "Enabled"), False: ("Off", "False", "Disable", "Disabled")}
 MOST_NAMES = 24  # of an enumeration, in an error
+
+
+class DeviceRefusal(Exception):
+    """The device refused: the feature is locked, absent, or does not take the value."""
+
+
+class DeviceSilence(Exception):
+    """The device did not answer in time: it is off, unplugged, or gone."""
 
 
 class Kind(Enum):
@@ -80,7 +40,7 @@ class Kind(Enum):
 class FeatureAccess(Protocol):
     """A device's features by their exact names.
 
-    Every method may raise DeviceSilence when the device does not answer, and DeviceRefusal when it says no.
+    Every method may raise DeviceSilence when the device does not answer, and DeviceRefusal when it refuses.
     """
 
     def kind(self, name: str) -> Kind | None:
@@ -93,10 +53,10 @@ class FeatureAccess(Protocol):
     def execute(self, name: str) -> None: ...
 
     def limits(self, name: str) -> tuple[float, float] | None:
-        """Smallest and largest value of a number; None where the device does not tell."""
+        """Smallest and largest value of a number; None where the device does not describe it."""
 
     def step(self, name: str) -> float | None:
-        """Distance between the values a number can take; None where the device does not tell."""
+        """Distance between the values a number can take; None where the device does not describe it."""
 
     def choices(self, name: str) -> tuple[str, ...]:
         """The entries of an enumeration that are to be had now."""
@@ -158,7 +118,7 @@ class Features:
     def set(self, name: str, wanted: Value, key: str) -> Applied:
         """Set, read back, compare. ``wanted`` may be text for any kind of feature.
 
-        A feature that may only be written is believed to hold what it was given. Raises InputError naming feature,
+        A feature that may only be written is taken to hold what it was given. Raises InputError naming feature,
         wanted and got value, what is allowed, and the setting ``key`` to change.
         """
         found = self.require(name, key)
@@ -252,7 +212,7 @@ class Features:
         return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), step, 1e-9)
 
     def _allowance(self, name: str) -> str:
-        """What the feature takes, as a sentence; empty where the device does not tell."""
+        """What the feature takes, as a sentence; empty where the device does not describe it."""
         try:
             if self.access.kind(name) is Kind.ENUMERATION:
                 names = self.access.choices(name)
@@ -304,3 +264,39 @@ _PARSERS: dict[Kind, Callable[[Value], Value]] = {
     Kind.ENUMERATION: _text,
     Kind.STRING: _text,
 }
+
+
+# --- how camera generations spell the same feature: today's name of the GenICam SFNC first, then those from before it
+# (GigE Vision 1.x cameras of the 2000s)
+
+ALIASES: tuple[tuple[str, ...], ...] = (
+    ("ExposureTime", "ExposureTimeAbs"),
+    ("Gain", "GainAbs", "GainRaw"),  # dB where the camera knows them, else its own steps
+    ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
+    ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"),
+    ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs"),
+    ("TriggerDelay", "TriggerDelayAbs"),
+    ("PtpEnable", "GevIEEE1588"),
+    ("PtpStatus", "GevIEEE1588Status"),
+    ("PtpDataSetLatch", "GevIEEE1588DataSetLatch"),
+    ("PtpOffsetFromMaster", "GevIEEE1588OffsetFromMaster"),
+    ("TimestampLatch", "GevTimestampControlLatch"),
+    ("TimestampLatchValue", "GevTimestampValue"),
+    ("TimestampReset", "GevTimestampControlReset"),
+    ("SyncFreeRunTimerTriggerRateAbs", "SyncFreeRunTimerTriggerRate"),
+    ("DeviceSerialNumber", "DeviceID"),
+    ("DeviceTemperature", "TemperatureAbs"),
+    ("ChunkExposureTime", "ChunkExposureTimeAbs"),
+    ("UserSetDefault", "UserSetDefaultSelector"),
+)
+_FAMILY = {name: family for family in ALIASES for name in family}
+
+
+def spellings(name: str) -> tuple[str, ...]:
+    """``name`` itself, then the other names of the same feature."""
+    return (name, *(other for other in _FAMILY.get(name, ()) if other != name))
+
+
+def known_as(name: str, present: Callable[[str], bool]) -> str | None:
+    """The first spelling of ``name`` that is ``present``, or None."""
+    return next((spelling for spelling in spellings(name) if present(spelling)), None)

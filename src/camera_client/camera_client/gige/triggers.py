@@ -1,4 +1,4 @@
-"""What starts an exposure, so that several cameras expose at one instant; best first.
+"""Makes several cameras expose at one instant: what starts an exposure, best first.
 
 ptp: cameras in step by PTP run freely, but from a common beginning. line: a cable. action: each camera is told ahead of
 time, by an action command of GigE Vision 2.x, when to expose in PTP time. software: a trigger command at an instant of
@@ -17,89 +17,9 @@ from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, Command, MalformedPacket, Status
 
 from ..settings import AravisSettings
+from .camera_clock import SECOND
 from .capture_time import PTP_IN_STEP
 from .features import Features
-
-# --- When to trigger: at whole multiples of the period of a common clock, so that nobody has to coordinate.
-
-SECOND = 1_000_000_000
-FINEST_RATE = 10**6  # the rate is taken as a fraction with at most this denominator: 59.94 is 2997/50
-JOIN_TIMEOUT_S = 3.0
-
-
-class TriggerSchedule:
-    """The instants k / rate of a clock that counts from its epoch (ns), each due ``lead_ns`` before it comes.
-
-    Every computer that knows the rate finds the same instants, to the nanosecond. An instant that is over by half a
-    period before anybody asked is skipped and counted in ``missed``.
-    """
-
-    def __init__(self, rate_hz: float, lead_ns: int = 0) -> None:
-        self._rate = Fraction(rate_hz).limit_denominator(FINEST_RATE)
-        self._lead_ns = lead_ns
-        self._next: int | None = None
-        self.missed = 0
-
-    def instant_ns(self, index: int) -> int:
-        """Instant number ``index`` since the clock's epoch."""
-        return index * SECOND * self._rate.denominator // self._rate.numerator
-
-    def first_after(self, now_ns: int) -> int:
-        """Number of the first instant that is not over at ``now_ns``."""
-        index = -(-now_ns * self._rate.numerator // (SECOND * self._rate.denominator))
-        return index if self.instant_ns(index) >= now_ns else index + 1
-
-    def due(self, now_ns: int) -> list[int]:
-        """Instants (ns) to act on now, each given once; the first call begins with the first one still ahead."""
-        if self._next is None:
-            self._next = self.first_after(now_ns + self._lead_ns)
-        self._skip_past(now_ns)
-        instants = []
-        while self.instant_ns(self._next) - self._lead_ns <= now_ns:
-            instants.append(self.instant_ns(self._next))
-            self._next += 1
-        return instants
-
-    def wait_ns(self, now_ns: int) -> int:
-        """Time until the next instant is due."""
-        index = self.first_after(now_ns + self._lead_ns) if self._next is None else self._next
-        return max(self.instant_ns(index) - self._lead_ns - now_ns, 0)
-
-    def _skip_past(self, now_ns: int) -> None:
-        assert self._next is not None
-        half_ns = self.instant_ns(1) // 2
-        if self.instant_ns(self._next) + half_ns < now_ns:
-            ahead = self.first_after(now_ns)
-            self.missed += ahead - self._next
-            self._next = ahead
-        elif self.instant_ns(self._next) - self._lead_ns - now_ns > SECOND:  # the clock was set back
-            self._next = self.first_after(now_ns + self._lead_ns)
-
-
-class TriggerThread:
-    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own.
-
-    clock : ns, of the clock that the schedule counts on.
-    """
-
-    def __init__(self, schedule: TriggerSchedule, clock: Callable[[], int], fire: Callable[[int], None]) -> None:
-        self._schedule, self._clock, self._fire = schedule, clock, fire
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="trigger", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End the thread; waits for a trigger that is on its way."""
-        self._stopping.set()
-        self._thread.join(JOIN_TIMEOUT_S)
-
-    def _run(self) -> None:
-        while not self._stopping.wait(self._schedule.wait_ns(self._clock()) / SECOND):
-            for instant_ns in self._schedule.due(self._clock()):
-                self._fire(instant_ns)
-
 
 FRAME_TRIGGER = "FrameStart"
 PTP_POLL_S = 0.05
@@ -124,7 +44,7 @@ def switch_triggers_off(features: Features) -> None:
 def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
     """Set up the triggers for ``settings.sync``; returns a warning, "" when there is none.
 
-    ptp_now_ns : the camera's clock, only asked for where PTP is in use.
+    ptp_now_ns : reads the camera's clock; called only where PTP is in use.
     Raises InputError when the camera lacks what the mode needs.
     """
     if settings.sync in ("action", "software", "ptp"):
@@ -209,7 +129,7 @@ def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
 
 
 def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
-    """Exposures at whole multiples of the period of the PTP clock, whoever arms the cameras and when."""
+    """Exposures at whole multiples of the period of the PTP clock, whenever the cameras are armed."""
     if features.find("SyncFreeRunTimerEnable") is not None:
         _arm_timer(features, settings.frame_rate, ptp_now_ns())
         return ""
@@ -235,7 +155,87 @@ def _arm_timer(features: Features, rate_hz: float, ptp_now_ns: int) -> None:
     features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
 
 
-# --- Scheduled action commands to one camera: "expose at this time of your clock". Unicast; nothing is broadcast.
+# --- when to trigger: at whole multiples of the period of a common clock, so that camera PCs need no coordinator
+
+FINEST_RATE = 10**6  # the rate is taken as a fraction with at most this denominator: 59.94 is 2997/50
+JOIN_TIMEOUT_S = 3.0
+
+
+class TriggerSchedule:
+    """The instants k / rate of a clock that counts from its epoch (ns), each due ``lead_ns`` before it comes.
+
+    Every computer that knows the rate finds the same instants, to the nanosecond. An instant that is over by half a
+    period before it was due here is skipped and counted in ``missed``.
+    """
+
+    def __init__(self, rate_hz: float, lead_ns: int = 0) -> None:
+        self._rate = Fraction(rate_hz).limit_denominator(FINEST_RATE)
+        self._lead_ns = lead_ns
+        self._next: int | None = None
+        self.missed = 0
+
+    def instant_ns(self, index: int) -> int:
+        """Instant number ``index`` since the clock's epoch."""
+        return index * SECOND * self._rate.denominator // self._rate.numerator
+
+    def first_after(self, now_ns: int) -> int:
+        """Number of the first instant that is not over at ``now_ns``."""
+        index = -(-now_ns * self._rate.numerator // (SECOND * self._rate.denominator))
+        return index if self.instant_ns(index) >= now_ns else index + 1
+
+    def due(self, now_ns: int) -> list[int]:
+        """Instants (ns) to act on now, each given once; the first call begins with the first one still ahead."""
+        if self._next is None:
+            self._next = self.first_after(now_ns + self._lead_ns)
+        self._skip_past(now_ns)
+        instants = []
+        while self.instant_ns(self._next) - self._lead_ns <= now_ns:
+            instants.append(self.instant_ns(self._next))
+            self._next += 1
+        return instants
+
+    def wait_ns(self, now_ns: int) -> int:
+        """Time until the next instant is due."""
+        index = self.first_after(now_ns + self._lead_ns) if self._next is None else self._next
+        return max(self.instant_ns(index) - self._lead_ns - now_ns, 0)
+
+    def _skip_past(self, now_ns: int) -> None:
+        assert self._next is not None
+        half_ns = self.instant_ns(1) // 2
+        if self.instant_ns(self._next) + half_ns < now_ns:
+            ahead = self.first_after(now_ns)
+            self.missed += ahead - self._next
+            self._next = ahead
+        elif self.instant_ns(self._next) - self._lead_ns - now_ns > SECOND:  # the clock was set back
+            self._next = self.first_after(now_ns + self._lead_ns)
+
+
+class TriggerThread:
+    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own.
+
+    clock : ns, of the clock that the schedule counts on.
+    """
+
+    def __init__(self, schedule: TriggerSchedule, clock: Callable[[], int], fire: Callable[[int], None]) -> None:
+        self._schedule, self._clock, self._fire = schedule, clock, fire
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="trigger", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; waits for a trigger that is on its way."""
+        self._stopping.set()
+        self._thread.join(JOIN_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while not self._stopping.wait(self._schedule.wait_ns(self._clock()) / SECOND):
+            for instant_ns in self._schedule.due(self._clock()):
+                self._fire(instant_ns)
+
+
+# --- scheduled action commands to one camera: "expose at this time of your clock"; unicast, nothing is broadcast
 
 MOST_PENDING = 64
 LAST_REQUEST_ID = 0xFFFF
@@ -268,7 +268,7 @@ class ActionSender:
         self._request_id = self._request_id % LAST_REQUEST_ID + 1
         try:
             self._socket.send(Action(*self._keys, time_ns).command(self._request_id).encode())
-        except OSError:  # the camera's host answered that nobody listens there, or the link is down
+        except OSError:  # the port is closed on the camera's side, or the network is down
             self.counts["actions_unanswered"] += 1
             return
         self._pending[self._request_id] = None

@@ -1,7 +1,8 @@
-"""Was the camera moved since it was calibrated? Its own picture is asked, twice a second by the frames' stamps.
+"""Detects that a camera was moved since it was calibrated, from its own picture, twice a second by the frames' stamps.
 
-Silhouettes cannot tell: when the camera is bumped, every edge of the room becomes foreground. The whole picture can,
-with somebody in it, other lights, and a chair that was moved; only a room without any edges cannot.
+Silhouettes do not show it: when the camera is bumped, every edge of the room becomes foreground. The whole picture
+does, with a person in it, other lights, and a chair that was moved, unless the room has no edges. The thresholds
+were chosen with ``bench/watchdog.py``.
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ from ..frame_source import Image
 from ..settings import CameraMovedSettings
 from .alignment import Alignment, Array, PictureAlignment, rotation_matrix, rotation_vector
 
-LOOKS = 3  # their median counts: something that springs back, or one bad picture, is no movement
+SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
 MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = 0.1  # when fewer agree on anything, the picture is another one ...
-LOST_S = 3.0  # ... and that is said when it lasts
+LOST_S = 3.0  # ... for so long
 PERIOD_S = 0.5  # a frame is compared with the background so often
-SEARCH_S = 3.0  # a search costs as much as ten looks
+SEARCH_S = 3.0  # a search costs as much as ten comparisons
 SIGMAS = 4.0
 SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
 
 
 class MovementState(Enum):
-    """What the picture says about the camera."""
+    """Whether the camera was moved, as its picture shows."""
 
     UNKNOWN = "cannot tell"
     STILL = "has not moved"
@@ -43,12 +44,12 @@ class MovementState(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Movement:
-    """Where the camera stands, compared with the time of its calibration.
+    """How the camera has moved since its calibration.
 
     turn_rad (3,) : rotation vector of the camera in its own frame (x right, y down, z forward), radians; a push aside
-    shows as the turn that does most of the same. shift_px (2,) : how far the middle of the picture moved, right and
-    down. agreeing : share of the background's edges that confirm it, beyond chance. severe : the silhouettes are wrong
-    by more than they can bear.
+    shows as the turn that has nearly the same effect. shift_px (2,) : how far the middle of the picture moved, right
+    and down. agreeing : share of the background's edges that confirm it, beyond chance. severe : its silhouettes are of
+    no use any more.
     """
 
     state: MovementState = MovementState.UNKNOWN
@@ -68,7 +69,7 @@ class Movement:
         return float(np.degrees(np.hypot(*self.turn_rad[:2])))
 
     def describe(self, camera: str) -> str:
-        """What is wrong, and what to do; "" when nothing is known to be."""
+        """What is wrong, and what to do; "" when nothing is wrong, as far as is known."""
         if self.state is MovementState.LOST:
             return (
                 f"{camera} shows something else than its background does: was it moved far, or is something before "
@@ -97,7 +98,7 @@ class Movement:
 
 
 class CameraMovedDetector:
-    """Compares frames of one camera with its background. The same frames give the same results at every speed.
+    """Compares frames of one camera with its background; the same frames give the same results at every speed.
 
     ``since_rad`` (3,) : the turn that the camera had made already when the background was learned.
     Frames come on one thread; ``movement`` may be read on another.
@@ -113,7 +114,7 @@ class CameraMovedDetector:
         self._camera, self._settings = camera, settings or CameraMovedSettings()
         self._alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
         self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
-        self._looks: deque[Alignment] = deque(maxlen=LOOKS)
+        self._samples: deque[Alignment] = deque(maxlen=SAMPLES)
         self._throttle = StampThrottle(PERIOD_S)
         self._searched_ns, self._unlike_s = -(10**18), 0.0
         self.movement = Movement()
@@ -123,15 +124,15 @@ class CameraMovedDetector:
         return self._settings.limit_deg > 0 and self._alignment.has_enough_edges
 
     def update(self, image: Image, stamp_ns: int) -> Movement:
-        """Take a frame (H, W) or (H, W, 3) of ``stamp_ns``; most are not looked at."""
+        """Compare a frame (H, W) or (H, W, 3) of ``stamp_ns`` if it is time to; returns ``movement``."""
         step_s = self._throttle.step_s(stamp_ns)
         if step_s == 0.0 or not self.enabled:
             return self.movement
-        search = stamp_ns - self._searched_ns >= SEARCH_S * 1e9 or not self._looks
-        start_rad = self._looks[-1].turn_rad if self._looks else np.zeros(3)
+        search = stamp_ns - self._searched_ns >= SEARCH_S * 1e9 or not self._samples
+        start_rad = self._samples[-1].turn_rad if self._samples else np.zeros(3)
         found = self._alignment.align(image, start_rad, search)
         if found is not None and found.agreeing >= MIN_AGREEMENT:
-            self._looks.append(found)
+            self._samples.append(found)
             self._unlike_s = 0.0
             self.movement = self._measured()
             return self.movement
@@ -139,17 +140,17 @@ class CameraMovedDetector:
             self._searched_ns = stamp_ns
         self._unlike_s = self._unlike_s + step_s if found is None or found.agreeing < LOST else 0.0
         if self._unlike_s >= LOST_S:
-            self._looks.clear()
+            self._samples.clear()
             self.movement = Movement(MovementState.LOST, severe=True)
         return self.movement
 
     def _measured(self) -> Movement:
-        """The median of the last looks; moved when that is certain, and more than the limit."""
-        if len(self._looks) < LOOKS:
+        """The median of the last samples; moved when that is certain, and more than the limit."""
+        if len(self._samples) < SAMPLES:
             return self.movement
-        turn_rad = np.median([look.turn_rad for look in self._looks], axis=0)
-        sd_rad = float(np.median([np.linalg.norm(look.sd_rad) for look in self._looks]))
-        gained = float(np.median([look.agreeing - look.agreeing_unmoved for look in self._looks]))
+        turn_rad = np.median([sample.turn_rad for sample in self._samples], axis=0)
+        sd_rad = float(np.median([np.linalg.norm(sample.sd_rad) for sample in self._samples]))
+        gained = float(np.median([sample.agreeing - sample.agreeing_unmoved for sample in self._samples]))
         R = rotation_matrix(turn_rad) @ self._since
         total_rad = rotation_vector(R)
         limit_rad = np.radians(self._settings.limit_deg)
@@ -160,7 +161,7 @@ class CameraMovedDetector:
             state=MovementState.MOVED if beyond else MovementState.STILL,
             turn_rad=total_rad,
             shift_px=self._shift_px(R),
-            agreeing=float(np.median([look.agreeing for look in self._looks])),
+            agreeing=float(np.median([sample.agreeing for sample in self._samples])),
             severe=bool(np.linalg.norm(total_rad) > SEVERE_FACTOR * limit_rad),
         )
 
@@ -180,7 +181,7 @@ class CameraMovedDetector:
 
 
 def pose_checksum(camera: CameraModel) -> str:
-    """A short name of where a calibration puts the camera."""
+    """A short text that changes with the camera's calibrated pose."""
     return f"{zlib.crc32((np.round(camera.T_camera_world, 6) + 0.0).tobytes()):08x}"
 
 
@@ -203,7 +204,7 @@ def carry_turn_over(model: BackgroundModel, before: BackgroundModel | None, came
 
 
 def turn_between(before: BackgroundModel, model: BackgroundModel, camera: CameraModel) -> Array | None:
-    """(3,) rotation vector by which the camera turned between two backgrounds; None when they do not tell."""
+    """(3,) rotation vector by which the camera turned between two backgrounds; None when that cannot be found."""
     sigma = float(np.median(before.sigma))
     found = PictureAlignment(camera, before.mean, sigma).align(model.mean)
     if found is None or found.agreeing < MIN_AGREEMENT:

@@ -194,7 +194,7 @@ def trim_outline(person: Mask, image: Image, mean: Image, least_share: float) ->
     """``person`` (h, w) without pixels of its outline that are mostly background.
 
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
-    that notices a few grey levels calls all of it foreground, and everybody gets a pixel wider all around. So a pixel
+    that notices a few grey levels calls all of it foreground, and people become a pixel wider all around. So a pixel
     that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """

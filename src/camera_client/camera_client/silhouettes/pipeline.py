@@ -56,7 +56,7 @@ class SilhouettePipeline:
     """The chain subtract, filter, look for shadow, keep the person, undistort, for one camera and background.
 
     After the subtraction all work happens in a box around the places where foreground is dense. But for noise too thin
-    to be a part of anybody, the result is that of the whole image.
+    to be a part of a person, the result is that of the whole image.
     Raises InputError when background and camera differ in image size.
     """
 

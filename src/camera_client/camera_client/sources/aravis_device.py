@@ -1,4 +1,4 @@
-"""The stream of one camera through Aravis: its socket, its buffers, and what becomes of every frame."""
+"""One camera through Aravis: its features and registers, and its stream. GObject types and errors end here."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from capture_rig.errors import InputError
 from gige_vision import bootstrap
 
 from ..frame_source import FrameStatistics, Image
-from ..gige.camera_clock import NS_PER_S
+from ..gige.camera_clock import SECOND
 from ..gige.camera_setup import CameraSetup
 from ..gige.discovery import enlarge_receive_buffer
 from ..gige.features import DeviceRefusal, DeviceSilence, Kind, Value, spellings
 from ..gige.pixel_formats import image_bytes, to_image
 from ..settings import AravisSettings
-
-# --- A device of Aravis as plain features and registers: its GObject types and errors end here.
 
 ERROR_DOMAIN = "arv-device-error-quark"
 
@@ -141,29 +139,16 @@ def is_silence(error: Any, Aravis: Any) -> bool:
     return error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}
 
 
-# --- With which id did a run of frames begin, so that frames lost before the first that arrived can be counted?
+# --- the stream: its socket, its buffers, and what becomes of every frame
 
 FIRST_ID = 1  # GigE Vision: block ids begin at 1, 0 is reserved
-
-
-def first_of_run(arrived: int, last_of_former_run: int | None) -> int:
-    """The id of the first frame that the camera sent, given the first that arrived.
-
-    Cameras begin at 1 with each stream, and most of them also with each start of acquisition; others go on counting
-    where they stopped. ``last_of_former_run``: None for a stream's first run.
-    """
-    if last_of_former_run is not None and arrived > last_of_former_run:
-        return arrived  # it goes on; how many it took after we stopped to look does not matter
-    return FIRST_ID
 
 
 COUNTER_PERIOD_S = 0.25
 US_TO_NS = 1000
 RESEND_SHARE = 1.0  # of a frame's packets may be asked for again
-FIRST_PACKET_TIMEOUT_US, PACKET_TIMEOUT_US = (
-    1000,
-    5000,
-)  # a missing packet is asked for after this, and again after that
+FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
+PACKET_TIMEOUT_US = 5000  # ... and again after this
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +165,7 @@ class GrabbedFrame:
 class AravisStream:
     """Takes frames from ``camera`` (an Aravis.Camera that we control) into buffers of our own memory.
 
-    statistics : told of every frame, whole or not. ``warnings`` of the set-up.
+    statistics : counts every frame, whole or not. ``warnings`` of the set-up.
     Raises InputError when the camera does not keep the packet size or delay that was set.
     """
 
@@ -211,14 +196,14 @@ class AravisStream:
         self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
         self._image_bytes = image_bytes(setup.pixel_format, setup.width, setup.height)
         self._chunks = camera.create_chunk_parser() if setup.chunks else None
-        self._ticks_per_second = self._device.get_timestamp_tick_frequency() or NS_PER_S
+        self._ticks_per_second = self._device.get_timestamp_tick_frequency() or SECOND
         self._exposure_chunk = self._chunk_name("ExposureTime")
         self._set_packets()
         self._stream = self._open()
         self.warnings = self._set_up()
         self._counts = dict.fromkeys(self.COUNTERS, 0)
-        told = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}  # depends on the version
-        self._infos = {info: name for info, name in self.INFOS.items() if info in told}
+        known = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}  # depends on the version
+        self._infos = {info: name for info, name in self.INFOS.items() if info in known}
         self._next_update_s = 0.0
         self._run_begun, self._has_run = False, False
         self._last_id: int | None = None
@@ -300,7 +285,7 @@ class AravisStream:
         try:
             if "Timestamp" in self._setup.chunks:
                 ticks = self._chunks.get_integer_value(buffer, "ChunkTimestamp")
-                camera_ns = ticks * NS_PER_S // self._ticks_per_second
+                camera_ns = ticks * SECOND // self._ticks_per_second
             if self._exposure_chunk:
                 exposure_ns = round(self._chunks.get_float_value(buffer, self._exposure_chunk) * US_TO_NS)
         except Exception:  # GLib.Error, whatever the parser met
@@ -327,7 +312,7 @@ class AravisStream:
             self._compare("packet_size", s.packet_size, camera.gv_get_packet_size())
         if s.packet_delay_ns >= 0:
             camera.gv_set_packet_delay(s.packet_delay_ns)
-            tick_ns = NS_PER_S // self._ticks_per_second
+            tick_ns = SECOND // self._ticks_per_second
             self._compare("packet_delay_ns", s.packet_delay_ns, camera.gv_get_packet_delay(), tick_ns)
 
     def _open(self) -> Any:
@@ -376,3 +361,14 @@ class AravisStream:
         if chunk not in self._setup.chunks:
             return ""
         return next((n for n in spellings(f"Chunk{chunk}") if self._device.get_feature(n) is not None), "")
+
+
+def first_of_run(arrived: int, last_of_former_run: int | None) -> int:
+    """The id of the first frame that the camera sent, given the first that arrived.
+
+    Cameras begin at 1 with each stream, and most of them also with each start of acquisition; others go on counting
+    where they stopped. ``last_of_former_run``: None for a stream's first run.
+    """
+    if last_of_former_run is not None and arrived > last_of_former_run:
+        return arrived  # it goes on; frames after the last run ended do not matter
+    return FIRST_ID

@@ -128,7 +128,7 @@ class AravisSource(FrameSource):
         if not self.lost:
             try:
                 self._camera.stop_acquisition()
-            except self._GLib.Error as error:  # a dead camera cannot be told; nothing else is asked of it then
+            except self._GLib.Error as error:  # the camera is dead; nothing else is sent to it then
                 self._lost |= is_silence(error, self._Aravis)
         if self._stream is not None:
             self._update_counters(self._stream, now=True)
@@ -159,7 +159,7 @@ class AravisSource(FrameSource):
 
     @property
     def lost(self) -> bool:
-        # asked for, not signalled: a handler of control-lost runs on Aravis's heartbeat thread and may come to hold the
+        # polled, not signalled: a handler of control-lost runs on Aravis's heartbeat thread and may come to hold the
         # last reference to the device, whose end then waits for that very thread
         device = self._device
         if device is not None and self._features is not None and not device.is_controller():
@@ -316,12 +316,12 @@ class AravisSource(FrameSource):
 
 
 def _number_text(number: float | None) -> str:
-    """A number as text; "" where the camera did not tell it."""
+    """A number as text; "" for None."""
     return "" if number is None else f"{number:g}"
 
 
 def _controller(registers: AravisFeatures) -> str:
-    """at 10.0.0.7:50123, where the camera tells who controls it; else nothing."""
+    """ " at 10.0.0.7:50123", the program that controls the camera, where the camera reports it; else ""."""
     try:
         address = registers.read_register(bootstrap.PRIMARY_ADDRESS)
         port = registers.read_register(bootstrap.PRIMARY_PORT) & 0xFFFF

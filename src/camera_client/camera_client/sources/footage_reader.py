@@ -38,7 +38,7 @@ class FootageReader(ABC):
         """Release the file."""
 
     def read(self) -> Image | None:
-        """The next image, (H, W) or (H, W, 3) as ``shape`` says; None after the last. Raises UndecodableFrame."""
+        """The next image, (H, W) or (H, W, 3) as :meth:`probe` found; None after the last. Raises UndecodableFrame."""
         image = self._next()
         return None if image is None else convert_channels(image, self._channels)
 

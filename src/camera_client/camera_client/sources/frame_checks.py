@@ -1,12 +1,10 @@
-"""Is this frame a picture of the scene at all? Cheap looks at a sparse grid of its pixels.
-
-The node asks once a frame, before the silhouette:
+"""Checks whether a frame is a picture of the scene at all, on a sparse grid of its pixels.
 
     checks = FrameChecks(settings.frame_checks, background.mean)    # without a background yet: FrameChecks(settings)
     flags = checks.check(frame.image, frame.stamp_ns, pipeline.gain)    # () for a sound frame
     for flag in flags: WARN with REMEDIES[flag]
 
-A flag says what the frame looks like now; it is gone as soon as the frames are sound again.
+A flag says what the frame looks like now; it is gone as soon as frames are sound again.
 """
 
 from __future__ import annotations
@@ -27,20 +25,20 @@ REMEDIES = {
     FROZEN: "the camera sends the same picture again and again: power it off and on",
     SATURATED: "much of the image is white: shorten the exposure, lower the gain, or open less of the iris",
 }
-NO_PICTURE_FLAGS = frozenset({DARK, FROZEN, SATURATED})  # such a frame says nothing about where the camera stands
+NO_PICTURE_FLAGS = frozenset({DARK, FROZEN, SATURATED})  # such a frame does not show where the camera stands
 SAMPLES = 2500
 WHITE_LEVEL = 250
 DARK_LEVEL, DARK_SHARE = 16, 0.99  # a frame is dark when so much of it is no brighter than this grey level
 SATURATED_SHARE = 0.2  # a frame is saturated when so much more of it is white than of the background
 MIN_REPEATS = 5  # two equal frames and a jump of the clock are no frozen camera
-MIN_LIT_LEVEL = 24  # darker backgrounds tell nothing about the lights
+MIN_LIT_LEVEL = 24  # grey levels; darker backgrounds do not show a change of the lights
 
 
 class FrameChecks:
-    """Looks at every frame of one camera and remembers what it needs to notice a frozen image.
+    """Checks every frame of one camera, and remembers what it needs to notice a frozen image.
 
     ``background_mean`` (H, W) or (H, W, 3) grey levels of the empty scene; without it only what needs no comparison is
-    found. Nothing here knows the time: stamps are the frames' own, so replayed footage gives the same flags.
+    found. Time is taken from the frames' stamps, so that replayed footage gives the same flags.
     """
 
     def __init__(self, settings: FrameCheckSettings | None = None, background_mean: np.ndarray | None = None) -> None:
@@ -69,7 +67,7 @@ class FrameChecks:
         sample = grid_sample(image)
         frozen = self._is_frozen(sample, stamp_ns)
         if self._is_dark(sample):
-            return (DARK,)  # a black image has no noise: whether it is frozen cannot be told
+            return (DARK,)  # a black image has no noise: whether it is frozen is not visible
         saturated = self._is_saturated(sample)  # nor has a white one
         lights = self._lights_changed(sample, gain)
         found = ((LIGHTS, lights), (SATURATED, saturated), (FROZEN, frozen and not saturated))

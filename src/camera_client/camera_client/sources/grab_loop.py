@@ -1,4 +1,4 @@
-"""The thread that takes frames from a source and hands them on, until it is stopped or the footage ends."""
+"""Takes frames from a source on a thread and hands them on, until it is stopped or the footage ends."""
 
 from __future__ import annotations
 

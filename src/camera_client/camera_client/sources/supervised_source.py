@@ -138,7 +138,7 @@ class SupervisedSource(FrameSource):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """As the camera that answered last said; () while none has."""
+        """The shape of the last connection's images; () while none was made."""
         return self._shape
 
     @property
@@ -337,7 +337,7 @@ def is_over(call: Future, timeout_s: float) -> bool:
 
 
 def _closer_of(attempt: Future[FrameSource]) -> Callable[[], None]:
-    """What closes a connection again that nobody wants any more, once it is made; nothing if it fails."""
+    """A call that waits for ``attempt`` and closes the connection that it made, if any."""
 
     def close() -> None:
         wait([attempt])
