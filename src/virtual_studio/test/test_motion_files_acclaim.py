@@ -173,8 +173,8 @@ def test_a_damaged_asf_is_refused_with_file_line_and_word(
         ("lower 50", "lower fifty", 11, "fifty"),
         ("lower 50", "tail 50", 11, "tail"),
         ("lower 50", "upper 1 2 3", 11, "twice"),
-        ("lower 50\n", "", 10, "nothing of 'lower'"),
-        ("lower 0\n", "", 7, "nothing of 'lower'"),
+        ("lower 50\n", "", 10, "no numbers for 'lower'"),
+        ("lower 0\n", "", 7, "no numbers for 'lower'"),
         ("1\nroot 1 2 3", "root 1 2 3", 4, "before the first frame"),
     ],
 )

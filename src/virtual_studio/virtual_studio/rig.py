@@ -22,7 +22,7 @@ VOLUME = Volume(np.array([-1.4, -1.4, -0.05]), np.array([1.4, 1.4, 2.30]))
 
 
 def ring(n: int, ceiling: bool = True) -> Rig:
-    """A rig of n cameras around the volume, about 3.2 m from its centre, and optionally one above it.
+    """Places n cameras around the volume, about 3.2 m from its centre, and optionally one above it.
 
     Two cameras that face each other see the same outline, so an even ring has its second half turned by a quarter of
     the spacing. Cameras are named cam01, cam02, ...; the one on the ceiling comes last.
@@ -36,7 +36,7 @@ def ring(n: int, ceiling: bool = True) -> Rig:
 
 
 def azimuths(n: int) -> Array:
-    """(n,) directions of the ring's cameras, rad."""
+    """Returns the directions (n,) of the ring's cameras, rad."""
     spacing = 2 * np.pi / n
     angles = np.array([0.35 + spacing * i for i in range(n)])
     if n % 2 == 0:

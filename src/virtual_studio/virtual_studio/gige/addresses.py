@@ -14,7 +14,7 @@ _ATTEMPTS = 1000
 
 
 def free_addresses(count: int) -> list[str]:
-    """So many loopback addresses on which nobody listens at the port of GVCP; another call gives other ones.
+    """Finds so many loopback addresses whose GVCP port is free; another call gives other ones.
 
     Raises InputError where the system lends none (a system without the whole of 127.0.0.0/8).
     """
@@ -33,7 +33,7 @@ def free_addresses(count: int) -> list[str]:
 
 
 def is_free(address: str) -> bool:
-    """True when a camera can listen at this address."""
+    """Tells whether a camera can listen at this address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind((address, PORT))
@@ -43,7 +43,7 @@ def is_free(address: str) -> bool:
 
 
 def consecutive_addresses(first: str, count: int) -> list[str]:
-    """``count`` addresses from ``first`` on. Raises InputError unless all are unicast loopback addresses."""
+    """Lists ``count`` addresses from ``first`` on. Raises InputError unless all are unicast loopback addresses."""
     try:
         addresses = [ipaddress.IPv4Address(first) + i for i in range(count)]
     except ipaddress.AddressValueError:

@@ -21,14 +21,106 @@ from .control import Request, ask, default_path
 from .server.device import FAULT_NAMES
 from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
 
-# --- The files with which camera clients and hull server run against a studio.
-
 RIG_FILE = "rig.yaml"
 CAMERA_FOLDER = "cameras"
+DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
+EPILOG = f"""talking to a running studio:
+  status                          what every camera does
+  set [CAMERA ...] FAULT=VALUE    faults: {", ".join(FAULT_NAMES)}
+  clear [CAMERA ...]              no faults any more
+  off | on [CAMERA ...]           power (all cameras where none is named)
+  room empty | occupied           for learning the background
+  show PHASE                      of a set-up: {", ".join(PHASES)}, or next
+  play [once] [at_ns=N]           begin at frame 0; prints when that is
+  hold                            stay at frame 0
+  pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or as a generator (0 stops it)
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds the command's arguments to a parser; :func:`run` takes what they parse to."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    parser.add_argument("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
+    parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
+    parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
+    parser.add_argument("--cameras", type=int, metavar="N", help="cameras of the built-in rig (default: 5)")
+    parser.add_argument(
+        "--scene",
+        choices=(PERSON_SCENE, SETUP_SCENE),
+        help="in the built-in room: a person moves "
+        "(default), or a set-up from the empty room over boards to the person, in phases",
+    )
+    parser.add_argument("--pattern", action="store_true", help="show a test pattern")
+    parser.add_argument("--fps", type=float, help="frame rate at power-on (default: the session's, else 60)")
+    parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
+    parser.add_argument("--memory", type=float, metavar="MB", help="memory for a session's pictures (default: 800)")
+    parser.add_argument("--empty", action="store_true", help="begin with the empty room")
+    parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="settings",
+        help="any other setting, such as camera.generation=old or camera.noise=2",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs a studio until Ctrl-C or SIGTERM, or sends one request and prints its answer."""
+    if args.words:
+        answer = ask(request_from(args.words), args.control)
+        print(json.dumps(answer, indent=2))
+        return 0
+    stop = threading.Event()
+    previous = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        studio = Studio(settings_from(args), args.control or default_path())
+        if args.empty:
+            studio.handle({"do": "room", "state": "empty"})
+        with studio:
+            _announce(studio, args)
+            stop.wait()
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    return 0
+
+
+def settings_from(args: argparse.Namespace) -> StudioSettings:
+    """Builds the settings of the studio that the arguments describe. Raises InputError."""
+    named = {
+        "session": args.session,
+        "cameras": args.cameras,
+        "frame_rate": args.fps,
+        "address": args.address,
+        "memory_mb": args.memory,
+        "scene": args.scene,
+        "pattern": args.pattern or None,
+    }
+    given = {key: value for key, value in named.items() if value is not None}
+    # the built-in room is rendered without noise: it comes from the cameras' sensors
+    noise = {} if args.session or args.pattern else {"camera.noise": 2.0}
+    return build_settings(StudioSettings, {**noise, **given, **_pairs(args.settings)}, "sagoma studio")
+
+
+def request_from(words: list[str]) -> Request:
+    """Makes a request of the control channel from the words of a command line. Raises InputError."""
+    verb, *rest = words
+    values = _pairs([word for word in rest if "=" in word])
+    names = [word for word in rest if "=" not in word]
+    if verb == "set":
+        return {"do": verb, "cameras": names, "faults": values}
+    if verb in ("room", "show"):
+        return {"do": verb, "state" if verb == "room" else "phase": names[0] if names else ""}
+    if verb == "play":
+        return {"do": verb, "loop": "once" not in names, **values}
+    return {"do": verb, "cameras": names, **values}
 
 
 def write_rig_files(studio: Studio, folder: str | Path) -> Path:
-    """rig.yaml, and cameras/CAMERA.yaml for each camera PC, as `sagoma up --rig --cameras` reads them.
+    """Writes rig.yaml, and cameras/CAMERA.yaml for each camera PC, as `sagoma up --rig --cameras` reads them.
 
     Of cameras that are still to be calibrated: the boards' files, and the rig as truth_rig.yaml, for scoring only.
     """
@@ -52,104 +144,6 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
         document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
         (cameras / f"{name}.yaml").write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     return folder
-
-
-DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
-EPILOG = f"""talking to a running studio:
-  status                          what every camera does
-  set [CAMERA ...] FAULT=VALUE    faults: {", ".join(FAULT_NAMES)}
-  clear [CAMERA ...]              no faults any more
-  off | on [CAMERA ...]           power (all cameras where none is named)
-  room empty | occupied           for learning the background
-  show PHASE                      of a set-up: {", ".join(PHASES)}, or next
-  play [once] [at_ns=N]           begin at frame 0; prints when that is
-  hold                            stay at frame 0
-  pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or as a generator (0 stops it)
-"""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments; :func:`run` takes what they parse to."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.description, parser.epilog = DESCRIPTION, EPILOG
-    parser.add_argument("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
-    parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
-    parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
-    parser.add_argument("--cameras", type=int, metavar="N", help="cameras of the built-in rig (default: 5)")
-    parser.add_argument(
-        "--scene",
-        choices=(PERSON_SCENE, SETUP_SCENE),
-        help="in the built-in room: somebody moves "
-        "(default), or a set-up from the empty room over boards to the person, in phases",
-    )
-    parser.add_argument("--pattern", action="store_true", help="show a test pattern")
-    parser.add_argument("--fps", type=float, help="frame rate at power-on (default: the session's, else 60)")
-    parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
-    parser.add_argument("--memory", type=float, metavar="MB", help="memory for a session's pictures (default: 800)")
-    parser.add_argument("--empty", action="store_true", help="begin with the empty room")
-    parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="settings",
-        help="any other setting, such as camera.generation=old or camera.noise=2",
-    )
-
-
-def run(args: argparse.Namespace) -> int:
-    """Run a studio until Ctrl-C or SIGTERM, or send one request and print its answer."""
-    if args.words:
-        answer = ask(request_from(args.words), args.control)
-        print(json.dumps(answer, indent=2))
-        return 0
-    stop = threading.Event()
-    previous = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        studio = Studio(settings_from(args), args.control or default_path())
-        if args.empty:
-            studio.handle({"do": "room", "state": "empty"})
-        with studio:
-            _announce(studio, args)
-            stop.wait()
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-    return 0
-
-
-def settings_from(args: argparse.Namespace) -> StudioSettings:
-    """The studio that the arguments describe. Raises InputError."""
-    named = {
-        "session": args.session,
-        "cameras": args.cameras,
-        "frame_rate": args.fps,
-        "address": args.address,
-        "memory_mb": args.memory,
-        "scene": args.scene,
-        "pattern": args.pattern or None,
-    }
-    given = {key: value for key, value in named.items() if value is not None}
-    # the built-in room is rendered without noise: it comes from the cameras' sensors
-    noise = {} if args.session or args.pattern else {"camera.noise": 2.0}
-    return build_settings(StudioSettings, {**noise, **given, **_pairs(args.settings)}, "sagoma studio")
-
-
-def request_from(words: list[str]) -> Request:
-    """A request of the control channel from the words of a command line. Raises InputError."""
-    verb, *rest = words
-    values = _pairs([word for word in rest if "=" in word])
-    names = [word for word in rest if "=" not in word]
-    if verb == "set":
-        return {"do": verb, "cameras": names, "faults": values}
-    if verb == "room":
-        return {"do": verb, "state": names[0] if names else ""}
-    if verb == "show":
-        return {"do": verb, "phase": names[0] if names else ""}
-    if verb == "play":
-        return {"do": verb, "loop": "once" not in names, **values}
-    return {"do": verb, "cameras": names, **values}
 
 
 def _pairs(words: list[str]) -> dict[str, Any]:

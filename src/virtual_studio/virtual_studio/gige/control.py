@@ -19,13 +19,13 @@ ANSWER_TIMEOUT_S = 10.0
 
 
 def default_path() -> Path:
-    """Where a studio listens unless told otherwise."""
+    """Returns the socket on which a studio listens by default."""
     folder = os.environ.get("XDG_RUNTIME_DIR") or "/tmp"
     return Path(folder) / f"sagoma-studio-{os.getuid()}.sock"
 
 
 class ControlServer:
-    """Answers requests with what ``handle`` returns; its InputErrors become {"error": ...}."""
+    """Answers each request with what ``handle`` returns; its InputErrors become {"error": ...}."""
 
     def __init__(self, path: Path, loop: EventLoop, handle: Callable[[Request], Request]) -> None:
         self._path, self._loop, self._handle = path, loop, handle
@@ -97,7 +97,7 @@ class ControlServer:
 
 
 def ask(request: Request, path: str | Path | None = None) -> Request:
-    """Send one request to a running studio and return its answer. Raises InputError with what went wrong."""
+    """Sends one request to a running studio and returns its answer. Raises InputError with the studio's error."""
     path = Path(path) if path else default_path()
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
         link.settimeout(ANSWER_TIMEOUT_S)

@@ -1,4 +1,10 @@
-"""The lines of an Acclaim file, which tell where they stand when they are wrong."""
+"""Reads Acclaim skeletons (ASF) and motion (AMC), as in the CMU motion capture database.
+
+A bone of the skeleton reaches from the end of its parent along a direction that is given in the world's axes of the
+rest pose. Angles are about fixed axes, applied in the order in which the file names them. The motion turns a bone about
+the bone's own axes: with C the rotation of those axes in the rest pose, M that of the frame and G the parent's,
+G_bone = G C M C^-1. (J. Lander, "Working with motion capture file formats", Game Developer, January 1998.)
+"""
 
 from __future__ import annotations
 
@@ -13,11 +19,13 @@ from capture_rig.errors import InputError
 from .joints import Array, JointMotion, number, read_lines
 
 DAMAGED = "The file is damaged: get it again."
+OTHER_SKELETON = "Give the skeleton that the motion was recorded with."
+ROOT = "root"
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line's words, and where it stands."""
+    """The words of one line of a file, and where it stands."""
 
     words: list[str]
     path: Path
@@ -27,9 +35,12 @@ class Line:
     def where(self) -> str:
         return f"{self.path}, line {self.number}"
 
+    def error(self, problem: str, remedy: str = DAMAGED) -> InputError:
+        return InputError(problem, where=self.where, remedy=remedy)
+
     def text(self, k: int) -> str:
         if k >= len(self.words):
-            raise InputError(f"'{self.words[0]}' has no value", where=self.where, remedy=DAMAGED)
+            raise self.error(f"'{self.words[0]}' has no value")
         return self.words[k]
 
     def value(self, k: int) -> float:
@@ -39,19 +50,10 @@ class Line:
         return np.array([self.value(k) for k in range(first, first + 3)])
 
 
-def content(path: Path, kind: str) -> list[Line]:
-    """Lines that hold something but a comment."""
+def _content(path: Path, kind: str) -> list[Line]:
+    """The lines that hold more than a comment."""
     lines = [(n, line.split("#", 1)[0].split()) for n, line in enumerate(read_lines(path, kind), 1)]
     return [Line(words, path, n) for n, words in lines if words]
-
-
-# --- Acclaim skeletons (ASF): bones with their rest pose.
-#
-# A bone reaches from the end of its parent along a direction that is given in the world's axes of the rest pose. Angles
-# are about fixed axes, applied in the order in which the file names them.
-# (J. Lander, "Working with motion capture file formats", Game Developer, January 1998.)
-
-ROOT = "root"
 
 
 @dataclass
@@ -83,7 +85,7 @@ class AcclaimSkeleton:
 
 
 def read_asf(path: str | Path) -> AcclaimSkeleton:
-    """The skeleton of an ASF file; InputError naming file and line for whatever is not ASF."""
+    """Reads the skeleton of an ASF file. Raises InputError naming file and line for anything that is not ASF."""
     path = Path(path)
     sections = _sections(path)
     for needed in ("root", "bonedata", "hierarchy"):
@@ -101,13 +103,11 @@ def read_asf(path: str | Path) -> AcclaimSkeleton:
 def _sections(path: Path) -> dict[str, list[Line]]:
     sections: dict[str, list[Line]] = {}
     current: list[Line] | None = None
-    for line in content(path, "ASF"):
+    for line in _content(path, "ASF"):
         if line.words[0].startswith(":"):
             current = sections.setdefault(line.words[0][1:].lower(), [])
         elif current is None:
-            raise InputError(
-                f"'{line.words[0]}' before any section", where=line.where, remedy="Give an Acclaim skeleton (ASF)."
-            )
+            raise line.error(f"'{line.words[0]}' before any section", "Give an Acclaim skeleton (ASF).")
         else:
             current.append(line)
     return sections
@@ -133,10 +133,10 @@ def _bones(lines: list[Line], degrees: bool) -> dict[str, Bone]:
         if key == "begin":
             bone = Bone("", line.number)
         elif bone is None:
-            raise InputError(f"'{key}' outside of a bone", where=line.where, remedy=DAMAGED)
+            raise line.error(f"'{key}' outside of a bone")
         elif key == "end":
             if not bone.name or bone.name in bones or bone.name == ROOT:
-                raise InputError(f"a bone is called '{bone.name}'", where=line.where, remedy="Give each its own name.")
+                raise line.error(f"a bone is called '{bone.name}'", "Give each its own name.")
             bones[bone.name], bone = bone, None
         else:
             _describe(bone, key, line, degrees)
@@ -144,13 +144,13 @@ def _bones(lines: list[Line], degrees: bool) -> dict[str, Bone]:
 
 
 def _describe(bone: Bone, key: str, line: Line, degrees: bool) -> None:
-    """One line of a bone; ids, masses and limits do not matter here."""
+    """Reads one line of a bone; ids, masses and limits are not used."""
     if key == "name":
         bone.name = line.text(1)
     elif key == "direction":
         vector = line.vector()
         if np.linalg.norm(vector) < 1e-9:
-            raise InputError("a bone's direction is zero", where=line.where, remedy=DAMAGED)
+            raise line.error("a bone's direction is zero")
         bone.direction = vector / np.linalg.norm(vector)
     elif key == "length":
         bone.length = line.value(1)
@@ -165,12 +165,12 @@ def _dofs(line: Line, kinds: str) -> tuple[str, ...]:
     for dof in dofs:
         if len(dof) != 2 or dof[0] not in kinds or dof[1] not in "xyz" or dofs.count(dof) > 1:
             allowed = "rx, ry, rz" if kinds == "r" else "tx to tz and rx to rz"
-            raise InputError(f"degree of freedom '{dof}'", where=line.where, remedy=f"Known are {allowed}, each once.")
+            raise line.error(f"degree of freedom '{dof}'", f"Known are {allowed}, each once.")
     return dofs
 
 
 def _turned(letters: str, values: Array, degrees: bool, where: str) -> Rotation:
-    """Rotation about the fixed axes ``letters``, the first one first."""
+    """The rotation about the fixed axes ``letters``, the first one first."""
     if sorted(letters.lower()) != ["x", "y", "z"]:
         raise InputError(f"order of rotation '{letters}'", where=where, remedy="It names x, y and z, each once.")
     return Rotation.from_euler(letters.lower(), values, degrees=degrees)
@@ -184,10 +184,10 @@ def _in_order(bones: dict[str, Bone], hierarchy: list[Line], path: Path) -> dict
             continue
         for name in line.words:
             if name not in bones:
-                raise InputError(f"there is no bone '{name}'", where=line.where, remedy=DAMAGED)
+                raise line.error(f"there is no bone '{name}'")
         for child in line.words[1:]:
             if bones[child].parent or child == ROOT:
-                raise InputError(f"'{child}' has two parents", where=line.where, remedy=DAMAGED)
+                raise line.error(f"'{child}' has two parents")
             bones[child].parent = line.words[0]
             children.setdefault(line.words[0], []).append(child)
     ordered, open_ends = {ROOT: bones[ROOT]}, [ROOT]
@@ -197,34 +197,23 @@ def _in_order(bones: dict[str, Bone], hierarchy: list[Line], path: Path) -> dict
             open_ends.append(child)
     loose = [name for name in bones if name not in ordered]
     if loose:
-        raise InputError(
-            f"bone '{loose[0]}' hangs on nothing",
-            where=f"{path}, line {bones[loose[0]].line}",
-            remedy="Name it in the hierarchy.",
-        )
+        where = f"{path}, line {bones[loose[0]].line}"
+        raise InputError(f"bone '{loose[0]}' has no parent", where=where, remedy="Name it in the hierarchy.")
     return ordered
 
 
-# --- Acclaim motion (AMC) on its skeleton (ASF), as in the CMU motion capture database.
-#
-# Its motion turns a bone about the bone's own axes: with C the rotation of those axes in the rest pose, M that of the
-# frame and G the parent's, G_bone = G C M C^-1.
-# (J. Lander, "Working with motion capture file formats", Game Developer, January 1998.)
-
-
 def read_amc(path: str | Path, fps: float | None, skeleton: str | Path | None = None) -> JointMotion:
-    """Motion of an AMC file on its ASF skeleton: the ends of the bones by name, and the root.
+    """Reads the motion of an AMC file on its ASF skeleton: the ends of the bones by name, and the root.
 
     fps: frames a second, which the format does not tell. skeleton: the ASF file; without, the one beside the AMC file:
     of the same name, of the name's part before the last underscore (CMU: 02_01.amc, 02.asf), or the only one.
-    Raises InputError naming file and line for whatever is not Acclaim.
+    Raises InputError naming file and line for anything that is not Acclaim.
     """
     path = Path(path)
     if fps is None or not (np.isfinite(fps) and fps > 0.0):
         what = "an AMC file does not tell its frame rate" if fps is None else f"the frame rate is {fps!r}"
-        raise InputError(
-            what, where=str(path), remedy="Give it: most of CMU's files have 120 frames a second, some 60."
-        )
+        remedy = "Give it: most of CMU's files have 120 frames a second, some 60."
+        raise InputError(what, where=str(path), remedy=remedy)
     asf = read_asf(_skeleton_of(path) if skeleton is None else Path(skeleton))
     degrees, frames = _frames(path, asf)
     return JointMotion(tuple(asf.bones), _positions(asf, frames, degrees), fps, path)
@@ -246,7 +235,7 @@ def _frames(path: Path, asf: AcclaimSkeleton) -> tuple[bool, list[dict[str, Line
     """Whether angles are degrees, and each frame's lines by bone."""
     degrees, where = asf.degrees, str(path)
     frames: list[dict[str, Line]] = []
-    for line in content(path, "AMC"):
+    for line in _content(path, "AMC"):
         word, where = line.words[0], line.where
         if word.startswith(":"):
             if word.lower() in (":degrees", ":radians"):
@@ -264,31 +253,25 @@ def _frames(path: Path, asf: AcclaimSkeleton) -> tuple[bool, list[dict[str, Line
 
 
 def _check(line: Line, asf: AcclaimSkeleton, frames: list[dict[str, Line]]) -> None:
-    """InputError unless the line gives one known bone of the last frame all its numbers, for the first time."""
+    """Raises InputError unless the line gives one known bone of the last frame all its numbers, for the first time."""
     name, count = line.words[0], len(line.words) - 1
     if not frames:
-        raise InputError(f"'{name}' before the first frame", where=line.where, remedy="Give an AMC file.")
+        raise line.error(f"'{name}' before the first frame", "Give an AMC file.")
     if name not in asf.bones:
-        raise InputError(
-            f"the skeleton {asf.source} has no bone '{name}'",
-            where=line.where,
-            remedy="Give the skeleton that the motion was recorded with.",
-        )
+        raise line.error(f"the skeleton {asf.source} has no bone '{name}'", OTHER_SKELETON)
     if name in frames[-1]:
-        raise InputError(f"'{name}' comes twice in a frame", where=line.where, remedy=DAMAGED)
+        raise line.error(f"'{name}' comes twice in a frame")
     if count != len(asf.bones[name].dofs):
-        raise InputError(
-            f"'{name}' has {count} numbers and {len(asf.bones[name].dofs)} degrees of freedom",
-            where=line.where,
-            remedy="Give the skeleton that the motion was recorded with.",
+        raise line.error(
+            f"'{name}' has {count} numbers and {len(asf.bones[name].dofs)} degrees of freedom", OTHER_SKELETON
         )
 
 
 def _check_complete(frames: list[dict[str, Line]], asf: AcclaimSkeleton, where: str) -> None:
-    """InputError when a bone that can move has no numbers in the last frame, which ends at ``where``."""
+    """Raises InputError when a bone that can move has no numbers in the last frame, which ends at ``where``."""
     for name, bone in asf.bones.items() if frames else ():
         if bone.dofs and name not in frames[-1]:
-            raise InputError(f"the frame that ends here says nothing of '{name}'", where=where, remedy=DAMAGED)
+            raise InputError(f"the frame that ends here has no numbers for '{name}'", where=where, remedy=DAMAGED)
 
 
 def _positions(asf: AcclaimSkeleton, frames: list[dict[str, Line]], degrees: bool) -> Array:

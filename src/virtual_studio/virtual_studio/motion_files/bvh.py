@@ -1,4 +1,4 @@
-"""Biovision hierarchy files: a tree of joints with offsets, and channels frame by frame.
+"""Reads Biovision hierarchy files (BVH): a tree of joints with offsets, and channels frame by frame.
 
 A joint's position in its parent is its OFFSET; a position channel takes that axis's place. Its rotation is the product
 of its rotation channels in the order in which the file names them, each about the axes that the ones before have
@@ -32,9 +32,9 @@ class _Joint:
 
 
 def read_bvh(path: str | Path) -> JointMotion:
-    """Joints of a BVH file; end sites are called JOINT_end.
+    """Reads the joints of a BVH file; end sites are called JOINT_end.
 
-    Raises InputError naming file and line for whatever is not BVH.
+    Raises InputError naming file and line for anything that is not BVH.
     """
     path = Path(path)
     tokens = _Tokens(path, read_lines(path, "BVH"))
@@ -88,11 +88,12 @@ class _Tokens:
 
     def error(self, wanted: str) -> InputError:
         found = f"'{self.peek}'" if self.peek else "the end of the file"
-        return InputError(
-            f"{found} where BVH has '{wanted}'",
-            where=self.where(),
-            remedy="The file is damaged or no BVH: export it again.",
-        )
+        remedy = "The file is damaged or no BVH: export it again."
+        return InputError(f"{found} where BVH has '{wanted}'", where=self.where(), remedy=remedy)
+
+
+def _error(problem: str, remedy: str, where: str) -> InputError:
+    return InputError(problem, where=where, remedy=remedy)
 
 
 def _split(line: str) -> list[str]:
@@ -116,10 +117,10 @@ def _joint(tokens: _Tokens, joints: list[_Joint], parent: int) -> None:
     if kind == "END":
         name = joints[parent].name + END
     if not name:
-        raise InputError("a joint has no name", where=tokens.where(line), remedy="Name it after JOINT.")
+        raise _error("a joint has no name", "Name it after JOINT.", tokens.where(line))
     if any(joint.name == name for joint in joints):
         if kind != "END":
-            raise InputError(f"there are two joints '{name}'", where=tokens.where(line), remedy="Rename one.")
+            raise _error(f"there are two joints '{name}'", "Rename one.", tokens.where(line))
         name += str(sum(joint.parent == parent for joint in joints))
     me = _Joint(name, parent)
     joints.append(me)
@@ -138,7 +139,7 @@ def _joint(tokens: _Tokens, joints: list[_Joint], parent: int) -> None:
             raise tokens.error("}")
     tokens.take("}")
     if me.offset is None:
-        raise InputError(f"'{name}' has no OFFSET", where=tokens.where(line), remedy="Every joint needs one.")
+        raise _error(f"'{name}' has no OFFSET", "Every joint needs one.", tokens.where(line))
 
 
 def _channels(tokens: _Tokens) -> list[tuple[str, str]]:
@@ -146,15 +147,15 @@ def _channels(tokens: _Tokens) -> list[tuple[str, str]]:
     tokens.take("CHANNELS")
     where, count = tokens.where(), tokens.take()
     if not count.isdigit():
-        raise InputError(f"'{count}' is no number of channels", where=where, remedy="Give a whole number.")
+        raise _error(f"'{count}' is no number of channels", "Give a whole number.", where)
     found = []
     for _ in range(int(count)):
         where, word = tokens.where(), tokens.take()
         if word.lower() not in CHANNELS:
-            raise InputError(
+            raise _error(
                 f"there is no channel '{word}'",
-                where=where,
-                remedy="Channels are Xposition to Zposition and Xrotation to Zrotation.",
+                "Channels are Xposition to Zposition and Xrotation to Zrotation.",
+                where,
             )
         found.append(CHANNELS[word.lower()])
     return found
@@ -167,26 +168,26 @@ def _motion(tokens: _Tokens, channels: int) -> tuple[float, Array]:
     announced, word = tokens.where(), tokens.take()
     frames = int(word) if word.isdigit() else 0
     if frames < 1:
-        raise InputError(f"the number of frames is '{word}'", where=announced, remedy="Give a whole number from 1.")
+        raise _error(f"the number of frames is '{word}'", "Give a whole number from 1.", announced)
     tokens.take("Frame")
     tokens.take("Time:")
     where, period_s = tokens.where(), tokens.numbers(1)[0]
     if period_s <= 0.0:
-        raise InputError(f"the frame time is {period_s:g} s", where=where, remedy="Give a positive time.")
+        raise _error(f"the frame time is {period_s:g} s", "Give a positive time.", where)
     first = tokens.line if tokens.peek else len(tokens.lines) + 1
     rows = [(n, line) for n, line in enumerate(tokens.lines, 1) if n >= first and line.strip()]
     for n, line in rows:
         if len(line.split()) != channels:
-            raise InputError(
+            raise _error(
                 f"a frame has {len(line.split())} numbers, its joints have {channels} channels",
-                where=tokens.where(n),
-                remedy="The file is damaged: export it again.",
+                "The file is damaged: export it again.",
+                tokens.where(n),
             )
     if len(rows) != frames:
-        raise InputError(
+        raise _error(
             f"{len(rows)} frames where {frames} are announced",
-            where=announced,
-            remedy="The file is cut short or its header is wrong: export it again.",
+            "The file is cut short or its header is wrong: export it again.",
+            announced,
         )
     values = [[number(word, tokens.where(n)) for word in line.split()] for n, line in rows]
     return 1.0 / period_s, np.array(values).reshape(frames, channels)

@@ -1,4 +1,4 @@
-"""Positions of named joints over time: what every motion file becomes."""
+"""Positions of named joints over time, which every motion file becomes, and which joint of the figure each one is."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from capture_rig.errors import InputError
+from capture_rig.settings import read_mapping
 
 Array = NDArray[np.float64]
+
+SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+NEEDED = ("neck", "head", *(f"{side}_{joint}" for side in ("left", "right") for joint in SIDED))
+OPTIONAL = ("head_tip",)
+Choice = dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +34,16 @@ class JointMotion:
     source: Path
 
     def of(self, name: str) -> Array:
-        """Positions (F, 3) of one joint."""
+        """Returns the positions (F, 3) of one joint."""
         return self.positions[:, self.names.index(name)]
+
+    def error(self, problem: str, remedy: str) -> InputError:
+        """Makes the error that names the file."""
+        return InputError(problem, where=str(self.source), remedy=remedy)
 
 
 def number(text: str, where: str) -> float:
-    """A finite number; InputError where the file has something else."""
+    """Parses a finite number. Raises InputError where the file has something else."""
     try:
         value = float(text)
     except ValueError:
@@ -45,21 +54,13 @@ def number(text: str, where: str) -> float:
 
 
 def read_lines(path: Path, kind: str) -> list[str]:
-    """The lines of a text file; InputError when it cannot be read."""
+    """Reads the lines of a text file. Raises InputError when it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="strict").splitlines()
     except FileNotFoundError:
         raise InputError("does not exist", where=str(path), remedy=f"Give the path of a {kind} file.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", where=str(path), remedy=f"Give a {kind} text file.") from None
-
-
-# --- Which joint of a motion file is which joint of the stick figure, for the usual ways of naming joints.
-
-SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-NEEDED = ("neck", "head", *(f"{side}_{joint}" for side in ("left", "right") for joint in SIDED))
-OPTIONAL = ("head_tip",)
-Choice = dict[str, tuple[str, ...]]
 
 
 def _naming(neck: str, head: str, tip: str, left: str, right: str, joints: str) -> Choice:
@@ -92,12 +93,12 @@ NAMINGS: dict[str, Choice] = {
 
 
 def plain(name: str) -> str:
-    """A joint's name without case, punctuation and what an exporter put before it (``mixamorig:LeftArm``)."""
+    """Strips case, punctuation and an exporter's prefix (``mixamorig:LeftArm``) from a joint's name."""
     return re.sub(r"[\s_.-]", "", re.sub(r"^(mixamorig\d*[:_])?(.*:)?", "", name.strip().lower()))
 
 
 def joints_by_role(motion: JointMotion) -> dict[str, str]:
-    """The joint of each role in `NEEDED` (and `OPTIONAL` where there is one), by the first naming that fits.
+    """Finds the joint of each role in `NEEDED` (and `OPTIONAL` where there is one), by the first naming that fits.
 
     Raises InputError when none does.
     """
@@ -110,35 +111,22 @@ def joints_by_role(motion: JointMotion) -> dict[str, str]:
         }
         if all(role in found for role in NEEDED):
             return found
-    raise InputError(
-        f"its joints are named in no known way: {', '.join(motion.names[:8])} ...",
-        where=str(motion.source),
-        remedy=f"Give a YAML file that says which joint is {', '.join(NEEDED)}.",
-    )
+    problem = f"its joints are named in no known way: {', '.join(motion.names[:8])} ..."
+    raise motion.error(problem, f"Give a YAML file that says which joint is {', '.join(NEEDED)}.")
 
 
 def load_joints_by_role(path: str | Path, motion: JointMotion) -> dict[str, str]:
-    """The same from a YAML file, ``role: joint``; InputError naming file, key and what is there instead."""
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"cannot be read: {error}", where=str(path), remedy="Give a YAML file.") from None
-    if not isinstance(document, dict):
-        raise InputError("is no mapping", where=str(path), remedy="Write 'role: joint' on every line.")
+    """Reads the same from a YAML file, ``role: joint``. Raises InputError naming file, key and value."""
+    document = read_mapping(Path(path), "Give a YAML file with 'role: joint' on every line.")
     for role in document:
         if role not in NEEDED + OPTIONAL:
-            raise InputError(
-                f"there is no joint '{role}'", where=str(path), remedy=f"Known: {', '.join(NEEDED + OPTIONAL)}."
-            )
+            known = f"Known: {', '.join(NEEDED + OPTIONAL)}."
+            raise InputError(f"there is no joint '{role}'", where=str(path), remedy=known)
     missing = [role for role in NEEDED if role not in document]
     if missing:
         raise InputError(f"'{missing[0]}' is missing", where=str(path), remedy="Give all of them.")
     for role, name in document.items():
         if name not in motion.names:
-            near = difflib.get_close_matches(str(name), motion.names, 3, 0.0)
-            raise InputError(
-                f"{motion.source.name} has no joint '{name}'",
-                where=f"{path}, {role}",
-                remedy=f"It has {', '.join(near)}.",
-            )
+            near = f"It has {', '.join(difflib.get_close_matches(str(name), motion.names, 3, 0.0))}."
+            raise InputError(f"{motion.source.name} has no joint '{name}'", where=f"{path}, {role}", remedy=near)
     return {str(role): str(name) for role, name in document.items()}

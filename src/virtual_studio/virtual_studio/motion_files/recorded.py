@@ -1,4 +1,7 @@
-"""From the joints of a motion file to the stick figure: 15 reference points, a body, and poses."""
+"""Recorded motions: from the joints of a motion file to the stick figure, and played by a person of any size.
+
+The joints give 15 reference points, these a body and its poses. `RecordedMotion` plays them after a T-pose and a blend.
+"""
 
 from __future__ import annotations
 
@@ -36,20 +39,19 @@ WORLD_FROM_UP = {
     "z": np.eye(3),
 }
 """Rotations that turn the file's up axis to z; even permutations, so nothing is mirrored."""
-ORDER = (
-    "left_shoulder",
-    "right_shoulder",
-    "left_hip",
-    "right_hip",
-    "left_elbow",
-    "right_elbow",
-    "left_knee",
-    "right_knee",
-    "left_wrist",
-    "right_wrist",
-    "left_ankle",
-    "right_ankle",
+ORDER = tuple(
+    f"{side}_{joint}" for joint in ("shoulder", "hip", "elbow", "knee", "wrist", "ankle") for side in ("left", "right")
 )
+"""Joints of the reference points from the fourth on."""
+
+
+BLEND_S = 1.0
+"""From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
+FLOOR_PERCENTILE = 2.0
+"""So many percent of the frames may have a foot in the floor: recorded feet are not exact."""
+ROOM_M = 1.4
+"""Half the width of the room that the studio's cameras see."""
+_LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,9 @@ class StickMotion:
 
 
 def read_stick_motion(path: str | Path, fps: float | None = None, options: ReadingOptions | None = None) -> StickMotion:
-    """The stick figure's motion in a BVH or AMC file, at ``fps`` frames a second (None: the file's own).
+    """Reads the stick figure's motion from a BVH or AMC file, at ``fps`` frames a second (None: the file's own).
 
-    World frame: z up, metres; origin and heading are the file's. Raises InputError for whatever cannot be read.
+    World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be read.
     """
     options = options or ReadingOptions()
     motion = read_joints(path, options)
@@ -99,7 +101,7 @@ def read_stick_motion(path: str | Path, fps: float | None = None, options: Readi
 
 
 def read_joints(path: str | Path, options: ReadingOptions | None = None) -> JointMotion:
-    """All joints of a BVH or AMC file, in its own axes and unit; InputError for other files."""
+    """Reads all joints of a BVH or AMC file, in its own axes and unit. Raises InputError for other files."""
     path, options = Path(path), options or ReadingOptions()
     if path.suffix.lower() == ".bvh":
         return read_bvh(path)
@@ -109,7 +111,7 @@ def read_joints(path: str | Path, options: ReadingOptions | None = None) -> Join
 
 
 def reference_points(motion: JointMotion, options: ReadingOptions | None = None) -> Array:
-    """The 15 reference points (F, 15, 3), m, z up.
+    """Computes the 15 reference points (F, 15, 3), m, z up.
 
     A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
     along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the file
@@ -135,10 +137,8 @@ def reference_points(motion: JointMotion, options: ReadingOptions | None = None)
 def _first_frame(motion: JointMotion, start_s: float) -> int:
     first = round(start_s * motion.fps)
     if not 0 <= first < len(motion.positions):
-        raise InputError(
-            f"there is no motion at {start_s:g} s",
-            where=str(motion.source),
-            remedy=f"It lasts {len(motion.positions) / motion.fps:.2f} s.",
+        raise motion.error(
+            f"there is no motion at {start_s:g} s", f"It lasts {len(motion.positions) / motion.fps:.2f} s."
         )
     return first
 
@@ -174,36 +174,24 @@ def _metres_per_unit(joint: dict[str, Array], motion: JointMotion, given: float 
             if LIKELY_STATURES[0] <= scale * stature <= LIKELY_STATURES[1]
         ]
         remedy = "Give the metres of one unit" + (f": {', '.join(fits)}." if fits else ".")
-        raise InputError(
-            f"a motion file has no unit; its person is {stature:.4g} units tall",
-            where=str(motion.source),
-            remedy=remedy,
-        )
+        raise motion.error(f"a motion file has no unit; its person is {stature:.4g} units tall", remedy)
     if not (np.isfinite(given) and 0.5 <= given * stature <= 2.6):
-        raise InputError(
-            f"with {given:g} m a unit its person is {given * stature:.3g} m tall",
-            where=str(motion.source),
-            remedy="Give another unit.",
-        )
+        raise motion.error(f"with {given:g} m a unit its person is {given * stature:.3g} m tall", "Give another unit.")
     return given
 
 
 def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> None:
-    """InputError when the person mostly does not stand along the axis that is said to point up."""
+    """Raises InputError when the person mostly does not stand along the given up axis."""
     ankles = 0.5 * (joint["left_ankle"] + joint["right_ankle"])
     standing = (joint["neck"] - ankles).mean(0)
     if standing[2] < UPRIGHT * np.linalg.norm(standing):
         in_file = WORLD_FROM_UP[up].T @ standing
         likely = "xyz"[int(np.argmax(np.abs(in_file)))]
-        raise InputError(
-            f"the person does not stand along {up}",
-            where=str(motion.source),
-            remedy=f"Say which axis points up, probably {likely}.",
-        )
+        raise motion.error(f"the person does not stand along {up}", f"Say which axis points up, probably {likely}.")
 
 
 def resampled(points: Array, fps: float, wanted_fps: float) -> Array:
-    """Points (F, ...) at another rate, by cubic splines through time."""
+    """Resamples points (F, ...) at another rate, by cubic splines through time."""
     if not (np.isfinite(wanted_fps) and wanted_fps > 0.0):
         raise InputError(f"fps is {wanted_fps!r}", remedy="Give a positive number.")
     if len(points) < 2 or abs(wanted_fps - fps) < 1e-9 * fps:
@@ -213,19 +201,9 @@ def resampled(points: Array, fps: float, wanted_fps: float) -> Array:
     return CubicSpline(times, points, axis=0)(np.arange(count) / wanted_fps)
 
 
-# --- A recorded motion as something the built-in person can do: T-pose, a blend, and then what the file holds.
-
-BLEND_S = 1.0
-"""From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
-FLOOR_PERCENTILE = 2.0
-"""So many percent of the frames may have a foot in the floor: recorded feet are not exact."""
-ROOM_M = 1.4
-"""Half the width of the room that the studio's cameras see."""
-
-
 @dataclass(frozen=True)
 class RecordedMotion:
-    """The motion of a BVH or AMC file, done by a person of any size.
+    """Plays the motion of a BVH or AMC file with a person of any size.
 
     Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
     room, and its lowest frames onto the floor.
@@ -235,7 +213,7 @@ class RecordedMotion:
     options: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
-        """At most ``seconds`` of it, T-pose and blend included; less where the file ends before.
+        """Plays at most ``seconds`` of it, T-pose and blend included; less where the file ends before.
 
         Raises InputError for a file that cannot be read, a time too short, or a path that leaves the room.
         """
@@ -243,10 +221,8 @@ class RecordedMotion:
         opening = round((T_POSE_S + BLEND_S) * fps)
         frames = frame_count(seconds, fps) - opening
         if frames < 1:
-            raise InputError(
-                f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s",
-                remedy="Give a longer time.",
-            )
+            late = f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s"
+            raise InputError(late, remedy="Give a longer time.")
         poses = _placed(person, self._poses(body, fps)[:frames], self.path)
         poses = [*_opening(person, poses[0], fps, opening), *poses]
         angles: list[np.ndarray] = []
@@ -262,11 +238,8 @@ class RecordedMotion:
         return self.path.name
 
 
-_LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
-
-
 def is_motion_file(name: str) -> bool:
-    """Whether a name is that of a motion file rather than of a built-in motion."""
+    """Tells a motion file's name from that of a built-in motion."""
     return Path(name).suffix.lower() in SUFFIXES
 
 
@@ -278,11 +251,8 @@ def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list
     shift[2] = -np.percentile([_lowest(person, pose) for pose in poses], FLOOR_PERCENTILE)
     farthest = np.abs(places[:, :2] + shift[:2]).max()
     if farthest > ROOM_M:
-        raise InputError(
-            f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide",
-            where=str(path),
-            remedy="Take fewer seconds of it, or start elsewhere.",
-        )
+        too_far = f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide"
+        raise InputError(too_far, where=str(path), remedy="Take fewer seconds of it, or start elsewhere.")
     return [_moved(pose, shift) for pose in poses]
 
 

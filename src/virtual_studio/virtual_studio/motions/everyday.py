@@ -11,7 +11,7 @@ from .timeline import Activity, Timeline, hold
 STEP_HZ = 0.85
 """Full walking cycles (two steps) per second."""
 AWAY_RAD = -0.28
-"""Heading on which somebody leaves: between two cameras of the studio's rings."""
+"""Heading of the way out: between two cameras of the studio's rings."""
 TURN_S, AWAY_S = 1.5, 3.0
 RUN_HZ, RUN_RAD_S = 1.5, 2.6
 

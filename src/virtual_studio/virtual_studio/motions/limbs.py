@@ -22,7 +22,7 @@ NEARLY_STRAIGHT = 0.995
 
 
 def both_sides(**left: float) -> Array:
-    """Angles (18,) of both sides from the left side's (and the neck's): the right side mirrors it."""
+    """Makes angles (18,) of both sides from the left side's (and the neck's): the right side mirrors it."""
     angles = np.zeros(18)
     for name, value in left.items():
         angles[ANGLE_NAMES.index(name if name.startswith("neck") else f"left_{name}")] = value
@@ -31,17 +31,17 @@ def both_sides(**left: float) -> Array:
 
 
 def left(name: str) -> int:
-    """Slot of a left joint's angle."""
+    """Returns the slot of a left joint's angle."""
     return ANGLE_NAMES.index(f"left_{name}")
 
 
 def right(name: str) -> int:
-    """Slot of a right joint's angle."""
+    """Returns the slot of a right joint's angle."""
     return ANGLE_NAMES.index(f"right_{name}")
 
 
 def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """A copy of angles (18,) whose named left joints are those of another pose."""
+    """Copies angles (18,), with the named left joints of another pose."""
     slots = [left(name) for name in names]
     mixed = angles.copy()
     mixed[slots] = other[slots]
@@ -49,7 +49,7 @@ def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
 
 
 def with_right(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """The same for right joints."""
+    """Does the same for right joints."""
     slots = [right(name) for name in names]
     mixed = angles.copy()
     mixed[slots] = other[slots]
@@ -57,7 +57,7 @@ def with_right(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
 
 
 def reaching(body: Body, hand_torso: tuple[float, float, float], elbow_torso: tuple[float, float, float]) -> Array:
-    """Angles (18,) with the left hand's tip at a place in the torso frame (m), and the right one where it mirrors it.
+    """Finds angles (18,) with the left hand's tip at a place in the torso frame (m), and the right one mirrored.
 
     The elbow lies as near as it can to `elbow_torso`; a place out of reach is approached as far as the arm goes.
     """
@@ -77,7 +77,7 @@ def reaching(body: Body, hand_torso: tuple[float, float, float], elbow_torso: tu
 
 
 def legs(thigh: float, calf: float, lean: float = 0.0, apart: float = 0.04) -> Array:
-    """Angles (18,) of legs under a torso that leans forward by `lean` rad, arms and neck zero.
+    """Makes angles (18,) of legs under a torso that leans forward by `lean` rad, arms and neck zero.
 
     thigh: how far the knees are ahead of the hips, calf: how far the ankles are behind the knees, both rad from the
     vertical; apart: thighs outward, rad.

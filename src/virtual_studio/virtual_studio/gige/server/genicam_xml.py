@@ -1,4 +1,4 @@
-"""A camera's GenICam description, written from the table of its features."""
+"""Writes a camera's GenICam description from the table of its features."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PORT = "Device"
 
 
 def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> str:
-    """The XML: categories, a node for every named feature, and a register node beneath each."""
+    """Writes the XML: categories, a node for every named feature, and a register node beneath each."""
     named = [feature for feature in features if feature.name]
     names = {feature.key: feature.name for feature in named}
     parts = [_HEAD.format(vendor=escape(vendor), model=escape(model)), *_categories(named)]
@@ -39,7 +39,7 @@ def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> str:
 
 
 def zipped(xml: str) -> bytes:
-    """The XML as the zip file that a camera may hold instead of it: a tenth of the bytes to read over GVCP."""
+    """Zips the XML, as cameras may hold it: a tenth of the bytes to read over GVCP."""
     plain = _zip(xml, b"")
     return _zip(xml, b" " * (-len(plain) % 4))  # cameras are read in whole words
 

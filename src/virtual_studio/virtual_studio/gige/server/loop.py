@@ -29,7 +29,7 @@ class Timer:
         self.when_ns, self._callback = when_ns, callback
 
     def cancel(self) -> None:
-        self._callback = _nothing
+        self._callback = lambda: None
 
     def run(self) -> None:
         self._callback()
@@ -39,7 +39,7 @@ class EventLoop:
     """Callbacks for readable sockets and for instants of the system clock (UTC, ns), one at a time, in one thread.
 
     Everything that a camera does happens in here, so that its parts need no locks; other threads come in by
-    :meth:`call`. An error in one callback is logged and hurts nobody else.
+    :meth:`call`. An error in one callback is logged; the others go on.
     """
 
     def __init__(self, name: str = "gige") -> None:
@@ -61,7 +61,7 @@ class EventLoop:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread, and wait for it; what has not run yet never will."""
+        """Ends the thread, and waits for it; what has not run yet never will."""
         if self._thread.is_alive():
             self.call(self._end)
             self._thread.join()
@@ -74,23 +74,23 @@ class EventLoop:
         self._woken.close()
 
     def add_reader(self, sock: socket.socket, callback: Callable[[], object]) -> None:
-        """Call back whenever ``sock`` can be read. Only from within the loop, or before it starts."""
+        """Calls back whenever ``sock`` can be read. Only from within the loop, or before it starts."""
         self._selector.register(sock, selectors.EVENT_READ)
         self._readers[sock] = callback
 
     def remove_reader(self, sock: socket.socket) -> None:
-        """Never call back for it again, not even for what has already been noticed."""
+        """Ends the calls for it, even for data that was already noticed."""
         self._selector.unregister(sock)
         del self._readers[sock]
 
     def call_at(self, when_ns: int, callback: Callable[[], object]) -> Timer:
-        """Call back at an instant of the system clock. Only from within the loop."""
+        """Calls back at an instant of the system clock. Only from within the loop."""
         timer = Timer(when_ns, callback)
         heapq.heappush(self._timers, (when_ns, next(self._order), timer))
         return timer
 
     def call(self, callback: Callable[[], T]) -> T:
-        """Run in the loop's thread and return what it returns (or raises); from any thread."""
+        """Runs in the loop's thread and returns what it returns (or raises); from any thread."""
         if threading.current_thread() is self._thread:
             return callback()
         if not self._running:
@@ -142,7 +142,3 @@ class EventLoop:
             callback()
         except Exception:
             _log.exception("a simulated camera failed; it goes on")
-
-
-def _nothing() -> None:
-    """A cancelled timer does this."""
