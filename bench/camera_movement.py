@@ -46,6 +46,7 @@ from camera_client.background.model import read_background
 from camera_client.movement.detector import CameraMovedDetector, MovementState
 from camera_client.settings import BackgroundSettings
 from capture_rig import Rig
+from capture_rig.video import Video
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.consistency.extrinsic_monitor import ExtrinsicMonitor
 from hull_server.settings import CameraFaultSettings
@@ -248,9 +249,9 @@ def unmoved_pictures(unmoved: FalseAlarms, only: str) -> None:
     for name, session in shared_sessions(SESSIONS, only):
         found = 0
         for camera, path in session.videos.items():
-            capture, frame = cv2.VideoCapture(str(path)), 0
+            frame = 0
             watch: CameraMovedDetector | None = None
-            while (image := capture.read()[1]) is not None:
+            for image in Video(path):
                 if watch is None:
                     grey = bool((image[..., 0] == image[..., 1]).all())
                     shape = image.shape[:2] if grey else image.shape

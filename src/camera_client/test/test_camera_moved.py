@@ -5,6 +5,7 @@ The oracle is the virtual studio: it paints its room for a camera that stands wh
 
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -26,6 +27,7 @@ from camera_client.movement.detector import (
 )
 from camera_client.settings import CameraClientSettings, CameraMovedSettings
 from camera_client.sources.grab_loop import GrabState
+from capture_rig.video import Video
 from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
 from virtual_studio.scene.room import view_room
@@ -245,8 +247,8 @@ def test_real_footage_is_still_and_named_when_it_is_turned_by_a_degree(name):
 
     camera = load_rig(REAL / "rig.yaml").camera(name)
     model = read_background(REAL / f"{name}_background.png", (camera.height, camera.width, 3), BackgroundSettings())
-    capture = cv2.VideoCapture(str(REAL / f"{name}.mp4"))
-    frames = [capture.read()[1] for _ in range(61)][::15]
+    with Video(REAL / f"{name}.mp4") as video:
+        frames = list(islice(video, 0, 61, 15))
     movement = watched(CameraMovedDetector(camera, model), frames)
     assert movement.state is MovementState.STILL and np.degrees(np.linalg.norm(movement.turn_rad)) < 0.02
     R = cv2.Rodrigues(np.radians([0.6, 0.7, -0.4]))[0]

@@ -205,18 +205,27 @@ def _fits(value: Any, kind: type) -> bool:
 
 
 def read_mapping(path: Path, remedy: str) -> Mapping[str, Any]:
-    """The mapping in a YAML file (empty for an empty file); InputError with ``remedy`` when it holds none."""
+    """Reads the mapping in a YAML file. Raises InputError as :func:`parse_mapping`, and when it cannot be read."""
     try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not valid YAML ({error})", where=str(path), remedy=remedy) from None
+    return parse_mapping(text, str(path), remedy)
+
+
+def parse_mapping(text: str, where: str, remedy: str) -> Mapping[str, Any]:
+    """Parses the mapping in a YAML text (empty for an empty text). Raises InputError with ``remedy`` if it is none."""
+    try:
+        document = yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
         problem = " ".join(str(error).split())
-        raise InputError(f"is not valid YAML ({problem})", where=str(path), remedy=remedy) from None
+        raise InputError(f"is not valid YAML ({problem})", where=where, remedy=remedy) from None
     if document is None:
         return {}
     if not isinstance(document, Mapping):
-        raise InputError("is not a mapping (key: value)", where=str(path), remedy=remedy)
+        raise InputError("is not a mapping (key: value)", where=where, remedy=remedy)
     return document
 
 

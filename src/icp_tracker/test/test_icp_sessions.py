@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from capture_rig import load_session
+from capture_rig.video import Video
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
@@ -39,12 +40,12 @@ def test_t_pose_of_a_rendered_person_is_found_and_fitted(name):
 def hulls(session, count):
     """What the hull shows of the first frame sets."""
     pipeline = HullPipeline(session.rig, HullSettings(backend="cpu"))
-    videos = {name: cv2.VideoCapture(str(session.masks[name])) for name in session.rig.names}
+    videos = {name: Video(session.masks[name]) for name in session.rig.names}
     for frame in range(count):
         stamp_ns = 1 + round(frame * 1e9 / session.fps)
         masks = {}
         for name, video in videos.items():
-            grey = cv2.cvtColor(video.read()[1], cv2.COLOR_BGR2GRAY)
+            grey = cv2.cvtColor(video.read(), cv2.COLOR_BGR2GRAY)
             exact = np.where(grey > 127, 255, 0).astype(np.uint8)
             masks[name] = session.rig.camera(name).undistorted_view().undistort_mask(exact)
         hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))

@@ -12,11 +12,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
+from capture_rig.settings import read_mapping
 
 # --- One node of the graph as plain data: enough to start it by hand, from a launch file or from the supervisor.
 
@@ -223,11 +222,11 @@ def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
 def camera_from_file(path: str | Path) -> NodeSpec:
     """A camera node from a ROS parameter file whose one key is ``/CAMERA/camera_client``."""
     path = Path(path)
-    document = _read_yaml(path)
+    document = read_mapping(path, f"Give a ROS parameter file with the key /CAMERA/{CAMERA_NODE}.")
     keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
     if len(document) != 1 or len(keys) != 1:
         raise InputError(
-            f"has the keys {', '.join(map(str, document))}",
+            f"has the keys {', '.join(map(str, document)) or 'of no node'}",
             where=str(path),
             remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.",
         )
@@ -293,22 +292,6 @@ def _camera_files(path: Path) -> list[Path]:
             remedy="Give a folder with one YAML a camera, or one such file.",
         )
     return files
-
-
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        document = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror})", where=str(path), remedy="Give the path of a ROS parameter file."
-        ) from None
-    except yaml.YAMLError as error:
-        raise InputError(
-            f"is not valid YAML ({' '.join(str(error).split())})", where=str(path), remedy="Mend the file."
-        ) from None
-    if not isinstance(document, Mapping):
-        raise InputError("is not a mapping", where=str(path), remedy=f"It needs the key /CAMERA/{CAMERA_NODE}.")
-    return document
 
 
 def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -128,7 +128,8 @@ def test_two_files_for_one_camera_are_an_error(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is not a mapping"),
+        ("", "of no node"),
+        ("- a", "is not a mapping"),
         ("a: [", "is not valid YAML"),
         ("/cam01/hull_server: {ros__parameters: {}}", "/CAMERA/camera_client"),
         ("/cam01/camera_client: {parameters: {}}", "ros__parameters"),

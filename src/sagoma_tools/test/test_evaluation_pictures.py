@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from capture_rig.session import Session, load_session
+from capture_rig.video import Video
 from sagoma_tools.evaluation.pictures import (
     LEFT_BGR,
     TRUTH_BGR,
@@ -93,9 +94,9 @@ def test_the_caption_of_a_session_without_truth_has_no_error(judged):
 
 
 def test_the_overlay_video_has_every_frame(judged, tmp_path):
-    capture = cv2.VideoCapture(str(write_overlay(tmp_path / "deep" / "overlay.mp4", judged)))
-    assert (capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)) == (FRAMES, 20.0)
-    assert capture.read()[0]
+    with Video(write_overlay(tmp_path / "deep" / "overlay.mp4", judged)) as video:
+        assert (video.frame_count, video.fps) == (FRAMES, 20.0)
+        assert video.read() is not None
 
 
 def test_the_overlay_video_works_without_a_truth(judged):

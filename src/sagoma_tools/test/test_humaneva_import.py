@@ -11,6 +11,7 @@ from humaneva_files import FIRST_IMAGE, FLASH_COMMON, LAST_COMMON, write_avi, wr
 
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
+from capture_rig.video import Video
 from icp_tracker.acquisition.pose_source import make_pose_source
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.chain import Configuration
@@ -70,10 +71,8 @@ def request_of(data_set, root=None, **changes):
 
 
 def images(path):
-    capture, found = cv2.VideoCapture(str(path)), []
-    while (image := capture.read()[1]) is not None:
-        found.append(image)
-    return np.array(found)
+    with Video(path) as video:
+        return np.array(list(video))
 
 
 def test_all_cameras_have_every_common_frame_from_the_sixth_on(imported, films):

@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from capture_rig.errors import InputError
+from capture_rig.settings import parse_mapping
 
 from .body import Body
 from .skeleton import STICK_NAMES
@@ -41,7 +42,7 @@ def save_body(body: Body, path: str | Path, source: str = "", thickness: Mapping
 
 def parse_body(text: str, where: str) -> Body:
     """The body of a body file's text. Raises InputError naming `where`, key, value and remedy."""
-    document = _mapping(text, where)
+    document = parse_mapping(text, where, _REMEDY)
     _check_keys(document, KEYS, OPTIONAL_KEYS, where)
     if document.get("units", "metres") != "metres":
         raise InputError(f"units is {document['units']!r}", where=where, remedy="Write all sizes in metres.")
@@ -58,7 +59,7 @@ def parse_body(text: str, where: str) -> Body:
 
 def parse_thickness(text: str, where: str) -> dict[str, float]:
     """The limbs' thickness in a body file's text, by name (`THICKNESS_NAMES`); empty where it has none."""
-    thickness = _mapping(text, where).get("thickness", {})
+    thickness = parse_mapping(text, where, _REMEDY).get("thickness", {})
     if not isinstance(thickness, Mapping):
         raise InputError(f"thickness is {thickness!r}", where=where, remedy="Give a factor for each limb by name.")
     _check_keys(thickness, (), THICKNESS_NAMES, f"{where}: thickness")
@@ -86,17 +87,6 @@ def _read(path: Path) -> str:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text ({error.reason})", where=str(path), remedy=_REMEDY) from None
-
-
-def _mapping(text: str, where: str) -> Mapping[str, Any]:
-    try:
-        document = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        problem = " ".join(str(error).split())
-        raise InputError(f"is not valid YAML ({problem})", where=where, remedy=_REMEDY) from None
-    if not isinstance(document, Mapping):
-        raise InputError("is not a mapping", where=where, remedy=_REMEDY)
-    return document
 
 
 def _check_keys(given: Mapping[str, Any], needed: tuple[str, ...], optional: tuple[str, ...], where: str) -> None:

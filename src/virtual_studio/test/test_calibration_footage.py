@@ -6,6 +6,7 @@ import pytest
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
+from capture_rig.video import Video
 from rig_calibration.boards.specification import board_text, read_board
 from virtual_studio.__main__ import main
 from virtual_studio.recording.footage import (
@@ -122,8 +123,8 @@ def test_folder_holds_footage_boards_and_the_truth_apart(footage):
         "wand",
     ]
     for part, count in (("intrinsics", 19), ("moving", 2), ("wand", 2)):
-        video = cv2.VideoCapture(str(footage / part / "cam01.mp4"))
-        assert abs(video.get(cv2.CAP_PROP_FRAME_COUNT) - count) <= 2
+        with Video(footage / part / "cam01.mp4") as video:
+            assert abs(video.frame_count - count) <= 2
     assert cv2.imread(str(footage / "floor" / "cam01.png"), cv2.IMREAD_UNCHANGED).shape == (480, 640)
     assert load_rig(footage / "truth_rig.yaml").names == ("cam01",)
 
@@ -152,10 +153,8 @@ def test_the_same_plan_gives_the_same_bytes(footage, tmp_path):
 
 
 def frames_of(path):
-    video, frames = cv2.VideoCapture(str(path)), []
-    while (read := video.read())[0]:
-        frames.append(read[1])
-    return np.array(frames)
+    with Video(path) as video:
+        return np.array(list(video))
 
 
 def test_stills_are_taken_while_the_board_rests(tmp_path):

@@ -6,6 +6,7 @@ import yaml
 
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
+from capture_rig.video import Video
 from stick_figure.body import Body
 from stick_figure.body_file import load_body
 from stick_figure.kinematics import forward
@@ -13,13 +14,18 @@ from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix
 from virtual_studio.__main__ import main
 from virtual_studio.motions.catalogue import tour
-from virtual_studio.recording.files import read_grey
 from virtual_studio.recording.session import TORSO_COLUMNS, RenderSettings, write_session
 from virtual_studio.rig import ring
 
 BODY = Body.from_stature(1.80)
 RIG = ring(1, ceiling=True)
 SETTINGS = dict(rig=RIG, body=BODY, motion="tour", fps=10, seconds=2.5)
+
+
+def read_grey(path):
+    """All frames (F, h, w) of a grey video."""
+    with Video(path) as video:
+        return np.array([image[..., 0] for image in video])
 
 
 @pytest.fixture(scope="module")

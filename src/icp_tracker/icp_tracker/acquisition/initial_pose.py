@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from capture_rig.errors import InputError
+from capture_rig.settings import read_mapping
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
@@ -75,7 +76,7 @@ def load_initial_pose(path: str | Path) -> tuple[Pose, Body | None]:
     relative to the pose file. Raises InputError naming file, key, value and remedy.
     """
     path = Path(path)
-    document = _read_mapping(path)
+    document = read_mapping(path, f"A pose file is a mapping with the keys {', '.join(KEYS)}.")
     _refuse_unknown(document, KEYS, str(path))
     if "torso_position" not in document:
         raise InputError("torso_position is missing", where=str(path), remedy="Give [x, y, z] in metres, map frame.")
@@ -137,20 +138,6 @@ def _filled(frames: np.ndarray, points_world: np.ndarray, row: int, where: str) 
             )
         points[index] = points_world[known[int(distance.argmin())], index]
     return points
-
-
-def _read_mapping(path: Path) -> Mapping[str, Any]:
-    remedy = f"A pose file is a mapping with the keys {', '.join(KEYS)}."
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        text = " ".join(str(error).split())
-        raise InputError(f"is not valid YAML ({text})", where=str(path), remedy=remedy) from None
-    if not isinstance(document, Mapping):
-        raise InputError("is not a mapping", where=str(path), remedy=remedy)
-    return document
 
 
 def _refuse_unknown(document: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from camera_client.background.model import read_background
@@ -15,6 +15,7 @@ from camera_client.settings import CameraClientSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
+from capture_rig.video import Video
 from mocap_packets.state import BodyState
 
 from .chain import Chain, Configuration, Masks, TrackingChain
@@ -104,21 +105,18 @@ def exact_silhouettes(session: Session) -> Iterator[Masks]:
 
 def _images(videos: dict[str, Path]) -> Iterator[dict[str, np.ndarray]]:
     """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey."""
-    captures = {name: cv2.VideoCapture(str(path)) for name, path in sorted(videos.items())}
     grey: dict[str, bool] = {}
-    try:
+    with ExitStack() as stack:
+        opened = {name: stack.enter_context(Video(path)) for name, path in sorted(videos.items())}
         while True:
-            images = {name: capture.read()[1] for name, capture in captures.items()}
-            if any(image is None for image in images.values()):
+            images = {name: video.read() for name, video in opened.items()}
+            found = {name: image for name, image in images.items() if image is not None}
+            if len(found) < len(images):
                 return
-            for name, image in images.items():
-                grey.setdefault(
-                    name, bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all())
-                )
-            yield {name: image[..., 0].copy() if grey[name] else image for name, image in images.items()}
-    finally:
-        for capture in captures.values():
-            capture.release()
+            for name, image in found.items():
+                if name not in grey:
+                    grey[name] = bool((image == image[..., :1]).all())
+            yield {name: image[..., 0].copy() if grey[name] else image for name, image in found.items()}
 
 
 # --- What each part of the tracker is worth: from the thesis's method to ours, one part more in every row.

@@ -11,6 +11,7 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES, Session
+from capture_rig.video import Video
 
 from ..rendering.camera import Image
 from .scenes import Playback
@@ -71,7 +72,11 @@ def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionSce
         name: SessionView(playback, tuple(frames[:count]), tuple(_alike(frames[0], background)))
         for name, frames, background in zip(names, footage, backgrounds, strict=True)
     }
-    return SessionScene(playback, views, min(_length(session.videos[name]) for name in names))
+    lengths = []
+    for name in names:
+        with Video(session.videos[name]) as video:
+            lengths.append(video.frame_count)
+    return SessionScene(playback, views, min(lengths))
 
 
 def _background(session: Session, name: str, budget: float) -> list[Image]:
@@ -83,20 +88,19 @@ def _background(session: Session, name: str, budget: float) -> list[Image]:
     still = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if still is None:
         raise InputError("is not a readable picture", where=str(path), remedy="Check the file.")
-    return [_without_false_colour(np.asarray(still, np.uint8))]
+    return [np.ascontiguousarray(still[..., 1] if _is_mono(still) else still, np.uint8)]
 
 
 def _decode(path: Path, budget: float) -> list[Image]:
     """The first frames of a video, as many as fit into ``budget`` bytes; at least one."""
-    capture, frames = cv2.VideoCapture(str(path)), list[Image]()
-    try:
-        read, picture = capture.read()
-        mono = bool(read) and _is_mono(picture)
-        while read and (not frames or frames[0].nbytes * (len(frames) + 1) <= budget):
+    frames = list[Image]()
+    with Video(path) as video:
+        for picture in video:
+            if not frames:
+                mono = _is_mono(picture)
+            elif frames[0].nbytes * (len(frames) + 1) > budget:
+                break
             frames.append(np.ascontiguousarray(picture[..., 1] if mono else picture, np.uint8))
-            read, picture = capture.read()
-    finally:
-        capture.release()
     if not frames:
         raise InputError("holds no frame that can be decoded", where=str(path), remedy="Check the file, or its codec.")
     if frames[0].nbytes > budget:
@@ -116,15 +120,3 @@ def _alike(frame: Image, background: list[Image]) -> list[Image]:
 def _is_mono(picture: np.ndarray) -> bool:
     spread = picture.max(axis=2).astype(np.int16) - picture.min(axis=2)
     return bool(spread.max() <= MONO_TOLERANCE)
-
-
-def _without_false_colour(picture: Image) -> Image:
-    return np.ascontiguousarray(picture[..., 1]) if _is_mono(picture) else picture
-
-
-def _length(path: Path) -> int:
-    capture = cv2.VideoCapture(str(path))
-    try:
-        return int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    finally:
-        capture.release()

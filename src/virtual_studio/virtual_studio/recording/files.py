@@ -95,17 +95,3 @@ class VideoFile:
 
     def __exit__(self, *raised: object) -> None:
         self._writer.release()
-
-
-def read_grey(path: Path) -> NDArray[np.uint8]:
-    """All frames (F, h, w) of a grey video. Raises InputError when there is none."""
-    capture, frames = cv2.VideoCapture(str(path)), []
-    while True:
-        read, image = capture.read()
-        if not read:
-            break
-        frames.append(image[..., 0] if image.ndim == 3 else image)
-    capture.release()
-    if not frames:
-        raise InputError("is not a readable video", where=str(path), remedy="Write the session again.")
-    return np.array(frames)
