@@ -73,16 +73,16 @@ class CameraModel:
 
         NaN for a pixel that the lens model does not reach (a strong barrel lens calibrated in the middle only).
         """
-        ideal = self._ideal(np.asarray(pixels, float).reshape(-1, 2))
+        ideal = self.ideal_points(np.asarray(pixels, float).reshape(-1, 2))
         rays = np.column_stack([ideal, np.ones(len(ideal))]) @ self.R_camera_world
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
-    def _ideal(self, pixels: Array) -> Array:
-        """Pixels (n, 2) to normalised image coordinates (n, 2) without distortion."""
+    def ideal_points(self, pixels: Array) -> Array:
+        """Pixels (n, 2) to normalised image coordinates (n, 2) without distortion; NaN beyond the lens's reach."""
         return lens.undistort((pixels - self.K[:2, 2]) / self.K.diagonal()[:2], self.D)
 
     def _pixels(self, ideal: Array) -> Array:
-        """The inverse of :meth:`_ideal`; NaN beyond the reach of the lens model."""
+        """The inverse of :meth:`ideal_points`; NaN beyond the reach of the lens model."""
         within = np.hypot(*ideal.T) < self._fold_radius
         distorted = lens.distort(np.where(within[:, None], ideal, np.nan), self.D)
         return distorted * self.K.diagonal()[:2] + self.K[:2, 2]
@@ -183,7 +183,7 @@ def _canvas_bounds(camera: CameraModel) -> tuple[Array, Array]:
             np.stack([0 * y + w - 1, y], 1),
         ]
     )
-    pixels = camera._ideal(border) * camera.K.diagonal()[:2] + camera.K[:2, 2]
+    pixels = camera.ideal_points(border) * camera.K.diagonal()[:2] + camera.K[:2, 2]
     last = np.array([w - 1.0, h - 1.0])
     pixels = np.concatenate([pixels[np.isfinite(pixels).all(axis=1)], [[0.0, 0.0], last]])
     margin = np.floor(np.array([w, h]) * (MAX_CANVAS_GROWTH - 1) / 2)

@@ -58,6 +58,25 @@ def test_blobs_lie_where_the_markers_are(radius_px: float):
     assert np.abs(found - pixels).max() < 0.15
 
 
+def test_dark_stick_before_a_brighter_wall_does_not_shift_the_balls():
+    rng, fine = np.random.default_rng(0), 8
+    ends = np.array([[200.3, 150.6], [252.7, 171.2]])
+    light = np.full((300 * fine, 400 * fine), 0.12)
+    place = ((ends + 0.5) * fine - 0.5).astype(np.float32)
+    cv2.line(light, *(tuple(np.rint(p).astype(int).tolist()) for p in place), 0.01, 3 * fine)
+    rows, columns = np.mgrid[: light.shape[0], : light.shape[1]]
+    for x, y in place:
+        light[np.hypot(columns - x, rows - y) < 3.6 * fine] = 1.2  # beyond what the sensor takes
+    blurred = cv2.GaussianBlur(cv2.resize(light, (400, 300), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
+    along, away = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]), []
+    for _ in range(20):
+        image = np.clip(np.rint(255 * blurred + 2 * rng.normal(size=blurred.shape)), 0, 255).astype(np.uint8)
+        found = find_blobs(image).centroid
+        away.append((found[np.argsort(found[:, 0])] - ends) @ along)
+    first, last = np.mean(away, axis=0)
+    assert abs(last - first) < 0.03  # 0.07 px when what lies behind is taken for the wall all around
+
+
 def test_dark_image_has_no_blobs_and_streaks_are_none():
     rng = np.random.default_rng(0)
     assert len(find_blobs(picture(np.empty((0, 2)), rng))) == 0

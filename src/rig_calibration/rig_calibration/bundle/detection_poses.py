@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig import lens
 from capture_rig.camera import CameraModel
 
 from ..boards.board import TargetDetection
@@ -52,14 +51,9 @@ class DetectionPoses:
         return float(weights[1]) if len(weights) > 1 else 0.0
 
 
-def undistorted(pixels: Array, camera: CameraModel) -> Array:
-    """Pixels (n, 2) to normalised image coordinates without distortion; NaN beyond the lens model's reach."""
-    return lens.undistort((pixels - camera.K[:2, 2]) / camera.K.diagonal()[:2], camera.D)
-
-
 def detection_poses(detection: TargetDetection, camera: CameraModel, shape: TargetShape) -> DetectionPoses | None:
     """All poses that one detection allows; None when its corners are too few, or lie on a line, or fit no pose."""
-    return poses_of(detection.ids, undistorted(detection.pixels, camera), camera, shape)
+    return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
 
 
 def all_undistorted(detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel]) -> list[Array]:
@@ -67,7 +61,7 @@ def all_undistorted(detections: Sequence[TargetDetection], cameras: Mapping[str,
     found: list[Array] = [np.empty((0, 2))] * len(detections)
     for name, camera in cameras.items():
         rows = [row for row, detection in enumerate(detections) if detection.camera == name]
-        corners = undistorted(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]), camera)
+        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
         ends = np.cumsum([len(detections[row]) for row in rows], dtype=np.int64)
         for row, ideal in zip(rows, np.split(corners, ends[:-1]), strict=bool(rows)):
             found[row] = ideal

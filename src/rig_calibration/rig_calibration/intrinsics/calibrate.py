@@ -8,7 +8,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from capture_rig import lens
 from capture_rig.camera import CameraModel
 from capture_rig.verdict import judge
 
@@ -50,7 +49,7 @@ def projection_sd(camera: CameraModel, covariance: Array, pixels: Array) -> Arra
     of the camera, which extrinsics take up. The larger axis of the error ellipse; NaN where the lens has no ray.
 
     ``covariance`` : of the lens's parameters, in order."""
-    ideal = lens.undistort((pixels - camera.K[:2, 2]) / camera.K.diagonal()[:2], camera.D)
+    ideal = camera.ideal_points(pixels)
     reached = np.isfinite(ideal).all(axis=1)
     sd = np.full(len(pixels), np.nan)
     if not reached.any():
