@@ -26,6 +26,18 @@ CAMERA = {
 }
 
 
+DATA = Path(__file__).parent / "data"
+
+
+def test_rig_that_version_0_1_saved_is_read() -> None:
+    rig = load_rig(DATA / "rig_0_1.yaml")
+    assert rig.names == ("cam01", "cam02") and rig.volume.high.tolist() == [2.0, 2.5, 2.4]
+    assert [camera.distortion_model for camera in rig.cameras] == ["plumb_bob", "rational_polynomial"]
+    pixels = [camera.project([0.3, -0.2, 1.0]) for camera in rig.cameras]
+    assert np.allclose(pixels, [[393.297519789, 517.702976885], [366.796923012, 592.275796753]], atol=1e-6)
+    assert np.allclose(rig.cameras[0].centre_world, [1.067900912, 2.839139993, -0.893796253], atol=1e-8)
+
+
 def document(**changes: Any) -> dict[str, Any]:
     """Two good cameras; ``changes`` replace keys of cam02."""
     return {"cameras": {"cam02": {**copy.deepcopy(CAMERA), **changes}, "cam01": copy.deepcopy(CAMERA)}}

@@ -147,7 +147,7 @@ def status_text(status: int) -> str:
         return f"unknown status 0x{status:04x}"
 
 
-# --- What the GVCP commands carry: registers, memory, resend requests, actions; encoded and decoded.
+# --- payloads: registers, memory, resend requests, actions
 
 PACKET_ID_MASK = 0x00FFFFFF
 
@@ -207,7 +207,7 @@ def decode_memory(payload: bytes) -> tuple[int, bytes]:
 
 @dataclass(frozen=True)
 class ResendRequest:
-    """PACKETRESEND: packets first to last (both included) of one block, please. Nothing acknowledges it."""
+    """PACKETRESEND: asks for the packets first to last (both included) of one block. It is not acknowledged."""
 
     block_id: int
     first: int
@@ -265,7 +265,7 @@ class Action:
         return cls(device_key, group_key, group_mask, time_ns)
 
 
-# --- The answer to DISCOVERY: the first 0xF8 bytes of a device's bootstrap registers.
+# --- the answer to DISCOVERY: the first 0xF8 bytes of a device's bootstrap registers
 
 _TEXTS = {
     "manufacturer": (bootstrap.MANUFACTURER_NAME, 32),
@@ -284,7 +284,7 @@ _ADDRESSES = {
 
 @dataclass(frozen=True)
 class DeviceRecord:
-    """Who a device is. Texts are UTF-8, cut to the room the standard gives (serial and user id: 16 bytes)."""
+    """Identity of a device. Texts are UTF-8, cut to the room the standard gives (serial and user id: 16 bytes)."""
 
     address: str
     manufacturer: str = ""
