@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 
 from hull_server.grid import BrickVolume
 from hull_server.settings import BlobSettings
-from hull_server.slicing.skeletonisation import BlobTable, Centerline, find_centerline, slice_blobs
+from hull_server.slicing.skeletonisation import BlobTable, Centerline, find_centerline, slice_hull
 
 OUTLIER_M, COVERED_M = 0.060, 0.050
 
@@ -146,7 +146,7 @@ def centerline(volume: BrickVolume, filters: BlobSettings) -> Centerline:
     """The centerline of a hull; what all rules share is computed once."""
     key = volume, filters.erosion_voxels, filters.growth_step_m
     if key not in _TABLES:
-        _TABLES[key] = slice_blobs(volume, filters.erosion_voxels, filters.growth_step_m)
+        _TABLES[key] = slice_hull(volume, filters.erosion_voxels, filters.growth_step_m).blobs
     return find_centerline(_TABLES[key], volume.grid, filters)
 
 

@@ -43,7 +43,7 @@ from hull_server.carve_backends import CarveBackend, make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import BlobSettings, HullSettings
-from hull_server.slicing.skeletonisation import find_centerline, slice_blobs
+from hull_server.slicing.skeletonisation import find_centerline, slice_hull
 from hull_server.views import RigViews, min_seeing
 from mocap_packets.frame_set import FrameSet
 
@@ -71,7 +71,7 @@ def points_of(backend: CarveBackend, grid: VoxelGrid) -> Callable[[Masks], int]:
 
     def work(masks: Masks) -> int:
         volume = backend.carve(masks, min_seeing(len(masks)))
-        return len(find_centerline(slice_blobs(volume), grid, BlobSettings()))
+        return len(find_centerline(slice_hull(volume).blobs, grid, BlobSettings()))
 
     return work
 

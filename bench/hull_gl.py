@@ -23,7 +23,7 @@ from hull_baselines import VOLUME, Masks, scene
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.gl_buffers import GL
 from hull_server.opengl.gl_carver import GlCarver
-from hull_server.slicing.skeletonisation import slice_blobs
+from hull_server.slicing.skeletonisation import slice_hull
 from hull_server.views import RigViews, min_seeing
 
 
@@ -69,16 +69,16 @@ def time_stages(carver: GlCarver, frames: list[Masks], rounds: int) -> str:
 
 def one_after_the_other(carver: GlCarver, frames: list[Masks]) -> None:
     for masks in frames:
-        slice_blobs(carver.carve(masks, min_seeing(len(masks))))
+        slice_hull(carver.carve(masks, min_seeing(len(masks))))
 
 
 def double_buffered(carver: GlCarver, frames: list[Masks]) -> None:
     before = carver.submit(frames[0], min_seeing(len(frames[0])))
     for masks in frames[1:]:
         ticket = carver.submit(masks, min_seeing(len(masks)))
-        slice_blobs(carver.collect(before))
+        slice_hull(carver.collect(before))
         before = ticket
-    slice_blobs(carver.collect(before))
+    slice_hull(carver.collect(before))
 
 
 def with_a_thread(carver: GlCarver, frames: list[Masks]) -> None:
@@ -91,7 +91,7 @@ def with_a_thread(carver: GlCarver, frames: list[Masks]) -> None:
     thread = threading.Thread(target=carve)
     thread.start()
     for _ in frames:
-        slice_blobs(volumes.get())
+        slice_hull(volumes.get())
     thread.join()
 
 

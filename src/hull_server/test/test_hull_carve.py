@@ -16,7 +16,7 @@ from hull_server.carve_backends import make_backend
 from hull_server.carving.cpu_carver import CpuCarver
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.egl import GlContext, NoGraphics
-from hull_server.slicing.skeletonisation import slice_blobs
+from hull_server.slicing.skeletonisation import slice_hull
 from hull_server.views import RigViews, min_seeing
 
 MAX_DISAGREEMENT = 1e-4  # of the occupied voxels, for backends in single precision
@@ -153,11 +153,13 @@ def test_carve_forgets_the_frame_before(kind):
 def test_all_backends_give_the_same_blobs_where_their_voxels_are_equal():
     rig, masks = scene(5, seed=2, yaw=0.7)
     cpu, *others = (carve(kind, rig, masks, 0.025, 3) for kind in ("cpu", "gl", "sweep"))
-    assert len(slice_blobs(cpu)) > 100
+    assert len(slice_hull(cpu).blobs) > 100
     for other in others:
         assert np.array_equal(cpu.index, other.index) and np.array_equal(cpu.leaves, other.leaves)
         for column in ("axis", "area", "centroid", "covariance"):
-            np.testing.assert_array_equal(getattr(slice_blobs(cpu), column), getattr(slice_blobs(other), column))
+            np.testing.assert_array_equal(
+                getattr(slice_hull(cpu).blobs, column), getattr(slice_hull(other).blobs, column)
+            )
 
 
 @needs_gl

@@ -9,8 +9,12 @@ from scipy import ndimage
 
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.kernel import lowest_bit, popcount, select_bit, transpose8
-from hull_server.slicing.skeletonisation import BlobTable, slice_blobs, slice_hull
-from hull_server.slicing.voxel_samples import sample_voxels
+from hull_server.slicing.skeletonisation import BlobTable, shape_of, slice_hull
+from hull_server.slicing.voxel_samples import sample_runs
+
+
+def sample_voxels(volume, max_voxels):
+    return sample_runs(slice_hull(volume).runs, volume.grid, max_voxels)
 
 
 def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:
@@ -49,7 +53,7 @@ def in_order(rows: np.ndarray) -> np.ndarray:
 )
 def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, share, turned, seed):
     dense = np.random.default_rng(seed).random(shape[::-1] if turned else shape) < share
-    rows = as_rows(slice_blobs(volume_of(dense)))
+    rows = as_rows(slice_hull(volume_of(dense)).blobs)
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
 
 
@@ -57,7 +61,7 @@ def test_blobs_of_smooth_bodies_equal_scipy_components():
     """Random shapes a body might have, across word and brick borders: scipy's labels as a second oracle."""
     noise = np.random.default_rng(3).random((150, 70, 40))
     dense = ndimage.gaussian_filter(noise, 4) > 0.505
-    blobs = slice_blobs(volume_of(dense))
+    blobs = slice_hull(volume_of(dense)).blobs
     eight = np.ones((3, 3))
     for axis in range(3):
         expected = [ndimage.label(dense.take(n, axis=axis), eight)[1] for n in range(dense.shape[axis])]
@@ -69,13 +73,13 @@ def test_blobs_of_smooth_bodies_equal_scipy_components():
 def test_blobs_connect_diagonally():
     dense = np.zeros((4, 4, 1), bool)
     dense[0, 0, 0] = dense[1, 1, 0] = dense[3, 3, 0] = True
-    blobs = slice_blobs(volume_of(dense))
+    blobs = slice_hull(volume_of(dense)).blobs
     assert blobs.area[blobs.axis == 2].tolist() == [2, 1]
 
 
 def test_blobs_are_ordered_and_repeatable():
     dense = np.random.default_rng(0).random((40, 30, 20)) < 0.2
-    first, second = slice_blobs(volume_of(dense)), slice_blobs(volume_of(dense))
+    first, second = slice_hull(volume_of(dense)).blobs, slice_hull(volume_of(dense)).blobs
     assert as_rows(first).tobytes() == as_rows(second).tobytes()
     slices = first.centroid[np.arange(len(first)), first.axis]
     assert (np.diff(first.axis.astype(int)) >= 0).all()
@@ -86,7 +90,7 @@ def test_blobs_are_ordered_and_repeatable():
 def test_erosion_equals_scipy_erosion_of_each_slice(times):
     noise = np.random.default_rng(5).random((80, 24, 24))
     dense = ndimage.gaussian_filter(noise, 2) > 0.49
-    found = as_rows(slice_blobs(volume_of(dense), times))
+    found = as_rows(slice_hull(volume_of(dense), times).blobs)
     cross = ndimage.generate_binary_structure(2, 1)
     expected = []
     for axis in range(3):
@@ -111,7 +115,7 @@ def test_blobs_of_an_empty_volume_are_none():
 def test_growth_equals_that_of_labelled_slices(shape, share, step, seed):
     """The blob under the rounded centroid, ``step`` slices to either side, found in images of labels."""
     dense = np.random.default_rng(seed).random(shape) < share
-    blobs = slice_blobs(volume_of(dense), step_m=step * 0.02)
+    blobs = slice_hull(volume_of(dense), step_m=step * 0.02).blobs
     labels = [label_slices(dense, axis) for axis in range(3)]
     for axis, area, centroid, growth in zip(blobs.axis, blobs.area, blobs.centroid, blobs.growth, strict=True):
         place = np.floor(centroid + 0.5).astype(int)
@@ -147,7 +151,7 @@ def test_parts_equal_scipy_components(shape, share, seed):
     pairs = set(zip(expected[tuple(voxels.T)].tolist(), samples.body.tolist(), strict=True))
     assert len(pairs) == count == len({part for _, part in pairs})
     label_of_part = {part: label for label, part in pairs}
-    blobs = slice_blobs(volume)
+    blobs = slice_hull(volume).blobs
     for axis in range(3):  # the label of any voxel of a blob's slice at its part is one of that part
         for part, centroid, area in zip(
             *(c[blobs.axis == axis] for c in (blobs.part, blobs.centroid, blobs.area)), strict=True
@@ -165,10 +169,11 @@ def ellipse_volume(a: float, b: float, turn: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("a", "b", "turn"), [(20, 20, 0), (40, 20, 0.5), (30, 12, 1.2), (6, 6, 0)])
 def test_elongation_and_fill_of_an_ellipse(a, b, turn):
-    blobs = slice_blobs(volume_of(ellipse_volume(a, b, turn)))
+    blobs = slice_hull(volume_of(ellipse_volume(a, b, turn))).blobs
     index = np.flatnonzero(blobs.axis == 2)[0]
-    assert blobs.elongation()[index] == pytest.approx(a / b, rel=0.03)
-    assert blobs.fill()[index] == pytest.approx(1.0, abs=0.02)
+    elongation, fill = shape_of(blobs.area[index], *blobs.covariance[index])
+    assert elongation == pytest.approx(a / b, rel=0.03)
+    assert fill == pytest.approx(1.0, abs=0.02)
     assert blobs.centroid[index] == pytest.approx([60.3, 59.6, 0], abs=0.1)
 
 
@@ -176,7 +181,8 @@ def test_fill_of_a_square_is_that_of_theory_and_of_an_l_shape_much_less():
     square, l_shape = np.zeros((40, 40, 1), bool), np.zeros((40, 40, 1), bool)
     square[5:25, 5:25] = True
     l_shape[:40, :6] = l_shape[:6, :40] = True
-    fills = [slice_blobs(volume_of(dense)).fill()[-1] for dense in (square, l_shape)]
+    tables = [slice_hull(volume_of(dense)).blobs for dense in (square, l_shape)]
+    fills = [shape_of(blobs.area[-1], *blobs.covariance[-1])[1] for blobs in tables]
     assert fills[0] == pytest.approx(3 / np.pi, abs=1e-9)
     assert fills[1] < 0.6
 

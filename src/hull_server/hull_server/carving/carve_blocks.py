@@ -1,4 +1,8 @@
-"""Judging the eight blocks of 4 x 4 x 4 voxels of a brick at once: octant = 4 z + 2 y + x."""
+"""Carves the eight blocks of 4 x 4 x 4 voxels of a brick: first classified all at once, then voxel by voxel.
+
+Octants are the blocks of a brick: octant = 4 z + 2 y + x. The voxels of a block are one word of 64 bits: bit = 16 z + 4
+y + x.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +15,14 @@ from ..kernel import kernel
 from .pixel_boxes import count_in_box, foreground_in
 from .silhouette_tables import BLIND, FOREGROUND
 
-EVERY_OCTANT = 255
-DEPTH_RATIO = 4.0  # a brick whose far end is farther than this many times its near end is judged voxel by voxel
+EVERY_OCTANT, ALL_BITS = 255, np.uint64(0xFFFFFFFFFFFFFFFF)
+DEPTH_RATIO = 4.0  # a brick whose far end is farther than this many times its near end is carved voxel by voxel
 MARGIN = np.float32(1e-5)  # of the coordinates: rounding in single precision, at such depths, is a third of it at most
 
 
 def octant_steps(projections: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """(N, 3, 64) what a corner voxel of an octant (8 corner + octant) adds to the homogeneous pixel of the brick's."""
+    """Return what a corner voxel of an octant (8 corner + octant) adds to the homogeneous pixel of the brick (N, 3,
+    64)."""
     lane = np.arange(64)
     offsets = [4 * (lane >> axis & 1) + 3 * (lane >> 3 + axis & 1) for axis in range(3)]
     return np.ascontiguousarray(projections[:, :, :3] @ np.stack(offsets).astype(float)).astype(np.float32)
@@ -25,7 +30,7 @@ def octant_steps(projections: npt.NDArray[np.float64]) -> npt.NDArray[np.float32
 
 @kernel
 def octants_inside(corner, shape):  # type: ignore[no-untyped-def]
-    """Bits of the octants of the brick at voxel ``corner`` that begin inside the grid."""
+    """Return the bits of the octants of the brick at voxel ``corner`` that begin inside the grid."""
     inside = EVERY_OCTANT
     if corner[0] + 4 >= shape[0]:
         inside &= 0b01010101
@@ -37,8 +42,8 @@ def octants_inside(corner, shape):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def judge_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-untyped-def]
-    """What a camera says of the octants of the brick at voxel ``corner``, as four words of eight bits.
+def classify_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-untyped-def]
+    """Classify the octants of the brick at voxel ``corner`` in one camera: four words of eight bits.
 
     Returns the octants with some foreground in their box; those that are all foreground and seen; those seen whole;
     those not seen at all. ``sees_all``: the camera is known to see the whole brick.
@@ -105,7 +110,7 @@ def _enclose_octants(sizes, camera, corners, box):  # type: ignore[no-untyped-de
 
 @kernel
 def _least(values, first):  # type: ignore[no-untyped-def]
-    """The least of eight values, eight places apart."""
+    """Return the least of eight values, eight places apart."""
     least = values[first]
     for place in range(8, 64, 8):
         least = _smaller(least, values[first + place])
@@ -114,7 +119,7 @@ def _least(values, first):  # type: ignore[no-untyped-def]
 
 @kernel
 def _greatest(values, first):  # type: ignore[no-untyped-def]
-    """The greatest of eight values, eight places apart."""
+    """Return the greatest of eight values, eight places apart."""
     greatest = values[first]
     for place in range(8, 64, 8):
         greatest = _larger(greatest, values[first + place])
@@ -131,20 +136,15 @@ def _larger(a, b):  # type: ignore[no-untyped-def]
     return a if a > b else b
 
 
-# --- The rule itself, for blocks of 4 x 4 x 4 voxels at once: one word of 64 bits, bit = 16 z + 4 y + x.
-
-ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)
-
-
 def voxel_steps(projections: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """(N, 3, 64) what each voxel of a block adds to the homogeneous pixel of the block's first voxel."""
+    """Return what each voxel of a block adds to the homogeneous pixel of the block's first voxel (N, 3, 64)."""
     bit = np.arange(64)
     return np.ascontiguousarray(projections[:, :, :3] @ np.stack([bit & 3, bit >> 2 & 3, bit >> 4]).astype(float))
 
 
 @kernel
 def inside_word(low, shape):  # type: ignore[no-untyped-def]
-    """The bits of the block of 4^3 voxels at voxel ``low`` that lie inside the grid."""
+    """Return the bits of the block of 4^3 voxels at voxel ``low`` that lie inside the grid."""
     nx, ny, nz = min(shape[0] - low[0], 4), min(shape[1] - low[1], 4), min(shape[2] - low[2], 4)
     if nx == 4 and ny == 4 and nz == 4:
         return ALL_BITS
@@ -169,7 +169,7 @@ def store_block(word, octant, leaf):  # type: ignore[no-untyped-def]
 
 @kernel
 def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, work):  # type: ignore[no-untyped-def]
-    """The rule itself: the candidates that no undecided camera vetoes and that enough cameras see.
+    """Apply the rule: return the candidates that no undecided camera vetoes and that enough cameras see.
 
     The block is the given octant of a brick, at voxel ``low``. Undecided are the cameras with the octant's bit in
     ``mixed`` (n,). Votes are counted for all 64 voxels at once, in binary: the bits of a voxel's count are its bits
@@ -196,7 +196,7 @@ def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, wo
 
 @kernel
 def _at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyped-def]
-    """The voxels whose binary count is at least ``wanted``."""
+    """Return the voxels whose binary count is at least ``wanted``."""
     above, equal = more, ALL_BITS
     if wanted <= 0:
         return ALL_BITS
@@ -212,7 +212,7 @@ def _at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyp
 
 @kernel
 def _find_pixels(scene, camera, low, pixels):  # type: ignore[no-untyped-def]
-    """The flat pixel (64,) on which each voxel of a block of 4^3 lies; one beyond the canvas where there is none."""
+    """Write the flat pixel (64,) of each voxel of a block of 4^3; one beyond the canvas where there is none."""
     P, steps = scene.projections[camera], scene.voxel_steps[camera]
     x, y, z = float(low[0]), float(low[1]), float(low[2])
     u0 = P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]
@@ -230,7 +230,7 @@ def _find_pixels(scene, camera, low, pixels):  # type: ignore[no-untyped-def]
 
 @kernel
 def _look(labels, camera, pixels, label):  # type: ignore[no-untyped-def]
-    """The voxels (one word) whose pixel has a label."""
+    """Return the voxels (one word) whose pixel has a label."""
     word = np.uint64(0)
     for voxel in range(63, -1, -1):
         word += word + ((labels[camera, np.uint32(pixels[voxel])] >> np.uint64(label >> 1)) & np.uint64(1))

@@ -1,4 +1,12 @@
-"""The CPU backend: the exact hierarchical carve in float64. Needs no graphics hardware or driver."""
+"""Carves on the CPU: the exact hierarchical carve in float64. Needs no graphics hardware or driver.
+
+Blocks of 32, 8 and 4 voxels are classified by summed-area tables, and single voxels only where a block is mixed. For a
+camera and a block there are three outcomes: the camera sees every voxel of the block and none is foreground (the block
+is empty); it sees every voxel and all are foreground, or it sees none (settled: inside the block the camera is not
+asked again); anything else (undecided: asked again, closer). A camera settled as foreground counts as seeing.
+
+Sets of cameras are words whose bit s stands for camera ``scene.present[s]``.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +20,9 @@ from ..kernel import kernel
 from ..views import Immediate, Masks, RigViews
 from .carve_blocks import (
     EVERY_OCTANT,
+    classify_octants,
     count_votes,
     inside_word,
-    judge_octants,
     octant_steps,
     octants_inside,
     store_block,
@@ -32,153 +40,12 @@ from .pixel_boxes import (
 )
 from .silhouette_tables import Scene, Tabulator
 
-# --- The exact carve on the CPU: blocks of 32, 8 and 4 voxels judged by summed-area tables, voxels only where mixed.
-#
-# For a camera and a block there are three outcomes: it sees every voxel of the block and none is foreground (the block
-# is empty); it sees every voxel and all are foreground, or it sees none at all (settled: no need to look again inside
-# the block); anything else (undecided: look again, closer). A camera settled as foreground counts as seeing.
-#
-# Sets of cameras are words whose bit s stands for camera ``scene.present[s]``.
-
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
 
 
-class Work(NamedTuple):
-    """Scratch memory.
-
-    verdicts (coarse blocks, 2): how many cameras are settled about a block (or EMPTY), and the set of the undecided.
-    corners (128,), octant_box (40,), pixels (64,): see carve_octants and carve_votes.
-    possible, settled (8,): of each octant of a brick, how many cameras may be, and are, settled as foreground.
-    mixed (N,): the octants about which a camera is undecided, as bits.
-    """
-
-    verdicts: npt.NDArray[np.int64]
-    corners: npt.NDArray[np.float32]
-    octant_box: npt.NDArray[np.int32]
-    pixels: npt.NDArray[np.int32]
-    possible: npt.NDArray[np.int64]
-    settled: npt.NDArray[np.int64]
-    mixed: npt.NDArray[np.int64]
-
-    @classmethod
-    def make(cls, cameras: int, coarse_blocks: int) -> Work:
-        return cls(
-            verdicts=np.empty((coarse_blocks, 2), np.int64),
-            corners=np.empty(128, np.float32),
-            octant_box=np.empty(40, np.int32),
-            pixels=np.empty(64, np.int32),
-            possible=np.empty(8, np.int64),
-            settled=np.empty(8, np.int64),
-            mixed=np.empty(cameras, np.int64),
-        )
-
-
-@kernel
-def carve(scene: Scene, coarse: BlockBoxes, bricks: BlockBoxes, index, leaves, work: Work):  # type: ignore[no-untyped-def]
-    """Write the occupied bricks to ``index`` (k,), ascending, and ``leaves`` (k, 8); return k."""
-    everyone = (1 << scene.present.size) - 1
-    for block in range(work.verdicts.shape[0]):
-        work.verdicts[block, 0], work.verdicts[block, 1], _ = _judge(scene, coarse, block, 0, everyone)
-    found = 0
-    for z in range((scene.shape[2] + 7) // 8):
-        for y in range((scene.shape[1] + 7) // 8):
-            found = _carve_row(scene, bricks, y, z, index, leaves, found, work)
-    return found
-
-
-@kernel
-def _carve_row(scene, bricks, y, z, index, leaves, found, work):  # type: ignore[no-untyped-def]
-    """Carve a row of bricks along x; return the number of bricks found so far."""
-    nx, ny = (scene.shape[0] + 7) // 8, (scene.shape[1] + 7) // 8
-    coarse_nx, coarse_ny = (nx + 3) // 4, (ny + 3) // 4
-    for coarse_x in range(coarse_nx):
-        block = (z // 4 * coarse_ny + y // 4) * coarse_nx + coarse_x
-        settled, undecided = work.verdicts[block, 0], work.verdicts[block, 1]
-        if settled == EMPTY:
-            continue
-        for x in range(4 * coarse_x, min(4 * coarse_x + 4, nx)):
-            brick = (z * ny + y) * nx + x
-            verdict = _judge(scene, bricks, brick, settled, undecided)
-            if verdict[0] != EMPTY and _carve_brick(scene, (8 * x, 8 * y, 8 * z), verdict, leaves[found], work):
-                index[found] = brick
-                found += 1
-    return found
-
-
-@kernel
-def _judge(scene, boxes, block, settled, undecided):  # type: ignore[no-untyped-def]
-    """Judge a block by the cameras still undecided about the block around it.
-
-    Returns the number of cameras settled as foreground (or EMPTY), the bits of those undecided, and the bits of those
-    that may be blind to some of its voxels.
-    """
-    possible, partly_blind = settled, 0
-    for slot in range(scene.present.size):
-        if undecided >> slot & 1:
-            camera, bit = scene.present[slot], 1 << slot
-            sight = boxes.sight[camera, block]
-            u0, v0 = np.int64(boxes.pixels[camera, block, 0]), np.int64(boxes.pixels[camera, block, 1])
-            u1, v1 = np.int64(boxes.pixels[camera, block, 2]), np.int64(boxes.pixels[camera, block, 3])
-            filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-            if sight == SEEN and filled == 0:
-                return EMPTY, 0, 0
-            possible += filled > 0
-            all_foreground = sight == SEEN and filled == (u1 - u0) * (v1 - v0)
-            settled += all_foreground
-            undecided &= ~(bit * (all_foreground or sight == UNSEEN))
-            partly_blind |= bit * (sight != SEEN)
-    if possible < scene.min_seeing:
-        return EMPTY, 0, 0
-    return settled, undecided, partly_blind
-
-
-@kernel
-def _carve_brick(scene, corner, verdict, leaf, work):  # type: ignore[no-untyped-def]
-    """Carve the brick at voxel ``corner`` into its eight words; return whether any voxel is occupied."""
-    _, _, partly_blind = verdict
-    octants = octants_inside(corner, scene.shape) & _judge_octants(scene, corner, verdict, work)
-    leaf[:] = 0
-    occupied = False
-    for octant in range(8):
-        if octants >> octant & 1 and work.possible[octant] >= scene.min_seeing:
-            low = (corner[0] + (octant & 1) * 4, corner[1] + (octant >> 1 & 1) * 4, corner[2] + (octant >> 2) * 4)
-            inside, settled = inside_word(low, scene.shape), work.settled[octant]
-            word = count_votes(scene, low, octant, inside, settled, work.mixed, partly_blind, work)
-            occupied |= word != 0
-            store_block(word, octant, leaf)
-    return occupied
-
-
-@kernel
-def _judge_octants(scene, corner, verdict, work):  # type: ignore[no-untyped-def]
-    """Judge the octants of a brick by the cameras undecided about it; return the bits of those that are not empty.
-
-    Writes for each octant the number of cameras settled as foreground and of those that may be, and for each camera
-    the octants about which it remains undecided.
-    """
-    settled, undecided, partly_blind = verdict
-    work.possible[:] = settled
-    work.settled[:] = settled
-    left = EVERY_OCTANT
-    for slot in range(scene.present.size):
-        work.mixed[slot] = 0
-        if undecided >> slot & 1:
-            some, whole, seen, unseen = judge_octants(
-                scene, scene.present[slot], corner, not partly_blind >> slot & 1, work
-            )
-            left &= ~(seen & ~some)
-            if left == 0:
-                return left
-            for octant in range(8):
-                work.possible[octant] += some >> octant & 1
-                work.settled[octant] += whole >> octant & 1
-            work.mixed[slot] = EVERY_OCTANT & ~(whole | unseen)
-    return left
-
-
 class CpuCarver(Immediate):
-    """Carves on one core; the tables of the calibration are computed once, here. Not for two threads at a time."""
+    """Carves on one core; tables of the calibration are computed once. One thread at a time."""
 
     name = "cpu"
     device = "one CPU core"
@@ -208,17 +75,150 @@ class CpuCarver(Immediate):
         self._work = Work.make(len(views.names), self._coarse.sight.shape[1])
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """The hull of the silhouettes of one frame set, by the rule of :mod:`hull_server.views`.
+        """Carve the silhouettes of one frame set, by the rule of :mod:`hull_server.views`.
 
-        masks : one canvas mask (h, w) uint8 a camera, nonzero = foreground; absent cameras have no say.
+        masks : one canvas mask (h, w) uint8 a camera, nonzero = foreground; absent cameras are not asked.
         Raises InputError for an unknown camera or a mask of another size.
         """
         present = self.views.present(masks)
         filled = [self._tabulator.tabulate(camera, masks[self.views.names[camera]]) for camera in present]
-        smallest_first = present[np.argsort(filled, kind="stable")]  # who sees little foreground empties most blocks
+        smallest_first = present[np.argsort(filled, kind="stable")]  # cameras with little foreground empty most blocks
         scene = self._scene._replace(present=smallest_first, min_seeing=min_seeing)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)
         return BrickVolume(self.grid, self._index[:found].copy(), self._leaves[:found].copy())
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+class Work(NamedTuple):
+    """Scratch memory.
+
+    states (coarse blocks, 2): how many cameras are settled about a block (or EMPTY), and the set of the undecided.
+    corners (128,), octant_box (40,), pixels (64,): see :mod:`.carve_blocks`.
+    possible, settled (8,): of each octant of a brick, how many cameras may be, and are, settled as foreground.
+    mixed (N,): the octants about which a camera is undecided, as bits.
+    """
+
+    states: npt.NDArray[np.int64]
+    corners: npt.NDArray[np.float32]
+    octant_box: npt.NDArray[np.int32]
+    pixels: npt.NDArray[np.int32]
+    possible: npt.NDArray[np.int64]
+    settled: npt.NDArray[np.int64]
+    mixed: npt.NDArray[np.int64]
+
+    @classmethod
+    def make(cls, cameras: int, coarse_blocks: int) -> Work:
+        return cls(
+            states=np.empty((coarse_blocks, 2), np.int64),
+            corners=np.empty(128, np.float32),
+            octant_box=np.empty(40, np.int32),
+            pixels=np.empty(64, np.int32),
+            possible=np.empty(8, np.int64),
+            settled=np.empty(8, np.int64),
+            mixed=np.empty(cameras, np.int64),
+        )
+
+
+@kernel
+def carve(scene: Scene, coarse: BlockBoxes, bricks: BlockBoxes, index, leaves, work: Work):  # type: ignore[no-untyped-def]
+    """Write the occupied bricks to ``index`` (k,), ascending, and ``leaves`` (k, 8); return k."""
+    everyone = (1 << scene.present.size) - 1
+    for block in range(work.states.shape[0]):
+        work.states[block, 0], work.states[block, 1], _ = _classify(scene, coarse, block, 0, everyone)
+    found = 0
+    for z in range((scene.shape[2] + 7) // 8):
+        for y in range((scene.shape[1] + 7) // 8):
+            found = _carve_row(scene, bricks, y, z, index, leaves, found, work)
+    return found
+
+
+@kernel
+def _carve_row(scene, bricks, y, z, index, leaves, found, work):  # type: ignore[no-untyped-def]
+    """Carve a row of bricks along x; return the number of bricks found so far."""
+    nx, ny = (scene.shape[0] + 7) // 8, (scene.shape[1] + 7) // 8
+    coarse_nx, coarse_ny = (nx + 3) // 4, (ny + 3) // 4
+    for coarse_x in range(coarse_nx):
+        block = (z // 4 * coarse_ny + y // 4) * coarse_nx + coarse_x
+        settled, undecided = work.states[block, 0], work.states[block, 1]
+        if settled == EMPTY:
+            continue
+        for x in range(4 * coarse_x, min(4 * coarse_x + 4, nx)):
+            brick = (z * ny + y) * nx + x
+            state = _classify(scene, bricks, brick, settled, undecided)
+            if state[0] != EMPTY and _carve_brick(scene, (8 * x, 8 * y, 8 * z), state, leaves[found], work):
+                index[found] = brick
+                found += 1
+    return found
+
+
+@kernel
+def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyped-def]
+    """Classify a block by the cameras still undecided about the block around it.
+
+    Returns the number of cameras settled as foreground (or EMPTY), the bits of those undecided, and the bits of those
+    that may be blind to some of its voxels.
+    """
+    possible, partly_blind = settled, 0
+    for slot in range(scene.present.size):
+        if undecided >> slot & 1:
+            camera, bit = scene.present[slot], 1 << slot
+            sight = boxes.sight[camera, block]
+            u0, v0 = np.int64(boxes.pixels[camera, block, 0]), np.int64(boxes.pixels[camera, block, 1])
+            u1, v1 = np.int64(boxes.pixels[camera, block, 2]), np.int64(boxes.pixels[camera, block, 3])
+            filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
+            if sight == SEEN and filled == 0:
+                return EMPTY, 0, 0
+            possible += filled > 0
+            all_foreground = sight == SEEN and filled == (u1 - u0) * (v1 - v0)
+            settled += all_foreground
+            undecided &= ~(bit * (all_foreground or sight == UNSEEN))
+            partly_blind |= bit * (sight != SEEN)
+    if possible < scene.min_seeing:
+        return EMPTY, 0, 0
+    return settled, undecided, partly_blind
+
+
+@kernel
+def _carve_brick(scene, corner, state, leaf, work):  # type: ignore[no-untyped-def]
+    """Carve the brick at voxel ``corner`` into its eight words; return whether any voxel is occupied."""
+    _, _, partly_blind = state
+    octants = octants_inside(corner, scene.shape) & _classify_octants(scene, corner, state, work)
+    leaf[:] = 0
+    occupied = False
+    for octant in range(8):
+        if octants >> octant & 1 and work.possible[octant] >= scene.min_seeing:
+            low = (corner[0] + (octant & 1) * 4, corner[1] + (octant >> 1 & 1) * 4, corner[2] + (octant >> 2) * 4)
+            inside, settled = inside_word(low, scene.shape), work.settled[octant]
+            word = count_votes(scene, low, octant, inside, settled, work.mixed, partly_blind, work)
+            occupied |= word != 0
+            store_block(word, octant, leaf)
+    return occupied
+
+
+@kernel
+def _classify_octants(scene, corner, state, work):  # type: ignore[no-untyped-def]
+    """Classify the octants of a brick by the cameras undecided about it; return the bits of those that are not empty.
+
+    Writes for each octant the number of cameras settled as foreground and of those that may be, and for each camera
+    the octants about which it remains undecided.
+    """
+    settled, undecided, partly_blind = state
+    work.possible[:] = settled
+    work.settled[:] = settled
+    left = EVERY_OCTANT
+    for slot in range(scene.present.size):
+        work.mixed[slot] = 0
+        if undecided >> slot & 1:
+            some, whole, seen, unseen = classify_octants(
+                scene, scene.present[slot], corner, not partly_blind >> slot & 1, work
+            )
+            left &= ~(seen & ~some)
+            if left == 0:
+                return left
+            for octant in range(8):
+                work.possible[octant] += some >> octant & 1
+                work.settled[octant] += whole >> octant & 1
+            work.mixed[slot] = EVERY_OCTANT & ~(whole | unseen)
+    return left

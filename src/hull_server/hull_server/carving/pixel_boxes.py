@@ -1,4 +1,4 @@
-"""Where blocks of voxels land in each camera's image: pixel boxes that are computed once per calibration."""
+"""Projects blocks of voxels to each camera's image: pixel boxes, computed once per calibration, and sums over them."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ class BlockBoxes(NamedTuple):
 
 
 def pixel_projections(views: RigViews, grid: VoxelGrid) -> npt.NDArray[np.float64]:
-    """(N, 3, 4) projections of voxel indices (i, j, k, 1) such that the pixel is floor(u / w), floor(v / w)."""
+    """Return projections (N, 3, 4) of voxel indices (i, j, k, 1) such that the pixel is floor(u / w), floor(v / w)."""
     P = grid.projection_from_voxels(views.P)
     P[:, :2] += 0.5 * P[:, 2:]  # floor(x + 0.5)
     return np.ascontiguousarray(P)
 
 
 def summed_area(images: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
-    """(N, H + 1, W + 1) summed-area tables of the nonzero pixels of (N, H, W) images."""
+    """Return summed-area tables (N, H + 1, W + 1) of the nonzero pixels of (N, H, W) images."""
     tables = np.zeros((images.shape[0], images.shape[1] + 1, images.shape[2] + 1), np.int32)
     np.cumsum(np.cumsum(images != 0, axis=1, dtype=np.int32), axis=2, out=tables[:, 1:, 1:])
     return tables
 
 
 def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDArray[np.int32]) -> BlockBoxes:
-    """The boxes of all blocks of ``edge`` voxels a side, x fastest; ``seen_table`` is summed_area(views.seen)."""
+    """Compute the boxes of all blocks of ``edge`` voxels a side, x fastest; ``seen_table`` is
+    summed_area(views.seen)."""
     blocks = [-(-count // edge) for count in grid.shape]
     pixels = np.empty((len(views.names), int(np.prod(blocks)), 4), np.int16)
     sight = np.empty(pixels.shape[:2], np.uint8)
@@ -53,7 +54,8 @@ def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDA
 
 
 def rows_within_reach(boxes: BlockBoxes, shape: tuple[int, int, int]) -> npt.NDArray[np.int64]:
-    """(N, H, 2) the part of each row of the canvases (N, H, W) on which voxels can lie: from and to, in 8 pixels."""
+    """Find the part of each row of the canvases (N, H, W) on which voxels can lie: (N, H, 2) from and to, in 8
+    pixels."""
     reach = np.zeros((shape[0], shape[1], 2), np.int64)
     reach[:, :, 0] = shape[2] // 8
     _fill_reach(boxes.pixels, reach)
@@ -82,12 +84,12 @@ def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, sight):  #
             u0, v0, u1, v1, inside = _project_block(projections[camera], (i, j, k), high, sizes[camera])
             pixels[camera, block, 0], pixels[camera, block, 1] = u0, v0
             pixels[camera, block, 2], pixels[camera, block, 3] = u1, v1
-            sight[camera, block] = _judge_sight(seen_tables, camera, u0, v0, u1, v1, inside)
+            sight[camera, block] = _classify_sight(seen_tables, camera, u0, v0, u1, v1, inside)
 
 
 @kernel
 def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
-    """The clipped pixel box of the voxels from ``low`` to ``high`` (inclusive), and whether nothing was clipped.
+    """Return the clipped pixel box of the voxels ``low`` to ``high`` (inclusive), and whether nothing was clipped.
 
     A projection maps the convex hull of the eight corner centres to the convex hull of their images as long as all
     are in front of the camera; a block across the camera's plane gets the whole canvas.
@@ -116,8 +118,8 @@ def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _judge_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
-    """Whether a camera sees none, all, or perhaps some of the voxels whose pixel box this is."""
+def _classify_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
+    """Classify whether a camera sees none, all, or perhaps some of the voxels of a pixel box."""
     seen = count_in_box(seen_tables, camera, u0, v0, u1, v1)
     if seen == 0:
         return UNSEEN
@@ -126,7 +128,7 @@ def _judge_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[n
 
 @kernel
 def count_in_box(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
-    """Pixels of a pixel box that a camera sees."""
+    """Count the pixels of a summed-area table in a pixel box."""
     if u1 <= u0 or v1 <= v0:
         return 0
     return tables[camera, v1, u1] - tables[camera, v0, u1] - tables[camera, v1, u0] + tables[camera, v0, u0]
@@ -134,7 +136,7 @@ def count_in_box(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def
 
 @kernel
 def foreground_in(boxes, tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
-    """Foreground pixels in a pixel box; ``tables`` count those of the foreground ``boxes``, from their corners."""
+    """Count the foreground pixels in a pixel box; ``tables`` cover the foreground ``boxes``, from their corners."""
     left, top = boxes[camera, 0], boxes[camera, 1]
     width, height = boxes[camera, 2] - left, boxes[camera, 3] - top
     a0, a1 = min(max(u0 - left, 0), width), min(max(u1 - left, 0), width)

@@ -1,4 +1,4 @@
-"""What the CPU carve reads: the calibration's tables, and the silhouettes of one frame set, labelled and summed."""
+"""The tables that the CPU carve reads: of the calibration, and of one frame set's silhouettes, labelled and summed."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..kernel import kernel
+from ..kernel import kernel, nonzero_bytes
 
-BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # what a camera says of a pixel
+BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels
 
-LOW_BYTES = np.uint64(0x7F7F7F7F7F7F7F7F)
 ONE_BYTES = np.uint64(0x0101010101010101)
 
 
 class Scene(NamedTuple):
-    """What one carve reads: the calibration (fixed) and the silhouettes of one frame set.
+    """The calibration (fixed) and the silhouettes of one frame set.
 
     projections (N, 3, 4): voxel index to pixel. sizes (N, 2): canvases. seen_table (N, H + 1, W + 1).
-    voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see carve_votes and carve_octants.
+    voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see :mod:`.carve_blocks`.
     labels (N, H * W + 8): BACKGROUND, FOREGROUND or BLIND for every pixel, and BLIND for all that lies outside.
     stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
     foreground_table (N, (H + 1) * (W + 1)): summed areas of the foreground inside that box, from its corner, row after
@@ -43,7 +42,7 @@ class Scene(NamedTuple):
 
 
 class Tabulator:
-    """Labels and summed areas of the silhouettes of one frame set after another.
+    """Tabulates labels and summed areas of silhouettes, one frame set after another.
 
     seen (N, H, W) uint8, nonzero where a camera sees; reach (N, H, 2): words of each row on which voxels can lie:
     foreground elsewhere does not matter. labels, box, table : see Scene; of the last silhouette of each camera.
@@ -64,13 +63,13 @@ class Tabulator:
         ]
 
     def tabulate(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
-        """Take in a camera's silhouette (h, w); return the number of its foreground pixels."""
+        """Tabulate a camera's silhouette (h, w); return the number of its foreground pixels."""
         return int(_tabulate(np.ascontiguousarray(mask).view(np.uint64), *self._of_camera[camera]))
 
 
 @kernel
 def _tabulate(mask_words, reach, seen_words, label_words, table, box, ones, one_bytes, sums):  # type: ignore[no-untyped-def]
-    """Labels and summed areas of one silhouette, touching only a box that holds its foreground.
+    """Tabulate one silhouette, touching only a box that holds its foreground.
 
     mask_words (h, w / 8), seen_words and label_words (H, W / 8): images of bytes, eight pixels to a word. label_words
     and box (4,) come with what the frame before left in them. ones (W / 8,), sums (W,): scratch; one_bytes (W,) are
@@ -96,8 +95,7 @@ def _label_row(mask_words, seen_words, label_words, ones):  # type: ignore[no-un
     """Label part of a row; ``ones`` gets 1 in every byte that is foreground."""
     for word in range(mask_words.size):
         pixels, seen = mask_words[word], seen_words[word]
-        nonzero = ((pixels & LOW_BYTES) + LOW_BYTES | pixels) >> np.uint64(7)  # in the lowest bit of each byte
-        ones[word] = nonzero & seen
+        ones[word] = nonzero_bytes(pixels) & seen
         label_words[word] = _label(seen) | ones[word]  # FOREGROUND is 1
 
 
@@ -115,7 +113,7 @@ def _sum_row(row, sums, areas):  # type: ignore[no-untyped-def]
 
 @kernel
 def _forget(label_words, seen_words, box, left, top, right, bottom):  # type: ignore[no-untyped-def]
-    """Label the foreground box of the frame before as if empty, but for what is about to be labelled anew."""
+    """Label the foreground box of the frame before as empty, except for the part that is labelled next."""
     first, last = box[0] // 8, box[2] // 8
     for v in range(box[1], box[3]):
         if v < top or v >= bottom:
@@ -133,13 +131,13 @@ def _clear(label_words, seen_words):  # type: ignore[no-untyped-def]
 
 @kernel
 def _label(seen):  # type: ignore[no-untyped-def]
-    """BACKGROUND (0) in every byte that is seen, BLIND in the others."""
+    """Return BACKGROUND (0) in every byte that is seen, BLIND in the others."""
     return (~seen & ONE_BYTES) << np.uint64(BLIND - 1)
 
 
 @kernel
 def _foreground_bounds(words, reach):  # type: ignore[no-untyped-def]
-    """From and to, in words and rows, of all that is nonzero within reach."""
+    """Bound all that is nonzero within reach: left, top, right, bottom, in words and rows."""
     left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
     for v in range(words.shape[0]):
         row = words[v, reach[v, 0] : reach[v, 1]]

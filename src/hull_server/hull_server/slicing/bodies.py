@@ -1,4 +1,4 @@
-"""Separate bodies: parts of the hull that do not touch, how large they are, and who is who from set to set."""
+"""Separates bodies: measures the parts of the hull that do not touch, and numbers the large ones from set to set."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NOBODY = -1
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """The b parts of the hull large enough to be somebody, largest first. Metres, map frame.
+    """The b parts of the hull large enough to be a person, largest first. Metres, map frame.
 
     litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
-    number : (b,) int32, who it is: 0, 1, ...; the same person keeps a number (see :class:`BodyTracker`).
+    number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
     number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a part that is no
         body itself, that of the body with the nearest box; NOBODY for all where there is no body. It numbers the
         rows of centerline, voxels and contour rays.
@@ -52,14 +52,14 @@ class Parts:
 
 
 class BodyTracker:
-    """Gives bodies numbers that last.
+    """Numbers bodies consistently from set to set.
 
     Each set's bodies take the numbers of the nearest bodies before them, the nearest pair first, none farther than
-    ``max_jump_m``; the others take the lowest free numbers, larger bodies first. A body that is not there keeps its
+    ``max_jump_m``; the others take the lowest free numbers, larger bodies first. A body that is not seen keeps its
     place and number for ``forget_s``.
 
-    Two people who touch are one part of the hull, thus one body, with one of their numbers. Where they part again each
-    gets the nearest number: who was who is not known from the hull alone.
+    Two people who touch are one part of the hull, thus one body with one of their numbers. When they part, each gets
+    the nearest number: the hull alone cannot tell them apart.
     """
 
     def __init__(self, settings: BodySettings) -> None:
@@ -67,7 +67,7 @@ class BodyTracker:
         self._known: dict[int, tuple[int, Array]] = {}  # number: stamp when last seen, and centroid_world (3,)
 
     def step(self, stamp_ns: int, runs: HullRuns, grid: VoxelGrid) -> Bodies:
-        """The bodies of one hull, numbered. A stamp before the last one starts afresh."""
+        """Number the bodies of one hull. A stamp before the last one forgets all bodies."""
         parts = measure_parts(runs, grid)
         order = np.argsort(-parts.litres, kind="stable")
         chosen = order[parts.litres[order] >= self._settings.min_litres]
@@ -80,7 +80,7 @@ class BodyTracker:
         return Bodies(parts.litres[chosen], centroid, low, high, number, number_of_part)
 
     def reset(self) -> None:
-        """Forget everybody."""
+        """Forget all bodies."""
         self._known.clear()
 
     def _numbers(self, stamp_ns: int, centroid_world: Array) -> npt.NDArray[np.int32]:
@@ -102,7 +102,7 @@ class BodyTracker:
 
 
 def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:
-    """Volume, place and extent of every part of the hull, however small."""
+    """Measure volume, place and extent of every part of the hull, however small."""
     layers, rows, _ = runs.words.shape
     parts = int(runs.part.max()) + 1 if len(runs.part) else 0
     sums, low, high = _sum_parts(runs.starts, runs.ends, runs.first, runs.part, layers, rows, parts)
@@ -117,7 +117,7 @@ def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:
 
 @njit(cache=True, nogil=True)
 def _sum_parts(starts, ends, first, part, layers, rows, parts):  # type: ignore[no-untyped-def]
-    """Sums (p, 4) of 1, x, y, z over the voxels of each part, its lowest voxel and the one beyond its highest."""
+    """Sum 1, x, y, z over the voxels of each part (p, 4); find its lowest voxel and the one beyond its highest."""
     sums = np.zeros((parts, 4))
     low, high = np.full((parts, 3), 1 << 30), np.zeros((parts, 3), np.int64)
     for s in range(layers):
@@ -135,7 +135,7 @@ def _sum_parts(starts, ends, first, part, layers, rows, parts):  # type: ignore[
 
 
 def _nearest_box(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """(p,) place in ``chosen`` of the nearest of the chosen parts, by the gap between boxes, then by centroids."""
+    """Find the nearest of the chosen parts (p,), by the gap between boxes, then by centroids."""
     low, high, centroid = parts.low_world[:, None], parts.high_world[:, None], parts.centroid_world[:, None]
     gaps = np.maximum(np.maximum(low - parts.high_world[chosen], parts.low_world[chosen] - high), 0.0)
     apart = np.linalg.norm(centroid - parts.centroid_world[chosen], axis=-1)

@@ -1,8 +1,9 @@
-"""Skeletonisation, first half (thesis 3.2): the blobs of all slices along x, y and z at once.
+"""Skeletonisation (thesis 3.2): the blobs of all slices along x, y and z, and of these the centerline points.
 
 A blob is a connected component (8 neighbours) of one slice. Slices are never drawn: each row of voxels becomes a few
 runs of consecutive voxels, runs that touch in neighbouring rows join, and the area, centroid and second moments of a
 blob are sums of closed forms over its runs. Rows along x serve the slices across z and y, rows along y those across x.
+The centroids of the blobs that look like a limb cut across are the centerline.
 """
 
 from __future__ import annotations
@@ -20,127 +21,15 @@ from ..grid import Array, BrickVolume, VoxelGrid
 from ..settings import BlobSettings
 from .voxel_runs import brick_box, erode, find_runs, join_in_slices, join_in_space, pack_rows, run_at
 
-# --- The blobs of the slices across one axis: areas, centroids, second moments, and how they go on in the next slices.
-
-
-@njit(cache=True, nogil=True)
-def sum_blobs(runs, joined, layers, rows, across_layers, step):  # type: ignore[no-untyped-def]
-    """Slice (n,), sums of 1, u, v, 6 uu, vv, uv (n, 6), growth (n,) and first voxel as (u, row, layer) (n, 3) of the
-    blobs, ordered by slice and first voxel; u counts along the runs, v across them inside the slice.
-
-    runs : as :func:`hull_server.slicing.voxel_runs.find_runs` gives them. joined : as ``join_in_slices`` does.
-    The sums are whole numbers far below 2**53, so float64 holds them exactly.
-    """
-    starts, ends, first, filled = runs
-    labels, forest = joined
-    sums, voxel = _sum_labels(starts, ends, first, filled, rows, across_layers, labels, forest.size)
-    for label in range(forest.size - 1, -1, -1):
-        if forest[label] != label:
-            for k in range(6):
-                sums[forest[label], k] += sums[label, k]
-    blob_of_label, count = _order(forest, voxel, 1 if across_layers else 2, rows if across_layers else layers)
-    slices, ordered, corner = np.empty(count, np.int32), np.empty((count, 6)), np.empty((count, 3), np.int32)
-    for label in range(forest.size):
-        blob = blob_of_label[label]
-        if forest[label] == label:
-            slices[blob] = voxel[label, 1 if across_layers else 2]
-            for k in range(6):
-                ordered[blob, k] = sums[label, k]
-            for k in range(3):
-                corner[blob, k] = voxel[label, k]
-        else:
-            blob_of_label[label] = blob_of_label[forest[label]]
-    growth = _growth(runs, layers, rows, across_layers, step, slices, ordered, labels, blob_of_label)
-    return slices, ordered, growth, corner
-
-
-@njit(cache=True, nogil=True)
-def _sum_labels(starts, ends, first, filled, rows, across_layers, labels, count):  # type: ignore[no-untyped-def]
-    """Sums (count, 6) over the runs of each label, and its first voxel (count, 3)."""
-    sums, voxel = np.zeros((count, 6)), np.empty((count, 3), np.int32)
-    s, row_zero = 0, 0
-    for line in filled:
-        while line >= row_zero + rows:
-            s, row_zero = s + 1, row_zero + rows
-        r = line - row_zero
-        v = float(s if across_layers else r)
-        for run in range(first[line], first[line + 1]):
-            label = labels[run]
-            a, b = float(starts[run]), float(ends[run]) - 1.0
-            n = b - a + 1.0
-            u = (a + b) * n * 0.5
-            if sums[label, 0] == 0:
-                voxel[label, 0], voxel[label, 1], voxel[label, 2] = starts[run], r, s
-            sums[label, 0] += n
-            sums[label, 1] += u
-            sums[label, 2] += v * n
-            sums[label, 3] += b * (b + 1.0) * (2.0 * b + 1.0) - (a - 1.0) * a * (2.0 * a - 1.0)
-            sums[label, 4] += v * v * n
-            sums[label, 5] += v * u
-    return sums, voxel
-
-
-@njit(cache=True, nogil=True)
-def _order(forest, voxel, slice_column, slices):  # type: ignore[no-untyped-def]
-    """Place (n,) of each root when roots are sorted by slice, first voxels in order; and the number of roots."""
-    place = np.zeros(slices + 1, np.int32)
-    for label in range(forest.size):
-        if forest[label] == label:
-            place[voxel[label, slice_column] + 1] += 1
-    for number in range(slices):
-        place[number + 1] += place[number]
-    order = np.full(forest.size, -1, np.int32)
-    for label in range(forest.size):
-        if forest[label] == label:
-            order[label] = place[voxel[label, slice_column]]
-            place[voxel[label, slice_column]] += 1
-    return order, place[slices]
-
-
-@njit(cache=True, nogil=True)
-def _growth(runs, layers, rows, across_layers, step, slices, sums, labels, blob_of_label):  # type: ignore[no-untyped-def]
-    """(n,) the larger of the areas beyond the centroid, ``step`` slices to either side, over the blob's own."""
-    starts, ends, first, _ = runs
-    growth = np.empty(slices.size)
-    depth = rows if across_layers else layers
-    for blob in range(slices.size):
-        u, v = int(sums[blob, 1] / sums[blob, 0] + 0.5), int(sums[blob, 2] / sums[blob, 0] + 0.5)
-        largest = 0.0
-        for beyond in (slices[blob] - step, slices[blob] + step):
-            run = -1
-            if 0 <= beyond < depth:
-                line = v * rows + beyond if across_layers else beyond * rows + v
-                run = run_at(starts, ends, first, line, u)
-            largest = max(largest, np.inf if run < 0 else sums[blob_of_label[labels[run]], 0])
-        growth[blob] = largest / sums[blob, 0]
-    return growth
-
-
-@njit(cache=True, nogil=True)
-def join_tables(across_x, across_y, across_z):  # type: ignore[no-untyped-def]
-    """Axis, area, centroid, covariance, growth, and first voxel (i, j, k) of all blobs; see BlobTable."""
-    count = across_x[0].size + across_y[0].size + across_z[0].size
-    axis, area, growth = np.empty(count, np.uint8), np.empty(count), np.empty(count)
-    centroid, covariance, voxel = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3), np.int32)
-    row = 0
-    for number, along, across, table in ((0, 1, 2, across_x), (1, 0, 2, across_y), (2, 0, 1, across_z)):
-        slices, sums, grown, corner = table
-        for blob in range(slices.size):
-            axis[row], area[row], growth[row] = number, sums[blob, 0], grown[blob]
-            u, v = sums[blob, 1] / area[row], sums[blob, 2] / area[row]
-            centroid[row, number], centroid[row, along], centroid[row, across] = slices[blob], u, v
-            covariance[row, 0] = sums[blob, 3] / 6.0 / area[row] - u * u
-            covariance[row, 1] = sums[blob, 4] / area[row] - v * v
-            covariance[row, 2] = sums[blob, 5] / area[row] - u * v
-            voxel[row, 0], voxel[row, 1], voxel[row, 2] = corner[blob, 0], corner[blob, 1], corner[blob, 2]
-            if number == 0:  # runs along y lie in rows of one x
-                voxel[row, 0], voxel[row, 1] = corner[blob, 1], corner[blob, 0]
-            row += 1
-    return axis, area, centroid, covariance, growth, voxel
-
-
 GROWTH_STEP_M = 0.02
 VOXEL_VARIANCE = 1.0 / 12.0  # of a unit interval: what a blob of a single voxel has along each side
+
+# noise model of a centerline point, fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py)
+SIGMA_BASE_M = 0.001
+SIGMA_PER_RADIUS = 0.050
+SIGMA_PER_MISSING_FILL_M = 0.050
+SIGMA_PER_GROWTH_M = 0.005
+FULL = 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,17 +56,6 @@ class BlobTable:
     def __len__(self) -> int:
         return len(self.axis)
 
-    def elongation(self) -> Array:
-        """(n,) ratio of the principal axes, at least 1 (thesis fig. 3.4)."""
-        return blob_shapes(self.area, self.covariance)[0]
-
-    def fill(self) -> Array:
-        """(n,) area over that of the ellipse with the same second moments: 1 for an ellipse, 0.95 for a rectangle.
-
-        Low for a blob that is not convex, or that merges two: its centroid may lie outside of it (thesis 3.2).
-        """
-        return blob_shapes(self.area, self.covariance)[1]
-
 
 @dataclass(frozen=True, eq=False)
 class HullRuns:
@@ -199,19 +77,14 @@ class HullRuns:
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """A hull seen as blobs of its slices and as runs of voxels."""
+    """A hull as the blobs of its slices, and as runs of voxels."""
 
     blobs: BlobTable
     runs: HullRuns
 
 
-def slice_blobs(volume: BrickVolume, erosion_voxels: int = 0, step_m: float = GROWTH_STEP_M) -> BlobTable:
-    """The blobs alone; see :func:`slice_hull`."""
-    return slice_hull(volume, erosion_voxels, step_m).blobs
-
-
 def slice_hull(volume: BrickVolume, erosion_voxels: int = 0, step_m: float = GROWTH_STEP_M) -> Slices:
-    """All blobs of all slices across x, y and z, and the parts of the hull that they belong to.
+    """Find all blobs of all slices across x, y and z, and the parts of the hull that they belong to.
 
     erosion_voxels : times each slice is eroded (4 neighbours) before its blobs are found; parts are not eroded.
     step_m : least distance of the slices that ``growth`` compares; at least a voxel.
@@ -223,9 +96,32 @@ def slice_hull(volume: BrickVolume, erosion_voxels: int = 0, step_m: float = GRO
     return Slices(BlobTable(*columns), HullRuns(*runs))
 
 
+def find_centerline(
+    blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings, number_of_part: npt.NDArray[np.int32] | None = None
+) -> Centerline:
+    """Select the blobs that are large, round and convex enough to be a limb or trunk cut across; return their
+    centroids.
+
+    Points are in the order of the blob table and carry the number of their part's body (see
+    :class:`hull_server.slicing.bodies.Bodies`); without ``number_of_part``, that of the part itself.
+
+    Beyond the thesis: where a limb is cut across, the next slices show nearly the same blob. The tip of a limb, the top
+    of a head, the edge of a shoulder are as round, but end on one side and grow on the other (``max_growth``).
+    """
+    limits = (
+        filters.min_area_m2 / grid.voxel_size**2 * (1 - 1e-9),  # a whole number of voxels may equal the limit
+        filters.max_elongation,
+        filters.min_fill,
+        filters.max_growth or float("inf"),
+    )
+    columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
+    *values, part = _select(*columns, limits, grid.origin, grid.voxel_size)
+    return Centerline(*values, part if number_of_part is None else number_of_part[part])
+
+
 @njit(cache=True, nogil=True)
 def _slice(index, leaves, bricks_x, bricks_y, erosions, step):  # type: ignore[no-untyped-def]
-    """Columns of the blob table, and of the runs."""
+    """Compute the columns of the blob table, and of the runs."""
     box = brick_box(index, bricks_x, bricks_y)
     low = 8 * np.array([box[0], box[1], box[2]])
     along_x, along_y = pack_rows(index, leaves, bricks_x, bricks_y, box)
@@ -254,7 +150,7 @@ def _slice(index, leaves, bricks_x, bricks_y, erosions, step):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def _eroded(words, runs, joined, erosions, across_layers):  # type: ignore[no-untyped-def]
-    """Runs and joined labels of the eroded rows; those given where there is nothing to erode."""
+    """Erode the rows; return their runs and joined labels, or those given if there is nothing to erode."""
     if erosions == 0:
         return runs, joined
     for _ in range(erosions):
@@ -264,58 +160,138 @@ def _eroded(words, runs, joined, erosions, across_layers):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def blob_shapes(area, covariance):  # type: ignore[no-untyped-def]
-    """Elongation (n,) and fill (n,) of blobs."""
-    elongation, fill = np.empty(area.size), np.empty(area.size)
-    for n in range(area.size):
-        elongation[n], fill[n] = shape_of(area[n], covariance[n, 0], covariance[n, 1], covariance[n, 2])
-    return elongation, fill
+def sum_blobs(runs, joined, layers, rows, across_layers, step):  # type: ignore[no-untyped-def]
+    """Sum up the blobs of the slices across one axis, ordered by slice and first voxel.
+
+    Returns slice (n,), sums of 1, u, v, 6 uu, vv, uv (n, 6), growth (n,) and first voxel as (u, row, layer) (n, 3); u
+    counts along the runs, v across them inside the slice. runs, joined : of ``find_runs`` and ``join_in_slices``.
+    The sums are whole numbers far below 2**53, so float64 holds them exactly.
+    """
+    starts, ends, first, filled = runs
+    labels, forest = joined
+    sums, voxel = _sum_labels(starts, ends, first, filled, rows, across_layers, labels, forest.size)
+    for label in range(forest.size - 1, -1, -1):
+        if forest[label] != label:
+            for k in range(6):
+                sums[forest[label], k] += sums[label, k]
+    blob_of_label, count = _order(forest, voxel, 1 if across_layers else 2, rows if across_layers else layers)
+    slices, ordered, corner = np.empty(count, np.int32), np.empty((count, 6)), np.empty((count, 3), np.int32)
+    for label in range(forest.size):
+        blob = blob_of_label[label]
+        if forest[label] == label:
+            slices[blob] = voxel[label, 1 if across_layers else 2]
+            for k in range(6):
+                ordered[blob, k] = sums[label, k]
+            for k in range(3):
+                corner[blob, k] = voxel[label, k]
+        else:
+            blob_of_label[label] = blob_of_label[forest[label]]
+    growth = _growth(runs, layers, rows, across_layers, step, slices, ordered, labels, blob_of_label)
+    return slices, ordered, growth, corner
+
+
+@njit(cache=True, nogil=True)
+def _sum_labels(starts, ends, first, filled, rows, across_layers, labels, count):  # type: ignore[no-untyped-def]
+    """Sum over the runs of each label (count, 6); also find its first voxel (count, 3)."""
+    sums, voxel = np.zeros((count, 6)), np.empty((count, 3), np.int32)
+    s, row_zero = 0, 0
+    for line in filled:
+        while line >= row_zero + rows:
+            s, row_zero = s + 1, row_zero + rows
+        r = line - row_zero
+        v = float(s if across_layers else r)
+        for run in range(first[line], first[line + 1]):
+            label = labels[run]
+            a, b = float(starts[run]), float(ends[run]) - 1.0
+            n = b - a + 1.0
+            u = (a + b) * n * 0.5
+            if sums[label, 0] == 0:
+                voxel[label, 0], voxel[label, 1], voxel[label, 2] = starts[run], r, s
+            sums[label, 0] += n
+            sums[label, 1] += u
+            sums[label, 2] += v * n
+            sums[label, 3] += b * (b + 1.0) * (2.0 * b + 1.0) - (a - 1.0) * a * (2.0 * a - 1.0)
+            sums[label, 4] += v * v * n
+            sums[label, 5] += v * u
+    return sums, voxel
+
+
+@njit(cache=True, nogil=True)
+def _order(forest, voxel, slice_column, slices):  # type: ignore[no-untyped-def]
+    """Sort the roots by slice, then first voxel: the place (n,) of each, and the number of roots."""
+    place = np.zeros(slices + 1, np.int32)
+    for label in range(forest.size):
+        if forest[label] == label:
+            place[voxel[label, slice_column] + 1] += 1
+    for number in range(slices):
+        place[number + 1] += place[number]
+    order = np.full(forest.size, -1, np.int32)
+    for label in range(forest.size):
+        if forest[label] == label:
+            order[label] = place[voxel[label, slice_column]]
+            place[voxel[label, slice_column]] += 1
+    return order, place[slices]
+
+
+@njit(cache=True, nogil=True)
+def _growth(runs, layers, rows, across_layers, step, slices, sums, labels, blob_of_label):  # type: ignore[no-untyped-def]
+    """Divide the larger of the areas ``step`` slices to either side of the centroid by the blob's own (n,)."""
+    starts, ends, first, _ = runs
+    growth = np.empty(slices.size)
+    depth = rows if across_layers else layers
+    for blob in range(slices.size):
+        u, v = int(sums[blob, 1] / sums[blob, 0] + 0.5), int(sums[blob, 2] / sums[blob, 0] + 0.5)
+        largest = 0.0
+        for beyond in (slices[blob] - step, slices[blob] + step):
+            run = -1
+            if 0 <= beyond < depth:
+                line = v * rows + beyond if across_layers else beyond * rows + v
+                run = run_at(starts, ends, first, line, u)
+            largest = max(largest, np.inf if run < 0 else sums[blob_of_label[labels[run]], 0])
+        growth[blob] = largest / sums[blob, 0]
+    return growth
+
+
+@njit(cache=True, nogil=True)
+def join_tables(across_x, across_y, across_z):  # type: ignore[no-untyped-def]
+    """Join the blobs of three axes: axis, area, centroid, covariance, growth, first voxel (i, j, k); see BlobTable."""
+    count = across_x[0].size + across_y[0].size + across_z[0].size
+    axis, area, growth = np.empty(count, np.uint8), np.empty(count), np.empty(count)
+    centroid, covariance, voxel = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3), np.int32)
+    row = 0
+    for number, along, across, table in ((0, 1, 2, across_x), (1, 0, 2, across_y), (2, 0, 1, across_z)):
+        slices, sums, grown, corner = table
+        for blob in range(slices.size):
+            axis[row], area[row], growth[row] = number, sums[blob, 0], grown[blob]
+            u, v = sums[blob, 1] / area[row], sums[blob, 2] / area[row]
+            centroid[row, number], centroid[row, along], centroid[row, across] = slices[blob], u, v
+            covariance[row, 0] = sums[blob, 3] / 6.0 / area[row] - u * u
+            covariance[row, 1] = sums[blob, 4] / area[row] - v * v
+            covariance[row, 2] = sums[blob, 5] / area[row] - u * v
+            voxel[row, 0], voxel[row, 1], voxel[row, 2] = corner[blob, 0], corner[blob, 1], corner[blob, 2]
+            if number == 0:  # runs along y lie in rows of one x
+                voxel[row, 0], voxel[row, 1] = corner[blob, 1], corner[blob, 0]
+            row += 1
+    return axis, area, centroid, covariance, growth, voxel
 
 
 @njit(cache=True, nogil=True)
 def shape_of(area, uu, vv, uv):  # type: ignore[no-untyped-def]
-    """Elongation and fill of one blob, from the principal variances of its voxels as squares, not points."""
+    """Return elongation and fill of one blob, from the principal variances of its voxels as squares, not points.
+
+    Elongation is the ratio of the principal axes, at least 1 (thesis fig. 3.4). Fill is the area over that of the
+    ellipse with the same second moments: 1 for an ellipse, 0.95 for a rectangle, less for a blob that is not convex or
+    that merges two, whose centroid may lie outside of it (thesis 3.2).
+    """
     middle = (uu + vv) / 2 + VOXEL_VARIANCE
     radius = np.sqrt(((uu - vv) / 2) ** 2 + uv**2)
     larger, smaller = middle + radius, max(middle - radius, VOXEL_VARIANCE / 2)
     return np.sqrt(larger / smaller), area / (4 * np.pi * np.sqrt(larger * smaller))
 
 
-# --- Skeletonisation, second half (thesis 3.2): the blobs that look like a limb cut across, as centerline points.
-
-# fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py measures how honest it is)
-SIGMA_BASE_M = 0.001
-SIGMA_PER_RADIUS = 0.050
-SIGMA_PER_MISSING_FILL_M = 0.050
-SIGMA_PER_GROWTH_M = 0.005
-FULL = 0.97
-
-
-def find_centerline(
-    blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings, number_of_part: npt.NDArray[np.int32] | None = None
-) -> Centerline:
-    """The centroids of the blobs that are large, round and convex enough to be a limb or trunk cut across.
-
-    Points are in the order of the blob table and carry the number of their part's body (see
-    :class:`hull_server.slicing.bodies.Bodies`); without ``number_of_part``, that of the part itself.
-
-    Beyond the thesis: where a limb is cut across, the next slices show nearly the same blob. The tip of a limb, a slice
-    off a head, a shoulder cut at its rim are as round, but end on one side and grow on the other (``max_growth``).
-    """
-    limits = (
-        filters.min_area_m2 / grid.voxel_size**2 * (1 - 1e-9),  # a whole number of voxels may equal the limit
-        filters.max_elongation,
-        filters.min_fill,
-        filters.max_growth or float("inf"),
-    )
-    columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
-    *values, part = _select(*columns, limits, grid.origin, grid.voxel_size)
-    return Centerline(*values, part if number_of_part is None else number_of_part[part])
-
-
 @njit(cache=True, nogil=True)
 def _select(axis, area, centroid, covariance, growth, part, limits, origin, voxel_m):  # type: ignore[no-untyped-def]
-    """The columns of the centerline."""
+    """Compute the columns of the centerline."""
     min_area, max_elongation, min_fill, max_growth = limits
     kept, shape, count = np.empty(area.size, np.int64), np.empty((area.size, 2)), 0
     for n in range(area.size):
@@ -335,10 +311,10 @@ def _select(axis, area, centroid, covariance, growth, part, limits, origin, voxe
 
 @njit(cache=True, nogil=True)
 def point_sigma(area_m2, fill, growth):  # type: ignore[no-untyped-def]
-    """Metres: standard deviation of a blob's centroid from the limb's axis, in each direction across it.
+    """Return the standard deviation (m) of a blob's centroid from the limb's axis, in each direction across it.
 
-    Hulls err in proportion to the limb's radius; dents and a change of girth add to it; elongation says nothing more.
-    Where a bone lies inside the flesh is not part of it.
+    Hulls err in proportion to the limb's radius; dents and a change of girth add to it; elongation adds nothing. The
+    place of the bone inside the limb is not part of it.
     """
     radius = np.sqrt(area_m2 / np.pi)
     missing, change = max(0.0, FULL - fill), min(max(0.0, growth - 1.0), 2.0)

@@ -1,4 +1,8 @@
-"""Rows of voxels as bits: packing bricks into rows of 64-bit words, and the word tricks that read them."""
+"""Packs bricks of voxels into rows of 64-bit words, finds runs of voxels in them, and joins the runs that touch.
+
+Runs that touch in a slice are blobs; runs that touch in space are parts of the hull. Both are found with a union-find
+forest of labels, in which the smallest label of a tree is its root.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ _U1 = np.uint64(1)
 
 @njit(cache=True, nogil=True)
 def brick_box(index, bricks_x, bricks_y):  # type: ignore[no-untyped-def]
-    """The box of bricks that holds all of them: low x, y, z and high x, y, z (exclusive); zeros for none."""
+    """Bound all bricks: low x, y, z and high x, y, z (exclusive); zeros for none."""
     if index.size == 0:
         return 0, 0, 0, 0, 0, 0
     low_x, low_y, low_z, high_x, high_y, high_z = bricks_x, bricks_y, 1 << 30, 0, 0, 0
@@ -27,7 +31,7 @@ def brick_box(index, bricks_x, bricks_y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def pack_rows(index, leaves, bricks_x, bricks_y, box):  # type: ignore[no-untyped-def]
-    """The voxels in a box of bricks as bits: rows along x (z, y, words) and rows along y (z, x, words).
+    """Pack the voxels in a box of bricks into rows of bits along x (z, y, words) and along y (z, x, words).
 
     Bit b of word w is voxel 64 w + b along the row, counted from the box's low corner. A brick's rows are bytes of
     these words, written as such: machines are little-endian.
@@ -56,7 +60,7 @@ def pack_rows(index, leaves, bricks_x, bricks_y, box):  # type: ignore[no-untype
 
 @njit(cache=True, nogil=True)
 def erode(words, across_layers):  # type: ignore[no-untyped-def]
-    """Rows (layers, rows, words) without the voxels that have an empty neighbour, of four, in their slice.
+    """Erode rows (layers, rows, words) by the four neighbours of each voxel in its slice.
 
     The slice holds the neighbouring row of the same layer, or with ``across_layers`` the same row of the next layer.
     Beyond the box is empty.
@@ -75,20 +79,20 @@ def erode(words, across_layers):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def sides(words, s, r, w):  # type: ignore[no-untyped-def]
-    """The voxels of a word whose neighbours along the row are both occupied."""
+    """Return the voxels of a word whose neighbours along the row are both occupied."""
     word = words[s, r, w]
     before = words[s, r, w - 1] >> np.uint64(63) if w > 0 else np.uint64(0)
     after = words[s, r, w + 1] << np.uint64(63) if w + 1 < words.shape[2] else np.uint64(0)
     return word & (word << _U1 | before) & (word >> _U1 | after)
 
 
-# --- Runs of consecutive voxels along rows, and the runs that touch joined into blobs of slices and parts of the hull.
-
-
 @njit(cache=True, nogil=True)
 def find_runs(words):  # type: ignore[no-untyped-def]
-    """Runs of set bits of rows (layers, rows, words): starts (m,), ends (m,) (exclusive), the first run of each row
-    (layers * rows + 1,), and the rows that have any (f,), as numbers layer * rows + row."""
+    """Find the runs of set bits of rows (layers, rows, words).
+
+    Returns starts (m,), ends (m,) (exclusive), the first run of each row (layers * rows + 1,), and the rows that have
+    any (f,), as numbers layer * rows + row.
+    """
     layers, rows, width = words.shape
     starts, ends = np.empty(words.size * 32 + 1, np.int32), np.empty(words.size * 32 + 1, np.int32)  # at worst
     first, filled = np.empty(layers * rows + 1, np.int32), np.empty(layers * rows, np.int32)
@@ -122,8 +126,7 @@ def find_runs(words):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def join_in_slices(runs, rows, across_layers):  # type: ignore[no-untyped-def]
-    """Label (m,) of each of the runs that :func:`find_runs` gives, and the forest (n,) of the labels; each
-    points at the smallest of its tree.
+    """Join the runs of :func:`find_runs` that touch in a slice: label (m,) of each run, and the forest (n,) of labels.
 
     Runs of one slice that touch in neighbouring rows, also diagonally, get labels of one tree. A slice is a layer, or
     with ``across_layers`` the rows of one number in all layers.
@@ -158,7 +161,7 @@ def join_in_slices(runs, rows, across_layers):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def join_in_space(joined_z, joined_y):  # type: ignore[no-untyped-def]
-    """Part (m,) of the hull that each run belongs to, numbered by their first runs.
+    """Join runs that touch in space: the part (m,) of the hull of each run, numbered by their first runs.
 
     Blobs of the slices across z and across y that share a run are of one part. So voxels join that touch in such a
     slice by a face, an edge or a corner; two that touch only along an edge parallel to x, or only in a corner, do not.
@@ -194,14 +197,14 @@ def root_of(forest, label):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def flatten(forest):  # type: ignore[no-untyped-def]
-    """Put every label directly under its root: parents come before their children."""
+    """Put every label directly under its root; parents come before their children."""
     for label in range(forest.size):
         forest[label] = forest[forest[label]]
 
 
 @njit(cache=True, nogil=True, inline="always")
 def run_at(starts, ends, first, line, position):  # type: ignore[no-untyped-def]
-    """The run of a row that holds a position, or -1."""
+    """Return the run of a row that holds a position, or -1."""
     for run in range(first[line], first[line + 1]):
         if starts[run] <= position < ends[run]:
             return run

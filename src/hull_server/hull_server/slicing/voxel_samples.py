@@ -1,4 +1,4 @@
-"""The decimated voxel cloud: surface and interior samples of the hull, the same ones every time."""
+"""Samples the hull's voxels, on the surface and inside, evenly and deterministically."""
 
 from __future__ import annotations
 
@@ -8,24 +8,19 @@ from numba import njit
 
 from mocap_packets.hull import NO_VOXELS, VoxelSamples
 
-from ..grid import BrickVolume, VoxelGrid
+from ..grid import VoxelGrid
 from ..kernel import popcount, select_bit
-from .skeletonisation import HullRuns, slice_hull
+from .skeletonisation import HullRuns
 from .voxel_runs import run_at, sides
 
 SURFACE_SHARE = 2.0 / 3.0  # of the samples, as long as there are enough voxels of both kinds
 GOLDEN = 0.6180339887498949
 
 
-def sample_voxels(volume: BrickVolume, max_voxels: int) -> VoxelSamples:
-    """:func:`sample_runs` of a hull that has not been sliced yet."""
-    return sample_runs(slice_hull(volume).runs, volume.grid, max_voxels)
-
-
 def sample_runs(
     runs: HullRuns, grid: VoxelGrid, max_voxels: int, number_of_part: npt.NDArray[np.int32] | None = None
 ) -> VoxelSamples:
-    """At most ``max_voxels`` voxels, spread evenly over the surface and the interior; deterministic.
+    """Sample at most ``max_voxels`` voxels, spread evenly over the surface and the interior; deterministic.
 
     They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`); without
     ``number_of_part``, that of the part itself.
@@ -45,7 +40,7 @@ def sample_runs(
 
 
 def _quotas(on_surface: int, inside: int, wanted: int) -> tuple[int, int]:
-    """How many samples to take of each kind; what one kind cannot give, the other does."""
+    """Return how many samples to take of each kind; where one has too few voxels, the other gets more."""
     from_surface = min(on_surface, round(wanted * SURFACE_SHARE))
     from_inside = min(inside, wanted - from_surface)
     return min(on_surface, wanted - from_inside), from_inside
@@ -53,9 +48,9 @@ def _quotas(on_surface: int, inside: int, wanted: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _spread(total, wanted):  # type: ignore[no-untyped-def]
-    """``wanted`` different ranks below ``total``, ascending: one in each equal stretch, by the golden ratio.
+    """Return ``wanted`` different ranks below ``total``, ascending: one in each equal stretch, by the golden ratio.
 
-    Taking every n-th voxel instead would draw stripes wherever n and the length of a row agree.
+    Every n-th voxel instead would draw stripes where n and the length of a row agree.
     """
     ranks = np.empty(wanted, np.int64)
     start = 0
@@ -68,7 +63,7 @@ def _spread(total, wanted):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _find_interior(words, first):  # type: ignore[no-untyped-def]
-    """The voxels all of whose six neighbours are occupied, as bits; how many are not among them, and how many are."""
+    """Find the voxels all of whose six neighbours are occupied, as bits; count the other voxels, and these."""
     interior = np.zeros_like(words)
     layers, rows, width = words.shape
     inside, total = 0, 0
@@ -88,8 +83,7 @@ def _find_interior(words, first):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _pick(words, interior, inside, ranks, run_rows, points, part_of_point):  # type: ignore[no-untyped-def]
-    """Fill in the centres in the world, and the parts, of the voxels of the given ascending ranks, among those inside
-    or those on the surface."""
+    """Write the centres in the world, and the parts, of the voxels of ascending ranks, inside or on the surface."""
     starts, ends, first, part, origin, voxel_m = run_rows
     layers, rows, width = words.shape
     n, rank = 0, 0
