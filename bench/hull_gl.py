@@ -59,10 +59,10 @@ def time_stages(carver: GlCarver, frames: list[Masks], rounds: int) -> str:
             watch.lap("upload")
             for kernel in carver._carve_step_by_step(buffers):
                 watch.lap(kernel)
-            buffers.send_home()
+            buffers.queue_read_back()
             buffers.arrived()
             watch.lap("read-back")
-        lists = zip(buffers.list_lengths(), ("coarse", "bricks", "blocks", "doubts"), strict=True)
+        lists = zip(buffers.list_lengths(), ("coarse", "bricks", "blocks", "recheck"), strict=True)
     left = ", ".join(f"{length} {name}" for length, name in lists)
     return f"{times}\n{'':>14}lists: {left}; {words.nbytes >> 10} KB up"
 

@@ -1,4 +1,4 @@
-"""Choosing who carves: OpenGL compute, the thesis's sweep, or the CPU, all behind one interface."""
+"""Chooses the carving backend: OpenGL compute, the CPU, or the thesis's plane sweep, behind one interface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .views import CarveBackend, RigViews
 
 @dataclass(frozen=True)
 class Choice:
-    """The backend taken, and why it was this one (a sentence for the log)."""
+    """The chosen backend, and the reason, a sentence for the log."""
 
     backend: CarveBackend
     reason: str

@@ -1,4 +1,4 @@
-"""The voxel grid: the capture volume cut into small cubes (thesis 3.1.1)."""
+"""The voxel grid, and the hull as bricks of its voxels: the sparse occupancy that every backend returns."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy.typing as npt
 from capture_rig import InputError, Volume
 
 BRICK_EDGE = 8  # voxels along the edge of a brick
-MAX_BRICKS = 1 << 22  # two thousand million voxels; more is a mistyped voxel size
+MAX_BRICKS = 1 << 22  # two thousand million voxels; more is a typing error in the voxel size
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """A regular grid of cubes in the map frame.
+    """A regular grid of cubes in the map frame (thesis 3.1.1).
 
     origin : (3,) the grid's low corner, metres.
     voxel_size : edge of a voxel, metres.
@@ -32,7 +32,7 @@ class VoxelGrid:
 
     @classmethod
     def covering(cls, volume: Volume, voxel_size: float) -> VoxelGrid:
-        """The smallest grid that starts at the volume's low corner and covers it.
+        """Make the smallest grid that starts at the volume's low corner and covers it.
 
         Raises InputError when the grid would be absurdly large.
         """
@@ -61,18 +61,16 @@ class VoxelGrid:
         return self.voxel_size**3
 
     def centres_world(self, voxels: npt.ArrayLike) -> Array:
-        """Voxel indices (n, 3), whole or fractional, to points (n, 3), metres, map frame."""
+        """Convert voxel indices (n, 3), whole or fractional, to points (n, 3), metres, map frame."""
         return self.origin + (np.asarray(voxels, float) + 0.5) * self.voxel_size
 
     def projection_from_voxels(self, P: Array) -> Array:
-        """(..., 3, 4) projections of map points to the same projections of voxel indices (i, j, k, 1)."""
+        """Convert projections (..., 3, 4) of map points to projections of voxel indices (i, j, k, 1)."""
         world_from_voxel = np.eye(4)
         world_from_voxel[:3, :3] *= self.voxel_size
         world_from_voxel[:3, 3] = self.origin + 0.5 * self.voxel_size
         return P @ world_from_voxel
 
-
-# --- The hull as bricks: the sparse occupancy that every backend returns and every later stage reads.
 
 _BITS_IN_BYTE = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
 
@@ -95,7 +93,7 @@ class BrickVolume:
 
     @classmethod
     def from_dense(cls, grid: VoxelGrid, occupied: npt.NDArray[np.bool_]) -> BrickVolume:
-        """From a dense (nx, ny, nz) array, nonzero where occupied."""
+        """Pack a dense (nx, ny, nz) array, nonzero where occupied."""
         x, y, z = grid.brick_shape
         padded = np.zeros((z * BRICK_EDGE, y * BRICK_EDGE, x * BRICK_EDGE), bool)
         nx, ny, nz = grid.shape
@@ -107,7 +105,7 @@ class BrickVolume:
         return cls(grid, index, leaves[index])
 
     def to_dense(self) -> npt.NDArray[np.bool_]:
-        """(nx, ny, nz) bool, True where occupied."""
+        """Unpack to (nx, ny, nz) bool, True where occupied."""
         x, y, z = self.grid.brick_shape
         blocks = np.zeros((z * y * x, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE), bool)
         blocks[self.index] = self._bits()
@@ -127,22 +125,22 @@ class BrickVolume:
         return self.count * self.grid.voxel_volume_m3 * 1e3
 
     def voxels(self) -> npt.NDArray[np.int64]:
-        """(count, 3) indices (i, j, k) of the occupied voxels, in brick order."""
+        """Return the indices (i, j, k) (count, 3) of the occupied voxels, in brick order."""
         brick, z, y, x = np.nonzero(self._bits())
         return self.brick_corners()[brick] + np.stack([x, y, z], axis=1)
 
     def brick_corners(self) -> npt.NDArray[np.int64]:
-        """(k, 3) voxel indices (i, j, k) of each brick's low corner."""
+        """Return the voxel indices (k, 3) of each brick's low corner."""
         nx, ny, _ = self.grid.brick_shape
         index = self.index.astype(np.int64)
         return np.stack([index % nx, index // nx % ny, index // (nx * ny)], axis=1) * BRICK_EDGE
 
     def centres_world(self) -> Array:
-        """(count, 3) centres of the occupied voxels, metres, map frame."""
+        """Return the centres (count, 3) of the occupied voxels, metres, map frame."""
         return self.grid.centres_world(self.voxels())
 
     def _bits(self) -> npt.NDArray[np.bool_]:
-        """(k, z, y, x) one bool per voxel."""
+        """Unpack to one bool per voxel: (k, z, y, x)."""
         as_bytes = np.ascontiguousarray(self.leaves.astype("<u8")).view(np.uint8)
         bits = np.unpackbits(as_bytes, bitorder="little").view(bool)
         return bits.reshape(-1, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE)

@@ -68,7 +68,7 @@ class HullNode(SagomaNode):
         self._refused: dict[str, str] = {}  # camera: why
         self._heard_ns: dict[str, int] = {}
         self._left_out: tuple[str, ...] = ()
-        self._badly_placed: set[str] = set()
+        self._moved: set[str] = set()
         self._handles: list = []
 
     def configure(self) -> None:
@@ -167,7 +167,7 @@ class HullNode(SagomaNode):
         self._dispatch(self._collector.add(camera, to_ns(message.header.stamp), mask, now_ns))
 
     def _on_camera_info(self, camera: str, topic: str, info: CameraInfo) -> None:
-        """Refuse a camera whose images are not made with the rig's calibration; take it back when they are."""
+        """Refuse a camera whose images are not made with the rig's calibration, until they are."""
         mismatch = calibration_mismatch(info, self._canvases[camera])
         if not mismatch:
             if self._refused.pop(camera, None):
@@ -203,18 +203,18 @@ class HullNode(SagomaNode):
                 self._carver.put(ClosedSet(frame_set, self.get_clock().now().nanoseconds))
 
     def _begin(self, closed: ClosedSet) -> None:
-        """On the carver's thread: send one frame set on its way."""
+        """Begin to carve one frame set, on the carver's thread."""
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
         self._slicer.put_blocking(CarvedSet(closed, begun_ns, self._pipeline.begin(closed.frame_set)))
 
     def _finish(self, carved: CarvedSet) -> None:
-        """On the slicer's thread: finish it, convert, publish."""
+        """Finish, convert and publish one frame set, on the slicer's thread."""
         assert self._pipeline is not None and self._mesh is not None
         frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
         result = self._pipeline.finish(carved.under_way)
         self._mesh.keep(result)
-        # first of all: whoever fits starts when the centerline is there, and takes what else it has
+        # the centerline last but one: the tracker starts to fit when it arrives, with the contour rays that it has
         products = result.products
         self._contour_rays.publish(packet_cloud(products.contour_rays, products.stamp_ns, frame_id))
         self._centerline.publish(packet_cloud(products.centerline, products.stamp_ns, frame_id))
@@ -232,7 +232,7 @@ class HullNode(SagomaNode):
         self.health.tick(frame_set.stamp_ns)
 
     def _report(self, result: HullResult) -> None:
-        """To the diagnostics, and to the log when it is news."""
+        """Update the diagnostics; log what has changed."""
         if result.empty:
             self.health.count("sets_empty")
         faults = result.camera_faults
@@ -245,13 +245,13 @@ class HullNode(SagomaNode):
         for camera in {*faults.left_out} - {*self._left_out}:
             self.get_logger().warning(f"left out: {faults.reasons[camera]}")
         for camera in {*self._left_out} - {*faults.left_out}:
-            self.get_logger().info(f"taken back: {camera} agrees with the others again")
+            self.get_logger().info(f"used again: {camera} agrees with the others")
         self._left_out = faults.left_out
         for key, value in calibration_values(result).items():
             self.health.set(key, value)
-        for camera in {*result.extrinsic_errors.suspects} - self._badly_placed:
+        for camera in {*result.extrinsic_errors.suspects} - self._moved:
             self.get_logger().warning(result.extrinsic_errors.suspects[camera])
-        self._badly_placed = {*result.extrinsic_errors.suspects}
+        self._moved = {*result.extrinsic_errors.suspects}
         if not self._refused:
             self.health.status(*summarise(result))
 

@@ -1,4 +1,4 @@
-"""What the hull node publishes: the result of one frame set as messages."""
+"""The hull node's messages about one frame set, its check of camera_info, and its service that saves a mesh."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INTRINSICS_TOLERANCE_PX = 1e-3
 
 
 def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
-    """Which cameras made this set, and what each stage cost; ``times_ms`` are further times, by key."""
+    """Report a set's cameras, their faults, and the time of each stage; ``times_ms`` are further times, by key."""
     texts = {
         "cameras": ",".join(result.cameras),
         "missing": ",".join(result.missing),
@@ -52,7 +52,7 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
 
 
 def calibration_values(result: HullResult) -> dict[str, str]:
-    """Camera by camera: by how many degrees it stands off its calibration, and how well it agrees with the others."""
+    """Report how far each camera is from its calibration, in degrees, and how well it agrees with the others."""
     calibration = result.extrinsic_errors
     texts = {"calibration_suspects": ",".join(calibration.suspects)}
     angles = {
@@ -68,7 +68,7 @@ def calibration_values(result: HullResult) -> dict[str, str]:
 
 
 def summarise(result: HullResult) -> tuple[bytes, str]:
-    """Level and one line of text: is anything wrong with this frame set?"""
+    """Return level and one line of text about what is wrong with this frame set."""
     troubles = []
     if result.missing:
         troubles.append(f"nothing in time from {', '.join(result.missing)}")
@@ -78,8 +78,8 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
         result.camera_faults.reasons[camera]
         for camera in (*result.camera_faults.left_out, *result.camera_faults.suspects)
     ]
-    accused = {*result.camera_faults.left_out, *result.camera_faults.suspects}
-    troubles += [why for camera, why in result.extrinsic_errors.suspects.items() if camera not in accused]
+    named = {*result.camera_faults.left_out, *result.camera_faults.suspects}
+    troubles += [why for camera, why in result.extrinsic_errors.suspects.items() if camera not in named]
     if result.camera_faults.warning:
         troubles.append(result.camera_faults.warning)
     if len(result.cameras) < result.min_seeing:
@@ -90,7 +90,7 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
 
 
 def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
-    """How a camera_info differs from the undistorted canvas that the rig gives its camera; empty when it does not."""
+    """Say how a camera_info differs from the undistorted canvas of the rig's camera; empty when it does not."""
     if info.k[0] == 0:  # as CameraInfo says it
         return "K = 0: its client is not calibrated"
     if (info.width, info.height) != (canvas.width, canvas.height):
@@ -109,11 +109,8 @@ def _row(values: np.ndarray, spec: str) -> str:
     return ",".join(format(value, spec) for value in values.tolist())
 
 
-# --- The service that writes the hull's mesh: on a thread of its own, so that the node goes on taking silhouettes.
-
-
 class SaveMeshService:
-    """Answers ``~/save_mesh``: writes the newest hull to ``FOLDER/hull_STAMP.ply``, STAMP in ns, and says so."""
+    """Answers ``~/save_mesh``: writes the newest hull to ``FOLDER/hull_STAMP.ply``, STAMP in ns, on its own thread."""
 
     def __init__(self, node: Node, settings: MeshSettings) -> None:
         self._node, self._settings = node, settings
@@ -126,7 +123,7 @@ class SaveMeshService:
         self._newest = result
 
     def close(self) -> None:
-        """Take the service back; a mesh in the making is finished first."""
+        """Remove the service; a mesh that is being written is finished first."""
         self._node.destroy_service(self._service)
         self._thread.shutdown(wait=True)
 
@@ -143,7 +140,7 @@ class SaveMeshService:
         return response
 
     def _in_background(self, result: HullResult) -> rclpy.task.Future:
-        """Resolved in the node's executor once the file is written."""
+        """Return a future that the node's executor resolves once the file is written."""
         answer = rclpy.task.Future(executor=self._node.executor)
 
         def hand_over(work: Future[str]) -> None:

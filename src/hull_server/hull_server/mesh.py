@@ -33,7 +33,7 @@ class Mesh:
 
 
 def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
-    """The surface between occupied and empty voxels, by marching cubes (Lorensen and Cline 1987).
+    """Extract the surface between occupied and empty voxels, by marching cubes (Lorensen and Cline 1987).
 
     smoothing_voxels : standard deviation of a Gaussian over the occupancy first; 0 leaves the voxels' steps, 1 rounds
     them off and takes away what is thinner than about two voxels. InputError for an empty hull.
@@ -71,7 +71,8 @@ def write_ply(mesh: Mesh, path: Path) -> None:
 
 
 def _crop(volume: BrickVolume, margin: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
-    """Occupancy (0 or 1) of the box around the hull, empty on all sides, and the voxel of its low corner."""
+    """Crop the occupancy (0 or 1) to a box around the hull, empty on all sides; also return the voxel of its low
+    corner."""
     corners = volume.brick_corners()
     low, high = corners.min(axis=0) - margin, corners.max(axis=0) + BRICK_EDGE + margin
     occupancy = np.zeros(high - low, np.float32)

@@ -1,9 +1,10 @@
-"""The reference backend: the thesis's plane sweep (3.1.3, 3.1.4), one textured quad per slice, then read-back.
+"""Carves as the thesis does (3.1.3, 3.1.4): a plane sweep of one textured quad per slice, then read-back. The baseline.
 
 Every silhouette is a texture, projected onto the plane of the slice; the product of all of them is the slice. The
-quad is drawn so that one pixel of the frame buffer is one voxel, and glReadPixels brings it back. Where a camera is
-blind its factor is one, and a second channel counts the cameras that see the voxel: the thesis's product, without
-taking the image border for the border of the body. It tests every voxel, so it is slow, and simple enough to trust.
+quad is drawn so that one pixel of the frame buffer is one voxel, and glReadPixels reads it back. Unlike in the thesis,
+the factor of a camera that does not see the voxel is one, and a second channel counts the cameras that see it, so that
+the image border does not cut the body. It tests every voxel, so it is slow, and simple enough to trust: the other
+backends are compared with it.
 """
 
 from __future__ import annotations
@@ -92,12 +93,12 @@ class PlaneSweepCarver(Immediate):
             raise
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """As :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
+        """Carve as :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
         slices = self.sweep(masks, min_seeing, axis=2)
         return BrickVolume.from_dense(self.grid, slices.transpose(2, 1, 0) > 0)
 
     def sweep(self, masks: Masks, min_seeing: int, axis: int) -> np.ndarray:
-        """All slices across an axis (0 = x, 1 = y, 2 = z): (slices, rows, columns) uint8, nonzero = occupied."""
+        """Sweep along an axis (0 = x, 1 = y, 2 = z): slices (slices, rows, columns) uint8, nonzero = occupied."""
         present = self.views.present(masks)
         self.views.foreground(masks, present, self._foreground)
         columns, rows = SLICE_AXES[axis]
@@ -140,7 +141,7 @@ class PlaneSweepCarver(Immediate):
             GL.glTexParameteri(GL.GL_TEXTURE_2D_ARRAY, key, GL.GL_NEAREST)
 
     def _make_target(self) -> None:
-        """A frame buffer as large as the largest slice of any axis."""
+        """Make a frame buffer as large as the largest slice of any axis."""
         shape = self.grid.shape
         width = max(shape[columns] for columns, _ in SLICE_AXES.values())
         height = max(shape[rows] for _, rows in SLICE_AXES.values())
@@ -152,7 +153,7 @@ class PlaneSweepCarver(Immediate):
         GL.glBindVertexArray(int(GL.glGenVertexArrays(1)))
 
     def _set_calibration(self) -> None:
-        """The projections, and everything else that stays."""
+        """Upload the projections."""
         StorageBuffer(pixel_projections(self.views, self.grid)).bind(0)
         GL.glUseProgram(self._program)
         GL.glUniform1i(self._at("silhouettes"), 0)

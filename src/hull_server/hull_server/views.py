@@ -1,9 +1,9 @@
-"""What each camera of the rig sees, and when a voxel is occupied: the rule that every carving backend obeys.
+"""What each camera of the rig sees, and the rule and interface of all carving backends.
 
 A camera *sees* a voxel when the voxel's centre lies in front of it and projects to a pixel, floor(x + 0.5), that is
 inside the canvas and inside the original image (``seen``). A voxel is occupied when every camera that sees it has
-foreground there, and at least ``min_seeing`` cameras see it. A camera that does not see a place does not veto it:
-unseen is not outside (thesis 3.1 assumes that every camera sees the whole volume, which real rigs do not).
+foreground there, and at least ``min_seeing`` cameras see it. A camera that does not see a voxel does not veto it
+(thesis 3.1 assumes that every camera sees the whole volume, which is not so in real rigs).
 """
 
 from __future__ import annotations
@@ -43,12 +43,13 @@ class RigViews:
 
     @cached_property
     def number(self) -> dict[str, int]:
-        """Each camera's place in all arrays."""
+        """The index of each camera in all arrays."""
         return {name: index for index, name in enumerate(self.names)}
 
     @classmethod
     def from_rig(cls, rig: Rig) -> RigViews:
-        """Views of all cameras; InputError when the rig has too few or too many cameras, or an oversized canvas."""
+        """Compute the views of all cameras; InputError when the rig has too few or too many cameras, or an oversized
+        canvas."""
         if not 2 <= len(rig.cameras) <= MAX_CAMERAS:
             raise InputError(
                 f"the rig has {len(rig.cameras)} camera(s); a visual hull needs 2 to {MAX_CAMERAS}",
@@ -68,7 +69,7 @@ class RigViews:
         return cls(rig.names, np.stack([view.camera.P for view in views]), sizes, seen)
 
     def present(self, masks: Masks) -> npt.NDArray[np.int64]:
-        """Indices (n,) of the cameras that ``masks`` holds, ascending.
+        """Return the indices (n,) of the cameras that ``masks`` holds, ascending.
 
         Raises InputError for a camera that is not in the rig, or a mask that is not (h, w) uint8 of its canvas.
         """
@@ -92,7 +93,7 @@ class RigViews:
 
 
 def min_seeing(cameras: int, requested: int = 0) -> int:
-    """How many cameras must see a voxel before it can be occupied, when ``cameras`` delivered a silhouette.
+    """Return how many cameras must see a voxel before it can be occupied, when ``cameras`` delivered a silhouette.
 
     By the rig (``requested`` = 0): three fifths of the cameras, rounded up, but at least three and at most all:
     3 of 3, 3 of 4, 3 of 5, 4 of 6, 5 of 7, 5 of 8. A requested number is lowered to the number of cameras. Never
@@ -106,7 +107,7 @@ def min_seeing(cameras: int, requested: int = 0) -> int:
 
 
 class CarveBackend(Protocol):
-    """Carves the silhouettes of one frame set after another; all backends obey the rule of hull_server.views.
+    """Carves the silhouettes of one frame set after another, by the rule of this module.
 
     name : gl, sweep or cpu. device : what it runs on, for people.
     """
@@ -115,7 +116,7 @@ class CarveBackend(Protocol):
     device: str
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """The hull of one canvas mask a camera (nonzero = foreground); cameras that are absent have no say."""
+        """Carve one canvas mask a camera (nonzero = foreground); absent cameras are not asked."""
         ...
 
     def submit(self, masks: Masks, min_seeing: int) -> Any:
@@ -123,7 +124,7 @@ class CarveBackend(Protocol):
         ...
 
     def collect(self, ticket: Any) -> BrickVolume:
-        """The hull that :meth:`submit` began; waits for it."""
+        """Wait for the hull that :meth:`submit` began."""
         ...
 
     def close(self) -> None:
@@ -132,12 +133,12 @@ class CarveBackend(Protocol):
 
 
 class Immediate:
-    """For backends that carve on the caller's thread: the ticket is the hull itself."""
+    """Carves on the caller's thread: the ticket is the hull itself."""
 
     def submit(self: CarveBackend, masks: Masks, min_seeing: int) -> BrickVolume:
         """Carve."""
         return self.carve(masks, min_seeing)
 
     def collect(self, ticket: BrickVolume) -> BrickVolume:
-        """The hull, which is there already."""
+        """Return the hull."""
         return ticket

@@ -173,10 +173,10 @@ def test_contours_that_may_be_shadow_and_contours_that_are_cut_off_are_not_used(
     shadowed = masks["cam01"].copy()
     low = np.flatnonzero(shadowed.any(1))[-1]
     shadowed[low - 2 : low + 8, 20:300][shadowed[low - 2 : low + 8, 20:300] == 0] = 85  # on either side of the feet
-    whole, doubted = finder.find(masks), finder.find(masks | {"cam01": shadowed})
+    whole, shadowed_tangents = finder.find(masks), finder.find(masks | {"cam01": shadowed})
     mine = (whole.first == 0) | (whole.second == 0)
-    assert mine.sum() > ((doubted.first == 0) | (doubted.second == 0)).sum()
-    assert np.abs(doubted.difference_px).max() < 3.0
+    assert mine.sum() > ((shadowed_tangents.first == 0) | (shadowed_tangents.second == 0)).sum()
+    assert np.abs(shadowed_tangents.difference_px).max() < 3.0
     view = rig.cameras[0].undistorted_view()
     cut = np.where(view.seen, np.uint8(255), np.uint8(0))
     filled = finder.find(masks | {"cam01": cut})

@@ -51,7 +51,7 @@ def _quantile(share):
 
 
 @njit
-def _doubt(levels, u, v):
+def _shadow_share(levels, u, v):
     return shadow_share(levels, u, v)
 
 
@@ -124,7 +124,7 @@ def test_edge_in_the_corner_of_a_wedge_is_left_out():
     assert len(points) > 80 and np.hypot(points[:, 0] - 40, points[:, 1] - 64).min() > 5
 
 
-def test_rim_pixels_lie_evenly_along_an_outline():
+def test_contour_pixels_lie_evenly_along_an_outline():
     inside = np.hypot(U - 64, V - 64) <= 50.3
     pixels = pick(inside, spacing_px=6.0).astype(float)
     length = 2 * np.pi * 50.3
@@ -133,14 +133,14 @@ def test_rim_pixels_lie_evenly_along_an_outline():
     assert gaps.min() > 4.0 and gaps.max() < 8.0
 
 
-def test_rim_pixels_are_at_most_so_many_and_then_evenly_fewer():
+def test_contour_pixels_are_at_most_so_many_and_then_evenly_fewer():
     inside = (np.hypot(U - 40, V - 64) <= 20) | (np.hypot(U - 95, V - 64) <= 10)
     pixels = pick(inside, most=60)
     left = (pixels[:, 0] < 70).sum()
     assert 55 <= len(pixels) <= 60 and left == pytest.approx(2 * (len(pixels) - left), abs=2)
 
 
-def test_rim_pixels_follow_every_boundary_pixel_that_opencv_finds():
+def test_contour_pixels_follow_every_boundary_pixel_that_opencv_finds():
     """Outer outlines, holes, and pixels that touch in a corner, against OpenCV's contours."""
     rng = np.random.default_rng(3)
     blurred = cv2.GaussianBlur(rng.normal(size=(SIDE, SIDE)), (0, 0), 3)
@@ -162,7 +162,7 @@ def test_rim_pixels_follow_every_boundary_pixel_that_opencv_finds():
     assert len(beside) > 500 and found == beside
 
 
-def test_rim_pixels_of_small_holes_and_specks_are_left_out():
+def test_contour_pixels_of_small_holes_and_specks_are_left_out():
     body = np.hypot(U - 64, V - 64) <= 40
     body &= ~(np.hypot(U - 55, V - 64) <= 3)  # about 20 px around
     body |= np.hypot(U - 115, V - 10) <= 3
@@ -173,13 +173,13 @@ def test_rim_pixels_of_small_holes_and_specks_are_left_out():
     assert (np.hypot(pixels[:, 0] - 75, pixels[:, 1] - 64) < 11).sum() > 40
 
 
-def test_rim_pixels_outside_the_box_are_not_looked_for():
+def test_contour_pixels_outside_the_box_are_not_looked_for():
     inside = (np.hypot(U - 30, V - 64) <= 20) | (np.hypot(U - 100, V - 64) <= 20)
     pixels = pick(inside, box=(72, 20, 128, 100))
     assert len(pixels) > 100 and pixels[:, 0].min() >= 80
 
 
-def test_rim_pixels_of_an_empty_and_of_a_full_mask():
+def test_contour_pixels_of_an_empty_and_of_a_full_mask():
     assert len(pick(np.zeros((SIDE, SIDE), bool))) == 0
     full = pick(np.ones((SIDE, SIDE), bool), spacing_px=4.0)  # its outline is the image's border
     assert len(full) > 100 and ((full == 0) | (full == SIDE - 1)).any(axis=1).all()
@@ -193,8 +193,8 @@ def test_normal_quantile_is_the_normal_distributions():
 def test_shadow_share_is_the_share_of_levels_between_background_and_foreground():
     levels = np.zeros((SIDE, SIDE), np.uint8)
     levels[:, 64:] = 255
-    assert _doubt(levels, 64, 64) == 0.0
+    assert _shadow_share(levels, 64, 64) == 0.0
     levels[:, 64:] = 135
-    assert _doubt(levels, 64, 64) == pytest.approx(15 / 25)
+    assert _shadow_share(levels, 64, 64) == pytest.approx(15 / 25)
     levels[:, :64] = 47
-    assert _doubt(levels, 64, 64) == 1.0
+    assert _shadow_share(levels, 64, 64) == 1.0

@@ -54,7 +54,7 @@ def share(masks: dict[str, np.ndarray], where: dict[str, np.ndarray]) -> float:
     return sum(np.count_nonzero(masks[n][where[n]]) for n in where) / sum(np.count_nonzero(w) for w in where.values())
 
 
-def test_masks_without_doubt_are_passed_on_as_they_are():
+def test_binary_masks_are_passed_on_as_they_are():
     rig = ring_rig(4)
     masks = silhouettes(rig, capsule_person())
     resolved = resolver(rig).resolve(masks, 3)

@@ -1,1 +1,1 @@
-"""Silhouettes to occupied voxels: who carves, and the CPU's way."""
+"""Silhouettes to occupied voxels, on the CPU; the tables that every backend shares."""

@@ -1,1 +1,1 @@
-"""."""
+"""Rays along the silhouettes' contours, tangent to the body."""

@@ -1,1 +1,1 @@
-"""The same on a graphics processor, and the thesis's sweep."""
+"""Silhouettes to occupied voxels on a graphics processor: OpenGL 4.3 compute shaders without a display."""

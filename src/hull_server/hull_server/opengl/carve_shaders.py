@@ -1,10 +1,10 @@
 """GLSL 4.3 sources of the compute carve: five kernels, each of which hands the next one a list of what is undecided.
 
-COARSE judges blocks of 32^3 voxels, BRICKS of 8^3, BLOCKS of 4^3, by summed areas of the foreground; VOXELS looks at
-single voxels in the blocks that no box could settle; DOUBTS decides those that single precision cannot. A list is an
-array with the size of the next, indirect dispatch and its own length; its order is whatever the device made it.
-Kernels never branch around expensive work where a list will do: software renderers execute both sides of a branch,
-and the lanes of a GPU wait for one another.
+COARSE classifies blocks of 32^3 voxels, BRICKS of 8^3, BLOCKS of 4^3, by summed areas of the foreground; VOXELS tests
+single voxels in the blocks that no box could settle; RECHECK repeats in double precision those that are uncertain in
+single. A list is an array with the size of the next, indirect dispatch and its own length; its order is whatever the
+device made it. Kernels never branch around expensive work where a list will do: software renderers execute both sides
+of a branch, and the lanes of a GPU wait for one another.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ const float NEAR_M = 0.05;                               // a block that comes n
 const uint GROUPS_IN_ROW = {groups}u;                    // of a dispatch; more make more rows
 const uint UNSEEN = 0u, SEEN = 1u, PARTLY_SEEN = 2u;      // a camera sees none, all, perhaps some of a block's voxels
 struct Brick {{ uint index, undecided, partly_blind; int settled; uint leaf[16]; }};
-struct Block {{ uint place, undecided; uint doubt[2]; }};  // place: 8 * brick's slot + octant, settled << 26
+struct Block {{ uint place, undecided; uint uncertain[2]; }};  // place: 8 * brick's slot + octant, settled << 26
 layout(std430, binding = 1) readonly buffer Boxes {{ uvec2 box[]; }};  // camera by camera: coarse blocks; then bricks
 layout(std430, binding = 2) buffer Lists {{ uvec4 list[4]; }};                     // groups x, y, z; length
 layout(std430, binding = 3) readonly buffer Frame {{
@@ -50,7 +50,7 @@ layout(std430, binding = 3) readonly buffer Frame {{
 layout(std430, binding = 4) buffer Coarse {{ uvec4 coarse[]; }};                   // block; undecided; settled
 layout(std430, binding = 5) buffer Bricks {{ Brick brick[]; }};
 layout(std430, binding = 6) buffer Blocks {{ Block block[]; }};
-layout(std430, binding = 7) buffer Doubts {{ uint doubtful[]; }};                  // 2 * block's slot + half
+layout(std430, binding = 7) buffer Recheck {{ uint recheck[]; }};                  // 2 * block's slot + half
 uniform isamplerBuffer frame;                    // the same words as a texture: labels, then summed areas
 uniform vec4 projection[3 * CAMERAS];            // 3 rows a camera, from CENTRE to pixels from HALF_CANVAS
 uint label_word(int camera, ivec2 pixel) {{      // 16 pixels a word: bit p foreground, bit 16 + p blind
@@ -72,9 +72,9 @@ uint group_number() {{ return gl_WorkGroupID.y * GROUPS_IN_ROW + gl_WorkGroupID.
 uint invocation() {{ return group_number() * 64u + gl_LocalInvocationID.x; }}
 """
 
-# what a camera says of a block of voxels, from the pixel box on which they all lie
-JUDGE = """
-struct Verdict { uint undecided, partly_blind; int settled, possible; bool empty; };
+# what a camera sees of a block of voxels, from the pixel box on which they all lie
+CLASSIFY = """
+struct State { uint undecided, partly_blind; int settled, possible; bool empty; };
 int foreground_in(int camera, ivec4 pixels) {
     ivec4 inside = foreground_box[camera];
     ivec2 low = max(pixels.xy, inside.xy) - inside.xy, high = min(pixels.zw, inside.zw) - inside.xy;
@@ -84,18 +84,18 @@ int foreground_in(int camera, ivec4 pixels) {
     return texelFetch(frame, bottom + high.x).r - texelFetch(frame, top + high.x).r
          - texelFetch(frame, bottom + low.x).r + texelFetch(frame, top + low.x).r;
 }
-void judge(int camera, ivec4 pixels, uint sight, inout Verdict verdict) {
+void classify(int camera, ivec4 pixels, uint sight, inout State state) {
     uint bit = 1u << camera;
     int filled = foreground_in(camera, pixels);
     bool all_foreground = sight == SEEN && filled == (pixels.z - pixels.x) * (pixels.w - pixels.y);
-    verdict.empty = verdict.empty || (sight == SEEN && filled == 0);
-    verdict.possible += filled > 0 ? 1 : 0;
-    verdict.settled += all_foreground ? 1 : 0;
-    if (all_foreground || sight == UNSEEN) verdict.undecided &= ~bit;
-    if (sight != SEEN) verdict.partly_blind |= bit;
+    state.empty = state.empty || (sight == SEEN && filled == 0);
+    state.possible += filled > 0 ? 1 : 0;
+    state.settled += all_foreground ? 1 : 0;
+    if (all_foreground || sight == UNSEEN) state.undecided &= ~bit;
+    if (sight != SEEN) state.partly_blind |= bit;
 }
-void judge_packed(int camera, uvec2 b, inout Verdict verdict) {      // 15 bits a coordinate, 2 bits of sight
-    judge(camera, ivec4(b.x & 0x7fffu, b.x >> 15 & 0x7fffu, b.y & 0x7fffu, b.y >> 15), b.x >> 30, verdict);
+void classify_packed(int camera, uvec2 b, inout State state) {      // 15 bits a coordinate, 2 bits of sight
+    classify(camera, ivec4(b.x & 0x7fffu, b.x >> 15 & 0x7fffu, b.y & 0x7fffu, b.y >> 15), b.x >> 30, state);
 }
 """
 
@@ -104,14 +104,14 @@ layout(local_size_x = 64) in;
 void main() {
     uint block = gl_GlobalInvocationID.x;
     if (block >= uint(COARSE_BLOCKS)) return;
-    Verdict verdict = Verdict(present, 0u, 0, 0, false);
-    for (uint left = present; left != 0u && !verdict.empty; left &= left - 1u) {
+    State state = State(present, 0u, 0, 0, false);
+    for (uint left = present; left != 0u && !state.empty; left &= left - 1u) {
         int camera = findLSB(left);
-        judge_packed(camera, box[camera * COARSE_BLOCKS + int(block)], verdict);
+        classify_packed(camera, box[camera * COARSE_BLOCKS + int(block)], state);
     }
-    if (verdict.empty || verdict.possible < min_seeing) return;
+    if (state.empty || state.possible < min_seeing) return;
     uint slot = append(0, 1u);
-    coarse[slot] = uvec4(block, verdict.undecided, verdict.settled, 0u);
+    coarse[slot] = uvec4(block, state.undecided, state.settled, 0u);
 }
 """
 
@@ -126,17 +126,17 @@ void main() {
     at += ivec3(b & 3, b >> 2 & 3, b >> 4);
     if (any(greaterThanEqual(at, BRICKS))) return;
     uint index = uint((at.z * BRICKS.y + at.y) * BRICKS.x + at.x);
-    Verdict verdict = Verdict(from.y, 0u, int(from.z), int(from.z), false);
-    for (uint left = from.y; left != 0u && !verdict.empty; left &= left - 1u) {
+    State state = State(from.y, 0u, int(from.z), int(from.z), false);
+    for (uint left = from.y; left != 0u && !state.empty; left &= left - 1u) {
         int camera = findLSB(left);
-        judge_packed(camera, box[CAMERAS * COARSE_BLOCKS + camera * BRICK_COUNT + int(index)], verdict);
+        classify_packed(camera, box[CAMERAS * COARSE_BLOCKS + camera * BRICK_COUNT + int(index)], state);
     }
-    if (verdict.empty || verdict.possible < min_seeing) return;
+    if (state.empty || state.possible < min_seeing) return;
     uint slot = append(1, 8u);
     brick[slot].index = index;
-    brick[slot].undecided = verdict.undecided;
-    brick[slot].partly_blind = verdict.partly_blind;
-    brick[slot].settled = verdict.settled;
+    brick[slot].undecided = state.undecided;
+    brick[slot].partly_blind = state.partly_blind;
+    brick[slot].settled = state.settled;
     for (int word = 0; word < 16; word++) brick[slot].leaf[word] = 0u;
 }
 """
@@ -177,23 +177,23 @@ void main() {
     if (any(lessThanEqual(size, ivec3(0)))) return;
     uint partly_blind = brick[slot].partly_blind;      // what a camera sees whole of the brick, it sees whole here
     int settled = brick[slot].settled;
-    Verdict verdict = Verdict(brick[slot].undecided, 0u, settled, settled, false);
-    for (uint left = verdict.undecided; left != 0u && !verdict.empty; left &= left - 1u) {
+    State state = State(brick[slot].undecided, 0u, settled, settled, false);
+    for (uint left = state.undecided; left != 0u && !state.empty; left &= left - 1u) {
         int camera = findLSB(left);
         ivec4 pixels = project_box(camera, low, vec3(size - 1));
         bool on_canvas = pixels.x < pixels.z && pixels.y < pixels.w;
         uint sight = (partly_blind >> camera & 1u) == 0u ? SEEN : on_canvas ? PARTLY_SEEN : UNSEEN;
-        judge(camera, pixels, sight, verdict);
+        classify(camera, pixels, sight, state);
     }
-    if (verdict.empty || verdict.possible < min_seeing) return;
-    if (verdict.undecided == 0u) {
+    if (state.empty || state.possible < min_seeing) return;
+    if (state.undecided == 0u) {
         fill(slot, octant, size);
         return;
     }
     uint found = append(2, 8u);
-    block[found].place = place | uint(verdict.settled) << 26;
-    block[found].undecided = verdict.undecided;
-    block[found].doubt[0] = block[found].doubt[1] = 0u;
+    block[found].place = place | uint(state.settled) << 26;
+    block[found].undecided = state.undecided;
+    block[found].uncertain[0] = block[found].uncertain[1] = 0u;
 }
 """
 
@@ -211,7 +211,7 @@ void main() {
     ivec3 first = corner_of(brick[slot].index) + 4 * octant + ivec3(0, 2u * (lane & 1u), lane >> 1);
     ivec3 size = clamp(GRID - first, ivec3(0), ivec3(4, 2, 1));
     uint row = size.z > 0 ? (1u << size.x) - 1u : 0u;
-    uint candidates = size.y == 2 ? row | row << 4 : size.y == 1 ? row : 0u, doubts = 0u;
+    uint candidates = size.y == 2 ? row | row << 4 : size.y == 1 ? row : 0u, uncertain = 0u;
     uvec2 seeing = uvec2(0u);                                                  // a byte a voxel
     for (uint left = block[found].undecided; left != 0u && candidates != 0u; left &= left - 1u) {
         int camera = findLSB(left);
@@ -219,7 +219,7 @@ void main() {
         vec4 at = vec4(first - CENTRE, 1.0);
         vec3 p = vec3(dot(r0, at), dot(r1, at), dot(r2, at)), dx = vec3(r0.x, r1.x, r2.x);
         vec3 dy = vec3(r0.y, r1.y, r2.y);
-        uint foreground = 0u, blind = 0u, doubt = 0u;
+        uint foreground = 0u, blind = 0u, near_border = 0u;
         for (int i = 0; i < 8; i++) {
             vec3 q = p + float(i & 3) * dx + float(i >> 2) * dy;
             vec2 uv = q.xy * (1.0 / q.z) + HALF_CANVAS, beyond = abs(uv - round(uv));
@@ -228,18 +228,18 @@ void main() {
             uint word = on_canvas ? label_word(camera, pixel) : 0x10000u;
             foreground |= (word & 1u) << i;
             blind |= (word >> 16 & 1u) << i;
-            doubt |= min(beyond.x, beyond.y) * abs(q.z) < BORDER_PX_M ? 1u << i : 0u;
+            near_border |= min(beyond.x, beyond.y) * abs(q.z) < BORDER_PX_M ? 1u << i : 0u;
         }
-        candidates &= foreground | blind | doubt;
-        doubts |= doubt;
+        candidates &= foreground | blind | near_border;
+        uncertain |= near_border;
         seeing += uvec2(spread(foreground & 15u), spread(foreground >> 4));
     }
-    doubts &= candidates;
+    uncertain &= candidates;
     uint enough = uint(128 - max(min_seeing - settled, 0)) * 0x01010101u;
-    uint occupied = candidates & ~doubts & (gather(seeing.x + enough) | gather(seeing.y + enough) << 4);
-    if (doubts != 0u && atomicOr(block[found].doubt[lane >> 2], doubts << (8u * (lane & 3u))) == 0u) {
+    uint occupied = candidates & ~uncertain & (gather(seeing.x + enough) | gather(seeing.y + enough) << 4);
+    if (uncertain != 0u && atomicOr(block[found].uncertain[lane >> 2], uncertain << (8u * (lane & 3u))) == 0u) {
         uint half_block = append(3, 64u);
-        doubtful[half_block] = 2u * found + (lane >> 2);
+        recheck[half_block] = 2u * found + (lane >> 2);
     }
     if (occupied != 0u)
         atomicOr(brick[slot].leaf[2 * (4 * octant.z + int(lane >> 1)) + octant.y],
@@ -247,8 +247,8 @@ void main() {
 }
 """
 
-# the voxels that single precision leaves in doubt; an invocation takes those of half a block, one after the other
-DOUBTS = """
+# the voxels that are uncertain in single precision; an invocation takes those of half a block, one after the other
+RECHECK = """
 layout(local_size_x = 64) in;
 bool occupied(ivec3 voxel, uint cameras, int settled) {
     int seeing = settled;
@@ -264,11 +264,11 @@ bool occupied(ivec3 voxel, uint cameras, int settled) {
 }
 void main() {
     if (invocation() >= list[3].w) return;
-    uint half_block = doubtful[invocation()], found = half_block >> 1;
+    uint half_block = recheck[invocation()], found = half_block >> 1;
     uint place = block[found].place & 0x3ffffffu, slot = place >> 3;
     int settled = int(block[found].place >> 26);
     ivec3 octant = octant_of(place), corner = corner_of(brick[slot].index);
-    for (uint left = block[found].doubt[half_block & 1u]; left != 0u; left &= left - 1u) {
+    for (uint left = block[found].uncertain[half_block & 1u]; left != 0u; left &= left - 1u) {
         int bit = findLSB(left) + 32 * int(half_block & 1u);
         ivec3 in_brick = 4 * octant + ivec3(bit & 3, bit >> 2 & 3, bit >> 4);
         if (occupied(corner + in_brick, block[found].undecided, settled))
@@ -278,9 +278,9 @@ void main() {
 """
 
 KERNELS = {
-    "coarse": JUDGE + COARSE,
-    "bricks": JUDGE + BRICKS,
-    "blocks": JUDGE + BLOCKS,
+    "coarse": CLASSIFY + COARSE,
+    "bricks": CLASSIFY + BRICKS,
+    "blocks": CLASSIFY + BLOCKS,
     "voxels": VOXELS,
-    "doubts": PROJECT_EXACTLY + DOUBTS,
+    "recheck": PROJECT_EXACTLY + RECHECK,
 }

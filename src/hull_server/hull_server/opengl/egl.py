@@ -1,6 +1,7 @@
-"""An OpenGL context without a display, through EGL. PyOpenGL is used for OpenGL itself only.
+"""Creates an OpenGL context without a display, through EGL by plain ctypes, the same for Mesa and for NVIDIA.
 
-The environment variable PYOPENGL_PLATFORM must say ``egl`` before anything imports OpenGL: this module sees to it.
+PyOpenGL is used for OpenGL itself only. The environment variable PYOPENGL_PLATFORM must say ``egl`` before anything
+imports OpenGL: this module sees to it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-# --- libEGL through plain ctypes: the calls that a context without a window needs, the same for Mesa and for NVIDIA.
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software rasterizer", "swiftshader")
+REMEDY = (
+    "Install the graphics driver's EGL part (Mesa: libegl-mesa0, libgl1-mesa-dri; NVIDIA: libnvidia-gl) and let this "
+    "user open /dev/dri/renderD* (group render); in a container, pass the GPU with its graphics capability."
+)
 
 GL_VERSIONS = ((4, 5), (4, 3))  # compute shaders and storage buffers came with 4.3
 MAX_DEVICES = 32
@@ -54,115 +61,6 @@ _SIGNATURES: tuple[tuple[str, Any, list], ...] = (
 
 class NoGraphics(RuntimeError):
     """No OpenGL 4.3 context of the wanted kind can be had on this machine; the text says why."""
-
-
-@dataclass(frozen=True)
-class Display:
-    """Something that may offer OpenGL; ``software`` where that is known to be all it offers."""
-
-    handle: int
-    description: str
-    software: bool = False
-
-
-class Egl:
-    """The library. Raises NoGraphics when it is not installed."""
-
-    def __init__(self) -> None:
-        try:
-            self._library = ctypes.CDLL("libEGL.so.1", mode=ctypes.RTLD_GLOBAL)
-        except OSError:
-            raise NoGraphics("libEGL.so.1 is not installed (Debian and Ubuntu: apt install libegl1)") from None
-        for name, result, arguments in _SIGNATURES:
-            function = getattr(self._library, name)
-            function.restype, function.argtypes = result, arguments
-
-    def displays(self) -> list[Display]:
-        """What to try, in this order: hardware devices, software devices, the surfaceless platform, the default."""
-        devices = sorted(self._devices(), key=lambda device: device[0])
-        found = [
-            (self._platform_display(_PLATFORM_DEVICE, handle), f"EGL device {number}", software)
-            for number, (software, handle) in enumerate(devices)
-        ]
-        only_software = bool(devices) and all(software for software, _ in devices)
-        found.append((self._platform_display(_PLATFORM_SURFACELESS, None), "surfaceless EGL", only_software))
-        found.append((self._library.eglGetDisplay(None), "default EGL display", only_software))
-        return [Display(handle, description, software) for handle, description, software in found if handle]
-
-    def initialize(self, display: Display) -> bool:
-        return bool(self._library.eglInitialize(display.handle, None, None)) and self.choose_opengl()
-
-    def choose_opengl(self) -> bool:
-        """Make this thread's EGL calls mean OpenGL, not OpenGL ES; every thread has to say so itself."""
-        return bool(self._library.eglBindAPI(_OPENGL_API))
-
-    def pbuffer_config(self, display: Display) -> int | None:
-        """A configuration that has OpenGL and small off-screen surfaces."""
-        config, count = _pointer(), _int()
-        wanted = _attributes(_SURFACE_TYPE, _PBUFFER_BIT, _RENDERABLE_TYPE, _OPENGL_BIT)
-        self._library.eglChooseConfig(display.handle, wanted, ctypes.byref(config), 1, ctypes.byref(count))
-        return config.value if count.value else None
-
-    def create_pbuffer(self, display: Display, config: int) -> int | None:
-        size = _attributes(_WIDTH, PBUFFER_PX, _HEIGHT, PBUFFER_PX)
-        return self._library.eglCreatePbufferSurface(display.handle, config, size)
-
-    def create_context(self, display: Display, config: int | None) -> int | None:
-        """A core context of the newest version to be had."""
-        for major, minor in GL_VERSIONS:
-            attributes = _attributes(_MAJOR, major, _MINOR, minor, _PROFILE_MASK, _CORE_PROFILE)
-            context = self._library.eglCreateContext(display.handle, config, None, attributes)
-            if context:
-                return context
-        return None
-
-    def make_current(self, display: Display, surface: int | None, context: int | None) -> bool:
-        """On this thread; surface and context None to release."""
-        return bool(self._library.eglMakeCurrent(display.handle, surface, surface, context))
-
-    def destroy(self, display: Display, surface: int | None, context: int | None) -> None:
-        if context:
-            self._library.eglDestroyContext(display.handle, context)
-        if surface:
-            self._library.eglDestroySurface(display.handle, surface)
-
-    def error(self) -> str:
-        """The name of this thread's last error."""
-        code = self._library.eglGetError()
-        return _ERRORS.get(code, f"EGL error 0x{code:x}")
-
-    def _devices(self) -> Iterator[tuple[bool, int]]:
-        """Every device: whether it is a software renderer, and its handle."""
-        query = self._extension("eglQueryDevicesEXT", _uint, _int, _pointer, _pointer)
-        describe = self._extension("eglQueryDeviceStringEXT", _text, _pointer, _int)
-        handles, count = (_pointer * MAX_DEVICES)(), _int()
-        if query is None or describe is None or not query(MAX_DEVICES, handles, ctypes.byref(count)):
-            return
-        for handle in filter(None, handles[: count.value]):
-            yield b"EGL_MESA_device_software" in (describe(handle, _EXTENSIONS) or b""), handle
-
-    def _platform_display(self, platform: int, native: int | None) -> int | None:
-        get_display = self._extension("eglGetPlatformDisplayEXT", _pointer, _uint, _pointer, _pointer)
-        return None if get_display is None else get_display(platform, native, None)
-
-    def _extension(self, name: str, result: Any, *arguments: Any) -> Any:
-        address = self._library.eglGetProcAddress(name.encode())
-        return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
-
-
-def _attributes(*pairs: int) -> ctypes.Array:
-    return (_int * (len(pairs) + 1))(*pairs, _NONE)
-
-
-os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-
-__all__ = ["GlContext", "NoGraphics"]
-
-SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software rasterizer", "swiftshader")
-REMEDY = (
-    "Install the graphics driver's EGL part (Mesa: libegl-mesa0, libgl1-mesa-dri; NVIDIA: libnvidia-gl) and let this "
-    "user open /dev/dri/renderD* (group render); in a container, pass the GPU with its graphics capability."
-)
 
 
 class GlContext:
@@ -256,9 +154,108 @@ class GlContext:
 
 
 def renderer_name() -> str:
-    """What the current context draws with."""
+    """Return the name of the renderer of the current context."""
     try:
         from OpenGL import GL
     except ImportError as error:
         raise NoGraphics(f"PyOpenGL cannot be imported ({error}); pip install PyOpenGL") from None
     return GL.glGetString(GL.GL_RENDERER).decode(errors="replace")
+
+
+@dataclass(frozen=True)
+class Display:
+    """Something that may offer OpenGL; ``software`` where that is known to be all it offers."""
+
+    handle: int
+    description: str
+    software: bool = False
+
+
+class Egl:
+    """The EGL library. Raises NoGraphics when it is not installed."""
+
+    def __init__(self) -> None:
+        try:
+            self._library = ctypes.CDLL("libEGL.so.1", mode=ctypes.RTLD_GLOBAL)
+        except OSError:
+            raise NoGraphics("libEGL.so.1 is not installed (Debian and Ubuntu: apt install libegl1)") from None
+        for name, result, arguments in _SIGNATURES:
+            function = getattr(self._library, name)
+            function.restype, function.argtypes = result, arguments
+
+    def displays(self) -> list[Display]:
+        """List the displays to try, in this order: hardware devices, software devices, the surfaceless platform, the
+        default."""
+        devices = sorted(self._devices(), key=lambda device: device[0])
+        found = [
+            (self._platform_display(_PLATFORM_DEVICE, handle), f"EGL device {number}", software)
+            for number, (software, handle) in enumerate(devices)
+        ]
+        only_software = bool(devices) and all(software for software, _ in devices)
+        found.append((self._platform_display(_PLATFORM_SURFACELESS, None), "surfaceless EGL", only_software))
+        found.append((self._library.eglGetDisplay(None), "default EGL display", only_software))
+        return [Display(handle, description, software) for handle, description, software in found if handle]
+
+    def initialize(self, display: Display) -> bool:
+        return bool(self._library.eglInitialize(display.handle, None, None)) and self.choose_opengl()
+
+    def choose_opengl(self) -> bool:
+        """Make this thread's EGL calls mean OpenGL, not OpenGL ES; every thread has to say so itself."""
+        return bool(self._library.eglBindAPI(_OPENGL_API))
+
+    def pbuffer_config(self, display: Display) -> int | None:
+        """A configuration that has OpenGL and small off-screen surfaces."""
+        config, count = _pointer(), _int()
+        wanted = _attributes(_SURFACE_TYPE, _PBUFFER_BIT, _RENDERABLE_TYPE, _OPENGL_BIT)
+        self._library.eglChooseConfig(display.handle, wanted, ctypes.byref(config), 1, ctypes.byref(count))
+        return config.value if count.value else None
+
+    def create_pbuffer(self, display: Display, config: int) -> int | None:
+        size = _attributes(_WIDTH, PBUFFER_PX, _HEIGHT, PBUFFER_PX)
+        return self._library.eglCreatePbufferSurface(display.handle, config, size)
+
+    def create_context(self, display: Display, config: int | None) -> int | None:
+        """A core context of the newest version to be had."""
+        for major, minor in GL_VERSIONS:
+            attributes = _attributes(_MAJOR, major, _MINOR, minor, _PROFILE_MASK, _CORE_PROFILE)
+            context = self._library.eglCreateContext(display.handle, config, None, attributes)
+            if context:
+                return context
+        return None
+
+    def make_current(self, display: Display, surface: int | None, context: int | None) -> bool:
+        """On this thread; surface and context None to release."""
+        return bool(self._library.eglMakeCurrent(display.handle, surface, surface, context))
+
+    def destroy(self, display: Display, surface: int | None, context: int | None) -> None:
+        if context:
+            self._library.eglDestroyContext(display.handle, context)
+        if surface:
+            self._library.eglDestroySurface(display.handle, surface)
+
+    def error(self) -> str:
+        """The name of this thread's last error."""
+        code = self._library.eglGetError()
+        return _ERRORS.get(code, f"EGL error 0x{code:x}")
+
+    def _devices(self) -> Iterator[tuple[bool, int]]:
+        """List every device: whether it is a software renderer, and its handle."""
+        query = self._extension("eglQueryDevicesEXT", _uint, _int, _pointer, _pointer)
+        describe = self._extension("eglQueryDeviceStringEXT", _text, _pointer, _int)
+        handles, count = (_pointer * MAX_DEVICES)(), _int()
+        if query is None or describe is None or not query(MAX_DEVICES, handles, ctypes.byref(count)):
+            return
+        for handle in filter(None, handles[: count.value]):
+            yield b"EGL_MESA_device_software" in (describe(handle, _EXTENSIONS) or b""), handle
+
+    def _platform_display(self, platform: int, native: int | None) -> int | None:
+        get_display = self._extension("eglGetPlatformDisplayEXT", _pointer, _uint, _pointer, _pointer)
+        return None if get_display is None else get_display(platform, native, None)
+
+    def _extension(self, name: str, result: Any, *arguments: Any) -> Any:
+        address = self._library.eglGetProcAddress(name.encode())
+        return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
+
+
+def _attributes(*pairs: int) -> ctypes.Array:
+    return (_int * (len(pairs) + 1))(*pairs, _NONE)

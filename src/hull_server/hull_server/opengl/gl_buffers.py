@@ -1,22 +1,35 @@
-"""The few OpenGL objects that the GL backends share: programs, storage buffers and their transfers."""
+"""OpenGL programs and buffers: storage buffers, the upload of a frame set, and the read-back of the bricks found.
+
+The upload is laid out on the host as the shaders read it, so that a frame set is one transfer.
+"""
 
 from __future__ import annotations
 
 import ctypes
 
+import cv2
 import numpy as np
 import numpy.typing as npt
-
-from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
-
-from OpenGL import GL  # isort: skip
-import cv2
 from numba import njit
 
 from ..grid import BRICK_EDGE
+from ..kernel import nonzero_bytes
 from ..views import Masks, RigViews
+from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
+
+from OpenGL import GL  # isort: skip
 
 MAX_GL_CAMERAS = 32  # cameras of a frame set are the bits of one shader word
+LISTS = 4  # lists that the kernels hand on: coarse blocks, bricks, blocks, half blocks to recheck
+FRAME_OFFSET = 256  # bytes: the largest alignment that a driver may ask of a bound range
+PIXELS_PER_WORD = 16
+_HEAD, _BOX = 4, 4  # words: of the frame's head, of a camera's foreground box
+BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRICK_EDGE)])  # as the shaders' Brick
+LIST_BYTES = 16  # size of a dispatch, and length
+LISTS_BYTES = LIST_BYTES * LISTS
+LENGTH_OF_BRICKS = 7  # word of the lists
+LEAST_GUESS = 1024  # bricks
+PATIENCE_NS = 10_000_000_000  # for the carve of one frame set
 
 
 def make_program(**sources: str) -> int:
@@ -71,7 +84,7 @@ class StorageBuffer:
         GL.glUnmapBuffer(GL.GL_SHADER_STORAGE_BUFFER)
 
     def read(self, dtype: npt.DTypeLike, count: int) -> np.ndarray:
-        """The first ``count`` items, copied."""
+        """Copy the first ``count`` items."""
         data: np.ndarray = np.empty(count, dtype)
         if count:
             address = self._map(data.nbytes, GL.GL_MAP_READ_BIT)
@@ -84,18 +97,6 @@ class StorageBuffer:
             raise ValueError(f"{nbytes} bytes do not fit a buffer of {self.nbytes}")
         GL.glBindBuffer(GL.GL_SHADER_STORAGE_BUFFER, self.name)
         return GL.glMapBufferRange(GL.GL_SHADER_STORAGE_BUFFER, 0, nbytes, access)
-
-
-def _text(log: bytes | str) -> str:
-    return log.decode(errors="replace") if isinstance(log, bytes) else log
-
-
-# --- What the compute carve needs of one frame set, laid out on the host as its shaders read it: one upload.
-
-LISTS = 4  # lists that the kernels hand on: coarse blocks, bricks, blocks, doubts
-FRAME_OFFSET = 256  # bytes: the largest alignment that a driver may ask of a bound range
-PIXELS_PER_WORD = 16
-_HEAD, _BOX = 4, 4  # words: of the frame's head, of a camera's foreground box
 
 
 class FrameUpload:
@@ -124,7 +125,7 @@ class FrameUpload:
         self._rows = np.zeros((cameras, 2), np.int64)  # from and to, of each camera's foreground
 
     def fill(self, masks: Masks, present: npt.NDArray[np.int64], min_seeing: int) -> npt.NDArray[np.int32]:
-        """The words to upload for the masks of the ``present`` cameras; valid until the next call."""
+        """Fill in the masks of the ``present`` cameras; return the words to upload, valid until the next call."""
         self._head.view(np.uint32)[:2] = sum(1 << int(camera) for camera in present), min_seeing
         end = self._areas_start
         for camera in present:
@@ -132,7 +133,7 @@ class FrameUpload:
         return self.words[:end]
 
     def _fill_camera(self, camera: int, mask: npt.NDArray[np.uint8], start: int) -> int:
-        """Labels, foreground box and summed areas, these from word ``start``; returns where they end."""
+        """Fill in labels, foreground box and summed areas, these from word ``start``; return where they end."""
         words = np.ascontiguousarray(mask).view(np.uint64)
         u0, v0, u1, v1 = label_foreground(words, self._labels[camera], self._rows[camera])
         self._boxes[camera] = u0, v0, u1, v1
@@ -164,7 +165,7 @@ def label_foreground(words, labels, rows):  # type: ignore[no-untyped-def]
             continue
         top, bottom = min(top, row), row + 1
         for group in range(groups):
-            bits = _nonzero_bytes(words[row, 2 * group]) | _nonzero_bytes(words[row, 2 * group + 1]) << np.uint64(8)
+            bits = _nonzero_bits(words[row, 2 * group]) | _nonzero_bits(words[row, 2 * group + 1]) << np.uint64(8)
             if bits != 0:
                 left, right = min(left, group), max(right, group + 1)
                 labels[row, group] |= np.uint32(bits) & ~(labels[row, group] >> np.uint32(16))
@@ -173,30 +174,18 @@ def label_foreground(words, labels, rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _nonzero_bytes(word):  # type: ignore[no-untyped-def]
-    """Bit b is set where byte b of a word is not zero."""
-    low = np.uint64(0x7F7F7F7F7F7F7F7F)
-    flags = ((word & low) + low | word) >> np.uint64(7) & np.uint64(0x0101010101010101)
-    return flags * np.uint64(0x0102040810204080) >> np.uint64(56)
-
-
-# --- The buffers of one frame set under way on the device: what goes there, and what comes home.
-
-BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRICK_EDGE)])  # as the shaders' Brick
-LIST_BYTES = 16  # size of a dispatch, and length
-LISTS_BYTES = LIST_BYTES * LISTS
-LENGTH_OF_BRICKS = 7  # word of the lists
-LEAST_GUESS = 1024  # bricks
-PATIENCE_NS = 10_000_000_000  # for the carve of one frame set
+def _nonzero_bits(word):  # type: ignore[no-untyped-def]
+    """Return a byte whose bit b is set where byte b of a word is not zero."""
+    return nonzero_bytes(word) * np.uint64(0x0102040810204080) >> np.uint64(56)
 
 
 class BufferSet:
-    """Upload, bricks and read-back of one frame set. To be used with the context current."""
+    """The device buffers of one frame set: upload, bricks and read-back. To be used with the context current."""
 
     def __init__(self, upload_bytes: int, bricks: int) -> None:
         self.frame = StorageBuffer(upload_bytes)
         self._bricks = StorageBuffer(BRICK.itemsize * bricks)
-        self._home = StorageBuffer(LISTS_BYTES + self._bricks.nbytes, GL.GL_STREAM_READ)
+        self._read_back = StorageBuffer(LISTS_BYTES + self._bricks.nbytes, GL.GL_STREAM_READ)
         self._texture = int(GL.glGenTextures(1))
         GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
         GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_R32I, self.frame.name)
@@ -211,9 +200,9 @@ class BufferSet:
         GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
         GL.glBindBuffer(GL.GL_DISPATCH_INDIRECT_BUFFER, self.frame.name)
 
-    def send_home(self) -> None:
-        """Queue the copies of the lists' lengths and of as many bricks as are to be expected, and a fence behind."""
-        GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._home.name)
+    def queue_read_back(self) -> None:
+        """Queue the copies of the lists' lengths and of as many bricks as are expected, then a fence."""
+        GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._read_back.name)
         for source, offset, nbytes in (
             (self.frame, 0, LISTS_BYTES),
             (self._bricks, LISTS_BYTES, BRICK.itemsize * self._expected),
@@ -224,22 +213,26 @@ class BufferSet:
         GL.glFlush()
 
     def list_lengths(self) -> list[int]:
-        """What the kernels left to one another: coarse blocks, bricks, blocks, halves of blocks. Waits for them."""
+        """Read how much each kernel left to the next: coarse blocks, bricks, blocks, half blocks. Waits for them."""
         return [int(length) for length in self.frame.read(np.uint32, 4 * LISTS)[3::4]]
 
     def has_arrived(self) -> bool:
-        """Whether what was sent home is there already."""
+        """Check whether the read-back has arrived."""
         return GL.glClientWaitSync(self._fence, 0, 0) == GL.GL_ALREADY_SIGNALED
 
     def arrived(self) -> npt.NDArray:
-        """Wait for what was sent home: (k,) BRICK, in no particular order. NoGraphics when it does not come."""
+        """Wait for the read-back: (k,) BRICK, in no particular order. NoGraphics when it does not come."""
         if GL.glClientWaitSync(self._fence, 0, PATIENCE_NS) not in (GL.GL_ALREADY_SIGNALED, GL.GL_CONDITION_SATISFIED):
             raise NoGraphics(f"the device did not finish a carve within {PATIENCE_NS // 10**9} s; choose backend 'cpu'")
         GL.glDeleteSync(self._fence)
-        found = int(self._home.read(np.uint32, 4 * LISTS)[LENGTH_OF_BRICKS])
+        found = int(self._read_back.read(np.uint32, 4 * LISTS)[LENGTH_OF_BRICKS])
         if found <= self._expected:
-            bricks = self._home.read(np.uint8, LISTS_BYTES + BRICK.itemsize * found)[LISTS_BYTES:].view(BRICK)
+            bricks = self._read_back.read(np.uint8, LISTS_BYTES + BRICK.itemsize * found)[LISTS_BYTES:].view(BRICK)
         else:
             bricks = self._bricks.read(BRICK, found)  # more than expected: fetch them all
         self._expected = min(max(LEAST_GUESS, 2 * found), self._capacity)
         return bricks
+
+
+def _text(log: bytes | str) -> str:
+    return log.decode(errors="replace") if isinstance(log, bytes) else log

@@ -1,8 +1,12 @@
-"""The OpenGL backend: the hierarchical carve in compute shaders (OpenGL 4.3), as exact as the CPU's.
+"""Carves on OpenGL: the hierarchical carve in compute shaders (OpenGL 4.3), as exact as the CPU's.
 
 A frame set is one upload, five dispatches and one read-back of the bricks found. There are two sets of buffers: while
-the device carves one frame set, the host prepares the next and takes home the last (double buffering of uploads and
+the device carves one frame set, the host prepares the next and reads back the last (double buffering of uploads and
 read-backs, which the thesis leaves as future work).
+
+Consumer GPUs compute in double precision 32 to 64 times slower than in single. Single precision is enough wherever a
+voxel lands farther from the nearest border between two pixels than its rounding error; the others are computed again in
+double. Origins in the middle of the grid and of the canvas keep the numbers, and so the rounding, small.
 """
 
 from __future__ import annotations
@@ -23,48 +27,16 @@ from .carve_shaders import HEADER, KERNELS
 from .egl import GlContext, NoGraphics
 from .gl_buffers import GL, LIST_BYTES, MAX_GL_CAMERAS, BufferSet, FrameUpload, StorageBuffer, make_program
 
-# --- Projection in single precision, and how far it can be trusted.
-#
-# Consumer GPUs compute in double precision 32 to 64 times slower than in single. Single precision will do wherever a
-# voxel lands farther from the nearest border between two pixels than its rounding can carry it. Origins in the middle
-# of the grid and of the canvas keep the numbers, and so the rounding, small.
-
 UNIT = 2.0**-24  # relative rounding of one operation
 IN_SUMS = 8  # roundings on the way to a row's value: the entry's own, a product, three sums, three steps in a block
 IN_QUOTIENT = 8  # and from there: a reciprocal that may be five units off, a product, canvas's centre and margin added
-
-
-class SinglePrecision(NamedTuple):
-    """rows : (N, 3, 4) float32, voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w.
-
-    centre : (3,) the voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less
-    than ``border / w`` away from the true one; pixels times the unit of w, which is metres.
-    """
-
-    rows: npt.NDArray[np.float32]
-    centre: npt.NDArray[np.int64]
-    border: float
-
-
-def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
-    """The rows for a rig and a grid, with a bound for the sum of all their roundings (Higham 2002, 3.1)."""
-    _, height, width = views.seen.shape
-    centre = np.array(grid.shape, np.int64) // 2
-    P = pixel_projections(views, grid)
-    P[..., 3] += P[..., :3] @ centre
-    P[:, :2] -= 0.5 * np.array([width, height])[:, None] * P[:, 2:]
-    largest = np.abs(P) @ np.append(centre + 1.0, 1.0)  # (N, 3) sums of absolute terms, anywhere in the grid
-    sums = IN_SUMS * largest[:, :2].max(axis=1)
-    depth = (IN_SUMS + IN_QUOTIENT) * 0.5 * max(width, height) * largest[:, 2]
-    return SinglePrecision(P.astype(np.float32), centre, float(UNIT * (sums + depth).max()))
-
 
 SETS = 2  # frame sets that may be under way at once
 GROUP = 64  # invocations of a work group
 GROUPS_IN_ROW = 32768  # work groups along x; every driver allows 65535
 COARSE_EDGE = 32
 BLOCKS_PER_BRICK = 8
-COARSE_BYTES, BLOCK_BYTES, DOUBT_BYTES = 16, 16, 8  # of the lists' entries; doubts are listed per half of a block
+COARSE_BYTES, BLOCK_BYTES, RECHECK_BYTES = 16, 16, 8  # of the lists' entries; voxels to recheck by half blocks
 BOX_BYTES = 8
 
 
@@ -104,7 +76,7 @@ class GlCarver:
             raise
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """As :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
+        """Carve as :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
         return self.collect(self.submit(masks, min_seeing))
 
     def submit(self, masks: Masks, min_seeing: int) -> Ticket:
@@ -120,22 +92,22 @@ class GlCarver:
                 buffers = self._sets.pop(0)
                 self._sets.append(buffers)
                 if buffers in self._under_way:
-                    self._bring_home(self._under_way[buffers])
+                    self._read_back(self._under_way[buffers])
                 buffers.frame.write(words)
                 for _ in self._carve_step_by_step(buffers):
                     pass
-                buffers.send_home()
+                buffers.queue_read_back()
                 ticket = self._under_way[buffers] = Ticket(buffers)
                 if buffers.has_arrived():  # a software renderer: its collector need not wait for the context
-                    self._bring_home(ticket)
+                    self._read_back(ticket)
         return ticket
 
     def collect(self, ticket: Ticket) -> BrickVolume:
-        """The hull of a submitted frame set, when the device has finished it."""
+        """Return the hull of a submitted frame set, when the device has finished it."""
         if ticket.volume is None:
             with self._context.current():
-                if ticket.volume is None:  # no other thread has brought it home in the meantime
-                    self._bring_home(ticket)
+                if ticket.volume is None:  # no other thread has read it back in the meantime
+                    self._read_back(ticket)
         assert ticket.volume is not None
         return ticket.volume
 
@@ -173,7 +145,7 @@ class GlCarver:
             1: np.concatenate([self._boxes(COARSE_EDGE), self._boxes(BRICK_EDGE)], axis=None),
             4: COARSE_BYTES * self._coarse_blocks,
             6: BLOCK_BYTES * blocks,
-            7: DOUBT_BYTES * blocks,
+            7: RECHECK_BYTES * blocks,
         }
         for binding, content in contents.items():
             StorageBuffer(content).bind(binding)
@@ -199,7 +171,8 @@ class GlCarver:
             )
 
     def _boxes(self, edge: int) -> np.ndarray:
-        """(N, blocks, 2) uint32: u, v from, in 15 bits each, and sight in the two bits above; u, v to."""
+        """Pack pixel boxes (N, blocks, 2) uint32: u, v from, in 15 bits each, and sight in the two bits above; u, v
+        to."""
         boxes = block_boxes(self.views, self.grid, edge, summed_area(self.views.seen))
         pixels = boxes.pixels.astype(np.uint32)
         pixels[boxes.sight == UNSEEN] = 0
@@ -220,7 +193,7 @@ class GlCarver:
             yield name
         GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
 
-    def _bring_home(self, ticket: Ticket) -> None:
+    def _read_back(self, ticket: Ticket) -> None:
         """Give a ticket its volume: in brick order, without the bricks in which no voxel survived."""
         bricks = ticket.buffers.arrived()
         del self._under_way[ticket.buffers]
@@ -228,3 +201,28 @@ class GlCarver:
         leaves = bricks["leaves"][order]
         kept = leaves.any(axis=1)
         ticket.volume = BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])
+
+
+class SinglePrecision(NamedTuple):
+    """rows : (N, 3, 4) float32, voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w.
+
+    centre : (3,) the voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less
+    than ``border / w`` away from the true one; pixels times the unit of w, which is metres.
+    """
+
+    rows: npt.NDArray[np.float32]
+    centre: npt.NDArray[np.int64]
+    border: float
+
+
+def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
+    """Compute the rows for a rig and a grid, and a bound for the sum of all their roundings (Higham 2002, 3.1)."""
+    _, height, width = views.seen.shape
+    centre = np.array(grid.shape, np.int64) // 2
+    P = pixel_projections(views, grid)
+    P[..., 3] += P[..., :3] @ centre
+    P[:, :2] -= 0.5 * np.array([width, height])[:, None] * P[:, 2:]
+    largest = np.abs(P) @ np.append(centre + 1.0, 1.0)  # (N, 3) sums of absolute terms, anywhere in the grid
+    sums = IN_SUMS * largest[:, :2].max(axis=1)
+    depth = (IN_SUMS + IN_QUOTIENT) * 0.5 * max(width, height) * largest[:, 2]
+    return SinglePrecision(P.astype(np.float32), centre, float(UNIT * (sums + depth).max()))
