@@ -35,13 +35,6 @@ def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
     )
 
 
-def uncalibrated_message(shape: tuple[int, ...], stamp_ns: int, frame_id: str) -> CameraInfo:
-    """The camera_info of raw images of ``shape`` (H, W[, 3]) whose lens is unknown: K[0] = 0 says so (REP-104)."""
-    info = CameraInfo(height=shape[0], width=shape[1])
-    info.header.stamp, info.header.frame_id = to_stamp(stamp_ns), frame_id
-    return info
-
-
 class CameraTopics:
     """The publishers of one camera client, made by ``create(message type, topic, QoS)``."""
 
@@ -78,8 +71,10 @@ class CameraTopics:
             self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
 
     def publish_uncalibrated(self, frame: Frame) -> None:
-        """The camera_info of a frame whose lens is unknown."""
-        self._infos.publish(uncalibrated_message(frame.image.shape, frame.stamp_ns, self._frame_id))
+        """The camera_info of a frame whose lens is unknown: K[0] = 0 says so (REP-104)."""
+        info = CameraInfo(height=frame.image.shape[0], width=frame.image.shape[1])
+        info.header.stamp, info.header.frame_id = to_stamp(frame.stamp_ns), self._frame_id
+        self._infos.publish(info)
 
     def publish_silhouette(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
         """The silhouette and its camera_info under one stamp; now and then a preview."""

@@ -60,14 +60,7 @@ def load_calibration(settings: CameraClientSettings, name: str) -> Calibration:
     path = settings.camera_info_file
     if not path or not Path(path).exists():
         return Calibration(name)
-    camera = read_camera_info(path)
-    if camera.name != name:
-        raise InputError(
-            f"camera_name = {camera.name!r} is not this camera, '{name}'",
-            where=path,
-            remedy="Name the file of this camera.",
-        )
-    return Calibration(name, camera)
+    return Calibration(name, read_camera_info(path, name))
 
 
 def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel, Volume]:

@@ -110,17 +110,6 @@ def _absence(connection: Connection) -> str:
     return f"{what}: {connection.reason or 'not connected yet'} ({when}{since})"
 
 
-def frame_statistics_values(frames: FrameStatistics) -> dict[str, object]:
-    """What became of the frames: expected = delivered + incomplete + lost."""
-    return {
-        "expected": frames.expected,
-        "delivered": frames.delivered,
-        "incomplete": frames.incomplete,
-        "lost": frames.lost,
-        "repeated": frames.repeated,
-    }
-
-
 def connection_values(connection: Connection) -> dict[str, object]:
     """How the connection stands, how long it was away, and how the last outage went."""
     values: dict[str, object] = {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
@@ -137,7 +126,7 @@ def source_values(source: FrameSource) -> dict[str, object]:
     counted: dict[str, object] = {**source.counters}
     if connection is not None:
         counted = {**dict.fromkeys(CONNECTION_COUNTERS, 0), **counted, **connection_values(connection)}
-    return {**source.details, **counted, **frame_statistics_values(source.statistics)}
+    return {**source.details, **counted, **source.statistics.counts()}
 
 
 def frame_values(frame: Frame, result: FrameResult) -> dict[str, object]:
@@ -167,14 +156,7 @@ class RecentStatistics:
         self._totals.append((now_s, total.snapshot()))
         while len(self._totals) > 1 and self._totals[1][0] <= now_s - self._window_s:
             self._totals.popleft()
-        then = self._totals[0][1]
-        return FrameStatistics(
-            total.expected - then.expected,
-            total.delivered - then.delivered,
-            total.incomplete - then.incomplete,
-            total.lost - then.lost,
-            total.repeated - then.repeated,
-        )
+        return total - self._totals[0][1]
 
 
 # --- whether the background in use still fits

@@ -136,6 +136,7 @@ class FrameSource(ABC):
 
 # --- what became of the frames
 
+COUNTS = ("expected", "delivered", "incomplete", "lost", "repeated")
 WRAP_16_BIT = 65535  # GVSP block ids of 16 bits run 1 ... 65535 and start again at 1
 
 
@@ -182,21 +183,24 @@ class FrameStatistics:
         """Frames of which anything came at all: what shows that the device is alive."""
         return self.delivered + self.incomplete + self.repeated
 
+    def counts(self) -> dict[str, int]:
+        """The five counts of this instant, by name."""
+        with self._lock:
+            return {name: getattr(self, name) for name in COUNTS}
+
     def snapshot(self) -> FrameStatistics:
         """A copy of the counts of this instant."""
-        with self._lock:
-            return FrameStatistics(self.expected, self.delivered, self.incomplete, self.lost, self.repeated)
+        return FrameStatistics(**self.counts())
 
     def __add__(self, other: FrameStatistics) -> FrameStatistics:
         """The counts of both runs together."""
-        a, b = self.snapshot(), other.snapshot()
-        return FrameStatistics(
-            a.expected + b.expected,
-            a.delivered + b.delivered,
-            a.incomplete + b.incomplete,
-            a.lost + b.lost,
-            a.repeated + b.repeated,
-        )
+        a, b = self.counts(), other.counts()
+        return FrameStatistics(**{name: a[name] + b[name] for name in COUNTS})
+
+    def __sub__(self, earlier: FrameStatistics) -> FrameStatistics:
+        """The counts since ``earlier`` of the same run."""
+        a, b = self.counts(), earlier.counts()
+        return FrameStatistics(**{name: a[name] - b[name] for name in COUNTS})
 
     def _step_to(self, frame_id: int) -> int:
         if self._last is None:

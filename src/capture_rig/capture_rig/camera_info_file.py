@@ -36,23 +36,17 @@ def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
     Raises InputError with file, key, value and remedy: no such file, another camera's name or image size, a matrix
     that is none.
     """
-    document = _read(path)
-    if document["camera_name"] != camera.name:
-        raise InputError(
-            f"camera_name = {document['camera_name']!r} is not this camera, '{camera.name}'",
-            where=str(path),
-            remedy="Name the file of this camera.",
-        )
-    return _with_document(camera, document, str(path))
+    return _with_document(camera, _read(path, camera.name), str(path))
 
 
-def read_camera_info(path: str | Path) -> CameraModel:
+def read_camera_info(path: str | Path, wanted: str = "") -> CameraModel:
     """The camera that the camera_info YAML at ``path`` describes: name, image size and intrinsics from the file, pose
     the identity.
 
-    Raises InputError with file, key, value and remedy: no such file, a camera without a name, a matrix that is none.
+    Raises InputError with file, key, value and remedy: no such file, a camera without a name or, where one is given,
+    another than the ``wanted``, a matrix that is none.
     """
-    document, where = _read(path), str(path)
+    document, where = _read(path, wanted), str(path)
     name = document["camera_name"]
     if not isinstance(name, str) or not name:
         raise InputError(f"camera_name = {name!r} is not a name", where=where, remedy="Write the camera's name there.")
@@ -61,11 +55,17 @@ def read_camera_info(path: str | Path) -> CameraModel:
     return _with_document(anything, document, where)
 
 
-def _read(path: str | Path) -> Mapping[str, Any]:
+def _read(path: str | Path, name: str) -> Mapping[str, Any]:
     document = read_mapping(Path(path), _REMEDY)
     missing = [key for key in KEYS if key not in document]
     if missing:
         raise InputError(f"key '{missing[0]}' is missing", where=str(path), remedy=_REMEDY)
+    if name and document["camera_name"] != name:
+        raise InputError(
+            f"camera_name = {document['camera_name']!r} is not this camera, '{name}'",
+            where=str(path),
+            remedy="Name the file of this camera.",
+        )
     return document
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
@@ -62,15 +61,6 @@ class FeatureAccess(Protocol):
         """The entries of an enumeration that are to be had now."""
 
 
-@dataclass(frozen=True)
-class Applied:
-    """One feature as the device took it."""
-
-    name: str
-    wanted: Value
-    got: Value
-
-
 class Features:
     """Features of one device by any generation's name, with every write checked.
 
@@ -82,7 +72,7 @@ class Features:
 
     def find(self, name: str) -> str | None:
         """The name under which this device has the feature; None when it has it under none."""
-        return known_as(name, lambda spelling: self.access.kind(spelling) is not None)
+        return next((spelling for spelling in spellings(name) if self.access.kind(spelling) is not None), None)
 
     def require(self, name: str, key: str) -> str:
         """Like find(), but InputError (blaming the setting ``key``) when the device has no such feature."""
@@ -115,8 +105,8 @@ class Features:
         if found is not None and self.read(found) != wanted:
             self.set(found, wanted, key)
 
-    def set(self, name: str, wanted: Value, key: str) -> Applied:
-        """Set, read back, compare. ``wanted`` may be text for any kind of feature.
+    def set(self, name: str, wanted: Value, key: str) -> Value:
+        """Set, read back, compare; returns the value read back. ``wanted`` may be text for any kind of feature.
 
         A feature that may only be written is taken to hold what it was given. Raises InputError naming feature,
         wanted and got value, what is allowed, and the setting ``key`` to change.
@@ -139,15 +129,15 @@ class Features:
             ) from None
         got = self.read(found)
         if got is None:
-            return Applied(found, value, value)
+            return value
         if not self._same(found, value, got):
             raise self._error(
                 f"took {found} = {got} instead of {value}",
                 f"{self._allowance(found)}Set {key} to a value that the camera keeps.",
             )
-        return Applied(found, value, got)
+        return got
 
-    def switch(self, name: str, on: bool, key: str) -> Applied:
+    def switch(self, name: str, on: bool, key: str) -> Value:
         """Set what is a boolean on one camera, On and Off on the next, and 1 and 0 on a third."""
         found = self.require(name, key)
         words: tuple[str, ...] = _SWITCH_WORDS[on]
@@ -165,8 +155,8 @@ class Features:
         except DeviceRefusal as refusal:
             raise self._error(f"refuses {found}! ({refusal})", f"Change {key}.") from None
 
-    def apply(self, lines: Sequence[str], key: str) -> tuple[Applied, ...]:
-        """ "Name=value" and "Name!" (a command), one after the other, in this order."""
+    def apply(self, lines: Sequence[str], key: str) -> tuple[Value, ...]:
+        """ "Name=value" and "Name!" (a command), one after the other, in this order; the values read back."""
         applied = []
         for line in lines:
             name, equals, value = (part.strip() for part in line.partition("="))
@@ -295,8 +285,3 @@ _FAMILY = {name: family for family in ALIASES for name in family}
 def spellings(name: str) -> tuple[str, ...]:
     """``name`` itself, then the other names of the same feature."""
     return (name, *(other for other in _FAMILY.get(name, ()) if other != name))
-
-
-def known_as(name: str, present: Callable[[str], bool]) -> str | None:
-    """The first spelling of ``name`` that is ``present``, or None."""
-    return next((spelling for spelling in spellings(name) if present(spelling)), None)

@@ -64,7 +64,7 @@ class SupervisedSource(FrameSource):
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
-        self._backoff = Backoff(FIRST_RETRY_S, settings.longest_retry_s)
+        self._retry_s, self._longest_retry_s = 0.0, settings.longest_retry_s
         self._downtime = Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
@@ -132,7 +132,7 @@ class SupervisedSource(FrameSource):
         self.stop()
         self._release()
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
-        self._backoff.reset()
+        self._retry_s = 0.0
         wait(self._closing, RELEASE_S)
         self._closing = [call for call in self._closing if not call.done()]
 
@@ -192,7 +192,7 @@ class SupervisedSource(FrameSource):
         now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
             self._arrived, self._heard_s, self._delivering, self._silent_s = arrived, now_s, True, 0.0
-            self._backoff.reset()
+            self._retry_s = 0.0
         else:  # time in which this process did not get to run is no silence of the camera
             self._silent_s += min(now_s - began_s, wait_s)
         if frame is not None:
@@ -211,7 +211,7 @@ class SupervisedSource(FrameSource):
         now_s = self._clock()
         self._downtime.begin(self._heard_s, now_s)
         self._state, self._reason, self._refused = state, reason, False
-        self._next_try_s = now_s + (0.0 if self._delivering else self._backoff.next_s())
+        self._next_try_s = now_s + (0.0 if self._delivering else self._next_retry_s())
 
     def _release(self, after: Future | None = None) -> None:
         """Close the present connection on a thread of its own (once ``after`` is over) and keep its counts."""
@@ -310,8 +310,14 @@ class SupervisedSource(FrameSource):
         now_s = self._clock()
         if self._running:
             self._downtime.begin(self._heard_s, now_s)
-        self._next_try_s = now_s + (self._backoff.slowest_s() if refused else self._backoff.next_s())
+        self._next_try_s = now_s + (self._next_retry_s(slowest=refused))
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
+
+    def _next_retry_s(self, slowest: bool = False) -> float:
+        """The pause before the next attempt: twice the last one, or the longest from now on."""
+        doubled_s = 2 * self._retry_s or FIRST_RETRY_S
+        self._retry_s = self._longest_retry_s if slowest else min(doubled_s, self._longest_retry_s)
+        return self._retry_s
 
 
 # --- calls that may block for seconds
@@ -347,7 +353,7 @@ def _closer_of(attempt: Future[FrameSource]) -> Callable[[], None]:
     return close
 
 
-# --- time without frames, and between attempts
+# --- time without frames
 
 
 class Downtime:
@@ -379,25 +385,3 @@ class Downtime:
     def sum_s(self, now_s: float) -> float:
         """All of it, the present outage included."""
         return self._sum_s + self.present_s(now_s)
-
-
-class Backoff:
-    """Pauses between attempts: ``first_s``, then twice the last one, up to ``longest_s``."""
-
-    def __init__(self, first_s: float, longest_s: float) -> None:
-        self._first_s, self._longest_s = first_s, longest_s
-        self._last_s = 0.0
-
-    def next_s(self) -> float:
-        """The pause before the next attempt."""
-        self._last_s = min(2 * self._last_s or self._first_s, self._longest_s)
-        return self._last_s
-
-    def slowest_s(self) -> float:
-        """The longest pause, and all that follow stay as long."""
-        self._last_s = self._longest_s
-        return self._last_s
-
-    def reset(self) -> None:
-        """Begin with the shortest pause next time."""
-        self._last_s = 0.0
