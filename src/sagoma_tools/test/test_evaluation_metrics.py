@@ -1,4 +1,4 @@
-"""Angles, covariance honesty, jitter and time to track against values known by construction."""
+"""Angles, covariance coverage, jitter and time to track against values known by construction."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.session import Truth
 from sagoma_tools.evaluation.angles import STRAIGHT_RAD, angle_truth, defined, score_angles
-from sagoma_tools.evaluation.scores import honesty
+from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import jitter, time_to_track_s
 from stick_figure.body import Body
@@ -120,7 +120,7 @@ def test_nees_of_honest_noise_is_three_and_lies_in_its_interval():
     A = rng.normal(size=(15, 3, 3))
     P = 1e-4 * (A @ A.transpose(0, 2, 1) + np.eye(3))
     errors = np.einsum("pij,fpj->fpi", np.linalg.cholesky(P), rng.normal(size=(4000, 15, 3)))
-    found = honesty(errors, np.broadcast_to(P, (4000, 15, 3, 3)))
+    found = covariance_coverage(errors, np.broadcast_to(P, (4000, 15, 3, 3)))
     assert found.nees == pytest.approx(3.0, abs=0.05)
     np.testing.assert_allclose(found.point_inside_95, 0.95, atol=0.015)
     # 4000 independent frames: the mean of chi-square(3) has sd sqrt(6 / 4000)
@@ -132,17 +132,17 @@ def test_nees_grows_by_four_where_a_point_claims_half_the_sd_it_has():
     errors = rng.normal(0.0, 0.02, (4000, 15, 3))
     P = np.broadcast_to(np.eye(3) * 0.02**2, (4000, 15, 3, 3)).copy()
     P[:, 12] *= 0.25
-    found = honesty(errors, P)
+    found = covariance_coverage(errors, P)
     assert found.point_nees[12] == pytest.approx(12.0, rel=0.05)
     assert found.point_inside_95[12] == pytest.approx(0.418, abs=0.03)  # chi-square(3) at 7.81 / 4
     assert found.point_inside_95[11] == pytest.approx(0.95, abs=0.015)
 
 
-def test_unknown_errors_leave_honesty_alone_and_certainty_counts_as_outside():
+def test_unknown_errors_do_not_count_and_certainty_counts_as_outside():
     errors, P = np.full((4, 15, 3), 0.01), np.broadcast_to(np.eye(3) * 1e-4, (4, 15, 3, 3)).copy()
     errors[:3, 0] = np.nan
     P[:, 1] = 0.0
-    found = honesty(errors, P)
+    found = covariance_coverage(errors, P)
     assert found.point_nees[0] == pytest.approx(3.0)
     assert found.point_inside_95[1] == 0.0
     assert found.point_nees[1] == np.inf

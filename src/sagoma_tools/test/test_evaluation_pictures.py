@@ -36,7 +36,7 @@ def session(tmp_path_factory) -> Session:
 
 
 @pytest.fixture()
-def judged(session) -> TrackEvaluation:
+def evaluated(session) -> TrackEvaluation:
     """A track that is the truth moved up by 30 mm, its left hand 250 mm off in frame 4, without frame 0."""
     assert session.truth is not None and session.truth.angles is not None
     points = session.truth.points_world[1:] + np.array([0.0, 0.0, 0.03])
@@ -47,8 +47,8 @@ def judged(session) -> TrackEvaluation:
     return evaluate_track(session, FRAMES, track, thesis=track)
 
 
-def test_every_page_of_plots_is_written(judged, tmp_path):
-    paths = draw_plots(tmp_path, judged)
+def test_every_page_of_plots_is_written(evaluated, tmp_path):
+    paths = draw_plots(tmp_path, evaluated)
     assert {path.stem for path in paths} == {
         "angles_torso_neck_elbows",
         "angles_shoulders",
@@ -62,9 +62,9 @@ def test_every_page_of_plots_is_written(judged, tmp_path):
 
 
 @pytest.mark.slow
-def test_without_a_truth_the_angles_alone_are_plotted(judged, tmp_path):
-    session = replace(judged.session, truth=None)
-    paths = draw_plots(tmp_path, evaluate_track(session, FRAMES, judged.track))
+def test_without_a_truth_the_angles_alone_are_plotted(evaluated, tmp_path):
+    session = replace(evaluated.session, truth=None)
+    paths = draw_plots(tmp_path, evaluate_track(session, FRAMES, evaluated.track))
     assert all(path.stem.startswith("angles_") for path in paths)
     assert len(paths) == 4
 
@@ -83,33 +83,33 @@ def test_unwrapped_leaves_gaps_and_takes_out_full_turns():
     np.testing.assert_allclose(out[[0, 2, 3]], [3.0, 3.0, 3.1])
 
 
-def test_the_caption_says_frame_time_state_and_error(judged):
-    assert caption(judged, 0) == "session   frame 0   0.00 s   no body"
-    assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(judged, 4)
+def test_the_caption_says_frame_time_state_and_error(evaluated):
+    assert caption(evaluated, 0) == "session   frame 0   0.00 s   no body"
+    assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(evaluated, 4)
 
 
-def test_the_caption_of_a_session_without_truth_has_no_error(judged):
-    blind = evaluate_track(replace(judged.session, truth=None), FRAMES, judged.track)
+def test_the_caption_of_a_session_without_truth_has_no_error(evaluated):
+    blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
     assert caption(blind, 4) == "session   frame 4   0.20 s   doubtful"
 
 
-def test_the_overlay_video_has_every_frame(judged, tmp_path):
-    with Video(write_overlay(tmp_path / "deep" / "overlay.mp4", judged)) as video:
+def test_the_overlay_video_has_every_frame(evaluated, tmp_path):
+    with Video(write_overlay(tmp_path / "deep" / "overlay.mp4", evaluated)) as video:
         assert (video.frame_count, video.fps) == (FRAMES, 20.0)
         assert video.read() is not None
 
 
-def test_the_overlay_video_works_without_a_truth(judged):
-    blind = evaluate_track(replace(judged.session, truth=None), FRAMES, judged.track)
+def test_the_overlay_video_works_without_a_truth(evaluated):
+    blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
     sizes = {sheet.shape for sheet in sheets(blind)}
     assert len(sizes) == 1
     height, width, _ = sizes.pop()
     assert height % 2 == width % 2 == 0
 
 
-def test_stills_show_frames_all_over_and_the_worst_one(judged, tmp_path):
-    assert [path.name for path in draw_stills(tmp_path, judged)] == ["overlay.png", "worst.png"]
-    blind = evaluate_track(replace(judged.session, truth=None), FRAMES, judged.track)
+def test_stills_show_frames_all_over_and_the_worst_one(evaluated, tmp_path):
+    assert [path.name for path in draw_stills(tmp_path, evaluated)] == ["overlay.png", "worst.png"]
+    blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
     assert [path.name for path in draw_stills(tmp_path / "blind", blind)] == ["overlay.png"]
 
 

@@ -16,9 +16,9 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import BALL_ANGLES, HINGE_ANGLES
 
 STRAIGHT_RAD = np.deg2rad(20.0)
-"""How far a limb must be from straight (or an arm or thigh from its singular direction) for its angles to mean much.
+"""Closer to straight (or to an arm's or thigh's singular direction) a limb does not determine its angles.
 
-At 20 degrees an error of 20 mm of the hand turns the twist of the upper arm by about 0.15 rad; straight, by anything.
+At 20 degrees an error of 20 mm of the hand turns the upper arm's twist by about 0.15 rad; straight, without bound.
 """
 
 
@@ -49,31 +49,31 @@ class AngleScores:
 def score_angles(angles: np.ndarray, points_world: np.ndarray, truth: AngleTruth) -> AngleScores:
     """Compare a track's angles (F, 18) rad and points (F, 15, 3) m, NaN where it has none, with the truth, by frame."""
     known = np.isfinite(truth.angles).all(1) & np.isfinite(angles).all(1)
-    means_something = known[:, None] & defined(truth.angles)
+    compared = known[:, None] & defined(truth.angles)
     turned = metrics.rotation_angle(torso_rotations(points_world), truth.R_world_torso)
     turned = turned[np.isfinite(turned)]
     return AngleScores(
-        rmse_rad=metrics.rmse_angles(angles, np.where(means_something, truth.angles, np.nan)),
-        share_defined=means_something.sum(0) / max(int(known.sum()), 1),
+        rmse_rad=metrics.rmse_angles(angles, np.where(compared, truth.angles, np.nan)),
+        share_defined=compared.sum(0) / max(int(known.sum()), 1),
         torso_rmse_rad=float(np.sqrt(np.mean(turned**2))) if turned.size else float("nan"),
         source=truth.source,
     )
 
 
 def angle_truth(truth: Truth) -> AngleTruth:
-    """The truth's own angles, or else those of the stick figure that explains its points."""
+    """The truth's own angles, or else those of a stick figure fitted to its points."""
     points = truth.stick_figure_points()
-    poses = explain(points)
+    poses = fit_poses(points)
     if truth.angles is not None:
         return AngleTruth(truth.angles, _rotations(poses), f"the angles in {truth.source.name}")
     source = f"inverse kinematics of the points in {truth.source.name}"
     return AngleTruth(_continuous_angles(poses), _rotations(poses), source)
 
 
-def explain(points_world: np.ndarray) -> list[Pose | None]:
-    """The poses of reference points (F, 15, 3) m, None where they are unknown or no figure; limbs of median length.
+def fit_poses(points_world: np.ndarray) -> list[Pose | None]:
+    """Poses fitted to reference points (F, 15, 3) m, limbs of median length; None where they are unknown or impossible.
 
-    What a straight limb leaves open is carried over from the pose before.
+    An angle that a straight limb leaves undetermined is carried over from the pose before.
     """
     whole = np.isfinite(points_world).all((1, 2))
     poses: list[Pose | None] = [None] * len(points_world)
@@ -91,7 +91,7 @@ def defined(angles: np.ndarray) -> np.ndarray:
 
     The third angle of a shoulder or hip is the twist of the upper limb, which shows only in a bent elbow or knee. First
     and third turn about the same axis where the second is a right angle (arm straight forward or back, thigh
-    horizontal): neither means much there.
+    horizontal): neither is determined there.
     """
     out = np.isfinite(angles)
     closest = np.sin(STRAIGHT_RAD)
@@ -113,7 +113,7 @@ def _continuous_angles(poses: list[Pose | None]) -> np.ndarray:
 
 def torso_rotations(points_world: np.ndarray) -> np.ndarray:
     """R_world_torso (F, 3, 3) of the rigid fit to the torso's points."""
-    return _rotations(explain(points_world))
+    return _rotations(fit_poses(points_world))
 
 
 def _rotations(poses: list[Pose | None]) -> np.ndarray:

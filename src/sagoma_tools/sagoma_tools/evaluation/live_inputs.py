@@ -1,4 +1,4 @@
-"""Where the frames of a live run come from: simulated GigE cameras that look at a session, or its videos as files."""
+"""Sources of a live run's frames: a session's videos as files, or simulated GigE cameras that look at the session."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, frame_count
 
-# --- A studio of simulated cameras as a process of its own, as far away from the graph as hardware is.
-
 READY_TIMEOUT_S = 120.0  # a long session is decoded into memory first
 START_POLL_S = 0.05
 GRACE_S = 5.0
+SILENCE_S = 20.0
+POLL_S = 0.5
+FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
 
 class StudioProcess:
-    """Runs ``sagoma studio ARGUMENTS``; a context manager that leaves no process behind.
+    """Runs ``sagoma studio ARGUMENTS`` as a process; a context manager that leaves no process behind.
 
-    ``rig`` and ``cameras`` are the files with which the graph runs on it.
-    Raises InputError with the studio's own words where it does not start.
+    ``rig`` and ``cameras`` are the files with which the graph runs on it. Raises InputError when it does not start.
     """
 
     def __init__(self, folder: str | Path, *arguments: str) -> None:
@@ -62,19 +62,10 @@ class StudioProcess:
         return self._child.pid
 
     def start(self, cancel: threading.Event | None = None) -> StudioProcess:
-        """Return once every camera is on."""
+        """Start it; returns once every camera is on."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        command = [
-            sys.executable,
-            "-u",
-            "-m",
-            "virtual_studio.gige",
-            "--control",
-            str(self._control),
-            "--write",
-            str(self.folder),
-            *self._arguments,
-        ]
+        places = ["--control", str(self._control), "--write", str(self.folder)]
+        command = [sys.executable, "-u", "-m", "virtual_studio.gige", *places, *self._arguments]
         ended = threading.Event()
         log = self.folder / "studio.log"
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
@@ -83,9 +74,9 @@ class StudioProcess:
             if ended.wait(START_POLL_S) or time.monotonic() > deadline_s or (cancel is not None and cancel.is_set()):
                 self.close()
                 raise InputError(
-                    f"the studio did not start ({self._child.log_tail(2) or 'it said nothing'})",
+                    f"the studio did not start ({self._child.log_tail(2) or 'its log is empty'})",
                     where=str(log),
-                    remedy="Mend what its log says.",
+                    remedy="Correct what its log names.",
                 )
         return self
 
@@ -106,41 +97,36 @@ class StudioProcess:
         self.close()
 
 
-SILENCE_S = 20.0
-LOOK_S = 0.5
-FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
-
-
 class LiveInput(ABC):
-    """Frames for a graph of their own; a context manager, since there may be processes behind it."""
+    """Frames for a graph; a context manager, since it may run processes."""
 
     def __init__(self, session_folder: str | Path) -> None:
         self.session: Session = load_session(session_folder)
 
     @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
-        """The nodes that take these frames."""
+        """The nodes that process these frames."""
 
     def prepare(self, supervisor: Supervisor) -> None:  # noqa: B027 (files bring their backgrounds)
-        """What the active graph needs before the play begins."""
+        """Prepare the active graph for the playback."""
 
     @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
 
-        None where the stage does not know its own clock: the first stamp is then that of frame 0.
+        None where the input has no clock of its own: the first stamp is then that of frame 0.
         """
 
     @property
     @abstractmethod
     def in_real_time(self) -> bool:
-        """Whether a frame's stamp is the time at which it was seen, so that its age is a latency."""
+        """Whether a frame's stamp is the time of its exposure, so that its age is a latency."""
 
     def open(self, cancel: threading.Event) -> None:  # noqa: B027 (files need no preparation)
-        """Get ready; :meth:`close` undoes it."""
+        """Prepare the input; :meth:`close` undoes it."""
 
     def close(self) -> None:  # noqa: B027
-        """End what :meth:`open` began."""
+        """End what :meth:`open` started."""
 
     def __enter__(self) -> LiveInput:
         return self
@@ -150,7 +136,7 @@ class LiveInput(ABC):
 
 
 class FootageInput(LiveInput):
-    """The camera clients read the session's videos; at rate 0 as fast as the graph keeps up, dropping nothing."""
+    """The session's videos, read by the camera clients; at rate 0 as fast as the graph keeps up, dropping nothing."""
 
     def __init__(self, session_folder: str | Path, rate: float = 0.0) -> None:
         super().__init__(session_folder)
@@ -172,10 +158,10 @@ class FootageInput(LiveInput):
 
 
 class StudioInput(LiveInput):
-    """Simulated GigE Vision cameras see the session, and the graph runs on them as on hardware.
+    """Simulated GigE Vision cameras that look at the session; the graph runs on them as on hardware.
 
-    The room is empty at first, and every camera client learns its background; then the person enters.
-    ``fps``: of the cameras; the session's pictures are seen at their own time, whatever it is.
+    The room is empty at first, and every camera client trains its background; then the session plays.
+    ``fps``: of the cameras; the session's pictures change at the session's own rate.
     """
 
     def __init__(self, session_folder: str | Path, folder: str | Path, fps: float) -> None:
@@ -183,16 +169,9 @@ class StudioInput(LiveInput):
         if not fps > 0:
             raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
         self._fps = fps
-        arguments = (
-            "--session",
-            str(self.session.folder),
-            "--fps",
-            f"{fps:g}",
-            "--empty",
-            "--address",
-            free_first_address(len(self.session.rig.names)),
-        )
-        self.studio = StudioProcess(folder, *arguments)
+        address = free_first_address(len(self.session.rig.names))
+        scene = ("--session", str(self.session.folder), "--fps", f"{fps:g}", "--empty")
+        self.studio = StudioProcess(folder, *scene, "--address", address)
 
     def open(self, cancel: threading.Event) -> None:
         self.studio.start(cancel)
@@ -209,13 +188,13 @@ class StudioInput(LiveInput):
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
         answer = self.studio.ask("play", loop=False)
-        play = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
-        last_ns = play.epoch_ns + round((play.frames / play.fps - 1.5 / self._fps) * 1e9)
+        clock = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
+        last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.5 / self._fps) * 1e9)
         deadline_s = time.monotonic() + (last_ns - time.time_ns()) * 1e-9 + SILENCE_S
         while time.monotonic() < deadline_s and not cancel.is_set():
-            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
+            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, POLL_S):
                 break
-        return play
+        return clock
 
     @property
     def in_real_time(self) -> bool:

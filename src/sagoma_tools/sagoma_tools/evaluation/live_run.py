@@ -1,4 +1,4 @@
-"""The whole graph live on a stage, every node a process: run, recorded, and read back."""
+"""Runs the whole graph live, every node a process, records a bag, and reads it back as figures and pictures."""
 
 from __future__ import annotations
 
@@ -32,16 +32,17 @@ from .track import Track, track_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
+OVERLAY_FRAMES = 3
 T_POSE_START, REFERENCE_START = "t_pose", "session"
-AGES = {"received_ms", "published_ms"}  # time since capture: means nothing when footage is not played at its own rate
+AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
 
 @dataclass(frozen=True, eq=False)
 class LiveRun:
-    """What one live run of the graph left behind.
+    """The results of one live run of the graph.
 
-    clock : when which frame of the session was seen.
-    seen : (N,) the session's frames that a camera looked at.
+    clock : which frame of the session was visible when.
+    seen : (N,) the session's frames that a camera captured.
     sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
     incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
     usage : memory and processor time by node, at the end of the run.
@@ -66,7 +67,7 @@ class LiveRun:
 
 
 def run_live(
-    stage: LiveInput,
+    live_input: LiveInput,
     output: Path,
     *,
     start: str = "auto",
@@ -74,33 +75,33 @@ def run_live(
     domain_id: int | None = None,
     cancel: threading.Event | None = None,
 ) -> LiveRun:
-    """Play a stage's session through the whole graph, every node a process, and record a bag into ``output``/bag.
+    """Play a session through the whole graph, every node a process, and record a bag into ``output``/bag.
 
     start : where the first pose comes from: "t_pose", "session" (its reference), or "auto": the reference where the
-    session says that it has one of its own making (``reference*.csv``), else the T-pose.
+    session has one that was made from its footage (``reference*.csv``), else the T-pose.
     """
     cancel = cancel or threading.Event()
-    bag, start_from = output / "bag", start_settings(stage.session, start)
-    with stage:
-        stage.open(cancel)
-        graph = stage.graph({**start_from, **(settings or {})})
+    bag, start_from = output / "bag", start_settings(live_input.session, start)
+    with live_input:
+        live_input.open(cancel)
+        graph = live_input.graph({**start_from, **(settings or {})})
         with Supervisor(graph, output / "logs", domain_id=domain_id, cancel=cancel) as supervisor:
             supervisor.configure(tolerate_cameras=False)
-            provenance = {"session": str(stage.session.folder)}
+            provenance = {"session": str(live_input.session.folder)}
             with GraphRecorder(graph, bag, domain_id=domain_id, provenance=provenance) as recorder:
                 recorder.wait_for_publishers()
                 supervisor.activate(tolerate_cameras=False)
-                stage.prepare(supervisor)
-                watch = UsageMeter(supervisor)
-                play = stage.play(recorder, cancel)
-                watch.stop()
+                live_input.prepare(supervisor)
+                meter = UsageMeter(supervisor)
+                clock = live_input.play(recorder, cancel)
+                meter.stop()
                 supervisor.suspend()
-                recorder.close(**({} if play is None else play.provenance()))
-    return _read_back(stage, bag, watch)
+                recorder.close(**({} if clock is None else clock.provenance()))
+    return _read_back(live_input, bag, meter)
 
 
 class UsageMeter:
-    """What the graph's processes use, and last say of themselves, from its making until :meth:`stop`."""
+    """Measures what the graph's processes use from construction to :meth:`stop`, and keeps their last diagnostics."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
@@ -115,13 +116,13 @@ class UsageMeter:
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
 
     def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
-        """Processor time of each node, shared out among so many frame sets."""
+        """Processor time of each node for one of so many frame sets."""
         spent = {n: used.cpu_s - self._before[n].cpu_s for n, used in self.usage.items() if n in self._before}
         return {node: 1e3 * cpu_s / max(sets, 1) for node, cpu_s in spent.items()}
 
 
 def start_settings(session: Session, start: str) -> dict[str, Any]:
-    """The ICP node's parameters for where its first pose comes from."""
+    """The ICP node's parameters for the source of its first pose. Raises InputError without a reference."""
     if start == "auto":
         measured = session.truth is not None and session.truth.source.name.startswith("reference")
         start = REFERENCE_START if measured else T_POSE_START
@@ -136,40 +137,35 @@ def start_settings(session: Session, start: str) -> dict[str, Any]:
     }
 
 
-def _read_back(stage: LiveInput, bag: Path, watch: UsageMeter) -> LiveRun:
-    session = stage.session
-    play, stamps = clock_of_bag(bag, session), silhouette_stamps(bag, session)
-    watched_from_ns = watch.began_ns if stage.in_real_time else 0
-    answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in play]
-    sets = [_values(m.data) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in play]
+def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
+    session = live_input.session
+    clock, stamps = clock_of_bag(bag, session), silhouette_stamps(bag, session)
+    measured_from_ns = meter.began_ns if live_input.in_real_time else 0
+    answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in clock]
+    sets = [_values(m.data) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
     measured = {key for values in sets for key in values if key.endswith("_ms")} - {"spread_ms"}
-    stages = sorted(measured if stage.in_real_time else measured - AGES)
+    stages = sorted(measured if live_input.in_real_time else measured - AGES)
     return LiveRun(
         session=session,
         bag=bag,
-        clock=play,
-        seen=np.unique([play.frame_of(stamp) for sent in stamps.values() for stamp in sent if stamp in play]),
-        sets=max(sum(stamp in play for stamp in sent) for sent in stamps.values()),
+        clock=clock,
+        seen=np.unique([clock.frame_of(stamp) for sent in stamps.values() for stamp in sent if stamp in clock]),
+        sets=max(sum(stamp in clock for stamp in sent) for sent in stamps.values()),
         answered=len(answers),
         sets_per_s=(len(answers) - 1) / max(1e-9 * (answers[-1] - answers[0]), 1e-9) if answers else 0.0,
         incomplete=sum(bool(values.get("missing")) for values in sets),
         spread_ms=max((float(values["spread_ms"]) for values in sets), default=float("nan")),
-        usage=watch.usage,
-        cpu_ms_per_set=watch.cpu_ms_per_set(
-            max(sum(stamp >= watched_from_ns for stamp in sent) for sent in stamps.values())
-        ),
-        diagnostics=watch.diagnostics,
+        usage=meter.usage,
+        cpu_ms_per_set=meter.cpu_ms_per_set(max(sum(t >= measured_from_ns for t in sent) for sent in stamps.values())),
+        diagnostics=meter.diagnostics,
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
-        track=track_from_bag(bag, play.frame_of).between(0, play.frames),
+        track=track_from_bag(bag, clock.frame_of).between(0, clock.frames),
     )
 
 
 def _values(data: bytes) -> dict[str, str]:
     status = deserialize_message(data, DiagnosticArray).status[0]
     return {pair.key: pair.value for pair in status.values}
-
-
-# --- Silhouettes out of a bag, back in the camera's own pixels, for drawing over footage.
 
 
 def image_masks(
@@ -180,7 +176,7 @@ def image_masks(
 
 
 def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
-    """A mask (h, w) on the padded undistorted canvas, looked up at every pixel (H, W) of the camera's image."""
+    """Distort a mask (h, w) on the padded undistorted canvas back into the camera's image (H, W)."""
     canvas = camera.undistorted_view().camera
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     rays_world = camera.rays_world(np.column_stack([columns.ravel(), rows.ravel()]))
@@ -197,21 +193,14 @@ def _masks_of(
     for message in read_messages(bag, topic.__eq__):
         frame = frame_of_stamp(message.stamp_ns)
         if frame in frames:
-            mask = decode_silhouette(
-                deserialize_message(message.data, CompressedImage), canvas.width, canvas.height, topic
-            )
-            found[frame] = distort_mask(camera, mask)
+            image = deserialize_message(message.data, CompressedImage)
+            found[frame] = distort_mask(camera, decode_silhouette(image, canvas.width, canvas.height, topic))
     empty = np.zeros((camera.height, camera.width), np.uint8)
     return [found.get(frame, empty) for frame in frames]
 
 
-# --- What the demo shows of a live run: its scores and its pictures.
-
-OVERLAY_FRAMES = 3
-
-
-def draw(run: LiveRun, output: Path, judged: TrackEvaluation) -> list[Path]:
-    """Write the overlay, the angles' and the errors' plots; returns their paths."""
+def draw(run: LiveRun, output: Path, evaluated: TrackEvaluation) -> list[Path]:
+    """Write overlay.png and the plots of angles and errors; returns their paths."""
     from .plots import draw_plots  # matplotlib takes a second to load
 
     session, track = run.session, run.track
@@ -219,13 +208,10 @@ def draw(run: LiveRun, output: Path, judged: TrackEvaluation) -> list[Path]:
     masks = image_masks(run.bag, session.rig.cameras, frames, run.clock.frame_of)
     overlay = output / "overlay.png"
     cv2.imwrite(str(overlay), session_overlay(session, frames, track.at(np.array(frames)).points_world, masks))
-    return [overlay, *draw_plots(output, judged)]
+    return [overlay, *draw_plots(output, evaluated)]
 
 
 def evaluate_run(run: LiveRun) -> TrackEvaluation:
-    """The run's track against the truth of the frames that a camera looked at.
-
-    That is all of footage, fewer where cameras were slower than it.
-    """
+    """Evaluate the run's track against the truth of the frames that a camera captured (of footage, all)."""
     truth = None if run.session.truth is None else run.session.truth.of_frames(run.seen)
     return evaluate_track(replace(run.session, truth=truth), len(run.seen), run.track)

@@ -1,4 +1,4 @@
-"""Pictures of a track: the skeleton over footage and silhouettes."""
+"""Draws a track over footage and silhouettes: single frames as pictures, all frames as a video."""
 
 from __future__ import annotations
 
@@ -19,28 +19,21 @@ from stick_figure.skeleton import POINT_NAMES
 from .track_evaluation import TRACKING, TrackEvaluation
 
 # (start, end) reference points of each drawn line: spine, head, shoulders, hips, arms, legs
-BONES = (
-    (2, 0),
-    (2, 1),
-    (3, 4),
-    (5, 6),
-    (0, 5),
-    (0, 6),
-    (3, 7),
-    (7, 11),
-    (4, 8),
-    (8, 12),
-    (5, 9),
-    (9, 13),
-    (6, 10),
-    (10, 14),
-)
+BONES = np.array(
+    [(2, 0), (2, 1), (3, 4), (5, 6), (0, 5), (0, 6), (3, 7),
+     (7, 11), (4, 8), (8, 12), (5, 9), (9, 13), (6, 10), (10, 14)]
+)  # fmt: skip
 LEFT, RIGHT = {3, 5, 7, 9, 11, 13}, {4, 6, 8, 10, 12, 14}
 LEFT_BGR, RIGHT_BGR, MIDDLE_BGR, TRUTH_BGR = (255, 160, 40), (60, 90, 255), (60, 230, 60), (255, 255, 255)
 JOINT_BGR = (40, 40, 40)
 FAR_PX = 1e4  # beyond which nothing is drawn
 MARGIN, SMALLEST_WINDOW_PX = 0.15, 60.0
 SILHOUETTE_TINT_BGR = np.array([60.0, 190.0, 60.0])
+GOOD_BGR, UNSURE_BGR, GREY_BGR = (110, 220, 110), (60, 190, 250), (170, 170, 170)
+STILLS = 3
+MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
+CLOSE_UP_WIDTH_PX, CLOSE_UPS_A_ROW = 1800, 6
+CODEC = "mp4v"  # which every OpenCV wheel can write
 
 
 @dataclass(frozen=True)
@@ -58,7 +51,7 @@ class Window:
 
     @classmethod
     def around(cls, camera: CameraModel, points_world: np.ndarray, side_px: int) -> Window:
-        """A square around what the camera sees of the points (n, 3), with a margin; the whole image if it sees none."""
+        """A square around the visible points of (n, 3), with a margin; the whole image if none is visible."""
         pixels = camera.project(points_world)
         limit = np.array([camera.width, camera.height], float)
         seen = np.isfinite(pixels).all(1) & (pixels >= 0.0).all(1) & (pixels < limit).all(1)
@@ -102,16 +95,10 @@ def draw_skeleton(
     pixels = (camera.project(points_world) - view.origin_px) * view.scale
     drawable = np.asarray(np.isfinite(pixels).all(axis=1) & (np.abs(np.nan_to_num(pixels)) < FAR_PX).all(axis=1))
     thick = max(2, round(image.shape[0] / 240))
-    for a, b in BONES:
+    for a, b in BONES.tolist():
         if drawable[[a, b]].all():
-            cv2.line(
-                image,
-                _rounded(pixels[a]),
-                _rounded(pixels[b]),
-                colour or _side_colour(a, b),
-                max(1, thick // 3) if colour else thick,
-                cv2.LINE_AA,
-            )
+            ends, line = (_rounded(pixels[a]), _rounded(pixels[b])), max(1, thick // 3) if colour else thick
+            cv2.line(image, *ends, colour or _side_colour(a, b), line, cv2.LINE_AA)
     for pixel in pixels[drawable] if colour is None else ():
         cv2.circle(image, _rounded(pixel), thick, JOINT_BGR, -1, cv2.LINE_AA)
 
@@ -143,7 +130,7 @@ def overlay(
     truth_world: np.ndarray | None,
     window: Window | None = None,
 ) -> np.ndarray:
-    """One camera's picture: footage, silhouette (in the image's own pixels), skeleton in colour, truth in white."""
+    """Draw one camera's picture: footage, silhouette (in image pixels), skeleton in colour, truth in white."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     if mask is not None:
         picture = tint(picture, mask)
@@ -157,7 +144,7 @@ def overlay(
 
 
 def montage(pictures: Sequence[np.ndarray], columns: int, max_width: int = 1800) -> np.ndarray:
-    """Pictures of possibly different sizes side by side, ``columns`` a row, scaled to one height."""
+    """Tile pictures, ``columns`` a row, each padded to the largest one's size."""
     height = max(picture.shape[0] for picture in pictures)
     width = max(picture.shape[1] for picture in pictures)
     cells = [
@@ -193,38 +180,29 @@ def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | No
     return [truth.points_world[row_of[f]] if f in row_of else None for f in frames]
 
 
-# --- The track drawn over all cameras' footage: a few frames as pictures, all of them as a video.
-
-STILLS = 3
-MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
-CLOSE_UP_WIDTH_PX, CLOSE_UPS_A_ROW = 1800, 6
-CODEC = "mp4v"  # which every OpenCV wheel can write
-GOOD_BGR, DOUBT_BGR, GREY_BGR = (110, 220, 110), (60, 190, 250), (170, 170, 170)
-
-
-def draw_stills(folder: Path, judged: TrackEvaluation) -> list[Path]:
-    """overlay.png: frames from all over the track; worst.png, with a truth: the frame with the largest mean error.
+def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
+    """Write overlay.png, frames from all over the track, and with a truth worst.png, the frame of largest mean error.
 
     A row a frame, a column a camera, cut out around the body.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    track = judged.track
+    track = evaluated.track
     spread = track.frames[np.linspace(0, len(track) - 1, STILLS + 2).astype(int)[1:-1]] if len(track) else track.frames
     wanted = {"overlay.png": np.unique(spread)}
-    if judged.scores is not None and judged.session.truth is not None:
-        mean_mm = np.nan_to_num(judged.scores.errors_mm).mean(1)
-        wanted["worst.png"] = judged.session.truth.frames[[np.argmax(mean_mm)]]
+    if evaluated.scores is not None and evaluated.session.truth is not None:
+        mean_mm = np.nan_to_num(evaluated.scores.errors_mm).mean(1)
+        wanted["worst.png"] = evaluated.session.truth.frames[[np.argmax(mean_mm)]]
     paths = []
     for name, frames in wanted.items():
         if len(frames):
             paths.append(folder / name)
-            cv2.imwrite(str(paths[-1]), np.vstack(list(_close_ups(judged, frames.tolist()))))
+            cv2.imwrite(str(paths[-1]), np.vstack(list(_close_ups(evaluated, frames.tolist()))))
     return paths
 
 
-def _close_ups(judged: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarray]:
-    """Each frame's caption and what the cameras see of the body."""
-    for frame, cameras, images, points, truth in _pictures(judged, frames):
+def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarray]:
+    """One sheet a frame: its caption, and every camera's image cut out around the body."""
+    for frame, cameras, images, points, truth in _pictures(evaluated, frames):
         shown = points if truth is None else np.vstack([points, truth])
         side = CLOSE_UP_WIDTH_PX // min(len(cameras), CLOSE_UPS_A_ROW)
         windows = [Window.around(camera, shown, side) for camera in cameras]
@@ -233,26 +211,26 @@ def _close_ups(judged: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarra
             for camera, image, window in zip(cameras, images, windows, strict=True)
         ]
         sheet = montage(cells, min(len(cells), CLOSE_UPS_A_ROW), MAX_WIDTH_PX)
-        yield np.vstack([_bar(judged, frame, sheet.shape[1]), sheet])
+        yield np.vstack([_bar(evaluated, frame, sheet.shape[1]), sheet])
 
 
-def _pictures(judged: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
+def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
     """Frame, cameras, their images, the track's points (15, 3) and the truth's, where it has them."""
-    session, cameras = judged.session, judged.session.rig.cameras
-    points, truth = judged.track.at(np.array(frames)).points_world, truth_at(session.truth, frames)
+    session, cameras = evaluated.session, evaluated.session.rig.cameras
+    points, truth = evaluated.track.at(np.array(frames)).points_world, truth_at(session.truth, frames)
     footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
     with suppress(EOFError):  # a container may promise a frame more than it holds
         for index, images in enumerate(footage):
             yield frames[index], cameras, images, points[index], truth[index]
 
 
-def write_overlay(path: Path, judged: TrackEvaluation, progress: Callable[[int], None] = lambda frame: None) -> Path:
-    """An mp4 of every frame, cameras side by side: truth white, left limbs blue, right limbs red; state and error."""
-    session = judged.session
+def write_overlay(path: Path, evaluated: TrackEvaluation, progress: Callable[[int], None] = lambda frame: None) -> Path:
+    """Write an mp4 of every frame, cameras side by side: truth white, left limbs blue, right limbs red; caption."""
+    session = evaluated.session
     path.parent.mkdir(parents=True, exist_ok=True)
     writer: cv2.VideoWriter | None = None
     try:
-        for frame, sheet in enumerate(sheets(judged)):
+        for frame, sheet in enumerate(sheets(evaluated)):
             progress(frame)
             if writer is None:
                 size = sheet.shape[1], sheet.shape[0]
@@ -270,26 +248,26 @@ def write_overlay(path: Path, judged: TrackEvaluation, progress: Callable[[int],
     return path
 
 
-def sheets(judged: TrackEvaluation) -> Iterator[np.ndarray]:
+def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
     """The video's pictures, BGR, all of one even size."""
-    rig = judged.session.rig.cameras
+    rig = evaluated.session.rig.cameras
     columns, scale = _tiling([camera.width for camera in rig], [camera.height for camera in rig])
     windows = [Window.whole(camera, scale) for camera in rig]
-    for frame, cameras, images, points, truth in _pictures(judged, range(judged.frames)):
+    for frame, cameras, images, points, truth in _pictures(evaluated, range(evaluated.frames)):
         cells = [
             overlay(camera, image, None, points, truth, window)
             for camera, image, window in zip(cameras, images, windows, strict=True)
         ]
         sheet = montage(cells, columns, MAX_WIDTH_PX)
-        yield _even(np.vstack([_bar(judged, frame, sheet.shape[1]), sheet]))
+        yield _even(np.vstack([_bar(evaluated, frame, sheet.shape[1]), sheet]))
 
 
-def caption(judged: TrackEvaluation, frame: int) -> str:
-    """Frame, time, what the tracker says, and how far off it is."""
-    row = np.flatnonzero(judged.track.frames == frame)
-    state = str(judged.track.states[row[0]]) if len(row) else "no body"
-    text = f"{judged.session.folder.name}   frame {frame}   {frame / judged.session.fps:.2f} s   {state}"
-    errors = _errors_at(judged, frame)
+def caption(evaluated: TrackEvaluation, frame: int) -> str:
+    """Frame, time, the tracker's state, and the errors."""
+    row = np.flatnonzero(evaluated.track.frames == frame)
+    state = str(evaluated.track.states[row[0]]) if len(row) else "no body"
+    text = f"{evaluated.session.folder.name}   frame {frame}   {frame / evaluated.session.fps:.2f} s   {state}"
+    errors = _errors_at(evaluated, frame)
     if errors is None or not np.isfinite(errors).any():
         return text
     worst = int(np.nanargmax(errors))
@@ -297,19 +275,19 @@ def caption(judged: TrackEvaluation, frame: int) -> str:
     return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm"
 
 
-def _errors_at(judged: TrackEvaluation, frame: int) -> np.ndarray | None:
-    if judged.scores is None or judged.session.truth is None:
+def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
+    if evaluated.scores is None or evaluated.session.truth is None:
         return None
-    row = np.flatnonzero(judged.session.truth.frames == frame)
-    return judged.scores.errors_mm[row[0]] if len(row) else None
+    row = np.flatnonzero(evaluated.session.truth.frames == frame)
+    return evaluated.scores.errors_mm[row[0]] if len(row) else None
 
 
-def _bar(judged: TrackEvaluation, frame: int, width: int) -> np.ndarray:
+def _bar(evaluated: TrackEvaluation, frame: int, width: int) -> np.ndarray:
     """The caption in the colour of the tracker's state, as wide as the pictures."""
-    row = np.flatnonzero(judged.track.frames == frame)
-    sure = len(row) and judged.track.states[row[0]] == TRACKING
-    colour = GREY_BGR if not len(row) else GOOD_BGR if sure else DOUBT_BGR
-    text, font = caption(judged, frame), cv2.FONT_HERSHEY_SIMPLEX
+    row = np.flatnonzero(evaluated.track.frames == frame)
+    sure = len(row) and evaluated.track.states[row[0]] == TRACKING
+    colour = GREY_BGR if not len(row) else GOOD_BGR if sure else UNSURE_BGR
+    text, font = caption(evaluated, frame), cv2.FONT_HERSHEY_SIMPLEX
     needed = cv2.getTextSize(text, font, 0.8, 2)[0][0]
     scale = min(0.8, 0.8 * (width - 20) / needed)
     bar = np.zeros((BAR_PX, width, 3), np.uint8)
@@ -317,7 +295,7 @@ def _bar(judged: TrackEvaluation, frame: int, width: int) -> np.ndarray:
 
 
 def _tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
-    """How many cameras a row, and the scale, that fill the video best."""
+    """The number of cameras a row, and the scale, that fill the video best."""
     count, width, height = len(widths), max(widths), max(heights)
     room = MAX_HEIGHT_PX - BAR_PX
 
@@ -329,6 +307,6 @@ def _tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
 
 
 def _even(picture: np.ndarray) -> np.ndarray:
-    """Codecs want even sides."""
+    """The picture with even sides, which codecs need."""
     height, width = picture.shape[0] // 2 * 2, picture.shape[1] // 2 * 2
     return np.ascontiguousarray(picture[:height, :width])

@@ -1,4 +1,4 @@
-"""Plots of a judged track: angles against the truth, point errors over time and as a distribution."""
+"""Plots an evaluated track: angles against the truth, point errors over time and as a distribution."""
 
 from __future__ import annotations
 
@@ -22,35 +22,26 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-OURS, TRUTH, THESIS, DOUBT, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
+OURS, TRUTH, THESIS, UNSURE, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
 ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
     "torso_neck_elbows": ("torso_heading", "torso_lean", "neck_x", "neck_y", "left_elbow", "right_elbow"),
-    "shoulders": (
-        "left_shoulder_x",
-        "right_shoulder_x",
-        "left_shoulder_z",
-        "right_shoulder_z",
-        "left_shoulder_y",
-        "right_shoulder_y",
-    ),
-    "hips": ("left_hip_x", "right_hip_x", "left_hip_y", "right_hip_y", "left_hip_z", "right_hip_z"),
+    "shoulders": tuple(f"{side}_shoulder_{axis}" for axis in "xzy" for side in ("left", "right")),
+    "hips": tuple(f"{side}_hip_{axis}" for axis in "xyz" for side in ("left", "right")),
     "knees": ("left_knee", "right_knee"),
 }
 POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 """The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
 ROBUST = 99.5
-"""Percentile of the errors that the axes reach up to."""
+"""Percentile of the errors at which the axes end."""
 
 
-def draw_plots(folder: Path, judged: TrackEvaluation) -> list[Path]:
+def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
     folder.mkdir(parents=True, exist_ok=True)
-    figures = angle_figures(judged)
-    if judged.scores is not None and judged.session.truth is not None:
-        figures |= {
-            "point_errors": _point_errors(judged, judged.scores),
-            "errors": _distribution(judged, judged.scores),
-        }
+    figures = angle_figures(evaluated)
+    if evaluated.scores is not None and evaluated.session.truth is not None:
+        figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
+        figures["errors"] = _distribution(evaluated, evaluated.scores)
     paths = []
     for name, figure in figures.items():
         paths.append(folder / f"{name}.png")
@@ -59,15 +50,15 @@ def draw_plots(folder: Path, judged: TrackEvaluation) -> list[Path]:
     return paths
 
 
-def angle_figures(judged: TrackEvaluation) -> dict[str, Figure]:
+def angle_figures(evaluated: TrackEvaluation) -> dict[str, Figure]:
     """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
-    track, session = judged.track, judged.session
+    track, session = evaluated.track, evaluated.session
     ours = Curves.of(track.frames, track.angles, torso_rotations(track.points_world))
     truth = None
     if session.truth is not None:
         known = angle_truth(session.truth)
         truth = Curves.of(session.truth.frames, known.angles, known.R_world_torso)
-    return {f"angles_{page}": _angle_page(judged, ours, truth, page, names) for page, names in ANGLE_PAGES.items()}
+    return {f"angles_{page}": _angle_page(evaluated, ours, truth, page, names) for page, names in ANGLE_PAGES.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,19 +86,21 @@ class Curves:
         return cls(frames, {name: unwrapped(value) for name, value in values.items()}, sure)
 
 
-def _angle_page(judged: TrackEvaluation, ours: Curves, truth: Curves | None, page: str, names: Sequence[str]) -> Figure:
+def _angle_page(
+    evaluated: TrackEvaluation, ours: Curves, truth: Curves | None, page: str, names: Sequence[str]
+) -> Figure:
     rows = -(-len(names) // 2)
     figure, axes = plt.subplots(rows, 2, figsize=(12, 1.2 + 2.3 * rows), sharex=True, constrained_layout=True)
     for axis, name in zip(np.ravel(axes), names, strict=True):
         turns, title = 0.0, name.replace("_", " ")
         if truth is not None:
-            _draw_curve(axis, truth, name, judged.session.fps, TRUTH, 3.5, "truth")
+            _draw_curve(axis, truth, name, evaluated.session.fps, TRUTH, 3.5, "truth")
             turns = _turns_between(ours.frames, ours.values[name], truth.frames, truth.values[name])
-        _draw_curve(axis, ours, name, judged.session.fps, OURS, 1.3, "ours", turns)
-        if judged.scores is not None and name in ANGLE_NAMES:
-            title += f": RMSE {judged.scores.angle_rmse_deg[ANGLE_NAMES.index(name)]:.1f} deg"
+        _draw_curve(axis, ours, name, evaluated.session.fps, OURS, 1.3, "ours", turns)
+        if evaluated.scores is not None and name in ANGLE_NAMES:
+            title += f": RMSE {evaluated.scores.angle_rmse_deg[ANGLE_NAMES.index(name)]:.1f} deg"
         axis.set_title(title, fontsize=10)
-    _finish(figure, judged, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
+    _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
     return figure
 
 
@@ -136,40 +129,42 @@ def _with_gaps(frames: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.where(np.diff(frames, prepend=frames[:1]) > 3 * usual, np.nan, values)
 
 
-def _point_errors(judged: TrackEvaluation, scores: Scores) -> Figure:
+def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     """Error of each point over time (as thesis fig. 7.9 to 7.13), ours over the thesis's method."""
     figure, axes = plt.subplots(5, 3, figsize=(13, 12), sharex=True, sharey=True, constrained_layout=True)
-    assert judged.session.truth is not None
-    seconds = judged.session.truth.frames / judged.session.fps
+    assert evaluated.session.truth is not None
+    seconds = evaluated.session.truth.frames / evaluated.session.fps
     for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
-        if judged.thesis is not None:
+        if evaluated.thesis is not None:
             label = "thesis's method"
-            axis.plot(seconds, judged.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label)
+            axis.plot(
+                seconds, evaluated.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label
+            )
         axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
         axis.axhline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
-        _shade_doubt(axis, judged)
+        _shade_unsure(axis, evaluated)
         axis.set_title(f"{_name(point)}: mean {scores.point_mm[point]:.0f} mm", fontsize=10)
     top = np.nanpercentile(scores.errors_mm, ROBUST)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
-    _finish(figure, judged, "point errors", "error [mm]")
+    _finish(figure, evaluated, "point errors", "error [mm]")
     return figure
 
 
-def _shade_doubt(axis: Axes, judged: TrackEvaluation) -> None:
-    """Where the tracker itself does not say that it tracks."""
-    track, fps = judged.track, judged.session.fps
-    doubtful = track.frames[track.states != TRACKING]
-    runs = np.split(doubtful, np.flatnonzero(np.diff(doubtful) > 1) + 1) if len(doubtful) else []
+def _shade_unsure(axis: Axes, evaluated: TrackEvaluation) -> None:
+    """Shade the frames in which the tracker does not report that it tracks."""
+    track, fps = evaluated.track, evaluated.session.fps
+    unsure = track.frames[track.states != TRACKING]
+    runs = np.split(unsure, np.flatnonzero(np.diff(unsure) > 1) + 1) if len(unsure) else []
     for index, run in enumerate(runs):
-        label = "not sure of itself" if index == 0 else None
-        axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=DOUBT, alpha=0.3, linewidth=0, label=label)
+        label = "not tracking" if index == 0 else None
+        axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=UNSURE, alpha=0.3, linewidth=0, label=label)
 
 
-def _distribution(judged: TrackEvaluation, scores: Scores) -> Figure:
+def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     """Left: the share of errors below any bound; right: each point's mean, median and 95th percentile."""
     figure, (curve, bars) = plt.subplots(1, 2, figsize=(13, 5.5), constrained_layout=True)
     methods = [("ours", scores, OURS)]
-    methods += [("thesis's method", judged.thesis, THESIS)] if judged.thesis is not None else []
+    methods += [("thesis's method", evaluated.thesis, THESIS)] if evaluated.thesis is not None else []
     for label, found, colour in methods:
         errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
         share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
@@ -181,32 +176,34 @@ def _distribution(judged: TrackEvaluation, scores: Scores) -> Figure:
     order = list(POINT_ORDER)
     bars.barh(places, scores.point_mm[order], color=OURS, label="ours: mean")
     bars.plot(scores.point_p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
-    if judged.thesis is not None:
-        bars.plot(judged.thesis.point_mm[order], places, "D", color=THESIS, markersize=5, label="thesis's method: mean")
+    if evaluated.thesis is not None:
+        bars.plot(
+            evaluated.thesis.point_mm[order], places, "D", color=THESIS, markersize=5, label="thesis's method: mean"
+        )
     bars.set_yticks(places, [_name(point) for point in order])
     bars.set_xlabel("error [mm]")
     for axis in (curve, bars):
         axis.grid(alpha=0.3)
         axis.legend(fontsize=9, loc="lower right")
-    figure.suptitle(_title(judged, "errors"))
+    figure.suptitle(_title(evaluated, "errors"))
     return figure
 
 
-def _finish(figure: Figure, judged: TrackEvaluation, what: str, unit: str) -> None:
+def _finish(figure: Figure, evaluated: TrackEvaluation, what: str, unit: str) -> None:
     """Title, units, grid and one legend for all panels."""
     entries: dict[str, Artist] = {}
     for axis in figure.axes:
         axis.grid(alpha=0.3)
         entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.suptitle(_title(judged, what), x=0.01, ha="left")
+    figure.suptitle(_title(evaluated, what), x=0.01, ha="left")
     figure.supxlabel("time [s]", fontsize=10)
     figure.supylabel(unit, fontsize=10)
     figure.legend(list(entries.values()), list(entries), loc="outside upper right", ncols=len(entries), fontsize=9)
 
 
-def _title(judged: TrackEvaluation, what: str) -> str:
-    mean = "" if judged.scores is None else f" (mean error {judged.scores.mean_mm:.1f} mm)"
-    return f"{judged.session.folder.name}: {what}{mean}"
+def _title(evaluated: TrackEvaluation, what: str) -> str:
+    mean = "" if evaluated.scores is None else f" (mean error {evaluated.scores.mean_mm:.1f} mm)"
+    return f"{evaluated.session.folder.name}: {what}{mean}"
 
 
 def _name(point: int) -> str:

@@ -17,8 +17,6 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 from .angles import AngleScores, angle_truth, score_angles
 from .track import Track
 
-# --- Is the track as sure as it should be: the share of errors inside their own ellipsoids, and the NEES.
-
 DIMENSIONS = 3
 INSIDE_95 = float(chi2.ppf(0.95, DIMENSIONS))
 """Squared Mahalanobis distance that 95 % of honest errors stay below."""
@@ -44,7 +42,7 @@ class CovarianceCoverage:
     nees_95: tuple[float, float]
 
 
-def honesty(errors: np.ndarray, covariance: np.ndarray) -> CovarianceCoverage:
+def covariance_coverage(errors: np.ndarray, covariance: np.ndarray) -> CovarianceCoverage:
     """From errors (F, 15, 3) m, NaN where unknown, and the covariances (F, 15, 3, 3) m^2 stated for them."""
     squared = squared_distances(errors, covariance)
     known = np.isfinite(errors).all(-1)
@@ -93,7 +91,7 @@ class Scores:
     mean_mm_without_offset : after each point's constant offset in the pelvis frame is taken out: where truth and stick
     figure mean different places by "shoulder" or "hip", that part says nothing about tracking.
     point_... : (15,) the same of each point; point_over_200mm : share of frames in which it is further off.
-    honesty : the errors against the track's own covariances. angles : the joint angles.
+    coverage : the errors against the track's own covariances. angles : the joint angles.
     errors_mm : (frames, 15) every error, NaN where there is none.
     """
 
@@ -111,14 +109,14 @@ class Scores:
     point_p95_mm: np.ndarray
     point_over_200mm: np.ndarray
     point_mm_without_offset: np.ndarray
-    honesty: CovarianceCoverage
+    coverage: CovarianceCoverage
     angles: AngleScores
     errors_mm: np.ndarray
 
     @property
     def inside_95(self) -> float:
         """Share of all errors inside the track's own 95 % ellipsoids."""
-        return self.honesty.inside_95
+        return self.coverage.inside_95
 
     @property
     def angle_rmse_deg(self) -> np.ndarray:
@@ -129,10 +127,10 @@ class Scores:
         """Name to number, for a line of JSON."""
         whole: dict[str, object] = {"frames": self.frames, "tracked": self.tracked}
         whole.update({name: number(getattr(self, name)) for name in OVERALL})
-        whole["nees"] = number(self.honesty.nees)
+        whole["nees"] = number(self.coverage.nees)
         whole["point_mm"] = _named(POINT_NAMES, self.point_mm, 1)
         whole["point_rmse_mm"] = _named(POINT_NAMES, self.point_rmse_mm, 1)
-        whole["point_inside_95"] = _named(POINT_NAMES, self.honesty.point_inside_95, 3)
+        whole["point_inside_95"] = _named(POINT_NAMES, self.coverage.point_inside_95, 3)
         whole["angle_rmse_deg"] = _named(ANGLE_NAMES, self.angle_rmse_deg, 1)
         whole["torso_rmse_deg"] = number(np.rad2deg(self.angles.torso_rmse_rad))
         return whole
@@ -168,7 +166,7 @@ def score(track: Track, truth: Truth) -> Scores:
         point_p95_mm=_by_point(errors_mm, lambda known: np.percentile(known, 95)),
         point_over_200mm=_by_point(errors_mm, lambda known: np.mean(known > 1e3 * metrics.LARGE_ERROR_M)),
         point_mm_without_offset=1e3 * _by_point(errors_centred, np.mean),
-        honesty=honesty(estimate - reference, aligned.covariance),
+        coverage=covariance_coverage(estimate - reference, aligned.covariance),
         angles=score_angles(aligned.angles, aligned.points_world, angle_truth(truth)),
         errors_mm=errors_mm,
     )

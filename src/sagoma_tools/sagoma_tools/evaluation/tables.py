@@ -1,4 +1,4 @@
-"""Scores and runs as tables for people, with rich."""
+"""Prints scores, evaluations and live runs as tables."""
 
 from __future__ import annotations
 
@@ -17,38 +17,29 @@ from .track_evaluation import TrackEvaluation
 
 PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
 """Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""
+POINT_COLUMNS = ("mean", "median", "95 %", ">200 mm", "no offset", "in 95 %", "NEES")
 
 
 def print_scores(console: Console, scores: Scores) -> None:
-    """The errors of points (thesis Table 7.2, and more) and angles (Table 7.1), and how sure the track was."""
+    """Print the errors of points (thesis Table 7.2, and more) and angles (Table 7.1), and the covariances' coverage."""
     console.print(_points(scores))
-    honesty = scores.honesty
+    coverage = scores.coverage
+    low, high = coverage.nees_95
     console.print(
         f"{scores.tracked} of {scores.frames} frames tracked; mean error {scores.mean_mm:.1f} mm, median "
         f"{scores.median_mm:.1f}, 95 % below {scores.p95_mm:.0f}; {scores.mean_mm_without_offset:.1f} mm without "
         f"constant offsets; {100 * scores.over_200mm:.1f} % of the frames have a point over 200 mm"
     )
     console.print(
-        f"covariance: {100 * honesty.inside_95:.0f} % of the errors inside their 95 % ellipsoid; NEES "
-        f"{honesty.nees:.1f}, where 3 is honest ({honesty.nees_95[0]:.1f} to {honesty.nees_95[1]:.1f} for a point, "
-        "if frames erred independently)"
+        f"covariance: {100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid; NEES "
+        f"{coverage.nees:.1f}, where 3 is consistent ({low:.1f} to {high:.1f} for a point, if frames erred independently)"
     )
     console.print(_angles(scores.angles))
 
 
 def _points(scores: Scores) -> Table:
-    table = _table(
-        "error of the points (RMSE: thesis Table 7.2)",
-        "point",
-        "RMSE mm",
-        "mean",
-        "median",
-        "95 %",
-        ">200 mm",
-        "no offset",
-        "in 95 %",
-        "NEES",
-    )
+    title = "error of the points (RMSE: thesis Table 7.2)"
+    table = _table(title, "point", "RMSE mm", *POINT_COLUMNS)
     columns = (
         scores.point_rmse_mm,
         scores.point_mm,
@@ -56,8 +47,8 @@ def _points(scores: Scores) -> Table:
         scores.point_p95_mm,
         scores.point_over_200mm,
         scores.point_mm_without_offset,
-        scores.honesty.point_inside_95,
-        scores.honesty.point_nees,
+        scores.coverage.point_inside_95,
+        scores.coverage.point_nees,
     )
     for name, row in zip(POINT_NAMES, zip(*columns, strict=True), strict=True):
         table.add_row(name.replace("_", " "), *_point_cells(*row))
@@ -68,8 +59,8 @@ def _points(scores: Scores) -> Table:
         scores.p95_mm,
         scores.over_200mm,
         scores.mean_mm_without_offset,
-        scores.honesty.inside_95,
-        scores.honesty.nees,
+        scores.coverage.inside_95,
+        scores.coverage.nees,
     )
     table.add_row("all", *_point_cells(*whole), style="bold")
     return table
@@ -93,71 +84,51 @@ def _angles(angles: AngleScores) -> Table:
     for slot in PAIRED_ANGLES:
         name = ANGLE_NAMES[slot].removeprefix("left_").replace("_", " ")
         rmse, share = angles.rmse_rad[slot : slot + 2], angles.share_defined[slot : slot + 2]
-        table.add_row(
-            name,
-            *(f"{r:.2f}" for r in rmse),
-            *(f"{np.rad2deg(r):.1f}" for r in rmse),
-            *(f"{100 * s:.0f} %" for s in share),
-        )
+        radians, degrees = (f"{r:.2f}" for r in rmse), (f"{np.rad2deg(r):.1f}" for r in rmse)
+        table.add_row(name, *radians, *degrees, *(f"{100 * s:.0f} %" for s in share))
     table.caption = "frames: where the truth determines the angle (see docs/evaluate.md)"
     table.caption_justify = "left"
     return table
 
 
-def print_evaluation(console: Console, judged: TrackEvaluation) -> None:
-    """All of ``sagoma evaluate``: scores where there is a truth, and what can be said without."""
-    console.print(f"session {judged.session.folder}", style="bold")
-    if judged.scores is not None:
-        print_scores(console, judged.scores)
+def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
+    """Print the evaluation of a track: scores where there is a truth, states, time to track, jitter."""
+    console.print(f"session {evaluated.session.folder}", style="bold")
+    if evaluated.scores is not None:
+        print_scores(console, evaluated.scores)
     else:
-        console.print(f"{len(judged.track)} of {judged.frames} frames have a body; there is no truth to compare with")
-    states = ", ".join(f"{state} in {count} frames" for state, count in judged.states.items())
-    console.print(f"tracking {judged.time_to_track_s:.2f} s after the first frame; {states}")
-    resting = int(judged.jitter.at_rest.sum())
-    console.print(
-        f"jitter at rest: {judged.jitter.rms_mm:.2f} mm rms ({resting} points in frames)"
-        if resting
-        else "jitter at rest: nothing rests long enough to say"
-    )
-    if judged.scores is not None and judged.thesis is not None:
-        ratio = judged.thesis.mean_mm / judged.scores.mean_mm
         console.print(
-            f"the thesis's method on the same hulls: mean {judged.thesis.mean_mm:.1f} mm, {ratio:.1f} times ours",
+            f"{len(evaluated.track)} of {evaluated.frames} frames have a body; there is no truth to compare with"
+        )
+    states = ", ".join(f"{state} in {count} frames" for state, count in evaluated.states.items())
+    console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}")
+    resting = int(evaluated.jitter.at_rest.sum())
+    console.print(
+        f"jitter at rest: {evaluated.jitter.rms_mm:.2f} mm rms ({resting} points in frames)"
+        if resting
+        else "jitter at rest: unknown, nothing rests long enough"
+    )
+    if evaluated.scores is not None and evaluated.thesis is not None:
+        ratio = evaluated.thesis.mean_mm / evaluated.scores.mean_mm
+        console.print(
+            f"the thesis's method on the same hulls: mean {evaluated.thesis.mean_mm:.1f} mm, {ratio:.1f} times ours",
             style="bold",
         )
 
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
-    """One row a configuration, None where it found no body; ratio: the first row's mean to this one's."""
-    table = _table(
-        "ablation: each row adds one part to the row above",
-        "method",
-        "mean",
-        "median",
-        "95 %",
-        ">200 mm",
-        "no offset",
-        "in 95 %",
-        "NEES",
-        "ratio",
-    )
+    """Print one row a configuration, None where it found no body; ratio: the first row's mean to this one's."""
+    table = _table("ablation: each row adds one part to the row above", "method", *POINT_COLUMNS, "ratio")
     first = next(iter(rows.values()), None)
     for name, scores in rows.items():
         if scores is None:
             table.add_row(name, "no body")
             continue
         better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
-        table.add_row(
-            name,
-            f"{scores.mean_mm:.1f}",
-            f"{scores.median_mm:.1f}",
-            f"{scores.p95_mm:.0f}",
-            f"{100 * scores.over_200mm:.1f} %",
-            f"{scores.mean_mm_without_offset:.1f}",
-            f"{100 * scores.inside_95:.0f} %",
-            f"{scores.honesty.nees:.1f}",
-            better,
-        )
+        errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
+        over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
+        coverage = f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
+        table.add_row(name, *errors, over, offset, *coverage, better)
     console.print(table)
 
 
@@ -170,10 +141,8 @@ def _table(title: str, first: str, *columns: str) -> Table:
 
 
 def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> None:
-    """One row a stage: median, 95th percentile, largest."""
-    table = Table(title="time of each stage", title_justify="left", box=None, pad_edge=False)
-    for title in ("stage", "p50 ms", "p95 ms", "max ms"):
-        table.add_column(title, justify="left" if title == "stage" else "right")
+    """Print one row a stage: median, 95th percentile, largest."""
+    table = _table("time of each stage", "stage", "p50 ms", "p95 ms", "max ms")
     for stage, values in latency_ms.items():
         p50, p95 = np.percentile(values, [50, 95])
         table.add_row(stage.removesuffix("_ms"), f"{p50:.2f}", f"{p95:.2f}", f"{values.max():.2f}")
@@ -186,10 +155,9 @@ def print_nodes(
     cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """One row a node: resident memory and its peak, processor time a frame set, results, latency."""
-    table = Table(title="nodes", title_justify="left", box=None, pad_edge=False)
-    for title in ("node", "resident MiB", "peak MiB", "cpu ms a set", "results", "latency p50 ms", "p95 ms"):
-        table.add_column(title, justify="left" if title == "node" else "right")
+    """Print one row a node: resident memory and its peak, processor time a frame set, results, latency."""
+    memory_columns = "resident MiB", "peak MiB"
+    table = _table("nodes", "node", *memory_columns, "cpu ms a set", "results", "latency p50 ms", "p95 ms")
     values = {_label(name): report for name, report in diagnostics.items()}
     for label, used in usage.items():
         memory = f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}"

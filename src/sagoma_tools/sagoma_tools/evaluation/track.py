@@ -1,4 +1,4 @@
-"""A track: what the graph said of a session, one row a frame set."""
+"""A track: the filtered body of a session, one row a frame set; read from a bag or collected in process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..recording.reader import read_messages
 
 POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC = "/mocap/reference_points", "/mocap/joint_states", "/mocap/state"
 NO_STATE = "tracking"
-"""What a bag without the tracker's opinion of itself is taken to say wherever it holds a body."""
+"""The state of every body in a bag that holds none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Track:
     frames : (F,) 0-based video frame of each row.
     points_world : (F, 15, 3) metres, map frame; covariance : (F, 15, 3, 3) m^2.
     angles : (F, 18) rad.
-    states : (F,) what the tracker thought of itself: "acquiring", "tracking", ...; empty where a frame has no row.
+    states : (F,) the tracker's state: "acquiring", "tracking", ...; empty where a frame has no row.
     """
 
     frames: np.ndarray
@@ -83,12 +83,12 @@ class Track:
 
 
 def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Track:
-    """The track that a bag of the graph's topics holds; ``frame_of_stamp`` turns a stamp in ns into a frame number."""
+    """Read the track from a bag; ``frame_of_stamp`` converts a stamp in ns into a frame number. Raises InputError."""
     points: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     angles: dict[int, np.ndarray] = {}
     states: dict[int, str] = {}
     for message in read_messages(bag, {POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC}.__contains__):
-        if message.topic == STATE_TOPIC:  # without a header: its values say of which set it speaks
+        if message.topic == STATE_TOPIC:  # without a header: its values hold the stamp
             status = deserialize_message(message.data, DiagnosticStatus)
             stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
             states.update((frame_of_stamp(stamp_ns), status.message) for stamp_ns in stamps)
@@ -104,7 +104,7 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
         raise InputError(
             "holds no tracked body",
             where=str(bag),
-            remedy=f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks somebody.",
+            remedy=f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person.",
         )
     return Track(
         np.array(frames),

@@ -1,4 +1,4 @@
-"""Everything that `sagoma evaluate` says about one track."""
+"""Evaluates one track: scores against the truth, states, time to track, jitter at rest."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from capture_rig.session import Session, Truth
 from .scores import Scores, number, score
 from .track import Track
 
-# --- How much a track trembles where the body stands still.
-
 WINDOW_S = 0.5
-"""Length of the moving average whose removal leaves the trembling: above about 1 Hz."""
+"""Length of the moving average whose removal leaves the jitter: above about 1 Hz."""
 STILL_M = 0.010
 """A point rests at a frame when it stays this close to where it is then, for the whole window around it."""
 
@@ -24,7 +22,7 @@ STILL_M = 0.010
 class Jitter:
     """rms of the high-pass-filtered motion of the points at rest.
 
-    With a centred moving average of :data:`WINDOW_S` (2 h + 1 frames), a point's trembling at frame k is
+    With a centred moving average of :data:`WINDOW_S` (2 h + 1 frames), a point's jitter at frame k is
     ``x_k - mean(x_{k-h} .. x_{k+h})``. It counts at frame k when the point rests there: when the truth's point (without
     a truth, the moving average of the track's own) stays within :data:`STILL_M` of its place at k from k - h to k + h.
 
@@ -86,11 +84,11 @@ TRACKING = "tracking"
 
 @dataclass(frozen=True, eq=False)
 class TrackEvaluation:
-    """A track and what became of it.
+    """The evaluation of one track.
 
-    frames : frames of footage that were looked at, fps of them a second.
-    states : what the tracker said of itself -> in how many frames.
-    time_to_track_s : from the first frame to the first that the tracker calls tracked, NaN when it never does.
+    frames : frames of footage, fps of them a second.
+    states : the tracker's state -> in how many frames.
+    time_to_track_s : from the first frame to the first in state "tracking", NaN when there is none.
     scores : against the truth, where the session has one. thesis : those of the thesis's method on the same hulls.
     """
 
@@ -104,7 +102,7 @@ class TrackEvaluation:
     thesis: Scores | None = None
 
     def figures(self) -> dict[str, object]:
-        """Name to number, for a line of JSON; without a truth, what can be said without one."""
+        """Name to number, for a line of JSON; without a truth, those that need none."""
         whole: dict[str, object] = {"frames": self.frames, "tracked": len(self.track)}
         if self.scores is not None:
             whole |= self.scores.figures()
@@ -132,6 +130,6 @@ def evaluate_track(session: Session, frames: int, track: Track, thesis: Track | 
 
 
 def time_to_track_s(track: Track, fps: float) -> float:
-    """Seconds from frame 0 to the first frame in which the tracker says that it tracks; NaN when it never does."""
+    """Seconds from frame 0 to the first frame in state "tracking"; NaN when there is none."""
     tracked = track.frames[track.states == TRACKING]
     return float(np.min(tracked)) / fps if len(tracked) else float("nan")

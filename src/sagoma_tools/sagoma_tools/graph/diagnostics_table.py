@@ -1,4 +1,4 @@
-"""The live table: what each node last said of itself on /diagnostics, one line a node."""
+"""Collects the nodes' last diagnostics and shows them as a live table, one line a node."""
 
 from __future__ import annotations
 
@@ -15,22 +15,8 @@ from rich.text import Text
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3.0
-LOSS_WORDS = (
-    "ahead",
-    "unexpected",
-    "dropped",
-    "late",
-    "missing",
-    "refused",
-    "timeout",
-    "backwards",
-    "duplicate",
-    "bad",
-    "lost",
-    "incomplete",
-    "stalls",
-    "control_losses",
-)
+_LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
+LOSS_WORDS = (*_LOSSES.split(), "control_losses")
 LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
 
 
@@ -44,7 +30,7 @@ class NodeReport:
     heard_s: float = 0.0
 
     def losses(self) -> dict[str, int]:
-        """The counters above zero that tell of input or work that was not used."""
+        """The counters above zero of input or work that was lost."""
         counters = {key: int(text) for key, text in self.values.items() if text.isdigit()}
         return {k: n for k, n in counters.items() if n and any(word in k for word in LOSS_WORDS)}
 

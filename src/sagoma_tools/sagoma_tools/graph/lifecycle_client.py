@@ -1,4 +1,4 @@
-"""Drives the lifecycle of several nodes at once and says who acknowledged, who refused and who did not answer.
+"""Drives the lifecycle of several nodes at once and reports which acknowledged, refused, or did not answer.
 
 configure / activate / deactivate / cleanup are the thesis's connect / start / suspend / stop.
 """
@@ -29,7 +29,7 @@ class Transition(Enum):
 
 
 class State(Enum):
-    """The states a healthy node can rest in, in the order they are climbed."""
+    """The states in which a healthy node can rest, from stopped to running."""
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -55,7 +55,7 @@ TIMEOUT_S: Mapping[Transition, float] = {
 
 
 class Verdict(Enum):
-    """What a node said to a transition."""
+    """A node's answer to a transition."""
 
     ACKNOWLEDGED = "acknowledged"
     REFUSED = "refused"
@@ -115,7 +115,7 @@ class LifecycleClient:
     """Sends lifecycle requests to many nodes concurrently through ``node``, which another thread must spin."""
 
     def __init__(self, node: Node, *, alive: Callable[[str], bool] = lambda name: True) -> None:
-        """``alive(name)`` tells that a node's process still runs: nobody waits for the dead."""
+        """``alive(name)``: whether a node's process still runs; a dead one is not waited for."""
         self._node = node
         self._alive = alive
 
@@ -134,7 +134,7 @@ class LifecycleClient:
         limit = max((TIMEOUT_S[t] for t in wanted.values()), default=0.0) if timeout_s is None else timeout_s
 
         def inferred(silent: set[str]) -> dict[str, Any]:
-            """A node that says it rests where it was sent has done so, though its reply was lost."""
+            """Success for nodes that are in the wanted state, though their reply was lost."""
             labels = self.states(silent, INFER_TIMEOUT_S)
             return {n: ChangeState.Response(success=True) for n in silent if labels[n] == REACHED[wanted[n]].value}
 
@@ -148,10 +148,10 @@ class LifecycleClient:
         timeout_s: float | None = None,
         contact_s: float = STATE_TIMEOUT_S,
     ) -> Outcome:
-        """Bring every node to ``goal`` from wherever it is, group after group, a group's nodes in step.
+        """Bring every node to ``goal`` from its present state, group after group, a group's nodes in step.
 
-        ``contact_s`` is how long a node may take to say where it is: long for one whose process has just started.
-        A node that refuses or stays silent is left where it is; the others go on.
+        ``contact_s`` is how long a node may take to report its state: long for a process that has just started.
+        A node that refuses or stays silent keeps its state; the others go on.
         """
         outcome = Outcome(())
         for group in groups:

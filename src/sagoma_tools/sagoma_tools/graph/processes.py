@@ -1,4 +1,4 @@
-"""Child processes: started in a process group of their own, watched, stopped by pid, and cleaned up after."""
+"""Child processes: started in their own process group, watched, stopped by pid; leftover shared memory is removed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _libc = ctypes.CDLL(None)
 
 
 class Exit(Enum):
-    """How a child came to its end when it was asked to stop."""
+    """How a child ended."""
 
     CLEAN = "stopped on SIGINT"
     KILLED = "ignored SIGINT and was killed"
@@ -35,7 +35,7 @@ class Exit(Enum):
 
 @dataclass(frozen=True)
 class ExitStatus:
-    """The end of one child: how, and its exit status (negative: the signal's number)."""
+    """How one child ended, and its exit status (negative: the signal's number)."""
 
     name: str
     exit: Exit
@@ -44,7 +44,7 @@ class ExitStatus:
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process uses: memory resident now and at its peak, MiB, and processor time since its start, seconds."""
+    """Resources of a process: memory resident now and at its peak, MiB, processor time since its start, seconds."""
 
     resident_mib: float
     peak_mib: float
@@ -54,14 +54,14 @@ class Usage:
 class Child:
     """One running process with its log file.
 
-    It is told to stop (SIGINT) by the kernel when the thread that started it ends, so that no node outlives its
-    supervisor: start children from a thread that lives as long as they shall, usually the main one.
+    The kernel sends it SIGINT when the thread that started it ends, so that no node outlives its supervisor: start
+    children from a thread that lives as long as they shall, usually the main one.
     """
 
     def __init__(
         self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str], on_exit: Callable[[Child], None]
     ) -> None:
-        """``on_exit`` is called from a thread of the child's own once the process has ended by itself."""
+        """``on_exit`` is called from the child's watching thread when the process ends by itself."""
         self.name, self.log = name, log
         self.shared_memory: set[str] = set()
         self._stopping = False
@@ -96,7 +96,7 @@ class Child:
         return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
 
     def usage(self) -> Usage | None:
-        """What it uses and has used; None once it has ended."""
+        """Its resources; None once it has ended."""
         try:
             status = Path(f"/proc/{self.pid}/status").read_text()
             cpu = psutil.Process(self.pid).cpu_times()
@@ -106,7 +106,7 @@ class Child:
         return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, cpu.user + cpu.system) if "VmRSS" in kib else None
 
     def note_shared_memory(self) -> None:
-        """Remember which Fast DDS shared memory it owns: a node that is killed or crashes leaves it behind."""
+        """Record which Fast DDS shared memory it owns: a node that is killed or crashes leaves it behind."""
         self.shared_memory |= owned_shared_memory([self.pid])
 
     def interrupt(self) -> None:
@@ -137,7 +137,7 @@ class Child:
 
 
 def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus, ...]:
-    """SIGINT to all, then SIGKILL to those that are still there ``grace_s`` later; says how each one ended."""
+    """Send SIGINT to all, and SIGKILL to those that still run ``grace_s`` later; returns how each one ended."""
     already_dead = {child.name for child in children if not child.alive}
     for child in children:
         child.interrupt()
@@ -176,7 +176,7 @@ def shared_memory_files(names: Iterable[str]) -> list[Path]:
 
 
 def remove_abandoned(names: Iterable[str]) -> None:
-    """Delete the files of those segments and ports that no living process owns: what a killed node left behind."""
+    """Delete the files of those segments and ports that no living process owns."""
     names = set(names)
     if names:
         living = owned_shared_memory(process.pid for process in psutil.process_iter())
@@ -185,7 +185,7 @@ def remove_abandoned(names: Iterable[str]) -> None:
 
 
 def _prepare_child() -> None:
-    """Runs in the child before exec: die with the supervisor, and take SIGINT even when the shell had it ignored."""
+    """Set up the child before exec: SIGINT when the supervisor ends, and not ignored even if the shell ignores it."""
     _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 

@@ -1,7 +1,7 @@
-"""Runs the node graph as processes on machines without the ros2 command line.
+"""Runs the node graph as processes, without the ros2 command line.
 
-Starts every node, drives the lifecycle with acknowledgements (the server's nodes first, the cameras last), watches,
-and stops everything cleanly. A camera may die; the graph goes on.
+Starts every node, drives the lifecycle with acknowledgements (the server's nodes first, the cameras last), watches the
+processes, and stops them cleanly. A camera may die; the graph goes on.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 
 
 class GraphError(RuntimeError):
-    """The graph cannot run: which node failed, what it answered, and the end of its log."""
+    """The graph cannot run; names the failed node, its answer, and the end of its log."""
 
 
 class Supervisor:
-    """The processes of one graph; a context manager that leaves nothing running.
+    """Owns the processes of one graph; a context manager that leaves nothing running.
 
     with Supervisor(graph, run_folder) as run:
         run.configure()
@@ -58,7 +58,7 @@ class Supervisor:
         cancel: threading.Event | None = None,
         on_exit: Callable[[NodeSpec, str], None] | None = None,
     ) -> None:
-        """``on_exit(spec, log_tail)`` is told, from another thread, of every node that ends by itself.
+        """``on_exit(spec, log_tail)`` is called, from another thread, for every node that ends by itself.
 
         run_folder : gets one log and one parameter file a node; made when missing.
         domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
@@ -87,18 +87,16 @@ class Supervisor:
 
     @property
     def node(self) -> Node:
-        """Its own node, spun by a thread, once it has been started: for further questions to the graph."""
+        """Its own node, spun by a thread, once it has been started: for further requests to the graph."""
         assert self._link is not None
         return self._link.node
-
-    # starting and stopping ------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start every process; they rest unconfigured until :meth:`configure`."""
         self.run_folder.mkdir(parents=True, exist_ok=True)
         self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
         self.diagnostics = DiagnosticsTable(self._link.node)
-        self.lifecycle = LifecycleClient(self._link.node, alive=self._worth_waiting_for)
+        self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
             for spec in self.graph:
                 self._children[spec.full_name] = self._spawn(spec)
@@ -107,9 +105,9 @@ class Supervisor:
             raise
 
     def stop(self) -> tuple[ExitStatus, ...]:
-        """Deactivate, clean up, SIGINT, and after the grace period SIGKILL; says how each node ended.
+        """Deactivate, clean up, SIGINT, and after the grace period SIGKILL; returns how each node ended.
 
-        Who did not answer the lifecycle requests is in :attr:`stop_outcome`.
+        :attr:`stop_outcome` holds the answers to the lifecycle requests.
         """
         if self._link is None:
             return self.exit_statuses
@@ -122,8 +120,6 @@ class Supervisor:
         self._link = None
         remove_abandoned(set().union(*(child.shared_memory for child in self._children.values())))
         return self.exit_statuses
-
-    # lifecycle ------------------------------------------------------------------------------------------------
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Connect every node; GraphError when one of the server fails, or every camera (or any, as told).
@@ -153,8 +149,6 @@ class Supervisor:
         """Deactivate every active node, the cameras first."""
         return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, STOP_TIMEOUT_S)
 
-    # watching -------------------------------------------------------------------------------------------------
-
     def alive(self, name: str) -> bool:
         """Does the process of the node with this full name still run?"""
         child = self._children.get(name)
@@ -176,24 +170,15 @@ class Supervisor:
         return {label: usage for label, usage in found.items() if usage is not None}
 
     def log_tail(self, name: str, lines: int = 15) -> str:
-        """The last lines that a node wrote."""
+        """The last lines of a node's log."""
         return self._children[name].log_tail(lines)
-
-    # inside ---------------------------------------------------------------------------------------------------
 
     def _spawn(self, spec: NodeSpec) -> Child:
         parameters = self.run_folder / f"{spec.label}.yaml"
         parameters.write_text(yaml.safe_dump(spec.parameter_document(), sort_keys=False))
-        command = [
-            *node_command(spec.package, spec.executable, spec.module),
-            "--ros-args",
-            "-r",
-            f"__node:={spec.name}",
-            "-r",
-            f"__ns:={spec.namespace}",
-            "--params-file",
-            str(parameters),
-        ]
+        names = ["-r", f"__node:={spec.name}", "-r", f"__ns:={spec.namespace}"]
+        node = node_command(spec.package, spec.executable, spec.module)
+        command = [*node, "--ros-args", *names, "--params-file", str(parameters)]
         log = self.run_folder / f"{spec.label}.log"
         return Child(spec.label, command, log, self._child_environment(), lambda child: self._report_exit(spec, child))
 
@@ -204,7 +189,7 @@ class Supervisor:
             env["ROS_DOMAIN_ID"] = str(self._domain_id)
         return env
 
-    def _worth_waiting_for(self, name: str) -> bool:
+    def _should_wait_for(self, name: str) -> bool:
         return self.alive(name) and (self._stopping or not self._cancel.is_set())
 
     def _report_exit(self, spec: NodeSpec, child: Child) -> None:
@@ -212,7 +197,7 @@ class Supervisor:
             self._on_exit(spec, child.log_tail())
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
-        """The nodes that rest in ``state``: those of the server, then the cameras, or the other way round."""
+        """The nodes in ``state``: the server's and the cameras', or the other way round."""
         states = self.states()
         order = (Role.CAMERA, Role.SERVER) if cameras_first else (Role.SERVER, Role.CAMERA)
         return [
@@ -237,7 +222,7 @@ class Supervisor:
         return outcome
 
     def _refuse_foreign_nodes(self, configured: Outcome) -> None:
-        """Nodes of our names that are not ours: seen twice, or in a state that our fresh process cannot be in."""
+        """Raise GraphError for foreign nodes of our names: found twice, or in a state that no new process has."""
         assert self._link is not None
         seen = Counter(node_names(self._link.node))
         asked = {answer.node for answer in configured.answers}
@@ -250,19 +235,19 @@ class Supervisor:
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
-        fallen = [spec for spec in self.graph if states[spec.full_name] != goal.value]
+        failed = [spec for spec in self.graph if states[spec.full_name] != goal.value]
         cameras = [spec for spec in self.graph if spec.role is Role.CAMERA]
-        lost_cameras = [spec for spec in fallen if spec.role is Role.CAMERA]
-        bearable = tolerate_cameras and len(lost_cameras) == len(fallen) < len(cameras)
-        if fallen and not bearable:
-            raise GraphError("\n".join(self._failure_report(spec, states[spec.full_name], outcome) for spec in fallen))
+        lost_cameras = [spec for spec in failed if spec.role is Role.CAMERA]
+        tolerated = tolerate_cameras and len(lost_cameras) == len(failed) < len(cameras)
+        if failed and not tolerated:
+            raise GraphError("\n".join(self._failure_report(spec, states[spec.full_name], outcome) for spec in failed))
 
     def _failure_report(self, spec: NodeSpec, state: str, outcome: Outcome) -> str:
-        said = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
+        answers = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
         if state == "dead":
-            said = [f"{spec.full_name} has died (status {self._children[spec.full_name].returncode})"]
+            answers = [f"{spec.full_name} has died (status {self._children[spec.full_name].returncode})"]
         tail = self.log_tail(spec.full_name).replace("\n", "\n    ") or "(empty)"
-        return f"{'; '.join(said) or f'{spec.full_name} is {state}'}; the end of {spec.label}.log:\n    {tail}"
+        return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {spec.label}.log:\n    {tail}"
 
 
 def seconds_to_start_window(now_ns: int) -> float:
@@ -274,8 +259,8 @@ def seconds_to_start_window(now_ns: int) -> float:
 def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
     """The graph, its footage that is not played by the clock (rate 0) stamped from one epoch.
 
-    Nothing waits for that instant, so any will do; left to themselves, cameras that are activated on both sides of a
-    whole 5 s would stamp their frames 5 s apart, and wait for each other for ever.
+    Any instant will do. Without a common one, cameras that are activated before and after a whole 5 s would stamp their
+    frames 5 s apart, and no frame set would ever be complete.
     """
     unpaced = [spec.full_name for spec in graph if _chooses_epoch(spec) and spec.parameters.get("footage.rate") == 0]
     if len(unpaced) < 2:

@@ -1,4 +1,4 @@
-"""A bag through a graph of its own, set by set: a run whose results depend on the bag and the settings alone."""
+"""Replays a bag through a graph started for it, set by set: the results depend on the bag and the settings alone."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ QUIET_S, FLUSH_TIMEOUT_S = 0.5, 10.0
 LOOK_S = 0.05
 
 TOLERANCE = "hull_server.tolerance_s"
-# what carries exactly one message a frame set, whatever is seen
+# topics with exactly one message a frame set
 PER_SET = (
     "/hull/contour_rays",
     "/hull/centerline",
@@ -57,7 +57,7 @@ def replay_through_graph(
     domain_id: int | None = None,
     cancel: threading.Event | None = None,
 ) -> LockstepReport:
-    """Start hull server, ICP and EKF, replay the bag's frame sets in lockstep, record what they say into ``output``.
+    """Start hull server, ICP and EKF, replay the bag's frame sets in lockstep, record their output into ``output``.
 
     rig : by default the one that lies in the bag's folder.
     settings : parameters as for :func:`sagoma_bringup.graph.build_graph`; they win over the lossless ones.
@@ -89,7 +89,7 @@ def replay_through_graph(
 def lockstep_into(
     node: Node, bag: str | Path, *, tolerance_ns: int | None = None, cancel: threading.Event | None = None
 ) -> LockstepReport:
-    """Replay a bag in lockstep into whatever graph listens; ``node`` must be spun by another thread."""
+    """Replay a bag in lockstep into a running graph; ``node`` must be spun by another thread."""
     types = bag_topics(bag)
     answers = Answers(node)
     publishers = InputPublishers(node, {name: types[name] for name in input_topics(bag)})
@@ -100,13 +100,13 @@ def lockstep_into(
 
 
 def wait_for_listeners(node: Node, timeout_s: float) -> None:
-    """Return once the server's nodes listen to each other; InputError names who does not listen to what in time."""
+    """Return once the server's nodes subscribe to each other. Raises InputError naming missing subscriptions."""
     deadline_s = time.monotonic() + timeout_s
-    while deaf := _deaf(node):
+    while missing := _missing_subscriptions(node):
         if time.monotonic() > deadline_s:
             raise InputError(
-                f"not heard by {', '.join(sorted(set().union(*deaf.values())))} within {timeout_s:g} s",
-                where=", ".join(deaf),
+                f"not heard by {', '.join(sorted(set().union(*missing.values())))} within {timeout_s:g} s",
+                where=", ".join(missing),
                 remedy="All three nodes of the server must be active.",
             )
         threading.Event().wait(LOOK_S)  # rclpy has no event for a change of the graph
@@ -118,17 +118,17 @@ def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
     if not rig_file.is_file():
         raise InputError("there is no rig file", where=str(rig_file), remedy="Give one with --rig.")
     known, recorded = load_rig(rig_file).names, bag_cameras(bag)
-    strangers = [name for name in recorded if name not in known]
-    if strangers:
+    unknown = [name for name in recorded if name not in known]
+    if unknown:
         raise InputError(
-            f"the bag has silhouettes of {', '.join(strangers)}, which the rig does not know",
+            f"the bag has silhouettes of {', '.join(unknown)}, which the rig does not know",
             where=str(rig_file),
             remedy=f"Known cameras: {', '.join(known)}.",
         )
     return rig_file
 
 
-def _deaf(node: Node) -> dict[str, set[str]]:
+def _missing_subscriptions(node: Node) -> dict[str, set[str]]:
     missing = {
         topic: wanted - {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
         for topic, wanted in LISTENERS.items()

@@ -1,4 +1,7 @@
-"""Records the live topics of the graph: subscribes reliably and writes the serialized bytes as they arrive."""
+"""Records topics of the graph into a bag: subscribes reliably and writes the serialized bytes as they arrive.
+
+:class:`Recorder` records any topics, :class:`GraphRecorder` those of a graph that this process started.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,8 @@ from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 DISCOVERY_S = 0.2
-SETTLE_S = 0.3  # ROS tells us when we know the publisher, not when it knows us: that comes a little later
+SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
+CONNECT_TIMEOUT_S = 10.0
 
 
 class Recorder:
@@ -58,14 +62,14 @@ class Recorder:
         self._subscriptions[topic.name] = self._node.create_subscription(
             message_class(topic.msgtype),
             topic.name,
-            self._taker(topic),
+            self._on_message(topic),
             topic.qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(matched=self._noter(topic)),
+            event_callbacks=SubscriptionEventCallbacks(matched=self._on_match(topic)),
         )
 
     def follow_cameras(self) -> None:
-        """Look for cameras that publish silhouettes, now and from time to time, and record them too."""
+        """Look for cameras that publish silhouettes every DISCOVERY_S, and record them too."""
         if self._discovery is None:
             self._discovery = self._node.create_timer(DISCOVERY_S, self._add_cameras)
 
@@ -74,9 +78,9 @@ class Recorder:
         names = tuple(topics)
         with self._arrived:
             self._arrived.wait_for(lambda: all(self._publishers.get(name) for name in names), timeout_s)
-            lonely = tuple(name for name in names if not self._publishers.get(name))
+            missing = tuple(name for name in names if not self._publishers.get(name))
         threading.Event().wait(SETTLE_S)
-        return lonely
+        return missing
 
     def wait_for_stamp(self, topic: str, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as a message of this (stamped) topic with this or a later stamp is written."""
@@ -84,7 +88,7 @@ class Recorder:
             return self._arrived.wait_for(lambda: self._last_stamp_ns.get(topic, -1) >= stamp_ns, timeout_s)
 
     def wait_until_quiet(self, quiet_s: float, timeout_s: float) -> bool:
-        """True once nothing has arrived for ``quiet_s``: what was under way has been written."""
+        """True once nothing has arrived for ``quiet_s``: messages under way have been written."""
         deadline_s = time.monotonic() + timeout_s
         with self._arrived:
             while time.monotonic() < deadline_s:
@@ -116,7 +120,7 @@ class Recorder:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _taker(self, topic: Topic) -> Callable[[bytes], None]:
+    def _on_message(self, topic: Topic) -> Callable[[bytes], None]:
         stamped = has_header(topic.msgtype)
 
         def take(data: bytes) -> None:
@@ -131,7 +135,7 @@ class Recorder:
 
         return take
 
-    def _noter(self, topic: Topic) -> Callable[[Any], None]:
+    def _on_match(self, topic: Topic) -> Callable[[Any], None]:
         def note(info: Any) -> None:
             with self._arrived:
                 self._publishers[topic.name] = info.current_count
@@ -150,11 +154,6 @@ def has_header(msgtype: str) -> bool:
     """Does a message of this type start with a std_msgs/Header?"""
     fields = message_class(msgtype).get_fields_and_field_types()
     return next(iter(fields.values())) == "std_msgs/Header"
-
-
-# --- Records a graph that we started ourselves: its topics are known beforehand, and so is what made them.
-
-CONNECT_TIMEOUT_S = 10.0
 
 
 class GraphRecorder:
@@ -203,7 +202,7 @@ class GraphRecorder:
 
 
 def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
-    """What the nodes publish: cameras' topics, the server's, and diagnostics."""
+    """The topics that the nodes publish: the cameras', the server's, and diagnostics."""
     cameras = [node.label for node in graph if node.role is Role.CAMERA]
     return [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, DIAGNOSTICS]
 
@@ -219,11 +218,8 @@ def rig_file(graph: Sequence[NodeSpec]) -> Path | None:
     return next((Path(name) for name in named if name), None)
 
 
-# --- Asks the running nodes for their parameters, so that a bag can say what made it.
-
-
 def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> dict[str, dict[str, Any]]:
-    """Full node name -> its parameters; a node that does not answer in time is left out.
+    """Ask running nodes for their parameters: full name -> parameters; a node that does not answer is left out.
 
     ``node`` must be spun by another thread.
     """

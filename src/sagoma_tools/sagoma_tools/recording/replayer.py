@@ -1,4 +1,4 @@
-"""Plays a bag's messages into the live graph: with the timing they were recorded with, or set by set (lockstep).
+"""Plays a bag's messages into the live graph: with their recorded timing, or set by set (lockstep).
 
 In lockstep the next frame set is published when the EKF has answered the one before, so nothing is dropped and
 nothing depends on how fast anything runs: the same bag gives the same bytes.
@@ -25,7 +25,7 @@ from .reader import BagMessage, header_stamp_ns
 
 
 class Clock(Protocol):
-    """What a timed replay needs of time; tests inject their own."""
+    """The time source of a timed replay; tests inject their own."""
 
     def now_s(self) -> float: ...
 
@@ -48,7 +48,7 @@ class MonotonicClock:
 
 
 class InputPublishers:
-    """Reliable publishers for the topics of a bag; knows which of them have a subscriber."""
+    """Publishes the topics of a bag reliably, and counts their subscribers."""
 
     def __init__(self, node: Node, topics: Mapping[str, str]) -> None:
         """``topics``: name -> message type."""
@@ -59,7 +59,7 @@ class InputPublishers:
                 message_class(msgtype),
                 name,
                 LOSSLESS,
-                event_callbacks=PublisherEventCallbacks(matched=self._noter(name)),
+                event_callbacks=PublisherEventCallbacks(matched=self._on_match(name)),
             )
             for name, msgtype in topics.items()
         }
@@ -69,10 +69,10 @@ class InputPublishers:
         names = tuple(topics)
         with self._matched:
             if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
-                lonely = ", ".join(name for name in names if not self._subscribers[name])
+                missing = ", ".join(name for name in names if not self._subscribers[name])
                 raise InputError(
                     f"nobody subscribed within {timeout_s:g} s",
-                    where=lonely,
+                    where=missing,
                     remedy="Start the hull server (`sagoma up --rig ... --server`), or check "
                     "ROS_DOMAIN_ID and the camera names of its rig.",
                 )
@@ -81,7 +81,7 @@ class InputPublishers:
         """Publish the serialized message as it is."""
         self._publishers[message.topic].publish(message.data)
 
-    def _noter(self, name: str) -> Any:
+    def _on_match(self, name: str) -> Any:
         def note(info: Any) -> None:
             with self._matched:
                 self._subscribers[name] = info.current_count
@@ -106,10 +106,10 @@ def play_timed(messages: Iterable[BagMessage], publishers: InputPublishers, cloc
 
 @dataclass
 class LockstepReport:
-    """What a lockstep replay did.
+    """The result of a lockstep replay.
 
     sets : frame sets published; unanswered_ns : stamps of those that the EKF never answered; stray_answers : answers
-    to sets that were not asked; unrecorded : topics with one message a set that lack some in the recording.
+    to sets that were not sent; unrecorded : topics with one message a set that lack some in the recording.
     """
 
     sets: int = 0
@@ -134,14 +134,14 @@ class Answers:
             return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
 
     def wait_for_total(self, count: int, timeout_s: float) -> bool:
-        """True as soon as so many answers have come, whatever they answer."""
+        """True as soon as so many answers have come, to any sets."""
         with self._arrived:
             return self._arrived.wait_for(lambda: self.total >= count, timeout_s)
 
-    def strays(self, expected: Iterable[int]) -> int:
-        """How many answers came to sets that were never asked."""
+    def stray_count(self, sent: Iterable[int]) -> int:
+        """The number of answers to sets that were never sent."""
         with self._arrived:
-            return len(self._stamps - set(expected))
+            return len(self._stamps - set(sent))
 
     def _take(self, data: bytes) -> None:
         with self._arrived:
@@ -161,16 +161,16 @@ def play_lockstep(
     """Publish one frame set after another, each when the EKF has answered the last.
 
     A set that is not answered within ``timeout_s`` is noted and the next one follows; InputError when the very first
-    one is not, since then the graph is not there or not connected. ``cancel`` ends it between two sets.
+    one is not, since then the graph does not run or is not connected. ``cancel`` ends it between two sets.
     """
-    report, asked = LockstepReport(), []
+    report, sent = LockstepReport(), []
     for frame_set in frame_sets:
         if cancel is not None and cancel.is_set():
             break
         for frame in frame_set.frames.values():  # cameras in name order
             for message in frame:
                 publishers.publish(message)
-        asked.append(frame_set.stamp_ns)
+        sent.append(frame_set.stamp_ns)
         report.sets += 1
         report.last_stamp_ns = frame_set.stamp_ns
         if not answers.wait_for(frame_set.stamp_ns, timeout_s):
@@ -181,5 +181,5 @@ def play_lockstep(
                     where=PREDICTION_TOPIC,
                     remedy="All of hull_server, icp_tracker and ekf_tracker must be active.",
                 )
-    report.stray_answers = answers.strays(asked)
+    report.stray_answers = answers.stray_count(sent)
     return report

@@ -1,4 +1,4 @@
-"""Writes rosbag2 bags (mcap) that ``ros2 bag`` and Foxglove read, with what made them beside the messages."""
+"""Writes rosbag2 bags (mcap) that ``ros2 bag`` and Foxglove read, with their provenance; recovers damaged ones."""
 
 from __future__ import annotations
 
@@ -23,24 +23,15 @@ from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES
 
 INFINITE = QosTime(9223372036, 854775807)
 # what every publisher of the graph offers (sagoma_ros.qos)
-OFFERED = Qos(
-    QosHistory.KEEP_LAST,
-    20,
-    QosReliability.RELIABLE,
-    QosDurability.VOLATILE,
-    INFINITE,
-    INFINITE,
-    QosLiveliness.AUTOMATIC,
-    INFINITE,
-    False,
-)
+_QUEUE = (QosHistory.KEEP_LAST, 20, QosReliability.RELIABLE, QosDurability.VOLATILE)
+OFFERED = Qos(*_QUEUE, INFINITE, INFINITE, QosLiveliness.AUTOMATIC, INFINITE, False)
 OFFERED_LATCHED = OFFERED._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
 GIT_TIMEOUT_S = 5.0
 VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags")
 
 
 def require_new(folder: str | Path) -> Path:
-    """The path, when nothing is there yet; InputError otherwise: a recording never replaces another."""
+    """The path of a new bag. Raises InputError when it exists: a recording never replaces another."""
     if Path(folder).exists():
         raise InputError("exists already", where=str(folder), remedy="Give the bag another name, or move it away.")
     return Path(folder)
@@ -62,7 +53,7 @@ class BagWriter:
         self.counts: dict[str, int] = {}
 
     def add_topic(self, name: str, msgtype: str, qos: Qos = OFFERED) -> None:
-        """Announce a topic with its type's definition; a second time does nothing."""
+        """Announce a topic with its type's definition, once."""
         if name not in self._connections:
             self._connections[name] = self._writer.add_connection(
                 name, msgtype, typestore=TYPES, offered_qos_profiles=(qos,)
@@ -94,7 +85,7 @@ class BagWriter:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of ours (with the commit, in a checkout) and of what the results depend on, as far as installed."""
+    """Versions of sagoma (with the commit, in a checkout) and of the packages on which results depend."""
     found = {"sagoma": own_version(), "python": platform.python_version()}
     for package in VERSIONED:
         with contextlib.suppress(PackageNotFoundError):
@@ -123,10 +114,8 @@ def _git(folder: Path, *arguments: str) -> str:
         return ""  # no git, or no checkout
 
 
-# --- Recovers a bag whose writer was killed: its mcap file has no index, and its folder no metadata.yaml.
-#
-# What had reached the disk (all but the last megabyte or so) is read record by record and written into a new bag.
-# Format: mcap.dev/spec (a record is one byte opcode, 64-bit length, body; chunks hold records).
+# A damaged bag has no index and no metadata.yaml: its mcap file is read record by record, up to where it breaks off, and
+# copied into a new bag (mcap.dev/spec: one byte opcode, 64-bit length, body; chunks hold records).
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
