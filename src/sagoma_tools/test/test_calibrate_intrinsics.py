@@ -14,10 +14,9 @@ from sensor_msgs.srv import SetCameraInfo
 from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
-from sagoma_ros.images import image_message
+from sagoma_ros.images import decode_image, image_message
 from sagoma_ros.qos import RESULT
 from sagoma_tools.calibration.live_display import draw_preview, panel, plain_line, state_of
-from sagoma_tools.calibration.live_image import image_of
 from sagoma_tools.calibration.live_lens import camera_name_of, namespace_of
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
@@ -182,23 +181,23 @@ COLOURS = np.random.default_rng(0).integers(0, 255, (8, 12, 3), np.uint8)  # BGR
 )
 def test_colour_encodings_are_read_as_bgr(encoding, data, step):
     message = Image(height=8, width=12, encoding=encoding, step=step, data=np.ascontiguousarray(data).tobytes())
-    assert np.array_equal(image_of(message, "/t"), COLOURS)
+    assert np.array_equal(decode_image(message, "/t"), COLOURS)
 
 
 def test_rows_with_padding_and_sixteen_bits_are_read():
     grey = COLOURS[:, :, 0]
     padded = np.pad(grey, ((0, 0), (0, 4)))
     wide = Image(height=8, width=12, encoding="mono8", step=16, data=padded.tobytes())
-    assert np.array_equal(image_of(wide, "/t"), grey)
+    assert np.array_equal(decode_image(wide, "/t"), grey)
     deep = grey.astype("<u2") * 16
-    read = image_of(Image(height=8, width=12, encoding="mono16", step=24, data=deep.tobytes()), "/t")
+    read = decode_image(Image(height=8, width=12, encoding="mono16", step=24, data=deep.tobytes()), "/t")
     assert np.abs(read.astype(float) - grey * 255.0 / grey.max()).max() <= 1.0
 
 
 def test_red_pixels_of_a_bayer_sensor_stay_red():
     mosaic = np.zeros((8, 12), np.uint8)
     mosaic[::2, ::2] = 200  # RGGB: red at even rows and columns
-    colours = image_of(Image(height=8, width=12, encoding="bayer_rggb8", step=12, data=mosaic.tobytes()), "/t")
+    colours = decode_image(Image(height=8, width=12, encoding="bayer_rggb8", step=12, data=mosaic.tobytes()), "/t")
     assert colours[3:5, 3:5, 2].min() > 90 and colours[:, :, 0].max() == 0
 
 
@@ -212,4 +211,4 @@ def test_red_pixels_of_a_bayer_sensor_stay_red():
 )
 def test_images_that_are_none_are_refused(message, said):
     with pytest.raises(InputError, match=said):
-        image_of(message, "/t")
+        decode_image(message, "/t")

@@ -74,7 +74,7 @@ def test_camera_that_does_not_publish_is_named(published: PublishedCameras, link
         find_topics(link.node, ["cam01", "cam09"], timeout_s=4.0)
 
 
-def test_floor_and_carried_board_are_seen_live_at_common_moments(
+def test_floor_and_carried_board_are_seen_live_in_common_frames(
     published: PublishedCameras, link: RosLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_FRAMES", 5), ("ENOUGH_CELLS", 1)):
@@ -87,8 +87,8 @@ def test_floor_and_carried_board_are_seen_live_at_common_moments(
 
     out = StringIO()
     sources = LiveSources(link.node, ("cam01", "cam02", "cam03"), (), True, Console(file=out), ask, threading.Event())
-    floor = sources.see_floor(BOARD, CAMERAS, {})
-    moving = sources.see_moving(BOARD, CAMERAS)
+    floor = sources.detect_floor(BOARD, CAMERAS, {})
+    moving = sources.detect_moving(BOARD, CAMERAS)
     assert [what.split()[0] for what in asked] == ["Lay", "Carry"]
     assert all(len(seen.detections) == seen.examined for seen in floor.values())
     frames = [{s.frame_index for s in moving[name].detections} for name in CAMERAS]

@@ -23,7 +23,7 @@ def frames(footage):
     return {name: [frame_index for frame_index, _ in camera] for name, camera in footage.items()}
 
 
-def test_folder_of_videos_gives_a_camera_each_with_frames_as_moments(tmp_path):
+def test_folder_of_videos_gives_a_camera_each_with_frame_numbers_as_indices(tmp_path):
     video(tmp_path / "cam01.mp4", [10, 90, 170])
     video(tmp_path / "cam02_floor.mp4", [50, 60])
     footage = open_footage_of_cameras([str(tmp_path)])
@@ -33,7 +33,7 @@ def test_folder_of_videos_gives_a_camera_each_with_frames_as_moments(tmp_path):
     assert footage["cam01"].count == 3 and footage["cam01"].is_video
 
 
-def test_numbered_stills_carry_their_numbers_as_moments_so_that_a_missing_one_shifts_nothing(tmp_path):
+def test_numbered_stills_carry_their_numbers_as_indices_so_that_a_missing_one_shifts_nothing(tmp_path):
     for side, numbers in (("left", (1, 2, 3, 10)), ("right", (1, 3, 10))):
         for number in numbers:
             still(tmp_path / f"{side}{number:02d}.png", 10 * number)
@@ -55,7 +55,7 @@ def test_sub_folders_are_cameras_and_stills_are_in_natural_order(tmp_path):
     assert [image[0, 0] for _, image in footage["cam01"]] == [1, 2, 10]
 
 
-def test_numbers_that_no_other_camera_shares_are_no_moments(tmp_path):
+def test_numbers_that_no_other_camera_shares_are_no_indices(tmp_path):
     for name, start in (("a", 1000), ("b", 5000)):
         for k in range(3):
             still(tmp_path / name / f"{start + 7 * k}.png")
@@ -69,7 +69,7 @@ def test_named_pattern_is_one_camera(tmp_path):
     assert frames(footage) == {"front": [1, 2]} and footage["front"].where == str(tmp_path)
 
 
-def test_damaged_still_is_left_out_and_the_others_keep_their_moments(tmp_path):
+def test_damaged_still_is_left_out_and_the_others_keep_their_indices(tmp_path):
     for number in (1, 2, 3):
         still(tmp_path / f"view{number}.png")
     (tmp_path / "view2.png").write_bytes(b"no picture")

@@ -1,4 +1,4 @@
-"""Clicking the outer corners of a board in a window; and a picture with a grid to read them off where there is none."""
+"""A window to click a board's outer corners; without a display, a picture with a grid to read them off."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def click_corners(name: str, image: np.ndarray, fit: Callable[[np.ndarray], Targ
 
 
 def open_display() -> bool:
-    """Is there a display, and a library that draws windows on it? Chooses that library."""
+    """Choose a library that draws windows; False when there is no display or no such library."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return False
     for backend in WINDOW_BACKENDS:
@@ -103,7 +103,7 @@ def write_click_help(folder: Path, name: str, image: np.ndarray) -> Path:
 
 
 def write_template(path: Path, names: list[str]) -> None:
-    """Write a corners file in which a person replaces the numbers."""
+    """Write a corners file whose numbers a person replaces."""
     lines = [f"# {FORMAT}", "# Replace every number; delete the cameras that need none."]
     lines += [f"{name}: [[0, 0], [1, 0], [1, 1], [0, 1]]" for name in names]
     path.write_text("\n".join(lines) + "\n")

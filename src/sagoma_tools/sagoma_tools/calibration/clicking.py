@@ -1,4 +1,4 @@
-"""The four outer corners of a board, given by a person where it cannot be found: by file, or by clicks in a window."""
+"""Finds a board from its four outer corners, which a person gives by file or by clicks where detection fails."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FORMAT = (
 
 @dataclass(frozen=True, eq=False)
 class OuterCorners:
-    """Where a person saw the outermost inner corners: (4, 2) px, in one frame or (None) in all of them."""
+    """The outermost inner corners as a person gave them: (4, 2) px, in one frame or (None) in all of them."""
 
     pixels: np.ndarray
     frame: int | None = None
@@ -73,7 +73,7 @@ def _orders(outer_px: np.ndarray, told_apart: bool) -> list[list[int]]:
 
 
 def _runs_clockwise(quadrangle: np.ndarray) -> bool:
-    """Does it turn right at every corner, as one sees it in an image (y down)?"""
+    """Whether it turns right at every corner, in an image (y down)."""
     edges = np.roll(quadrangle, -1, axis=0) - quadrangle
     following = np.roll(edges, -1, axis=0)
     return bool((edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 0).all())
@@ -98,7 +98,7 @@ def _corners(entry: Any, where: str) -> OuterCorners:
 
 
 class Clicks:
-    """Up to four clicks on one picture, and what they lead to; knows no window.
+    """Collects up to four clicks on one picture and detects the board from them; independent of the window.
 
     ``fit`` makes a detection of four corners (4, 2), or raises InputError, whose text is then shown.
     """
@@ -110,7 +110,7 @@ class Clicks:
         self.message = self._next_step()
 
     def add(self, x: float, y: float) -> None:
-        """One more corner; the fourth is tried at once, and all four are dropped when they show no board."""
+        """Add a corner; with the fourth the board is detected, and all four are dropped when that fails."""
         if len(self.points) == 4:
             return
         self.points.append((x, y))
@@ -119,13 +119,13 @@ class Clicks:
             self._try()
 
     def undo(self) -> None:
-        """Take the last corner back."""
+        """Remove the last corner."""
         self.points, self.detection = self.points[:-1], None
         self.message = self._next_step()
 
     @property
     def pixels(self) -> np.ndarray:
-        """(n, 2) what was clicked so far."""
+        """(n, 2) the clicks so far."""
         return np.reshape(np.array(self.points, float), (-1, 2))
 
     def _try(self) -> None:

@@ -1,4 +1,4 @@
-"""The extrinsic calibration from pictures to files: what ``sagoma calibrate extrinsics`` does, step by step."""
+"""Calibrates a rig's extrinsics, from pictures to files: the recipe of ``sagoma calibrate extrinsics``."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from .rig_detections import CameraDetections, RigSources, detections_of
 from .rig_inputs import (
     RigInputs,
     floor_inputs,
+    merge_inputs,
     moving_inputs,
     names_in_floor_points,
     read_floor_points,
@@ -25,13 +26,104 @@ from .rig_inputs import (
     read_lens_deviations,
     require_image_sizes,
     require_seen,
-    together,
     wand_inputs,
 )
 from .rig_report import print_report, write_outputs
 from .rig_request import RigRequest
 
-# --- Cameras in whose pictures of the floor no board was found: a person clicks its corners, or reads them off.
+
+def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Console) -> RigCalibration:
+    """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
+    cameras = read_intrinsics(request.intrinsics, _names(request, sources))
+    floor, by_hand = _detect_floor(request, sources, cameras, console)
+    moving = sources.detect_moving(request.board, cameras) if request.board is not None else {}
+    wands = sources.detect_wand(request.wand_marks_m, cameras)
+    for seen in (floor, moving, wands):
+        require_image_sizes(cameras, detections_of(seen))
+    parts = [*_floor_parts(request, cameras, floor, by_hand), *_moving_parts(request, cameras, moving, wands)]
+    inputs = merge_inputs(parts)
+    require_seen(cameras, inputs, _footage(request, floor, moving, wands))
+    calibrated = calibrate_rig(
+        cameras,
+        inputs.detections,
+        inputs.targets,
+        moved_frames=inputs.moved_frames,
+        floor_guess=inputs.floor_guess,
+        intrinsics_covariance=read_lens_deviations(request.intrinsics, cameras),
+        tape=request.tape,
+    )
+    print_report(console, calibrated)
+    pictures: dict[str, np.ndarray] = {name: seen.picture for name, seen in floor.items()}
+    for path in write_outputs(request.output, calibrated, pictures, request.text):
+        console.print(f"written: {path}")
+    return calibrated
+
+
+def _detect_floor(
+    request: RigRequest, sources: RigSources, cameras: Mapping[str, CameraModel], console: Console
+) -> tuple[dict[str, CameraDetections], frozenset[str]]:
+    """The detections in the pictures of the floor, and the cameras whose corners a person gave."""
+    board = request.floor_board
+    if board is None:
+        return {}, frozenset()
+    corners = read_corners(request.corners) if request.corners is not None else {}
+    unknown = sorted(set(corners) - set(sources.names) - set(request.without))
+    if unknown:
+        raise InputError(
+            f"there is no camera '{unknown[0]}'",
+            where=str(request.corners),
+            remedy=f"Known cameras: {', '.join(sources.names)}.",
+        )
+    floor = sources.detect_floor(board, cameras, corners)
+    if request.click is not None and floor:
+        clicked = click_missing(request, floor, cameras, board, console)
+        again = {name: cameras[name] for name in clicked}
+        floor |= sources.detect_floor(board, again, clicked) if again else {}
+        corners |= clicked
+    return floor, frozenset(corners)
+
+
+def _names(request: RigRequest, sources: RigSources) -> list[str]:
+    """All cameras of which there are pictures, or points on the floor."""
+    points = names_in_floor_points(request.floor_points) if request.floor_points is not None else []
+    return sorted({*sources.names, *points} - set(request.without))
+
+
+def _floor_parts(
+    request: RigRequest,
+    cameras: Mapping[str, CameraModel],
+    floor: Mapping[str, CameraDetections],
+    by_hand: frozenset[str],
+) -> Iterator[RigInputs]:
+    if request.floor_points is not None:
+        yield read_floor_points(request.floor_points, cameras)
+    if any(seen.detections for seen in floor.values()):
+        assert request.floor_board is not None
+        yield floor_inputs(floor, request.floor_board, request.choice, by_hand)
+
+
+def _moving_parts(
+    request: RigRequest,
+    cameras: Mapping[str, CameraModel],
+    moving: Mapping[str, CameraDetections],
+    wands: Mapping[str, CameraDetections],
+) -> Iterator[RigInputs]:
+    if any(seen.detections for seen in moving.values()):
+        assert request.board is not None
+        yield moving_inputs(cameras, detections_of(moving), request.board, request.choice, request.floor_at)
+    if any(seen.detections for seen in wands.values()):
+        yield wand_inputs(detections_of(wands), request.wand_marks_m)
+
+
+def _footage(
+    request: RigRequest,
+    floor: Mapping[str, CameraDetections],
+    moving: Mapping[str, CameraDetections],
+    wands: Mapping[str, CameraDetections],
+) -> dict[str, dict[str, tuple[CameraDetections, Board | None]]]:
+    """By kind and camera, the detections and their board (None: a wand), to explain missing ones."""
+    kinds = (("floor", floor, request.floor_board), ("moving", moving, request.board), ("wand", wands, None))
+    return {kind: {name: (found, board) for name, found in seen.items()} for kind, seen, board in kinds}
 
 
 def click_missing(
@@ -41,8 +133,10 @@ def click_missing(
     board: Board,
     console: Console,
 ) -> dict[str, OuterCorners]:
-    """Corners that a person clicks for the cameras asked for, or for all whose pictures show no board; saved beside the
-    output. Without a display, pictures with a grid and a file to fill in are written, and InputError says so."""
+    """Let a person click the corners for the requested cameras, or for all without a detection, and save them.
+
+    Without a display, writes pictures with a grid and a file to fill in, and raises InputError naming them.
+    """
     wanted = [name for name in request.click or [name for name, seen in floor.items() if not seen.detections]]
     unknown = sorted(set(wanted) - set(floor))
     if unknown:
@@ -89,97 +183,3 @@ def _help_without_display(request: RigRequest, names: list[str], floor: Mapping[
         remedy=f"Read the outer corners off {', '.join(map(str, pictures))}, write them into {template}, and run this "
         f"again with --corners {template}.",
     )
-
-
-def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Console) -> RigCalibration:
-    """See, solve, judge, print, write. Raises InputError with the remedy for what cannot be solved."""
-    cameras = read_intrinsics(request.intrinsics, _names(request, sources))
-    floor, by_hand = _see_floor(request, sources, cameras, console)
-    moving = sources.see_moving(request.board, cameras) if request.board is not None else {}
-    wands = sources.see_wand(request.wand_marks_m, cameras)
-    for seen in (floor, moving, wands):
-        require_image_sizes(cameras, detections_of(seen))
-    parts = [*_floor_parts(request, cameras, floor, by_hand), *_moving_parts(request, cameras, moving, wands)]
-    inputs = together(parts)
-    require_seen(cameras, inputs, _footage(request, floor, moving, wands))
-    calibrated = calibrate_rig(
-        cameras,
-        inputs.detections,
-        inputs.targets,
-        moved_frames=inputs.moved_frames,
-        floor_guess=inputs.floor_guess,
-        intrinsics_covariance=read_lens_deviations(request.intrinsics, cameras),
-        tape=request.tape,
-    )
-    print_report(console, calibrated)
-    pictures: dict[str, np.ndarray] = {name: seen.picture for name, seen in floor.items()}
-    for path in write_outputs(request.output, calibrated, pictures, request.text):
-        console.print(f"written: {path}")
-    return calibrated
-
-
-def _see_floor(
-    request: RigRequest, sources: RigSources, cameras: Mapping[str, CameraModel], console: Console
-) -> tuple[dict[str, CameraDetections], frozenset[str]]:
-    """What the pictures of the floor show, and the cameras whose corners a person gave."""
-    board = request.floor_board
-    if board is None:
-        return {}, frozenset()
-    corners = read_corners(request.corners) if request.corners is not None else {}
-    unknown = sorted(set(corners) - set(sources.names) - set(request.without))
-    if unknown:
-        raise InputError(
-            f"there is no camera '{unknown[0]}'",
-            where=str(request.corners),
-            remedy=f"Known cameras: {', '.join(sources.names)}.",
-        )
-    floor = sources.see_floor(board, cameras, corners)
-    if request.click is not None and floor:
-        clicked = click_missing(request, floor, cameras, board, console)
-        again = {name: cameras[name] for name in clicked}
-        floor |= sources.see_floor(board, again, clicked) if again else {}
-        corners |= clicked
-    return floor, frozenset(corners)
-
-
-def _names(request: RigRequest, sources: RigSources) -> list[str]:
-    """All cameras of which there are pictures, or points on the floor."""
-    points = names_in_floor_points(request.floor_points) if request.floor_points is not None else []
-    return sorted({*sources.names, *points} - set(request.without))
-
-
-def _floor_parts(
-    request: RigRequest,
-    cameras: Mapping[str, CameraModel],
-    floor: Mapping[str, CameraDetections],
-    by_hand: frozenset[str],
-) -> Iterator[RigInputs]:
-    if request.floor_points is not None:
-        yield read_floor_points(request.floor_points, cameras)
-    if any(seen.detections for seen in floor.values()):
-        assert request.floor_board is not None
-        yield floor_inputs(floor, request.floor_board, request.choice, by_hand)
-
-
-def _moving_parts(
-    request: RigRequest,
-    cameras: Mapping[str, CameraModel],
-    moving: Mapping[str, CameraDetections],
-    wands: Mapping[str, CameraDetections],
-) -> Iterator[RigInputs]:
-    if any(seen.detections for seen in moving.values()):
-        assert request.board is not None
-        yield moving_inputs(cameras, detections_of(moving), request.board, request.choice, request.floor_at)
-    if any(seen.detections for seen in wands.values()):
-        yield wand_inputs(detections_of(wands), request.wand_marks_m)
-
-
-def _footage(
-    request: RigRequest,
-    floor: Mapping[str, CameraDetections],
-    moving: Mapping[str, CameraDetections],
-    wands: Mapping[str, CameraDetections],
-) -> dict[str, dict[str, tuple[CameraDetections, Board | None]]]:
-    """By kind and camera, what was seen and of which board (None: a wand), to explain why nothing was."""
-    kinds = (("floor", floor, request.floor_board), ("moving", moving, request.board), ("wand", wands, None))
-    return {kind: {name: (found, board) for name, found in seen.items()} for kind, seen, board in kinds}

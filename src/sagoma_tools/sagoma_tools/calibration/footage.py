@@ -1,4 +1,4 @@
-"""Footage of boards, camera by camera: videos, stills, folders of them, with the moments that belong together.
+"""Opens footage of boards, camera by camera: videos, stills, folders of them, with frame indices that correspond.
 
 A source is NAME=PATH, the footage of one camera: a video, a still, a folder of stills, or a pattern such as
 ``left=calib/left*.jpg``; or a PATH without a name, a folder (or pattern) with the footage of several cameras, or one
@@ -8,9 +8,9 @@ file. There, cameras are named by their files:
 - other stills are numbered views of one camera: ``left01.jpg``, ``left_02.jpg`` of camera ``left``;
 - other videos, stills without a number and sub-folders of stills are called as they are.
 
-What several cameras show in the same moment must carry the same moment: the frame of a video, counted from 0; the
-number in a still's name, where every camera has numbered stills and most of the numbers are shared, else its place in
-natural order (img2 before img10).
+Pictures that several cameras took at the same time must carry the same frame index: the frame of a video, counted from
+0; the number in a still's name, where every camera has numbered stills and most of the numbers are shared, else its
+place in natural order (img2 before img10).
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ MIN_SHARED_NUMBERS = 0.5
 
 @dataclass(frozen=True)
 class CameraFootage:
-    """The footage of one camera: its files (one video, or stills), and which moment each still shows.
+    """The footage of one camera: its files (one video, or stills), and the frame index of each still.
 
-    Iterating gives ``(moment, image)``, image (H, W) uint8 grey; what cannot be decoded is left out and its moment with
-    it. ``count``: images, as far as it is known beforehand (0: unknown).
+    Iterating gives ``(frame_index, image)``, image (H, W) uint8 grey; frames that cannot be decoded are left out.
+    ``count``: images, as far as it is known beforehand (0: unknown).
     """
 
     name: str
@@ -99,7 +99,7 @@ def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
             found[name] = source, files
     if not found:
         raise InputError("no footage is given", remedy=HELP)
-    frames = _moments({name: files for name, (_, files) in found.items()})
+    frames = _frame_indices({name: files for name, (_, files) in found.items()})
     return {name: CameraFootage(name, tuple(found[name][1]), frames[name]) for name in sorted(found, key=natural)}
 
 
@@ -215,19 +215,19 @@ def _number(file: Path, camera: str) -> int | None:
     return int(numbers[-1]) if numbers else None
 
 
-def _moments(files: dict[str, list[Path]]) -> dict[str, tuple[int, ...] | None]:
-    """For each camera the moments of its stills, None for a video."""
+def _frame_indices(files: dict[str, list[Path]]) -> dict[str, tuple[int, ...] | None]:
+    """For each camera the frame indices of its stills, None for a video."""
     numbers = {
         name: [_number(file, name) for file in some] for name, some in files.items() if _kind(some[0]) == "still"
     }
-    numbered = len(numbers) == len(files) and _numbers_are_moments(list(numbers.values()))
+    numbered = len(numbers) == len(files) and _numbers_are_frames(list(numbers.values()))
     result: dict[str, tuple[int, ...] | None] = dict.fromkeys(files)
     for name, some in numbers.items():
         result[name] = tuple(n for n in some if n is not None) if numbered else tuple(range(len(some)))
     return result
 
 
-def _numbers_are_moments(cameras: list[list[int | None]]) -> bool:
+def _numbers_are_frames(cameras: list[list[int | None]]) -> bool:
     """Every still numbered, none twice in a camera, and most of each camera's numbers shared with another."""
     if any(None in numbers or len(set(numbers)) < len(numbers) for numbers in cameras):
         return False

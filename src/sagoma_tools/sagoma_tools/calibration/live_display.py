@@ -1,4 +1,4 @@
-"""The panel in the terminal while views of a board are collected live."""
+"""Shows the progress of a live lens calibration: a panel in the terminal, and a preview image with the corners."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BAR_WIDTH = 24
 
 @dataclass(frozen=True)
 class LiveState:
-    """How far collecting has come; made by the worker after every image, read by the panel."""
+    """The progress of collecting views; made by the worker after every image, read by the panel."""
 
     camera: str
     received: int
@@ -34,7 +34,7 @@ class LiveState:
 
 
 def state_of(watcher: BoardImageProcessor, last: str, received: int, dropped: int) -> LiveState:
-    """The watcher's state now."""
+    """The present state of the image processor."""
     collector = watcher.collector
     return LiveState(
         watcher.camera,
@@ -53,7 +53,7 @@ def state_of(watcher: BoardImageProcessor, last: str, received: int, dropped: in
 
 
 def panel(state: LiveState) -> Panel:
-    """For a terminal."""
+    """The state as a panel for a terminal."""
     table = Table.grid(padding=(0, 2))
     for goal, share in state.progress.items():
         filled = round(share * BAR_WIDTH)
@@ -67,7 +67,7 @@ def panel(state: LiveState) -> Panel:
 
 
 def plain_line(state: LiveState) -> str:
-    """For a log file."""
+    """The state as a line for a log file."""
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in state.progress.items())
     expected = state.expected
     known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
@@ -82,8 +82,6 @@ def _against(state: LiveState, name: str, scale: float, unit: str) -> tuple[str,
     value, wanted = getattr(state.expected, name), getattr(state.goals, name)
     return f"[{'green' if value <= wanted else 'yellow'}]± {scale * value:.2f} {unit}[/]", target
 
-
-# --- What the person with the board wants to see: the corners that were found, and what is covered so far.
 
 TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR
 DEPTH = 0.25  # how strongly covered cells are tinted
@@ -107,7 +105,7 @@ def draw_preview(image: np.ndarray, seen: ImageResult, coverage: Coverage, advic
 
 
 def _write(picture: np.ndarray, text: str, line: int) -> None:
-    """A line of text from the bottom, readable on any ground."""
+    """Write a line of text, counted from the bottom, readable on any background."""
     height, width = picture.shape[:2]
     scale = TEXT_HEIGHT_SHARE * height / 22
     needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]

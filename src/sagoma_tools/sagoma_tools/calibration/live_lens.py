@@ -1,4 +1,7 @@
-"""Collects views of a board from a running camera, calibrates, saves, and offers the result to the camera client."""
+"""Calibrates a lens from a running camera: collects views of a board, solves, saves, sends the result to the client.
+
+The board is detected as fast as the machine allows; images that arrive meanwhile are dropped.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
-from sagoma_ros.images import camera_info_message, preview_message
+from sagoma_ros.images import camera_info_message, decode_image, preview_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
@@ -30,99 +33,16 @@ from sagoma_ros.worker import Worker
 from ..graph.ros_link import RosLink, StopOnSignal, call_all
 from .intrinsics import save_results
 from .live_display import LiveState, draw_preview, panel, plain_line, state_of
-from .live_image import image_of
-
-# --- Watches a camera's image topic for a board, as fast as the machine allows: what it cannot keep up with is dropped.
 
 COMPRESSED = "/compressed"
 PREVIEW = "calibration/preview/compressed"
-
-
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """An image and the one that came just before it."""
-
-    before: Image | CompressedImage
-    image: Image | CompressedImage
-    number: int
-
-
-class LiveCamera:
-    """Subscribes to ``topic`` (best effort) and feeds ``watcher`` on a thread of its own; publishes a preview.
-
-    ``changed`` is set after every image that was looked at. ``error`` is what ended the watching, if anything did.
-    """
-
-    def __init__(self, node: Node, topic: str, watcher: BoardImageProcessor) -> None:
-        self._topic, self._watcher = topic, watcher
-        self.changed = threading.Event()
-        self.error: Exception | None = None
-        self.received = self.dropped = 0
-        self._last: Image | CompressedImage | None = None
-        self.state: LiveState = state_of(watcher, "waiting for images", 0, 0)
-        self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
-        self._worker: Worker[_Pair] = Worker(
-            "board watcher", self._look, depth=1, on_drop=self._count_drop, on_error=self._fail
-        )
-        kind = CompressedImage if topic.endswith(COMPRESSED) else Image
-        self._subscription = node.create_subscription(kind, topic, self._on_image, SILHOUETTE_SUBSCRIBER)
-
-    def close(self) -> None:
-        """Stop looking; what has been collected stays."""
-        self._worker.close()
-
-    def _on_image(self, message: Image | CompressedImage) -> None:
-        self.received += 1
-        if self._last is not None:
-            self._worker.put(_Pair(self._last, message, self.received - 1))
-        self._last = message
-
-    def _count_drop(self) -> None:
-        self.dropped += 1
-
-    def _fail(self, error: Exception) -> None:
-        self.error = error
-        self.changed.set()
-
-    def _look(self, pair: _Pair) -> None:
-        """On the worker's thread."""
-        try:
-            image, before = image_of(pair.image, self._topic), image_of(pair.before, self._topic)
-        except InputError as error:  # one bad message: the next may be better
-            self._tell(str(error))
-            return
-        seen = self._watcher.process(image, before, pair.number)
-        self._tell("taken" if seen.taken else seen.reason)
-        if self._preview.get_subscription_count():
-            self._publish_preview(pair.image, image, seen)
-
-    def _tell(self, last: str) -> None:
-        self.state = state_of(self._watcher, last, self.received, self.dropped)
-        self.changed.set()
-
-    def _publish_preview(self, message: Image | CompressedImage, image: np.ndarray, seen: ImageResult) -> None:
-        picture = draw_preview(image, seen, self._watcher.collector.coverage, self.state.advice)
-        header = message.header
-        self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
-
-
-def namespace_of(topic: str) -> str:
-    """/cam01 of /cam01/image_raw and of /cam01/image_raw/compressed."""
-    return topic.removesuffix(COMPRESSED).rpartition("/")[0]
-
-
-def camera_name_of(topic: str) -> str:
-    """cam01 of /cam01/image_raw; "camera" of a topic without namespace."""
-    return namespace_of(topic).rpartition("/")[2] or "camera"
-
-
 REFRESH_S = 0.25
 PLAIN_EVERY_S = 2.0
 SERVICE_TIMEOUT_S = 10.0
 
 
 def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> Intrinsics:
-    """The whole step; Ctrl-C ends collecting, not the program. Raises InputError: no images, too few views."""
+    """Collect, calibrate, save; Ctrl-C ends collecting only. Raises InputError: no images, too few views."""
     name = args.name or camera_name_of(args.topic)
     collector = ViewCollector(board, model="plumb_bob" if args.model == AUTO else args.model)
     watcher = BoardImageProcessor(board, name, collector)
@@ -143,10 +63,7 @@ def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> 
 
 
 def offer(node: Node, namespace: str, result: Intrinsics) -> str:
-    """Hand the calibration to the camera client of ``namespace``; what became of that.
-
-    One that must be done again is not handed over.
-    """
+    """Send the calibration to the camera client of ``namespace``, unless its verdict is redo; the result in words."""
     if result.verdict.grade == REDO:
         return "not handed to the camera client: it must be done again"
     service = f"{namespace}/set_camera_info"
@@ -159,7 +76,7 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
 
 
 def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace, console: Console) -> None:
-    """Until it is enough, the user stops it or the time is over."""
+    """Show the progress until the views suffice, the user stops it, or the time is over."""
     show = _Panel(console) if console.is_terminal else _PlainLines(console)
     begun_s = time.monotonic()
     with show:
@@ -187,7 +104,7 @@ def _who_publishes(node: Node) -> str:
 
 
 class _Panel:
-    """A panel in the terminal that is drawn anew."""
+    """Shows the state as a panel in the terminal."""
 
     def __init__(self, console: Console) -> None:
         self._live = Live(console=console, auto_refresh=False, transient=True)
@@ -204,7 +121,7 @@ class _Panel:
 
 
 class _PlainLines:
-    """A line when a view was taken, not too often."""
+    """Prints a line when a view was taken, at most every PLAIN_EVERY_S."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._views, self._said_s = console, -1, -PLAIN_EVERY_S
@@ -219,3 +136,81 @@ class _PlainLines:
         if state.views != self._views and (now_s - self._said_s >= PLAIN_EVERY_S or state.enough):
             self._views, self._said_s = state.views, now_s
             self._console.print(plain_line(state), highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """An image and the one that came just before it."""
+
+    before: Image | CompressedImage
+    image: Image | CompressedImage
+    number: int
+
+
+class LiveCamera:
+    """Subscribes to ``topic`` (best effort), feeds ``watcher`` on a worker thread, and publishes a preview.
+
+    ``changed`` is set after every image that was processed; ``error`` is the exception that ended it, if there was one.
+    """
+
+    def __init__(self, node: Node, topic: str, watcher: BoardImageProcessor) -> None:
+        self._topic, self._watcher = topic, watcher
+        self.changed = threading.Event()
+        self.error: Exception | None = None
+        self.received = self.dropped = 0
+        self._last: Image | CompressedImage | None = None
+        self.state: LiveState = state_of(watcher, "waiting for images", 0, 0)
+        self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
+        self._worker: Worker[_Pair] = Worker(
+            "board watcher", self._look, depth=1, on_drop=self._count_drop, on_error=self._fail
+        )
+        kind = CompressedImage if topic.endswith(COMPRESSED) else Image
+        self._subscription = node.create_subscription(kind, topic, self._on_image, SILHOUETTE_SUBSCRIBER)
+
+    def close(self) -> None:
+        """Stop processing; the views collected so far stay."""
+        self._worker.close()
+
+    def _on_image(self, message: Image | CompressedImage) -> None:
+        self.received += 1
+        if self._last is not None:
+            self._worker.put(_Pair(self._last, message, self.received - 1))
+        self._last = message
+
+    def _count_drop(self) -> None:
+        self.dropped += 1
+
+    def _fail(self, error: Exception) -> None:
+        self.error = error
+        self.changed.set()
+
+    def _look(self, pair: _Pair) -> None:
+        """On the worker's thread."""
+        try:
+            image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
+        except InputError as error:  # one bad message: the next may be better
+            self._tell(str(error))
+            return
+        seen = self._watcher.process(image, before, pair.number)
+        self._tell("taken" if seen.taken else seen.reason)
+        if self._preview.get_subscription_count():
+            self._publish_preview(pair.image, image, seen)
+
+    def _tell(self, last: str) -> None:
+        self.state = state_of(self._watcher, last, self.received, self.dropped)
+        self.changed.set()
+
+    def _publish_preview(self, message: Image | CompressedImage, image: np.ndarray, seen: ImageResult) -> None:
+        picture = draw_preview(image, seen, self._watcher.collector.coverage, self.state.advice)
+        header = message.header
+        self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
+
+
+def namespace_of(topic: str) -> str:
+    """/cam01 of /cam01/image_raw and of /cam01/image_raw/compressed."""
+    return topic.removesuffix(COMPRESSED).rpartition("/")[0]
+
+
+def camera_name_of(topic: str) -> str:
+    """cam01 of /cam01/image_raw; "camera" of a topic without namespace."""
+    return namespace_of(topic).rpartition("/")[2] or "camera"

@@ -1,15 +1,18 @@
-"""Finds the board in the footage of all cameras, and keeps what is needed to say why where it cannot."""
+"""Finds the board or the wand in the pictures of all cameras; where it cannot, keeps what explains why.
+
+:class:`RigSources` is where the pictures come from: :class:`FootageSources` reads files, rig_live the running cameras.
+"""
 
 from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -29,14 +32,15 @@ from .footage import CameraFootage, open_footage_of_cameras
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
 MEDIAN_FRAMES = 9
-MOST_BLUR_PX = 2.5
+MAX_BLUR_PX = 2.5
 """Corners of a board that is blurred more (sigma of its edges) are not used."""
 
 Picture = np.ndarray
+Corners = Mapping[str, OuterCorners]
 
 
 class Footage(Protocol):
-    """Pictures of one camera: how many (0: unknown), each with its moment."""
+    """Pictures of one camera: how many (0: unknown), each with its frame index."""
 
     @property
     def name(self) -> str: ...
@@ -49,7 +53,7 @@ class Footage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class CameraDetections:
-    """What one camera's footage shows of a board.
+    """The detections of a board in one camera's footage.
 
     ``examined`` frames, of which ``blurred`` showed it blurred. ``picture`` : the first frame with a detection, or the
     first of all; ``refused`` : why corners given by hand were not taken.
@@ -70,7 +74,7 @@ def find_floor(
     corners: Mapping[str, OuterCorners],
     progress: Callable[[], None] = lambda: None,
 ) -> dict[str, CameraDetections]:
-    """The board on the floor in each camera's footage; where ``corners`` names the camera, from those."""
+    """Find the board on the floor in each camera's footage, from the given ``corners`` where they name the camera."""
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
         if name in corners:
@@ -87,8 +91,11 @@ def find_floor(
 def find_moving(
     footage: Mapping[str, Footage], board: Board, progress: Callable[[], None] = lambda: None
 ) -> dict[str, CameraDetections]:
-    """The carried board in all footage, at the same frames of every camera."""
-    find = partial(_find_carried, board)
+    """Find the carried board in all footage, at the same frames of every camera."""
+
+    def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+        return find_board(image, board, camera=name, frame_index=frame_index, target=MOVING)
+
     return _in_all(footage, find, dict.fromkeys(footage, _common_step(footage)), {}, progress)
 
 
@@ -98,7 +105,7 @@ def find_wands(
     cameras: Mapping[str, CameraModel],
     progress: Callable[[], None] = lambda: None,
 ) -> dict[str, CameraDetections]:
-    """The wand's markers in all footage, at the same frames of every camera; lamps that never move are no markers."""
+    """Find the wand's markers in all footage, at the same frames of every camera; static lamps are no markers."""
     empty = {name: _median_picture(clip) for name, clip in footage.items()}
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
@@ -107,8 +114,8 @@ def find_wands(
     return _in_all(footage, find, dict.fromkeys(footage, _common_step(footage)), {}, progress, refuse_blurred=False)
 
 
-def explain_unseen(seen: CameraDetections, board: Board | None) -> str:
-    """Why the board was not found in a camera's footage, as far as its picture tells."""
+def missing_reason(seen: CameraDetections, board: Board | None) -> str:
+    """Why the board was not found in a camera's footage."""
     if seen.refused is not None:
         return str(seen.refused)
     if seen.blurred:
@@ -124,14 +131,10 @@ def _common_step(footage: Mapping[str, Footage]) -> int:
 
 
 def _median_picture(footage: Footage) -> Picture | None:
-    """What does not move: the median of some frames; None of footage too short to tell."""
+    """The static background: the median of some frames; None of footage with too few."""
     step = max(1, footage.count // MEDIAN_FRAMES)
     some = [image for index, (_, image) in enumerate(footage) if index % step == 0]
     return np.median(np.stack(some), axis=0).astype(np.uint8) if len(some) >= MEDIAN_FRAMES else None
-
-
-def _find_carried(board: Board, name: str, frame_index: int, image: Picture) -> TargetDetection | None:
-    return find_board(image, board, camera=name, frame_index=frame_index, target=MOVING)
 
 
 def _in_all(
@@ -142,7 +145,7 @@ def _in_all(
     progress: Callable[[], None],
     refuse_blurred: bool = True,
 ) -> dict[str, CameraDetections]:
-    """All cameras at once, as far as there are processors; by name, in order."""
+    """Search all cameras in parallel, one thread a processor; results in order of the names."""
     names = sorted(footage)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         jobs = [pool.submit(_in_one, footage[n], find, steps[n], only.get(n), progress, refuse_blurred) for n in names]
@@ -168,7 +171,7 @@ def _in_one(
             detection = find(footage.name, frame_index, image)
         except InputError as error:
             refused, detection = refused or error, None
-        if detection is not None and refuse_blurred and blur_px(image, detection) > MOST_BLUR_PX:
+        if detection is not None and refuse_blurred and blur_px(image, detection) > MAX_BLUR_PX:
             blurred, detection = blurred + 1, None
         if detection is not None:
             picture = picture if detections else image
@@ -192,13 +195,8 @@ def _frames(footage: Footage, step: int, only: int | None) -> Iterator[tuple[int
 
 
 def detections_of(seen: Mapping[str, CameraDetections]) -> Sequence[TargetDetection]:
-    """Those of all cameras."""
+    """The detections of all cameras."""
     return [detection for found in seen.values() for detection in found.detections]
-
-
-# --- Where pictures for the rig's calibration come from: files here, running cameras in rig_live.
-
-Corners = Mapping[str, OuterCorners]
 
 
 class RigSources(ABC):
@@ -207,18 +205,18 @@ class RigSources(ABC):
     names: tuple[str, ...]
 
     @abstractmethod
-    def see_floor(
+    def detect_floor(
         self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
     ) -> dict[str, CameraDetections]:
-        """What those of ``cameras`` that have pictures of the floor show of the board there."""
+        """The board on the floor, in the pictures of those of ``cameras`` that have any."""
 
     @abstractmethod
-    def see_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
-        """What they show of the carried board."""
+    def detect_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        """The carried board in their pictures."""
 
     @abstractmethod
-    def see_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
-        """What they show of the carried wand with markers at ``marks_m``."""
+    def detect_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        """The carried wand with markers at ``marks_m`` in their pictures."""
 
 
 class FootageSources(RigSources):
@@ -239,48 +237,30 @@ class FootageSources(RigSources):
         self.names = tuple(sorted(every - set(without)))
         self._console = console
 
-    def see_floor(
+    def detect_floor(
         self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
     ) -> dict[str, CameraDetections]:
-        footage = {name: clip for name, clip in self._floor.items() if name in cameras}
-        with self._progress("board on the floor", footage) as progress:
-            return find_floor(footage, board, cameras, corners, progress.step)
+        find = partial(find_floor, board=board, cameras=cameras, corners=corners)
+        return self._search("board on the floor", self._floor, cameras, find)
 
-    def see_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
-        footage = {name: clip for name, clip in self._moving.items() if name in cameras}
+    def detect_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        return self._search("carried board", self._moving, cameras, partial(find_moving, board=board))
+
+    def detect_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+        find = partial(find_wands, marks_m=marks_m, cameras=cameras)
+        return self._search("wand", self._wand, cameras, find)
+
+    def _search(
+        self, what: str, clips: Mapping[str, CameraFootage], cameras: Container[str], find: Callable[..., Any]
+    ) -> dict[str, CameraDetections]:
+        """Run ``find`` on the footage of ``cameras``; on a terminal, count its pictures."""
+        footage = {name: clip for name, clip in clips.items() if name in cameras}
         if not footage:
             return {}
-        with self._progress("carried board", footage) as progress:
-            return find_moving(footage, board, progress.step)
-
-    def see_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
-        footage = {name: clip for name, clip in self._wand.items() if name in cameras}
-        if not footage:
-            return {}
-        with self._progress("wand", footage) as progress:
-            return find_wands(footage, marks_m, cameras, progress.step)
-
-    def _progress(self, what: str, footage: Mapping[str, CameraFootage]) -> Counter:
-        return Counter(self._console, what, footage)
-
-
-class Counter:
-    """Counts pictures on a terminal, silently elsewhere."""
-
-    def __init__(self, console: Console, what: str, footage: Mapping[str, CameraFootage]) -> None:
-        self._bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task(f"looking for the {what} in {len(footage)} cameras' pictures", total=None)
-
-    def step(self) -> None:
-        """One more picture."""
-        self._bar.advance(self._task)
-
-    def __enter__(self) -> Counter:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
+        with Progress(console=self._console, transient=True, disable=not self._console.is_terminal) as bar:
+            task = bar.add_task(f"looking for the {what} in {len(footage)} cameras' pictures", total=None)
+            found: dict[str, CameraDetections] = find(footage, progress=lambda: bar.advance(task))
+        return found
 
 
 def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:

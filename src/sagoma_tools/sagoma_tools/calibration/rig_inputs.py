@@ -1,4 +1,8 @@
-"""What a person gives to calibrate a rig, gathered: cameras, targets, and what their footage shows of them."""
+"""The inputs of a rig's calibration: the cameras' lenses, the targets, and the detections of them.
+
+A floor is given by a board, or by points that were measured by hand. Lenses come from camera_info YAML files, one a
+camera, or from a rig file whose poses are to be renewed.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,14 @@ from rig_calibration.extrinsics.carried_board import FloorAt, choose_frames, fra
 from rig_calibration.extrinsics.floor import StillBoard, average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 
-from .rig_detections import CameraDetections, explain_unseen
+from .rig_detections import CameraDetections, missing_reason
+
+FEWEST_POINTS = 4
+CLICKED_SD_PX = 1.0
+"""Standard deviation of a person's click."""
+FORMAT = "Write points: {A: [x, y], ...} in metres on the floor, and cameras: {NAME: {A: [u, v], ...}} in pixels."
+PINHOLE = ("fx", "fy", "cx", "cy")
+CALIBRATE = "Run sagoma calibrate intrinsics for it first"
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +62,7 @@ def floor_inputs(
     target = FloorTarget.of_board(board, choice)
     if set(by_hand) >= set(stills):
         target = FloorTarget(target.points, 1, target.T_world_floor)
-    return RigInputs(tuple(still.detection for still in stills.values()), {FLOOR: target}, _strays(stills))
+    return RigInputs(tuple(still.detection for still in stills.values()), {FLOOR: target}, _moved_frames(stills))
 
 
 def moving_inputs(
@@ -61,7 +72,7 @@ def moving_inputs(
     choice: WorldChoice,
     floor_at: FloorAt | None,
 ) -> RigInputs:
-    """The carried board at chosen moments; with ``floor_at``, what it shows while it lies on the floor becomes the
+    """The carried board in chosen frames; with ``floor_at``, what it shows while it lies on the floor becomes the
     floor target."""
     if floor_at is None:
         return RigInputs(_at_chosen_frames(moving), {MOVING: Target.of(board)})
@@ -74,17 +85,17 @@ def moving_inputs(
     carried = _at_chosen_frames([detection for detection in moving if detection.frame_index not in lying])
     targets = {FLOOR: FloorTarget.of_board(board, choice)} | ({MOVING: Target.of(board)} if carried else {})
     guess = tuple(sorted(lying)) if floor_at == "lowest" else ()
-    return RigInputs((*(still.detection for still in stills.values()), *carried), targets, _strays(stills), guess)
+    return RigInputs((*(still.detection for still in stills.values()), *carried), targets, _moved_frames(stills), guess)
 
 
 def wand_inputs(wands: Sequence[TargetDetection], marks_m: Sequence[float]) -> RigInputs:
-    """The carried wand at chosen moments."""
+    """The carried wand in chosen frames."""
     target = Target(wand_points(marks_m), wand_symmetry_order(marks_m))
     return RigInputs(_at_chosen_frames(wands), {WAND: target})
 
 
-def together(parts: Sequence[RigInputs]) -> RigInputs:
-    """All parts as one."""
+def merge_inputs(parts: Sequence[RigInputs]) -> RigInputs:
+    """Merge all parts into one."""
     return RigInputs(
         tuple(detection for part in parts for detection in part.detections),
         {name: target for part in parts for name, target in part.targets.items()},
@@ -98,14 +109,13 @@ def require_seen(
     inputs: RigInputs,
     footage: Mapping[str, Mapping[str, tuple[CameraDetections, Board | None]]],
 ) -> None:
-    """Raises InputError for cameras that no detection places, saying what their ``footage`` (by kind, by camera) shows
-    instead, and how to go on."""
+    """Raises InputError for cameras without a detection, with the reason from their ``footage`` (kind, camera)."""
     placed = {detection.camera for detection in inputs.detections}
     unseen, others = sorted(set(cameras) - placed), len(placed) > 1
     if not unseen:
         return
     reasons = [
-        f"{name} ({kind}): {explain_unseen(*seen[name])}"
+        f"{name} ({kind}): {missing_reason(*seen[name])}"
         for name in unseen
         for kind, seen in footage.items()
         if name in seen
@@ -123,16 +133,8 @@ def _at_chosen_frames(moving: Sequence[TargetDetection]) -> tuple[TargetDetectio
     return tuple(detection for detection in moving if detection.frame_index in chosen)
 
 
-def _strays(stills: Mapping[str, StillBoard]) -> dict[str, tuple[int, int]]:
+def _moved_frames(stills: Mapping[str, StillBoard]) -> dict[str, tuple[int, int]]:
     return {name: (len(s.moved_frames), len(s.moved_frames) + len(s.frames)) for name, s in stills.items()}
-
-
-# --- Points on the floor that were measured by hand, and where each camera sees them: a floor without a board.
-
-FEWEST_POINTS = 4
-CLICKED_SD_PX = 1.0
-"""What a person's click errs by."""
-FORMAT = "Write points: {A: [x, y], ...} in metres on the floor, and cameras: {NAME: {A: [u, v], ...}} in pixels."
 
 
 def read_floor_points(path: str | Path, cameras: Mapping[str, CameraModel]) -> RigInputs:
@@ -190,14 +192,8 @@ def _numbers(value: Any, lengths: tuple[int, ...], where: str) -> list[float]:
     return numbers
 
 
-# --- The lenses of a rig's cameras: camera_info YAML files, one a camera, or a rig file whose poses are to be renewed.
-
-PINHOLE = ("fx", "fy", "cx", "cy")
-CALIBRATE = "Run sagoma calibrate intrinsics for it first"
-
-
 def read_intrinsics(path: str | Path, names: Iterable[str]) -> dict[str, CameraModel]:
-    """The models of the cameras called ``names``, in name order; their poses mean nothing.
+    """The models of the cameras called ``names``, in name order; their poses are meaningless.
 
     ``path``: a folder with one NAME.yaml (camera_info) a camera, or a rig YAML. Raises InputError naming the camera
     without a file, and the file that is another camera's.

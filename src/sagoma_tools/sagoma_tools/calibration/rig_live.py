@@ -1,4 +1,7 @@
-"""Pictures of a rig's calibration from the running cameras: their image_raw topics, best effort."""
+"""Detects boards in the live pictures of a rig's cameras: their image_raw topics, best effort.
+
+The board on the floor is detected in a few pictures of each camera, the carried board in synchronised frame sets.
+"""
 
 from __future__ import annotations
 
@@ -25,24 +28,31 @@ from rig_calibration.boards.detector import find_board
 from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.extrinsics.calibrate import MOVING
 from rig_calibration.extrinsics.carried_board import ENOUGH_SHARED, MotionProgress, motion_progress
+from sagoma_ros.images import decode_image
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from .live_image import image_of
-from .rig_detections import MOST_BLUR_PX, CameraDetections, Corners, RigSources, find_floor
-
-# --- Records what synchronised cameras see of a carried board, live: only the corners are kept.
+from .rig_detections import MAX_BLUR_PX, CameraDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
-"""Exposures further apart are not of one moment: a board carried at 0.5 m/s moves 5 mm meanwhile."""
+"""Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
 DEADLINE_NS = 2_000_000_000
 REFRESH_S, PLAIN_EVERY_S, SILENCE_S = 0.25, 3.0, 15.0
+TOPIC = "image_raw"
+IMAGE_TYPE = "sensor_msgs/msg/Image"
+FIND_TIMEOUT_S, SETTLE_S, POLL_S = 15.0, 3.0, 0.1
+FLOOR_SHOTS, SHOTS_TIMEOUT_S = 5, 15.0
+
+Ask = Callable[[str], None]
+"""Tells the person what to do and waits until it is done."""
 
 
 class MotionRecorder:
-    """Sorts the cameras' images into frame sets by stamp and looks for the board in one set after the other; while it
-    looks, sets are dropped, never queued. A context: closing it ends the subscriptions."""
+    """Sorts the cameras' images into frame sets by stamp and detects the board in one set after the other.
+
+    Sets that arrive during a detection are dropped, never queued. A context manager: closing ends the subscriptions.
+    """
 
     def __init__(self, node: Node, topics: Mapping[str, str], board: Board) -> None:
         self._node, self._topics, self._board = node, dict(topics), board
@@ -66,12 +76,12 @@ class MotionRecorder:
         ]
 
     def progress(self) -> MotionProgress:
-        """How far it has come."""
+        """The progress so far."""
         with self._lock:
             return motion_progress(tuple(self._topics), self._detections)
 
     def seen(self) -> dict[str, CameraDetections]:
-        """What each camera saw."""
+        """The detections of each camera."""
         with self._lock:
             return {
                 name: CameraDetections(
@@ -110,10 +120,10 @@ class MotionRecorder:
         self.changed.set()
 
     def _find(self, name: str, frame_index: int, message: Image) -> TargetDetection | None:
-        image = image_of(message, self._topics[name])
+        image = decode_image(message, self._topics[name])
         self._pictures.setdefault(name, image)
         detection = find_board(image, self._board, camera=name, frame_index=frame_index, target=MOVING)
-        if detection is not None and blur_px(image, detection) > MOST_BLUR_PX:
+        if detection is not None and blur_px(image, detection) > MAX_BLUR_PX:
             self._blurred[name] += 1
             return None
         return detection
@@ -125,7 +135,7 @@ class MotionRecorder:
 
 
 def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.Event) -> None:
-    """Show the progress until it is enough or the person stops it. Raises InputError when no set of pictures comes."""
+    """Show the progress until it suffices or the person stops it. Raises InputError when no frame set comes."""
     begun_s, said_s = time.monotonic(), 0.0
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while not stop.is_set():
@@ -140,7 +150,7 @@ def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.E
                 live.update(progress_panel(progress, recorder.examined), refresh=True)
             elif now_s - said_s > PLAIN_EVERY_S:
                 said_s = now_s
-                console.print(f"{progress.shared_frames} moments; {progress.advice or 'enough'}", highlight=False)
+                console.print(f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}", highlight=False)
             if not progress.advice:
                 return
 
@@ -152,17 +162,17 @@ def _silence(recorder: MotionRecorder) -> str:
 
 
 def progress_panel(progress: MotionProgress, examined: int) -> Panel:
-    """Who shares how many moments with whom, and where to carry the board."""
+    """Frames that each pair of cameras shares, image cells covered, and where to carry the board."""
     table = Table(show_edge=False, pad_edge=False)
-    table.add_column("shared moments")
+    table.add_column("shared frames")
     for name in progress.cameras:
         table.add_column(name, justify="right")
-    table.add_column("places of 9", justify="right")
+    table.add_column("cells of 9", justify="right")
     for one in progress.cameras:
         counts = [_cell(progress, one, other) for other in progress.cameras]
         table.add_row(one, *counts, str(progress.cells[one]))
     title = progress.advice or "enough"
-    summary = f"{progress.shared_frames} moments seen by two or more cameras, of {examined} looked at"
+    summary = f"{progress.shared_frames} frames seen by two or more cameras, of {examined} examined"
     return Panel(Group(table, summary), title=title, subtitle="Ctrl-C: calibrate with these")
 
 
@@ -174,18 +184,12 @@ def _cell(progress: MotionProgress, one: str, other: str) -> str:
     return f"[{colour}]{count}[/]"
 
 
-TOPIC = "image_raw"
-IMAGE_TYPE = "sensor_msgs/msg/Image"
-FIND_TIMEOUT_S, SETTLE_S, POLL_S = 15.0, 3.0, 0.1
-FLOOR_SHOTS, SHOTS_TIMEOUT_S = 5, 15.0
-
-Ask = Callable[[str], None]
-"""Tells the person what to do and waits until it is done."""
-
-
 class LiveSources(RigSources):
-    """The running cameras. ``ask`` is called before the board is to lie on the floor, and before it is to be carried;
-    ``stop`` ends the carrying early. Raises InputError naming cameras that do not publish."""
+    """Pictures of the running cameras. Raises InputError naming cameras that do not publish.
+
+    ``ask`` is called before the board is to lie on the floor, and before it is to be carried; ``stop`` ends the
+    carrying early.
+    """
 
     def __init__(
         self,
@@ -202,7 +206,7 @@ class LiveSources(RigSources):
         self._node, self._carried, self._console, self._ask, self._stop = node, carried, console, ask, stop
         self._shots: dict[str, Shots] = {}
 
-    def see_floor(
+    def detect_floor(
         self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
     ) -> dict[str, CameraDetections]:
         if not self._shots:
@@ -210,7 +214,7 @@ class LiveSources(RigSources):
             self._shots = grab(self._node, self._topics, FLOOR_SHOTS)
         return find_floor({name: self._shots[name] for name in sorted(cameras)}, board, cameras, corners)
 
-    def see_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
         if not self._carried:
             return {}
         self._ask("Carry the board through the room, slowly, its print towards the cameras; Ctrl-C ends it early")
@@ -219,13 +223,13 @@ class LiveSources(RigSources):
             watch_recorder(recorder, self._console, self._stop)
         return recorder.seen()
 
-    def see_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
         return {}
 
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """Some pictures of one camera, as footage: moments count from 0."""
+    """Some pictures of one camera, as footage: frame indices count from 0."""
 
     name: str
     pictures: tuple[np.ndarray, ...]
@@ -239,7 +243,7 @@ class Shots:
 
 
 def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEOUT_S) -> dict[str, str]:
-    """/NAME/image_raw of the cameras ``wanted``, or of all that publish. Raises InputError naming those that do not."""
+    """The topics /NAME/image_raw of the ``wanted`` cameras, or of all. Raises InputError for absent ones."""
     seen: dict[str, str] = {}
     deadline_s, since_s = time.monotonic() + timeout_s, time.monotonic()
     while time.monotonic() < deadline_s:
@@ -267,7 +271,7 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
     def take(name: str, message: Image) -> None:
         with changed:
             if len(pictures[name]) < count:
-                pictures[name].append(image_of(message, topics[name]))
+                pictures[name].append(decode_image(message, topics[name]))
                 changed.notify_all()
 
     subscriptions = [
@@ -288,7 +292,7 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
 
 
 def _image_topics(node: Node) -> dict[str, str]:
-    """By camera's name, the image_raw topics that somebody publishes."""
+    """By camera's name, the image_raw topics with a publisher."""
     topics = [name for name, kinds in node.get_topic_names_and_types() if IMAGE_TYPE in kinds]
     named = {
         topic.split("/")[-2]: topic for topic in sorted(topics) if topic.count("/") > 1 and topic.endswith(f"/{TOPIC}")

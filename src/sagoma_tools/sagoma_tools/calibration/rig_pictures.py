@@ -1,4 +1,4 @@
-"""rig.png: the calibrated rig from above and from the side, who sees how much of the floor, and the residuals."""
+"""Draws rig.png: the calibrated rig from above and from the side, the floor's coverage, and the residuals."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from rig_calibration.extrinsics.world import PlacedRig
 
 COLUMNS = 4
 FRUSTUM_M = 0.8
-ARROW_SHARE, MOST_MAGNIFIED = 0.05, 200.0
-"""The residuals' rms is drawn as so much of the image's width, but not as if a perfect fit were a bad one."""
-MOST_ARROWS = 1500
+ARROW_SHARE, MAX_MAGNIFIED = 0.05, 200.0
+"""The residuals' rms is drawn as this share of the image's width, magnified at most so much."""
+MAX_ARROWS = 1500
 CAMERA, BOARD, BOX, RESIDUAL = "#1769aa", "#b22222", "#2e7d32", "#d9772b"
 X, Y, Z = 0, 1, 2
 
@@ -104,8 +104,8 @@ def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
 def _draw_residuals(
     axes: Axes, camera: CameraModel, figures: CameraFigures, places: np.ndarray, residuals: np.ndarray
 ) -> None:
-    step = -(-len(places) // MOST_ARROWS) or 1
-    magnified = min(ARROW_SHARE * camera.width / max(figures.rms_px, 1e-3), MOST_MAGNIFIED)
+    step = -(-len(places) // MAX_ARROWS) or 1
+    magnified = min(ARROW_SHARE * camera.width / max(figures.rms_px, 1e-3), MAX_MAGNIFIED)
     axes.quiver(
         *places[::step].T,
         *(residuals[::step] * magnified).T,

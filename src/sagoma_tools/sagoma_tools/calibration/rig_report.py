@@ -1,8 +1,12 @@
-"""The calibrated rig in words: tables for a person, rig.report.yaml for later."""
+"""Writes and prints a calibrated rig: rig.yaml, its report and picture, overlays on the pictures of the floor, tables.
+
+An overlay draws floor grid, axes and board back into a camera's picture of the floor: the best check by eye.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,10 +26,85 @@ from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.figures import CameraFigures, RigFigures
 
 COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
+CAMERA_FIGURES = (
+    ("detections", "detections", "d"),
+    ("rms px", "rms_px", ".2f"),
+    ("mm/px", "mm_per_px", ".1f"),
+    ("distance m", "distance_m", ".2f"),
+    ("height m", "height_m", ".2f"),
+    ("floor board at deg", "floor_angle_deg", ".0f"),
+    ("sd place mm", "sd_centre_mm", ".1f"),
+    ("sd turn deg", "sd_rotation_deg", ".3f"),
+)
+"""Heading, name in the report, and format of each figure of a camera."""
+GRID_M, GRID_REACH_M = 0.5, 3.0
+AXIS_M = 0.5
+SAMPLE_M = 0.05
+"""Length of the pieces of a line: so short that the lens bends none of them visibly."""
+SHIFT = 4
+"""Fraction bits of OpenCV's drawing coordinates: sixteenths of a pixel."""
+GRID_BGR, BOX_BGR, FOUND_BGR, EXPECTED_BGR = (0, 200, 255), (80, 200, 80), (255, 255, 0), (60, 60, 255)
+AXES_BGR = ((0, 0, 255), (0, 255, 0), (255, 80, 0))
+
+
+def write_outputs(
+    path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.ndarray], asked: Mapping[str, Any]
+) -> list[Path]:
+    """Write the rig to ``path``, and beside it STEM.report.yaml, STEM.png and, for each camera that has a picture of
+    the floor, STEM_CAMERA.png; returns all paths. The rig's bytes depend on the detections alone. Raises InputError."""
+    from .rig_pictures import draw_rig  # matplotlib takes a second to load
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_rig(calibrated.placed.rig, path)
+        written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
+    except OSError as error:
+        raise InputError(
+            f"cannot be written ({error.strerror})",
+            where=str(path),
+            remedy="Name a file in a folder that may be written (--output).",
+        ) from None
+    figures = {camera.name: camera for camera in calibrated.figures.cameras}
+    written.append(
+        draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))
+    )
+    return [*written, *_overlays(path, calibrated, pictures)]
+
+
+def residuals_of(calibrated: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """By camera: all its corners (n, 2), and found minus expected (n, 2), px."""
+    solution = calibrated.solution
+    pairs = list(zip(solution.detections, solution.residuals_px, strict=True))
+    return {
+        name: (
+            np.concatenate([detection.pixels for detection, _ in pairs if detection.camera == name]),
+            np.concatenate([residuals for detection, residuals in pairs if detection.camera == name]),
+        )
+        for name in calibrated.placed.rig.names
+    }
+
+
+def _overlays(path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.ndarray]) -> list[Path]:
+    if calibrated.floor_world is None:
+        return []
+    found = {s.camera: s.pixels for s in calibrated.solution.detections if s.target == FLOOR}
+    rig = calibrated.placed.rig
+    return [
+        write_overlay(
+            path.with_name(f"{path.stem}_{name}.png"),
+            pictures[name],
+            rig.camera(name),
+            rig.volume,
+            board_world=calibrated.floor_world,
+            found_px=found.get(name, np.empty((0, 2))),
+        )
+        for name in rig.names
+        if name in pictures
+    ]
 
 
 def print_report(console: Console, calibrated: RigCalibration) -> None:
-    """Each camera's figures, the rig's, what was left out, the verdict, and what to measure with a tape."""
+    """Print the figures of cameras and rig, detections left out, the verdict, and what to measure with a tape."""
     figures = calibrated.figures
     console.print(_table(figures))
     console.print(f"rms of all corners {figures.rms_px:.2f} px; between neighbours {_gaps(figures)} degrees")
@@ -53,7 +132,7 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
 
 
 def tape_request(calibrated: RigCalibration) -> str:
-    """What a person should measure: no picture can tell whether the print has the size that was stated."""
+    """What to measure with a tape: no picture shows whether the print has the stated size."""
     cameras = calibrated.placed.rig.cameras
     parts = []
     if calibrated.evidence.floor_known:
@@ -65,13 +144,10 @@ def tape_request(calibrated: RigCalibration) -> str:
 
 
 def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any]) -> Path:
-    """Write figures, verdict, what was left out, what was asked for, date and versions."""
+    """Write figures, verdict, detections left out, the arguments, date and versions."""
     document = {
         "verdict": calibrated.verdict.grade,
-        "findings": [
-            {"grade": finding.grade, "what": finding.what, "remedy": finding.remedy}
-            for finding in calibrated.verdict.findings
-        ],
+        "findings": [asdict(finding) for finding in calibrated.verdict.findings],
         "measure": tape_request(calibrated),
         "rig": _rig_document(calibrated),
         "cameras": {camera.name: _camera_document(camera, calibrated) for camera in calibrated.figures.cameras},
@@ -87,31 +163,11 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
 def _table(figures: RigFigures) -> Table:
     table = Table(title="cameras", title_justify="left")
     table.add_column("camera")
-    headings = (
-        "detections",
-        "rms px",
-        "mm/px",
-        "distance m",
-        "height m",
-        "sees floor board at",
-        "sd place mm",
-        "sd turn deg",
-    )
-    for heading in headings:
+    for heading, _, _ in CAMERA_FIGURES:
         table.add_column(heading, justify="right")
-    for c in figures.cameras:
-        angle = "never" if c.floor_angle_deg is None else f"{c.floor_angle_deg:.0f} deg"
-        table.add_row(
-            c.name,
-            str(c.detections),
-            f"{c.rms_px:.2f}",
-            f"{c.mm_per_px:.1f}",
-            f"{c.distance_m:.2f}",
-            f"{c.height_m:.2f}",
-            angle,
-            f"{c.sd_centre_mm:.1f}",
-            f"{c.sd_rotation_deg:.3f}",
-        )
+    for camera in figures.cameras:
+        values = [(getattr(camera, name), form) for _, name, form in CAMERA_FIGURES]
+        table.add_row(camera.name, *("never" if value is None else f"{value:{form}}" for value, form in values))
     return table
 
 
@@ -137,30 +193,15 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
 
 
 def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[str, Any]:
-    keys = (
-        "detections",
-        "rms_px",
-        "mm_per_px",
-        "distance_m",
-        "height_m",
-        "floor_angle_deg",
-        "sd_centre_mm",
-        "sd_rotation_deg",
-    )
-    document: dict[str, Any] = {key: _rounded(getattr(camera, key)) for key in keys}
+    document: dict[str, Any] = {name: _rounded(getattr(camera, name)) for _, name, _ in CAMERA_FIGURES}
     covariance = calibrated.solution.covariance[camera.name]
     document["pose_covariance"] = [[float(f"{value:.4g}") for value in row] for row in covariance]
     return document
 
 
 def _left_document(left: Any) -> dict[str, Any]:
-    detection = left.detection
-    return {
-        "camera": detection.camera,
-        "target": detection.target,
-        "frame": detection.frame_index,
-        "reason": left.reason,
-    }
+    of = left.detection
+    return {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
 
 
 def _rounded(value: float | None) -> float | int | None:
@@ -172,18 +213,6 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"
-
-
-# --- The calibration drawn back into a camera's picture of the floor: the best check that a person has.
-
-GRID_M, GRID_REACH_M = 0.5, 3.0
-AXIS_M = 0.5
-SAMPLE_M = 0.05
-"""Lines are drawn in pieces so short that the lens bends none of them visibly."""
-SHIFT = 4
-"""Of the fixed-point coordinates that OpenCV draws at: sixteenths of a pixel."""
-GRID_BGR, BOX_BGR, FOUND_BGR, EXPECTED_BGR = (0, 200, 255), (80, 200, 80), (255, 255, 0), (60, 60, 255)
-AXES_BGR = ((0, 0, 255), (0, 255, 0), (255, 80, 0))
 
 
 def write_overlay(
@@ -247,62 +276,3 @@ def _write_legend(canvas: np.ndarray, name: str) -> None:
     bottom = canvas.shape[0]
     cv2.rectangle(canvas, (0, bottom - height - 12), (width + 12, bottom), (0, 0, 0), cv2.FILLED)
     cv2.putText(canvas, text, (6, bottom - 7), cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
-
-
-# --- Everything that is written when a rig was calibrated: rig.yaml, its report, the rig's picture, overlays.
-
-
-def write_outputs(
-    path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.ndarray], asked: Mapping[str, Any]
-) -> list[Path]:
-    """Write the rig to ``path``, and beside it STEM.report.yaml, STEM.png and, for each camera that has a picture of
-    the floor, STEM_CAMERA.png; returns all paths. The rig's bytes depend on the detections alone. Raises InputError."""
-    from .rig_pictures import draw_rig  # matplotlib takes a second to load
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_rig(calibrated.placed.rig, path)
-        written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
-    except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})",
-            where=str(path),
-            remedy="Name a file in a folder that may be written (--output).",
-        ) from None
-    figures = {camera.name: camera for camera in calibrated.figures.cameras}
-    written.append(
-        draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))
-    )
-    return [*written, *_overlays(path, calibrated, pictures)]
-
-
-def residuals_of(calibrated: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By camera: all its corners (n, 2) and by how much each misses its place (n, 2), px."""
-    solution = calibrated.solution
-    pairs = list(zip(solution.detections, solution.residuals_px, strict=True))
-    return {
-        name: (
-            np.concatenate([detection.pixels for detection, _ in pairs if detection.camera == name]),
-            np.concatenate([residuals for detection, residuals in pairs if detection.camera == name]),
-        )
-        for name in calibrated.placed.rig.names
-    }
-
-
-def _overlays(path: Path, calibrated: RigCalibration, pictures: Mapping[str, np.ndarray]) -> list[Path]:
-    if calibrated.floor_world is None:
-        return []
-    found = {s.camera: s.pixels for s in calibrated.solution.detections if s.target == FLOOR}
-    rig = calibrated.placed.rig
-    return [
-        write_overlay(
-            path.with_name(f"{path.stem}_{name}.png"),
-            pictures[name],
-            rig.camera(name),
-            rig.volume,
-            board_world=calibrated.floor_world,
-            found_px=found.get(name, np.empty((0, 2))),
-        )
-        for name in rig.names
-        if name in pictures
-    ]

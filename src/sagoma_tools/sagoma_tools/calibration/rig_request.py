@@ -1,4 +1,4 @@
-"""What a person asks of ``sagoma calibrate extrinsics``, checked."""
+"""The request to ``sagoma calibrate extrinsics``, and the checks of its arguments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ NO_FLOOR = "none"
 
 @dataclass(frozen=True)
 class RigRequest:
-    """floor, moving, wand : sources of footage. board, floor_board : as written and as read; None where none is needed.
+    """What to calibrate, from which pictures.
+
+    floor, moving, wand : sources of footage. board, floor_board : as written and as read; None where none is needed.
     floor_at : when the carried board lies on the floor; None when other pictures show the floor, or it is not wanted.
     live : take the pictures from the running cameras (of live_cameras, or all), with carried_live those of a carried
     board, too. click : cameras whose corners are to be clicked, () for those in which no board is found, None for none.
@@ -45,7 +47,7 @@ class RigRequest:
     carried_live: bool = False
     live_cameras: tuple[str, ...] = ()
     text: dict[str, Any] = field(default_factory=dict)
-    """What was typed, for the report."""
+    """The arguments as typed, for the report."""
 
 
 def read_boards(board: str | None, floor_board: str | None, needed: bool) -> tuple[Board | None, Board | None]:
@@ -62,7 +64,7 @@ def read_boards(board: str | None, floor_board: str | None, needed: bool) -> tup
 
 
 def read_choice(origin: str, heading_deg: float, thickness_m: float) -> WorldChoice:
-    """Where the world lies on the floor board. Raises InputError."""
+    """The world's origin and heading on the floor board. Raises InputError."""
     for name, value in (("--heading", heading_deg), ("--board-thickness", thickness_m)):
         if not math.isfinite(value):
             raise InputError(f"{value} is no number to measure with", where=name, remedy="Give a finite number.")
@@ -82,7 +84,7 @@ def read_choice(origin: str, heading_deg: float, thickness_m: float) -> WorldCho
 
 
 def read_floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | None:
-    """When the carried board lies on the floor: as asked, or the lowest place where nothing else shows the floor."""
+    """When the carried board lies on the floor: as given, or at its lowest place where nothing else shows the floor."""
     if text is not None and text != NO_FLOOR and (has_floor or not has_moving):
         raise InputError(
             "says when the carried board lies on the floor, but "
@@ -108,7 +110,7 @@ def read_floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorA
 
 
 def read_tape(distances: Sequence[Sequence[str]], heights: Sequence[Sequence[str]]) -> tuple[TapeMeasure, ...]:
-    """What was measured by hand: NAME NAME METRES, NAME METRES."""
+    """Tape measures: NAME NAME METRES, NAME METRES."""
     pairs = [TapeMeasure(a, b, *_numbers(m, 1, "--check", "Write --check cam01 cam02 3.42.")) for a, b, m in distances]
     alone = [
         TapeMeasure(a, None, *_numbers(m, 1, "--check-height", "Write --check-height cam01 2.31.")) for a, m in heights

@@ -114,8 +114,8 @@ def _git(folder: Path, *arguments: str) -> str:
         return ""  # no git, or no checkout
 
 
-# A damaged bag has no index and no metadata.yaml: its mcap file is read record by record, up to where it breaks off, and
-# copied into a new bag (mcap.dev/spec: one byte opcode, 64-bit length, body; chunks hold records).
+# A damaged bag has no index and no metadata.yaml: its mcap file is read record by record, up to where it breaks off,
+# and copied into a new bag (mcap.dev/spec: one byte opcode, 64-bit length, body; chunks hold records).
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
