@@ -51,7 +51,7 @@ from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.consistency.extrinsic_monitor import ExtrinsicMonitor
 from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews
-from sagoma_tools.evaluation.chain import Masks
+from mocap_pipeline.pipeline import Masks
 
 MOVED_AT = 10  # frames that are looked at: a second
 CLIP_LOOKS = 120

@@ -18,8 +18,8 @@ import numpy as np
 from scenes import session_with_truth
 
 from capture_rig.session import Session
+from mocap_pipeline.configuration import Configuration
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.chain import Configuration
 from sagoma_tools.evaluation.in_process import track_session
 from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.skeleton import POINT_NAMES

@@ -12,7 +12,7 @@ from scenes import Clip
 from icp_tracker.tracker import TRACKING
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Tracking
-from sagoma_tools.evaluation.chain import Chain, ChainStep
+from mocap_pipeline.pipeline import MocapPipeline, Step
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import Pose
@@ -23,15 +23,15 @@ WORST_POINT_M, MEAN_M, GOOD_FOR_S = 0.200, 0.060, 0.2
 """A track is good when no point is farther off than the first, and their mean is below the second, for so long."""
 LEFT_WITH_RIGHT = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]
 
-Answer = ChainStep | None
-Disturb = Callable[[Chain, Clip, int, Pose], Answer]
+Answer = Step | None
+Disturb = Callable[[MocapPipeline, Clip, int, Pose], Answer]
 
 
 @dataclass(frozen=True)
 class Drill:
     """A disturbance of so many seconds (at least one frame); `disturb` plays one frame and returns what came of it.
 
-    Its arguments: the chain, the clip, the frame and the filter's pose before the drill. on_masks: it changes the
+    Its arguments: the pipeline, the clip, the frame and the filter's pose before the drill. on_masks: it changes the
     silhouettes, so that the hull of every frame has to be carved anew.
     """
 
@@ -71,15 +71,15 @@ def play(
     clip: Clip, clouds: list[HullProducts], settings: dict[str, Any], drill: Drill | None = None, begin: int = 0
 ) -> Outcome:
     """Track the clip, whose undisturbed hulls are `clouds`, from its start to its end, disturbed from `begin` on."""
-    chain, state, before = clip.chain(settings), None, None
+    pipeline, state, before = clip.pipeline(settings), None, None
     points, sure = np.full((len(clip), 15, 3), np.nan), np.zeros(len(clip), bool)
     for frame in range(len(clip)):
         step: Answer
         if drill is None or state is None or not begin <= frame < begin + drill.frames(clip.fps):
-            step = _undisturbed(chain, clip, clouds, frame, drill is not None and drill.on_masks)
+            step = _undisturbed(pipeline, clip, clouds, frame, drill is not None and drill.on_masks)
         else:
             before = before or state.pose
-            step = drill.disturb(chain, clip, frame, before)
+            step = drill.disturb(pipeline, clip, frame, before)
         if step is not None:
             state, sure[frame] = step.state or state, is_sure(step)
         if state is not None:
@@ -87,13 +87,13 @@ def play(
     return Outcome(points, np.linalg.norm(points - clip.truth, axis=2), sure)
 
 
-def _undisturbed(chain: Chain, clip: Clip, clouds: list[HullProducts], frame: int, carve: bool) -> ChainStep:
+def _undisturbed(pipeline: MocapPipeline, clip: Clip, clouds: list[HullProducts], frame: int, carve: bool) -> Step:
     if carve:
-        return chain.step(clip.stamp_ns(frame), clip.masks(frame))
-    return chain.tracking.step(clouds[frame])
+        return pipeline.step_masks(clip.stamp_ns(frame), clip.masks(frame))
+    return pipeline.body.step(clouds[frame])
 
 
-def is_sure(step: ChainStep) -> bool:
+def is_sure(step: Step) -> bool:
     """Whether tracker and filter both say that they track."""
     return (
         step.fit.state == TRACKING
@@ -127,29 +127,29 @@ def good_spells(errors_m: np.ndarray, seconds: np.ndarray) -> tuple[list[float],
     return lost, found
 
 
-def blank(chain: Chain, clip: Clip, frame: int, before: Pose) -> Answer:
+def blank(pipeline: MocapPipeline, clip: Clip, frame: int, before: Pose) -> Answer:
     """Every camera delivers an empty silhouette."""
     masks = {name: np.zeros_like(mask) for name, mask in clip.masks(frame).items()}
-    return chain.step(clip.stamp_ns(frame), masks)
+    return pipeline.step_masks(clip.stamp_ns(frame), masks)
 
 
-def missing(chain: Chain, clip: Clip, frame: int, before: Pose) -> Answer:
+def missing(pipeline: MocapPipeline, clip: Clip, frame: int, before: Pose) -> Answer:
     """No frame set at all."""
     return None
 
 
-def one_camera_lost(chain: Chain, clip: Clip, frame: int, before: Pose) -> Answer:
+def one_camera_lost(pipeline: MocapPipeline, clip: Clip, frame: int, before: Pose) -> Answer:
     """The second camera delivers nothing."""
     masks, lost = clip.masks(frame), clip.rig.names[1]
-    return chain.step(clip.stamp_ns(frame), {n: m for n, m in masks.items() if n != lost}, (lost,))
+    return pipeline.step_masks(clip.stamp_ns(frame), {n: m for n, m in masks.items() if n != lost}, (lost,))
 
 
 def wrong_pose(wrong: Callable[[Body, Pose], Pose]) -> Disturb:
     """Tracker and filter take a wrong pose, made of the right one, for certain."""
 
-    def disturb(chain: Chain, clip: Clip, frame: int, before: Pose) -> Answer:
-        body = chain.tracking.icp.body
-        return None if body is None else chain.tracking.mislead(clip.stamp_ns(frame), wrong(body, before))
+    def disturb(pipeline: MocapPipeline, clip: Clip, frame: int, before: Pose) -> Answer:
+        body = pipeline.body.tracker.body
+        return None if body is None else pipeline.body.restart_at(clip.stamp_ns(frame), wrong(body, before))
 
     return disturb
 

@@ -19,7 +19,8 @@ from capture_rig import Rig
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns, load_session
 from mocap_packets.hull import HullProducts
-from sagoma_tools.evaluation.chain import Chain, Configuration, Masks
+from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.pipeline import Masks, MocapPipeline
 from sagoma_tools.evaluation.in_process import EPOCH_NS, exact_silhouettes, silhouettes
 from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.body import Body
@@ -104,14 +105,14 @@ class Clip:
         """Every camera's."""
         return {camera: self.mask(frame, camera) for camera in self.rig.names}
 
-    def chain(self, settings: Mapping[str, Any]) -> Chain:
+    def pipeline(self, settings: Mapping[str, Any]) -> MocapPipeline:
         """A fresh hull, tracker and filter for this clip."""
-        return Chain(self.rig, Configuration.of({"hull_server.backend": "cpu", **self.start, **settings}))
+        return MocapPipeline(self.rig, Configuration.of({"hull_server.backend": "cpu", **self.start, **settings}))
 
     def carved(self, settings: Mapping[str, Any]) -> list[HullProducts]:
         """The hull of every frame, undisturbed."""
-        chain = self.chain(settings)
-        return [chain.carve(self.stamp_ns(frame), self.masks(frame)) for frame in range(len(self))]
+        pipeline = self.pipeline(settings)
+        return [pipeline.carve(self.stamp_ns(frame), self.masks(frame)) for frame in range(len(self))]
 
 
 def studio_clip(motion: str, seconds: float, cameras: int = 6, body: Body | None = None, build: float = 1.0) -> Clip:

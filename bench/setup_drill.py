@@ -23,8 +23,8 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, Truth, load_session, load_truth
+from mocap_pipeline.configuration import Configuration
 from sagoma_tools.cli import main as sagoma
-from sagoma_tools.evaluation.chain import Configuration
 from sagoma_tools.evaluation.in_process import track_session
 from sagoma_tools.evaluation.scores import Scores, score
 from virtual_studio.__main__ import main as film

@@ -18,7 +18,7 @@ from report import Table, execute, finish, parser
 from scenes import session_with_truth
 
 from capture_rig.session import Session
-from sagoma_tools.evaluation.chain import Configuration
+from mocap_pipeline.configuration import Configuration
 from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows, track_variants
 from sagoma_tools.evaluation.live_run import start_settings
 from sagoma_tools.evaluation.scores import Scores, score

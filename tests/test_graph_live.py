@@ -6,14 +6,26 @@ import threading
 from pathlib import Path
 
 import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CompressedImage, JointState
 
+from capture_rig.mask_levels import SHADOW_CANDIDATE
+from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_bringup.graph import build_graph
+from sagoma_ros.images import decode_silhouette
 from sagoma_tools.evaluation.live_inputs import FootageInput
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live, start_settings
 from sagoma_tools.graph.supervisor import Supervisor
-from sagoma_tools.graph.topics import PREDICTION_TOPIC
+from sagoma_tools.graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
 from sagoma_tools.recording.lockstep import replay_through_graph
-from sagoma_tools.recording.reader import bag_digest, first_difference, read_messages
+from sagoma_tools.recording.reader import (
+    bag_digest,
+    first_difference,
+    frame_tolerance_ns,
+    read_frame_sets,
+    read_messages,
+)
 from sagoma_tools.recording.recorder import GraphRecorder
 from sagoma_tools.recording.session_clock import frame_count
 
@@ -55,6 +67,35 @@ def test_every_node_stays_within_its_memory(live):
     assert set(live.usage) == {*limits, *live.session.rig.names}
     for node, used in live.usage.items():
         assert used.resident_mib <= limits.get(node, 150.0), f"{node} takes {used.resident_mib:.0f} MiB"
+
+
+def test_the_page_gives_the_same_numbers_as_the_graph(live):
+    """The pipeline in this process, on the silhouettes that the graph's cameras sent."""
+    rig, angles = live.session.rig, {}
+    canvases = {camera.name: camera.undistorted_view().camera for camera in rig.cameras}
+    pipeline = MocapPipeline(rig, Configuration.of(start_settings(live.session, "auto")))
+    for frame_set in read_frame_sets(live.bag, frame_tolerance_ns(live.bag)):
+        masks = {
+            camera: decode_silhouette(
+                deserialize_message(message.data, CompressedImage),
+                canvases[camera].width,
+                canvases[camera].height,
+                message.topic,
+                candidates=SHADOW_CANDIDATE,
+            )
+            for camera, messages in frame_set.frames.items()
+            for message in messages
+            if message.topic.endswith(SILHOUETTE_SUFFIX)
+        }
+        state = pipeline.step_masks(frame_set.stamp_ns, masks, frame_set.missing).state
+        if state is not None:
+            angles[frame_set.stamp_ns] = state.angles.tolist()
+    published = {
+        message.stamp_ns: list(deserialize_message(message.data, JointState).position)
+        for message in read_messages(live.bag, "/mocap/joint_states".__eq__)
+    }
+    assert len(angles) > 0.8 * live.sets
+    assert angles == published
 
 
 @pytest.mark.slow

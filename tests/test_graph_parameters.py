@@ -6,9 +6,9 @@ import pytest
 
 from camera_client.settings import CameraClientSettings
 from capture_rig.settings import build_settings
-from ekf_tracker.ekf_node import EkfNodeSettings
+from ekf_tracker.settings import EkfNodeSettings
 from hull_server.settings import NodeSettings as HullNodeSettings
-from icp_tracker.icp_node import IcpNodeSettings
+from icp_tracker.settings import IcpNodeSettings
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph, cameras_from_files
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,7 +13,8 @@ from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import NO_VOXELS, HullProducts, VoxelSamples
-from mocap_packets.state import BodyState, Prediction
+from mocap_packets.state import BodyState
+from mocap_pipeline.pipeline import BodyFollower
 from virtual_studio.people import Capsules, VolumetricBody
 
 from .clips import FPS, Clip, clouds
@@ -78,19 +79,18 @@ def track(
     method: Method, clip: Clip, points: list[np.ndarray], sigma_m: float, voxels: list[VoxelSamples] | None = None
 ) -> Run:
     """Follow the clouds (n, 3) m of a clip; sigma_m: what the points say of their own noise."""
-    icp, ekf = IcpTracker(KnownPose(clip.poses[0], clip.body), method.icp), ArticulatedEkf(clip.body, method.ekf)
-    feedback: Prediction | None = None
+    tracker, ekf = IcpTracker(KnownPose(clip.poses[0], clip.body), method.icp), ArticulatedEkf(None, method.ekf)
+    follower = BodyFollower(tracker, ekf, method.feedback)
     errors, times, inside = [], [], []
     for frame, (cloud, true) in enumerate(zip(points, clip.points_world, strict=True)):
         stamp_ns, samples = round(frame * NS / FPS), voxels[frame] if voxels else NO_VOXELS
         began = time.thread_time()
-        fit = icp.step(HullProducts.of_points(stamp_ns, cloud, sigma_m, samples), feedback if method.feedback else None)
+        fit = follower.fit(HullProducts.of_points(stamp_ns, cloud, sigma_m, samples))
         fitted = time.thread_time()
-        state = ekf.step(stamp_ns, *fit.reference_points)
+        state = follower.filter(fit)
         times.append((1e3 * (fitted - began), 1e3 * (time.thread_time() - fitted)))
         if not isinstance(state, BodyState):
             raise RuntimeError(f"{clip.name}, frame {frame}: the filter has no state: {state.reason}")
-        feedback = state.prediction
         error = state.points_world - true
         errors.append((np.linalg.norm(fit.reference_points_world - true, axis=1), np.linalg.norm(error, axis=1)))
         inside.append(np.einsum("pi,pij,pj->p", error, np.linalg.inv(state.point_covariance), error) < INSIDE_95)

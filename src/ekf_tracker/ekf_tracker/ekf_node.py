@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections import deque
-from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -16,7 +15,6 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from capture_rig.errors import InputError
-from capture_rig.settings import setting
 from mocap_packets.fit import NOTHING_SEEN, ReferencePoints
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.health import ERROR, OK, WARN
@@ -30,38 +28,18 @@ from sagoma_ros.packets import (
     read_reference_points,
 )
 from sagoma_ros.qos import LATCHED, RESULT
-from stick_figure.body import Body
 from stick_figure.body_file import load_body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
 from .filter import ArticulatedEkf, warm_up
 from .humans_ros import Humans, NoHumans, make_humans
-from .settings import EkfSettings
+from .settings import EkfNodeSettings
 from .state import POSE
 from .state_ros import skeleton_markers, state_message, torso_message
 
 POINTS_TOPIC, BODY_TOPIC = "icp/reference_points", "icp/body"
 NS_PER_S = 1_000_000_000
 HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}
-
-
-@dataclass(frozen=True)
-class EkfNodeSettings:
-    """Parameters of the node; those of the filter under ``filter.``."""
-
-    body_file: str = setting("", "YAML file of the body; empty: wait for the body on icp/body")
-    body_wait_s: float = setting(
-        1.0, "how long a visible set waits for the body on icp/body before it is answered without", unit="s", low=0.0
-    )
-    frame_id: str = setting("map", "frame of the points that come in and of all that goes out")
-    skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
-    skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
-    restart_after_sets: int = setting(
-        10, "sets in a row with stamps of the past, after which the filter starts anew (the clock was set back)", low=1
-    )
-    publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
-    body_id: str = setting("b0001", "REP-155 id of the person")
-    filter: EkfSettings = field(default_factory=EkfSettings)
 
 
 class EkfNode(SagomaNode):
@@ -73,16 +51,16 @@ class EkfNode(SagomaNode):
         super().__init__("ekf_tracker", **options)
         self._entities: list[tuple[str, object]] = []
         self._humans: Humans = NoHumans()
-        self._filter: ArticulatedEkf | None = None
+        self._filter = ArticulatedEkf()
         self._active = False
 
     def configure(self) -> None:
         """Load the body if a file names it, compile the filter, open topics."""
-        self._waiting: deque[PointCloud2] = deque()
+        self._waiting: deque[tuple[int, ReferencePoints]] = deque()
         self._body_text = ""
         self._backwards, self._next_skeleton_ns = 0, 0
         body = load_body(self.settings.body_file) if self.settings.body_file else None
-        self._filter = ArticulatedEkf(body, self.settings.filter) if body else None
+        self._filter = ArticulatedEkf(body, self.settings.filter)
         warm_up()
         self._humans = make_humans(self, self.settings.publish_humans, self.settings.body_id, self.settings.frame_id)
         self._open_publishers()
@@ -92,8 +70,8 @@ class EkfNode(SagomaNode):
         self._keep("service", self.create_service(Trigger, "~/reset", self._on_reset))
         wall_time = Clock(clock_type=ClockType.STEADY_TIME)  # people wait in it, whatever time the sets are of
         wait_s = max(self.settings.body_wait_s, 1e-3)
-        self._patience = self.create_timer(wait_s, self._answer_waiting, clock=wall_time, autostart=False)
-        self._keep("timer", self._patience)
+        self._body_timeout = self.create_timer(wait_s, self._answer_waiting, clock=wall_time, autostart=False)
+        self._keep("timer", self._body_timeout)
 
     def activate(self) -> None:
         """Answer sets from now on."""
@@ -109,7 +87,7 @@ class EkfNode(SagomaNode):
             getattr(self, f"destroy_{kind}")(entity)
         self._entities.clear()
         self._humans.close()
-        self._humans, self._filter = NoHumans(), None
+        self._humans, self._filter = NoHumans(), ArticulatedEkf()
 
     def _open_publishers(self) -> None:
         def publisher(kind: type, topic: str) -> Publisher:
@@ -137,31 +115,26 @@ class EkfNode(SagomaNode):
             self._drop("bad_body", error)
             return
         self._body_text = message.data
-        if self._filter is None:
-            self._filter = ArticulatedEkf(body, self.settings.filter)
-        else:  # as a rule the same person, whose sizes are known better
-            self._filter.change_body(body)
+        self._filter.follow(body)
         self.get_logger().info(f"body of {BODY_TOPIC}: stature {body.stature:.2f} m")
         self._answer_waiting()
 
     def _on_points(self, cloud: PointCloud2) -> None:
         if not self._active:
             return
-        measured = self._read(cloud)
-        if (
-            self._filter is None and measured.visible.any()
-        ):  # the body was measured with this very set, and is on its way
-            self._waiting.append(cloud)
+        stamp_ns, measured = to_ns(cloud.header.stamp), self._read(cloud)
+        if self._filter.body is None and measured.visible.any():  # the body was measured with this set, and will come
+            self._waiting.append((stamp_ns, measured))
             if len(self._waiting) > RESULT.depth:
-                self._answer(self._waiting.popleft())
-            self._patience.reset()
+                self._answer(*self._waiting.popleft())
+            self._body_timeout.reset()
             return
-        self._answer(cloud, measured)
+        self._answer(stamp_ns, measured)
 
     def _answer_waiting(self) -> None:
-        self._patience.cancel()
+        self._body_timeout.cancel()
         while self._waiting:
-            self._answer(self._waiting.popleft())
+            self._answer(*self._waiting.popleft())
 
     def _read(self, cloud: PointCloud2) -> ReferencePoints:
         """Points, covariances, visibility of a cloud; of one that cannot be used, that nothing was seen."""
@@ -174,12 +147,11 @@ class EkfNode(SagomaNode):
             self._drop("bad_points", error)
             return NOTHING_SEEN
 
-    def _answer(self, cloud: PointCloud2, measured: ReferencePoints | None = None) -> None:
-        """The one answer that every set gets."""
-        stamp_ns = to_ns(cloud.header.stamp)
-        result = self._filtered(stamp_ns, measured or self._read(cloud))
-        if self._filter is not None and isinstance(result, BodyState) and result.tracking != Tracking.LOST:
-            self._publish_body(result, self._filter.body)
+    def _answer(self, stamp_ns: int, measured: ReferencePoints) -> None:
+        """Publish the one answer that every set gets."""
+        result = self._filtered(stamp_ns, measured)
+        if isinstance(result, BodyState) and result.tracking != Tracking.LOST:
+            self._publish_body(result)
         else:
             self._humans.absent(stamp_ns)
         self._state.publish(state_message(result, self.get_fully_qualified_name()))
@@ -188,9 +160,8 @@ class EkfNode(SagomaNode):
         self.health.tick(stamp_ns)
 
     def _filtered(self, stamp_ns: int, measured: ReferencePoints) -> BodyState | NoState:
-        if self._filter is None:
+        if self._filter.body is None:
             self.health.count("without_body")
-            return NoState(stamp_ns, f"waiting for the body on {BODY_TOPIC}")
         if self._filter.is_past(stamp_ns):
             return self._out_of_order(stamp_ns)
         self._backwards = 0
@@ -209,8 +180,9 @@ class EkfNode(SagomaNode):
             self._start_anew()
         return NoState(stamp_ns, "stamp is not later than the last set's")
 
-    def _publish_body(self, state: BodyState, body: Body) -> None:
-        frame = self.settings.frame_id
+    def _publish_body(self, state: BodyState) -> None:
+        frame, body = self.settings.frame_id, self._filter.body
+        assert body is not None
         self._joint_states.publish(joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame))
         self._torso.publish(torso_message(state, frame))
         self._joint_covariance.publish(covariance_message(TANGENT_NAMES, state.covariance[POSE, POSE]))
@@ -229,8 +201,7 @@ class EkfNode(SagomaNode):
 
     def _start_anew(self) -> None:
         self._backwards, self._next_skeleton_ns = 0, 0
-        if self._filter is not None:
-            self._filter.reset()
+        self._filter.reset()
 
     def _drop(self, counter: str, error: InputError) -> None:
         self.health.count(counter)
@@ -240,10 +211,6 @@ class EkfNode(SagomaNode):
 def main(args: list[str] | None = None) -> None:
     """Entry point of the executable ``ekf_tracker``."""
     sys.exit(run_node(EkfNode, args))
-
-
-if __name__ == "__main__":
-    main()
 
 
 if __name__ == "__main__":

@@ -221,6 +221,7 @@ class Track:
         return self._motion.transition(self._last_dt).reach * velocity / self._last_dt
 
 
+NO_BODY = "waiting for the body"
 SAME_PERSON_M = 0.06
 """Statures of one person, measured twice, differ by less."""
 
@@ -231,7 +232,8 @@ class ArticulatedEkf:
     Call :meth:`step` once for each frame set, in stamp order; or :meth:`predict` and :meth:`update` one by one.
     """
 
-    def __init__(self, body: Body, settings: EkfSettings | None = None) -> None:
+    def __init__(self, body: Body | None = None, settings: EkfSettings | None = None) -> None:
+        """Without a body, sets are answered with NoState until :meth:`follow` brings one."""
         self.body = body
         self.settings = settings or EkfSettings()
         self.reset()
@@ -241,14 +243,16 @@ class ArticulatedEkf:
         self._track: Track | None = None
         self._stamp_ns: int | None = None
 
-    def change_body(self, body: Body) -> None:
-        """Go on with the same person's sizes as they are known now; pose, velocity and their covariance stay.
+    def follow(self, body: Body) -> None:
+        """Follow this body from the next set on.
 
-        Sizes that differ by more than a T-pose errs are somebody else's: then the filter starts anew.
+        Other sizes of the same person, known better now, leave pose, velocity and their covariance as they are. Sizes
+        that differ by more than a T-pose errs are another person's: then the filter starts anew.
         """
-        somebody_else = abs(body.stature - self.body.stature) > SAME_PERSON_M
-        self.body = body
-        if somebody_else:
+        before, self.body = self.body, body
+        if before is None or before is body:
+            return
+        if abs(body.stature - before.stature) > SAME_PERSON_M:
             self.reset()
         elif self._track is not None:
             self._track.change_body(body)
@@ -265,6 +269,8 @@ class ArticulatedEkf:
 
         Arguments as for :meth:`predict` and :meth:`update`; both are checked before the filter moves.
         """
+        if self.body is None:
+            return NoState(stamp_ns, NO_BODY)
         z = Measurement.checked(points_world, covariance, visible, self.settings.point_sd_floor_m)
         return self._update(self.predict(stamp_ns), z)
 
@@ -307,6 +313,7 @@ class ArticulatedEkf:
 
     def _start(self, stamp_ns: int, z: Measurement) -> BodyState:
         """Take the state from this measurement alone."""
+        assert self.body is not None
         self._track = Track(self.body, self.settings, stamp_ns, z)
         return self._track.first_report
 

@@ -103,6 +103,25 @@ class EkfSettings:
     )
 
 
+@dataclass(frozen=True)
+class EkfNodeSettings:
+    """Parameters of the node; those of the filter under ``filter.``."""
+
+    body_file: str = setting("", "YAML file of the body; empty: wait for the body on icp/body")
+    body_wait_s: float = setting(
+        1.0, "how long a visible set waits for the body on icp/body before it is answered without", unit="s", low=0.0
+    )
+    frame_id: str = setting("map", "frame of the points that come in and of all that goes out")
+    skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
+    skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
+    restart_after_sets: int = setting(
+        10, "sets in a row with stamps of the past, after which the filter starts anew (the clock was set back)", low=1
+    )
+    publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
+    body_id: str = setting("b0001", "REP-155 id of the person")
+    filter: EkfSettings = field(default_factory=EkfSettings)
+
+
 def limit_weight(settings: EkfSettings) -> float:
     """Weight of a joint limit, 1/rad^2; 0 for none."""
     return 0.0 if settings.limit_sd_rad == 0.0 else 1.0 / settings.limit_sd_rad**2

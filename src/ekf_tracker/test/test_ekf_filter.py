@@ -379,7 +379,7 @@ def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
     ekf = ArticulatedEkf(body)
     before, truth = run(ekf, person, 60)
     resized = Body(body.half_lengths * 1.01, body.half_shoulder_width * 0.98)
-    ekf.change_body(resized)
+    ekf.follow(resized)
     after, truth = run(ekf, person, 30, start=60)
     assert ekf.body is resized
     # no start from nothing: velocity is known at once, and the error stays that of a settled filter
@@ -392,5 +392,5 @@ def test_filter_starts_anew_when_the_body_is_somebody_elses(body, person):
     ekf = ArticulatedEkf(body)
     run(ekf, person, 5)
     assert ekf.is_past(stamp(0))
-    ekf.change_body(Body.from_stature(body.stature + 0.1))
+    ekf.follow(Body.from_stature(body.stature + 0.1))
     assert not ekf.is_past(stamp(0))

@@ -217,7 +217,7 @@ def test_visible_set_without_a_body_is_answered_empty_in_the_end(bench, person):
     b = bench(body_wait_s=0.05).start()
     got = b.fit(stamp(0), person.points(0.0))
     assert not got[-1][1].name
-    assert "waiting for the body on icp/body" in got[-2][1].values[0].value
+    assert "waiting for the body" in got[-2][1].values[0].value
     assert b.node.health.counter("without_body") == 1
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -15,7 +14,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
-from capture_rig.settings import setting
 from mocap_packets.fit import Fit
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
 from sagoma_ros.health import OK, WARN
@@ -27,29 +25,13 @@ from sagoma_ros.worker import Mailbox, Worker
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
-from .acquisition.pose_source import InitialPoseSettings, make_pose_source
-from .icp_ros import FilterFeedback, SaveBodyService, SaveBodySettings, SavedBody
+from .icp_ros import FilterFeedback, SaveBodyService, SavedBody
 from .monitor.evidence import PART_NAMES
-from .tracker import ACQUIRING, TRACKING, IcpTracker, TrackerSettings, warm_up
+from .settings import IcpNodeSettings
+from .tracker import ACQUIRING, TRACKING, IcpTracker, make_tracker, warm_up
 
 CLOUDS_KEPT = 8
 T = TypeVar("T", Centerline, VoxelSamples, ContourRays)
-
-
-@dataclass(frozen=True)
-class IcpNodeSettings(TrackerSettings):
-    """Parameters of the node."""
-
-    body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
-    initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
-    bodies: SaveBodySettings = setting(SaveBodySettings, "where bodies are saved")
-    prediction_wait_s: float = setting(
-        0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
-    )
-    voxels_wait_s: float = setting(
-        0.05, "a fit that looks at voxels or rims waits at most this long for those of its set", unit="s", low=0.0
-    )
-    queue_depth: int = setting(4, "frame sets that may wait; one more drops the oldest", low=1, high=1000)
 
 
 class IcpNode(SagomaNode):
@@ -72,7 +54,7 @@ class IcpNode(SagomaNode):
 
     def configure(self) -> None:
         settings: IcpNodeSettings = self.settings
-        self._tracker = IcpTracker(make_pose_source(settings.initial_pose, settings.body_file), settings)
+        self._tracker = make_tracker(settings)
         warm_up(settings)
         self._points_publisher = self.create_publisher(PointCloud2, "icp/reference_points", RESULT)
         self._fit_publisher = self.create_publisher(DiagnosticArray, "icp/fit", RESULT)

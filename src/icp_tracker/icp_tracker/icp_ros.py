@@ -8,20 +8,13 @@ from pathlib import Path
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from capture_rig.settings import setting
 from mocap_packets.state import Prediction
 from sagoma_ros.worker import Mailbox
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 
 from .acquisition.body_sizes import LimbGirths
-
-
-@dataclass(frozen=True)
-class SaveBodySettings:
-    """Where bodies are saved."""
-
-    folder: str = setting("output/bodies", "folder that ~/save_body writes body_STAMP.yaml to")
+from .settings import SaveBodySettings
 
 
 @dataclass(frozen=True, eq=False)

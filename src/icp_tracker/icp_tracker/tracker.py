@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from capture_rig.settings import setting
+from capture_rig.rig import Volume
 from mocap_packets.fit import GOOD, LOST, Fit, Solution
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
@@ -16,40 +16,19 @@ from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
-from .articulated_fit import ArticulatedSettings, FitResult, assess, make_data, minimise, unknown_covariance
-from .monitor.track_monitor import RecoverySettings, TrackMonitor
+from .acquisition.pose_source import make_pose_source
+from .articulated_fit import FitResult, assess, make_data, minimise, unknown_covariance
+from .monitor.track_monitor import TrackMonitor
 from .monitor.track_quality import widened_covariance
-from .refinement.body_refiner import BodyRefiner, RefinedBody, RefinementSettings, warm_up_refiner
-from .thesis.hierarchical_icp import HierarchicalSettings, fit_hierarchical
+from .refinement.body_refiner import BodyRefiner, RefinedBody, warm_up_refiner
+from .settings import IcpNodeSettings, TrackerSettings
+from .thesis.hierarchical_icp import fit_hierarchical
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 NS_PER_S = 1e9
 AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
 FOLLOW_SETS = 15  # and it is waited for that long
-
-
-@dataclass(frozen=True)
-class TrackerSettings:
-    """How the figure is fitted, set after set."""
-
-    method: str = setting(
-        "articulated",
-        "the fit: all joints at once, or the thesis's hierarchical ICP",
-        choices=("articulated", "hierarchical"),
-    )
-    articulated: ArticulatedSettings = setting(ArticulatedSettings, "the all-joints solve")
-    hierarchical: HierarchicalSettings = setting(HierarchicalSettings, "the hierarchical ICP")
-    refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
-    recovery: RecoverySettings = setting(RecoverySettings, "how a lost track is noticed and found again")
-    min_points: int = setting(15, "fewer centerline points than this count as none", low=3)
-    extrapolation_limit_s: float = setting(
-        0.1, "the predicted motion is followed for at most this long", unit="s", low=0.0, high=10.0
-    )
-    acquire_iterations: int = setting(30, "iterations of the first fit", low=1, high=1000)
-    acquire_inliers: float = setting(
-        0.4, "share of the points that the first fit must explain to be believed", low=0.0, high=1.0
-    )
 
 
 class IcpTracker:
@@ -197,6 +176,14 @@ class IcpTracker:
             return assess(body, pose, data, iterations, moved < settings.articulated.tolerance_m, settings.articulated)
         found = fit_hierarchical(body, start, data.points, settings.hierarchical)
         return assess(body, found.pose, data, found.iterations, found.converged, settings.articulated)
+
+
+def make_tracker(settings: IcpNodeSettings, volume: Volume | None = None) -> IcpTracker:
+    """A tracker whose first pose comes from where the settings say; ``volume`` : where hulls end, unless they say so.
+
+    Raises InputError for files that cannot be used.
+    """
+    return IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, volume), settings)
 
 
 def warm_up(settings: TrackerSettings) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.session import load_session
 from ekf_tracker.filter import warm_up
+from mocap_pipeline.configuration import Configuration
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.boards.detector import find_board
 from rig_calibration.boards.drawing import draw_board
@@ -24,7 +25,7 @@ from stick_figure.rotations import rotation_matrix
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-from .evaluation.in_process import Configuration, track_session
+from .evaluation.in_process import track_session
 
 FRAMES, FPS = 8, 10.0
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from capture_rig.session import Session, load_session
+from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
 from sagoma_tools.evaluation import in_process
-from sagoma_tools.evaluation.chain import Configuration, TrackingChain
 from sagoma_tools.evaluation.in_process import (
     OURS,
     PARTS,
@@ -72,8 +73,8 @@ def test_a_configuration_tracks_the_same_alone_and_beside_others(session):
 
 def test_variants_share_one_carving(session, monkeypatch):
     carved = []
-    carve = in_process.Chain.carve
-    monkeypatch.setattr(in_process.Chain, "carve", lambda *args: carved.append(args[1]) or carve(*args))
+    carve = MocapPipeline.carve
+    monkeypatch.setattr(MocapPipeline, "carve", lambda *args: carved.append(args[1]) or carve(*args))
     tracks = track_variants(session, {name: started(session) for name in "abc"}, exact_masks=True)
     assert len(carved) == len(set(carved)) == 12
     assert tracks["a"].points_world.tobytes() == tracks["c"].points_world.tobytes()
@@ -87,8 +88,8 @@ def test_variants_that_need_other_hulls_are_refused(session):
 
 
 def test_without_feedback_every_fit_starts_from_the_fit_before(session):
-    graph = in_process.Chain(session.rig, started(session))
-    closed, opened = graph.tracking, TrackingChain(started(session, feedback=False))
+    graph = MocapPipeline(session.rig, started(session))
+    closed, opened = graph.body, BodyFollower.of(started(session, feedback=False))
     starts: dict[str, list[str]] = {"closed": [], "opened": []}
     for frame, masks in enumerate(in_process.exact_silhouettes(session)):
         clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
+from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings, table_console
-from ..evaluation.chain import Configuration
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_variants
 from ..evaluation.live_run import REFERENCE_START, T_POSE_START, start_settings
 from ..evaluation.pictures import draw_stills, write_overlay

@@ -17,8 +17,9 @@ from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.video import Video
 from mocap_packets.state import BodyState
+from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.pipeline import BodyFollower, Masks, MocapPipeline, make_segmenter
 
-from .chain import Chain, Configuration, Masks, TrackingChain
 from .track import Track
 
 EPOCH_NS = 1_000_000_000_000_000_000
@@ -56,14 +57,14 @@ def track_variants(
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
         raise ValueError("variants of one run differ in the settings of cameras or hull")
     masks = exact_silhouettes(session) if exact_masks else silhouettes(session, first.camera)
-    graph = Chain(session.rig, first)
-    chains = [graph.tracking, *(TrackingChain(other, session.rig.volume) for other in others)]
-    rows: list[list[tuple[int, BodyState]]] = [[] for _ in chains]
+    pipeline = MocapPipeline(session.rig, first)
+    followers = [pipeline.body, *(BodyFollower.of(other, session.rig.volume) for other in others)]
+    rows: list[list[tuple[int, BodyState]]] = [[] for _ in followers]
     for frame, frame_masks in enumerate(masks):
         progress(frame)
-        clouds = graph.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
-        for chain, states in zip(chains, rows, strict=True):
-            state = chain.step(clouds).state
+        products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
+        for follower, states in zip(followers, rows, strict=True):
+            state = follower.step(products).state
             if state is not None:
                 states.append((frame, state))
     if not rows[0]:
@@ -82,10 +83,7 @@ def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Ma
         for name, image in images.items():
             if name not in pipelines:
                 background = read_background(session.backgrounds[name], image.shape, settings.background_model)
-                camera = session.rig.camera(name)
-                pipelines[name] = SilhouettePipeline(
-                    camera, background, settings.silhouette, settings.background_model, session.rig.volume
-                )
+                pipelines[name] = make_segmenter(session.rig.camera(name), background, settings, session.rig.volume)
         yield {name: pipelines[name].run(image).mask for name, image in images.items()}
 
 

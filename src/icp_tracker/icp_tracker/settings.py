@@ -1,0 +1,59 @@
+"""Settings of the tracker and of its node."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from capture_rig.settings import setting
+
+from .acquisition.pose_source import InitialPoseSettings
+from .articulated_fit import ArticulatedSettings
+from .monitor.track_monitor import RecoverySettings
+from .refinement.body_refiner import RefinementSettings
+from .thesis.hierarchical_icp import HierarchicalSettings
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """How the figure is fitted, set after set."""
+
+    method: str = setting(
+        "articulated",
+        "the fit: all joints at once, or the thesis's hierarchical ICP",
+        choices=("articulated", "hierarchical"),
+    )
+    articulated: ArticulatedSettings = setting(ArticulatedSettings, "the all-joints solve")
+    hierarchical: HierarchicalSettings = setting(HierarchicalSettings, "the hierarchical ICP")
+    refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
+    recovery: RecoverySettings = setting(RecoverySettings, "how a lost track is noticed and found again")
+    min_points: int = setting(15, "fewer centerline points than this count as none", low=3)
+    extrapolation_limit_s: float = setting(
+        0.1, "the predicted motion is followed for at most this long", unit="s", low=0.0, high=10.0
+    )
+    acquire_iterations: int = setting(30, "iterations of the first fit", low=1, high=1000)
+    acquire_inliers: float = setting(
+        0.4, "share of the points that the first fit must explain to be believed", low=0.0, high=1.0
+    )
+
+
+@dataclass(frozen=True)
+class SaveBodySettings:
+    """Where bodies are saved."""
+
+    folder: str = setting("output/bodies", "folder that ~/save_body writes body_STAMP.yaml to")
+
+
+@dataclass(frozen=True)
+class IcpNodeSettings(TrackerSettings):
+    """Parameters of the node."""
+
+    body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
+    initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
+    bodies: SaveBodySettings = setting(SaveBodySettings, "where bodies are saved")
+    prediction_wait_s: float = setting(
+        0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
+    )
+    voxels_wait_s: float = setting(
+        0.05, "a fit that looks at voxels or rims waits at most this long for those of its set", unit="s", low=0.0
+    )
+    queue_depth: int = setting(4, "frame sets that may wait; one more drops the oldest", low=1, high=1000)

@@ -1,0 +1,141 @@
+"""From the images of one instant to a body's joint angles: the whole method on one page.
+
+The nodes of the graph hold the same objects and call them in the same order; what travels between two of them is
+rounded here as it is in a message (``as_sent``), so this page and the graph give the same numbers, bit for bit.
+
+    images -> segment -> silhouettes -> resolve shadows -> carve -> slice -> fit -> filter -> predict -> next fit
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from camera_client.background.model import BackgroundModel
+from camera_client.settings import CameraClientSettings
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from capture_rig.camera import CameraModel
+from capture_rig.rig import Rig, Volume
+from ekf_tracker.filter import ArticulatedEkf
+from hull_server.hull_pipeline import HullPipeline
+from icp_tracker.tracker import TRACKING, IcpTracker, make_tracker
+from mocap_packets.fit import Fit
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import NO_CENTERLINE, HullProducts
+from mocap_packets.state import BodyState, NoState, Prediction
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+
+from .configuration import Configuration
+
+Masks = Mapping[str, np.ndarray]
+"""Canvas masks (h, w) uint8 by camera, levels of `capture_rig.mask_levels`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one frame set gave: the fit, and the filter's answer."""
+
+    fit: Fit
+    answer: BodyState | NoState
+
+    @property
+    def state(self) -> BodyState | None:
+        """The filter's state, if it has one."""
+        return self.answer if isinstance(self.answer, BodyState) else None
+
+
+class MocapPipeline:
+    """Images or silhouettes of a calibrated rig in, one body's state out. Deterministic; stamps must rise."""
+
+    def __init__(
+        self, rig: Rig, configuration: Configuration, backgrounds: Mapping[str, BackgroundModel] | None = None
+    ) -> None:
+        """``backgrounds`` by camera are needed by :meth:`step` alone. InputError for settings that cannot be used."""
+        self.cameras = {
+            name: make_segmenter(rig.camera(name), background, configuration.camera, rig.volume)
+            for name, background in (backgrounds or {}).items()
+        }
+        self.hull = HullPipeline(rig, configuration.hull)
+        self.body = BodyFollower.of(configuration, rig.volume)
+
+    def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
+        """The body at one instant, from the cameras' images (H, W[, 3]) uint8."""
+        # segment: what differs from the background, without noise, and how dark (2.2; camera_client/silhouettes)
+        masks = {name: self.cameras[name].run(image, stamp_ns).mask for name, image in images.items()}
+        return self.step_masks(stamp_ns, masks)
+
+    def step_masks(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> Step:
+        """The body at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
+        return self.body.step(self.carve(stamp_ns, masks, missing))
+
+    def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
+        """The visual hull of one instant and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""
+        frame_set = FrameSet.of_instant(stamp_ns, dict(masks), missing)
+        # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
+        # see as foreground (3.1; consistency/, shadows.py, carving/ or opengl/)
+        under_way = self.hull.begin(frame_set)
+        # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
+        # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
+        return self.hull.finish(under_way).products.as_sent()
+
+
+class BodyFollower:
+    """Tracker and filter of one body: each fit starts from the filter's state after the frame set before."""
+
+    def __init__(self, tracker: IcpTracker, ekf: ArticulatedEkf, feedback: bool = True) -> None:
+        """Without ``feedback`` each fit starts from the fit before (thesis 4.3)."""
+        self.tracker, self.ekf = tracker, ekf
+        self._feeds_back = feedback
+        self._prediction: Prediction | None = None
+
+    @classmethod
+    def of(cls, configuration: Configuration, volume: Volume | None = None) -> BodyFollower:
+        """As the settings say; ``volume`` : where hulls end."""
+        ekf = ArticulatedEkf(None, configuration.ekf)
+        return cls(make_tracker(configuration.icp, volume), ekf, configuration.feedback)
+
+    def step(self, products: HullProducts) -> Step:
+        """Fit and filter one frame set."""
+        fit = self.fit(products)
+        return Step(fit, self.filter(fit))
+
+    def fit(self, products: HullProducts) -> Fit:
+        """Find the first pose, later fit the stick figure to the hull from where it is expected (4;
+        icp_tracker/tracker.py with acquisition/, articulated_fit.py, monitor/, refinement/, thesis/)."""
+        return self.tracker.step(products, self._prediction)
+
+    def filter(self, fit: Fit) -> BodyState | NoState:
+        """Correct the prediction with the fitted reference points (5.2; ekf_tracker/filter.py, kernels.py)."""
+        # the body is measured with the first pose, and its sizes are known better as it moves (acquisition/, refinement/)
+        if self.tracker.body is not None:
+            self.ekf.follow(self.tracker.body)
+        # extended Kalman filter over pose and velocity, predicted to this stamp (tables 5.5 and 5.7)
+        answer = self.ekf.step(fit.stamp_ns, *fit.reference_points.as_sent())
+        # predict: where the next fit starts (5.2.3; ekf_tracker/motion_model.py)
+        self._prediction = answer.prediction.as_sent() if self._feeds_back else None
+        return answer
+
+    def restart_at(self, stamp_ns: int, pose: Pose, sd_m: float = 0.02) -> Step:
+        """Start filter and tracker anew at this pose, right or wrong, sure of it to ``sd_m``.
+
+        A drill, to see how they recover. ValueError while no body is followed.
+        """
+        body = self.tracker.body
+        if body is None:
+            raise ValueError("no body is followed yet")
+        self.ekf.reset()
+        covariance, visible = np.tile(sd_m**2 * np.eye(3), (15, 1, 1)), np.ones(15, dtype=bool)
+        fit = Fit(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
+        step = Step(fit, self.filter(fit))
+        self.fit(HullProducts(stamp_ns, NO_CENTERLINE))  # a set without points leaves the tracker at the prediction
+        return step
+
+
+def make_segmenter(
+    camera: CameraModel, background: BackgroundModel, settings: CameraClientSettings, volume: Volume | None
+) -> SilhouettePipeline:
+    """The silhouettes of one camera, as its client computes them."""
+    return SilhouettePipeline(camera, background, settings.silhouette, settings.background_model, volume)
