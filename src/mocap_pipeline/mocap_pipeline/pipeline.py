@@ -109,7 +109,7 @@ class BodyFollower:
 
     def filter(self, fit: Fit) -> BodyState | NoState:
         """Correct the prediction with the fitted reference points (5.2; ekf_tracker/filter.py, kernels.py)."""
-        # the body is measured with the first pose, and its sizes are known better as it moves (acquisition/, refinement/)
+        # the body is measured with the first pose; its sizes are refined as it moves (acquisition/, refinement/)
         if self.tracker.body is not None:
             self.ekf.follow(self.tracker.body)
         # extended Kalman filter over pose and velocity, predicted to this stamp (tables 5.5 and 5.7)
