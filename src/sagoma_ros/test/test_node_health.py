@@ -52,7 +52,8 @@ def test_health_arrives_once_a_second_without_being_asked(ros: Spinner) -> None:
     assert second > first
 
 
-def test_health_carries_counters_values_state_and_memory(ros: Spinner) -> None:
+def test_health_carries_counters_values_state_and_memory(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "PERIOD_S", 0.1)
     listener = Listener(ros)
     listener.health.count("late")
     listener.health.count("late", 2)
@@ -67,7 +68,8 @@ def test_health_carries_counters_values_state_and_memory(ros: Spinner) -> None:
     assert listener.health.counter("late") == 3 and listener.health.counter("never_counted") == 0
 
 
-def test_health_arrives_while_simulated_time_stands_still(ros: Spinner) -> None:
+def test_health_arrives_while_simulated_time_stands_still(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "PERIOD_S", 0.1)
     listener = Listener(ros, parameter_overrides=[Parameter("use_sim_time", value=True)])
     assert listener.next_status().name == "/hull_server"
 

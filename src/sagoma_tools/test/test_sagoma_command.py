@@ -59,7 +59,7 @@ def test_start_names_the_node_that_refuses_and_starts_the_others(running_graph, 
 
 def test_start_names_the_node_that_does_not_answer(running_graph, capsys):
     running_graph("never_answers")
-    assert main(["start", "--expect", "2", "--wait", "30", "--timeout", "3"]) == 1
+    assert main(["start", "--expect", "2", "--wait", "30", "--timeout", "1"]) == 1
     assert "failed: /cam01/camera_client: configure did not answer" in capsys.readouterr().out
 
 
