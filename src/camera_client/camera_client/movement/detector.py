@@ -2,7 +2,7 @@
 
 Silhouettes do not show it: when the camera is bumped, every edge of the room becomes foreground. The whole picture
 does, with a person in it, other lights, and a chair that was moved, unless the room has no edges. The thresholds
-were chosen with ``bench/watchdog.py``.
+were chosen with ``bench/camera_movement.py``.
 """
 
 from __future__ import annotations
