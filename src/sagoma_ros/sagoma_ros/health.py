@@ -70,11 +70,12 @@ class NodeHealth:
 
     def publish(self) -> None:
         """Publish now; the timer does so once a second."""
-        message = DiagnosticArray(status=[self._snapshot()])
+        message = DiagnosticArray(status=[self.snapshot()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
 
-    def _snapshot(self) -> DiagnosticStatus:
+    def snapshot(self) -> DiagnosticStatus:
+        """The status as published; rates, processor time and latencies are those since the last call."""
         now, cpu = time.monotonic(), time.process_time()
         with self._lock:
             then, ticks_then, cpu_then = self._last

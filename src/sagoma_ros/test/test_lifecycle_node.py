@@ -65,7 +65,7 @@ class Example(SagomaNode):
 
     @property
     def shown(self) -> tuple[bytes, str]:
-        status = self.health._snapshot()
+        status = self.health.snapshot()
         return status.level, status.message
 
 

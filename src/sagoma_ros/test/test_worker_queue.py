@@ -20,7 +20,7 @@ class GatedWorker:
         self.errors: list[Exception] = []
         self.dropped = 0
         self.started, self.go = threading.Event(), threading.Event()
-        self._function = function
+        self.function = function
         self.worker = Worker[int]("gated", self._work, depth, on_drop=self._drop, on_error=self.errors.append)
 
     def block(self) -> None:
@@ -34,7 +34,7 @@ class GatedWorker:
     def _work(self, item: int) -> None:
         self.started.set()
         assert self.go.wait(PATIENCE_S)
-        self._function(item)
+        self.function(item)
         self.done.append(item)
 
     def _drop(self) -> None:
@@ -120,7 +120,7 @@ def test_idle_worker_closes_and_may_be_closed_again(finish: bool) -> None:
 def test_worker_can_close_itself() -> None:
     gated = GatedWorker(depth=10, function=lambda item: None)
     closed: list[bool] = []
-    gated._function = lambda item: closed.append(gated.worker.close())
+    gated.function = lambda item: closed.append(gated.worker.close())
     gated.block()
     gated.worker.put(1)
     gated.go.set()
