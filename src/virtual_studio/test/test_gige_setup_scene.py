@@ -82,7 +82,7 @@ def test_cameras_that_look_at_one_instant_see_the_same_moment():
     assert scene.newest(300).instant_ns == 150
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def studio():
     address = free_addresses(1)[0]
     with Studio(StudioSettings(scene="setup", cameras=1, address=address)) as studio:

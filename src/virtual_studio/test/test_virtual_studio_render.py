@@ -43,7 +43,7 @@ def clearance(origin, rays, starts, ends, radii):
         return np.linalg.norm(across, axis=-1) - (radii[:, 0] + u * (radii[:, 1] - radii[:, 0]))
 
     low, high = np.zeros((len(rays), radii.shape[0])), np.ones((len(rays), radii.shape[0]))
-    for _ in range(64):
+    for _ in range(48):
         a, b = low + (high - low) / 3, high - (high - low) / 3
         first = depth(a) < depth(b)
         low, high = np.where(first, low, a), np.where(first, b, high)
@@ -126,14 +126,14 @@ def test_torso_is_wider_than_deep_and_sizes_are_a_persons():
     high = np.maximum(capsules.starts + capsules.radii[:, :1], capsules.ends + capsules.radii[:, 1:]).max(0)
     assert high[2] == pytest.approx(1.72, abs=0.02)
     assert -0.005 < low[2] < 0.02
-    x, y, z = np.meshgrid(*(np.arange(a, b, 0.016) for a, b in zip(low, high, strict=True)), indexing="ij")
+    x, y, z = np.meshgrid(*(np.arange(a, b, 0.02) for a, b in zip(low, high, strict=True)), indexing="ij")
     grid = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     inside = np.zeros(len(grid), bool)
     for a, b, (ra, rb) in zip(capsules.starts, capsules.ends, capsules.radii, strict=True):
         u = np.linspace(0, 1, 9)
         for centre, r in zip(a + u[:, None] * (b - a), ra + u * (rb - ra), strict=True):
             inside |= ((grid - centre) ** 2).sum(1) < r * r
-    assert 0.050 < inside.sum() * 0.016**3 < 0.095  # cubic metres, a person of 55 to 100 kg
+    assert 0.050 < inside.sum() * 0.02**3 < 0.095  # cubic metres, a person of 55 to 100 kg
     chest = grid[inside & (np.abs(grid[:, 2] - 1.25) < 0.02)]
     width, depth = np.ptp(chest[:, 1]), np.ptp(chest[:, 0])
     assert 1.3 < width / depth < 2.2

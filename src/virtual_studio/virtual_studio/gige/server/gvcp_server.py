@@ -48,6 +48,7 @@ class ControlPrivilege:
     def __init__(self, device: Device, on_release: Callable[[], None]) -> None:
         self._registers, self._counters, self._loop = device.registers, device.counters, device.loop
         self._on_release = on_release
+        device.registers.writes["GevHeartbeatTimeout"] = self._watch
         self.owner: Peer | None = None
         self._heard_ns = 0
         self._timer: Timer | None = None
