@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -120,6 +122,8 @@ class EkfNodeSettings:
     publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
     body_id: str = setting("b0001", "REP-155 id of the person")
     filter: EkfSettings = field(default_factory=EkfSettings)
+
+    renamed: ClassVar[Mapping[str, str]] = {"filter.lasting_errors": "filter.measurement_bias"}
 
 
 def limit_weight(settings: EkfSettings) -> float:

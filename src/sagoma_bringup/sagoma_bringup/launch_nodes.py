@@ -19,15 +19,15 @@ def value_of(context: Any, argument: str) -> str:
     return LaunchConfiguration(argument).perform(context)
 
 
-def node_actions(graph: Sequence[NodeSpec]) -> list[Node]:
-    """One node action each; launched nodes configure and activate themselves."""
+def node_actions(graph: Sequence[NodeSpec], autostart: bool = True) -> list[Node]:
+    """One node action each; launched nodes configure and activate themselves unless told not to."""
     return [
         Node(
             package=spec.package,
             executable=spec.executable,
             name=spec.name,
             namespace=spec.namespace,
-            parameters=[{key: _typed(value) for key, value in {**spec.parameters, "autostart": True}.items()}],
+            parameters=[{key: _typed(value) for key, value in {**spec.parameters, "autostart": autostart}.items()}],
             output="screen",
         )
         for spec in graph

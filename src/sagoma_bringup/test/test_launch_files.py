@@ -26,7 +26,7 @@ def executables(package):
 
 def test_there_is_a_launch_file_for_each_machine_role():
     names = {path.name for path in XML_FILES + PYTHON_FILES}
-    assert names == {"server.launch.xml", "camera.launch.xml", "demo.launch.py", "all_in_one.launch.py"}
+    assert names == {"server.launch.py", "camera.launch.xml", "demo.launch.py", "all_in_one.launch.py"}
 
 
 @pytest.mark.parametrize("path", XML_FILES, ids=lambda path: path.name)
@@ -41,13 +41,6 @@ def test_xml_launch_file_names_packages_executables_and_described_arguments(path
         assert node.get("name") and (PACKAGE.parent / node.get("pkg") / "package.xml").is_file()
     for package in re.findall(r"\$\(find-pkg-share (\w+)\)", path.read_text()):
         assert package == "sagoma_bringup"
-
-
-def test_server_launch_file_starts_the_nodes_of_the_server_graph():
-    root = ET.parse(LAUNCH / "server.launch.xml").getroot()
-    launched = {(n.get("pkg"), n.get("exec"), n.get("name")) for n in root.findall("node")}
-    graph = build_graph(rig=CONFIG / "rig" / "ring4.yaml")
-    assert launched == {(spec.package, spec.executable, spec.name) for spec in graph}
 
 
 def test_camera_launch_file_finds_an_installed_parameter_file_by_default():
@@ -126,6 +119,18 @@ def test_all_in_one_launch_file_starts_every_node_of_the_rig_by_itself(fake_laun
     for action, node in zip(actions, graph, strict=True):
         (parameters,) = action.kwargs["parameters"]
         assert parameters == {**node.parameters, "autostart": True}
+        assert action.kwargs["executable"] in executables(action.kwargs["package"])
+
+
+@pytest.mark.parametrize("autostart", ["true", "false"])
+def test_server_launch_file_starts_the_nodes_of_the_server_graph_with_their_parameters(fake_launch, autostart):
+    rig, body = CONFIG / "rig" / "ring4.yaml", next((CONFIG / "body").glob("*.yaml"))
+    actions = run_launch_file(LAUNCH / "server.launch.py", rig=rig, body=body, autostart=autostart)
+    graph = build_graph(rig=rig, body=body)
+    assert [action.kwargs["name"] for action in actions] == [node.name for node in graph]
+    for action, node in zip(actions, graph, strict=True):
+        (parameters,) = action.kwargs["parameters"]
+        assert parameters == {**node.parameters, "autostart": autostart == "true"}
         assert action.kwargs["executable"] in executables(action.kwargs["package"])
 
 
