@@ -106,6 +106,31 @@ def test_carried_board_adds_a_camera_that_does_not_see_the_floor_board(
     assert max(place_errors_mm(room / "rig.yaml", cameras).values()) < 10.0
 
 
+def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(
+    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = {name: replace(camera, K=camera.K @ np.diag([1.008, 1.008, 1.0])) for name, camera in cameras.items()}
+    write_intrinsics(room / "intrinsics", wrong)
+    shown = {
+        name: [picture(camera, BOARD, held(BOARD, *pose), seed) for seed, pose in enumerate(HELD)]
+        for name, camera in cameras.items()
+    }
+    write_pictures(room / "moving", shown)
+    said = complaint(capsys, room, "--moving", room / "moving", "--refine-intrinsics")
+    assert "intrinsics of cam01, cam02, cam03 are to be refined" in said and "sagoma calibrate intrinsics" in said
+    sd = {
+        "parameters": {name: {"sd": value} for name, value in zip(("fx", "fy", "cx", "cy"), (4, 4, 2, 2), strict=True)}
+    }
+    for name in cameras:
+        (room / "intrinsics" / f"{name}.report.yaml").write_text(yaml.safe_dump(sd))
+    off = {}
+    for more in ([], ["--refine-intrinsics"]):
+        calibrate(room, "--moving", room / "moving", *more)  # so few poses of the board do not make a good rig
+        found = load_rig(room / "rig.yaml").cameras
+        off[len(more)] = max(abs(camera.K[0, 0] / cameras[camera.name].K[0, 0] - 1.0) for camera in found)
+    assert off[0] == pytest.approx(0.008, abs=1e-6) and off[1] < 0.003
+
+
 def test_lenses_may_come_from_a_rig_file(room: Path, cameras: dict[str, CameraModel]) -> None:
     assert calibrate(room) == 0
     rig = load_rig(room / "rig.yaml")

@@ -65,5 +65,5 @@ def _check_refinement(problem: Problem, refine_intrinsics: bool) -> None:
     if refine_intrinsics and missing:
         raise InputError(
             f"the intrinsics of {', '.join(missing)} are to be refined, but how well they are known is not given",
-            remedy="Give their covariance, or do not refine them.",
+            remedy="Calibrate them (sagoma calibrate intrinsics) and keep the reports beside them; or do not refine.",
         )

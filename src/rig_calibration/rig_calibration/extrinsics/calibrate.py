@@ -77,16 +77,17 @@ def calibrate_rig(
     targets: Mapping[str, Target],
     *,
     intrinsics_covariance: Mapping[str, npt.ArrayLike] | None = None,
+    refine_intrinsics: bool = False,
     moved_frames: Mapping[str, tuple[int, int]] | None = None,
     floor_guess: tuple[int, ...] = (),
     tape: Iterable[TapeMeasure] = (),
 ) -> RigCalibration:
     """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.
 
-    The target called FLOOR, a FloorTarget seen at moment 0, tells where the world is; without it the first camera is
-    taken for level. Every detection names its target. ``intrinsics_covariance`` : as :func:`solve_rig` takes it.
-    ``strays``, ``floor_guess`` : as Evidence. Raises InputError naming cameras that see nothing, or groups that share
-    no view.
+    The target called FLOOR, a FloorTarget seen in frame 0, tells where the world is; without it the first camera is
+    taken for level. Every detection names its target. ``intrinsics_covariance``, ``refine_intrinsics`` : as
+    :func:`solve_rig` takes them. ``moved_frames``, ``floor_guess`` : as RigEvidence. Raises InputError naming cameras
+    that see nothing, or groups that share no view.
     """
     floor = _floor_target(targets)
     require_way_round(detections, targets)
@@ -98,10 +99,11 @@ def calibrate_rig(
         reference=FLOOR_POSE if floor is not None else None,
         symmetry_orders={name: target.symmetry_order for name, target in targets.items()},
         intrinsics_covariance=intrinsics_covariance,
+        refine_intrinsics=refine_intrinsics,
     )
     # z up, the origin on the floor (thesis 6.1)
     placed = place_rig(solution.cameras, solution.T_camera_reference, _world(solution, floor))
-    views = {} if floor is None else _floor_views(solution, cameras, floor)
+    views = {} if floor is None else _floor_views(solution, floor)
     # figures and verdict
     figures = rig_figures(placed, _adjusted(solution), views)
     checks = tuple(measure.check(placed.rig) for measure in tape)
@@ -152,11 +154,11 @@ def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
     return world_from_floor(solution.T_reference_target[FLOOR_POSE], floor.T_world_floor)
 
 
-def _floor_views(solution: RigSolution, cameras: Mapping[str, CameraModel], floor: Target) -> dict[str, FloorView]:
+def _floor_views(solution: RigSolution, floor: Target) -> dict[str, FloorView]:
     views = {}
     for detection in solution.detections:  # numbered as the solver found right
         if detection.target == FLOOR:
-            views[detection.camera] = floor_view(detection, floor.points, cameras[detection.camera])
+            views[detection.camera] = floor_view(detection, floor.points, solution.cameras[detection.camera])
     return views
 
 

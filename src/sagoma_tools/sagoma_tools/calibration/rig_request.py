@@ -25,7 +25,8 @@ class RigRequest:
     floor, moving, wand : sources of footage. board, floor_board : as written and as read; None where none is needed.
     floor_at : when the carried board lies on the floor; None when other pictures show the floor, or it is not wanted.
     live : take the pictures from the running cameras (of live_cameras, or all), with carried_live those of a carried
-    board, too. click : cameras whose corners are to be clicked, () for those in which no board is found, None for none.
+    board, too. refine_intrinsics : adjust the lenses, too. click : cameras whose corners are to be clicked, () for
+    those in which no board is found, None for none.
     """
 
     intrinsics: Path
@@ -41,6 +42,7 @@ class RigRequest:
     corners: Path | None = None
     click: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
+    refine_intrinsics: bool = False
     choice: WorldChoice = field(default_factory=WorldChoice)
     tape: tuple[TapeMeasure, ...] = ()
     live: bool = False

@@ -37,6 +37,8 @@ def add_parser(steps: argparse._SubParsersAction) -> None:
     help_click = "click the outer corners, of these cameras or of all in which it is not found"
     option("--click", nargs="*", default=None, metavar="NAME", help=help_click)
     option = parser.add_argument
+    help_refine = "adjust focal lengths and principal points as well, as far as NAME.report.yaml leaves them uncertain"
+    option("--refine-intrinsics", action="store_true", help=help_refine)
     option("--without", nargs="+", default=[], metavar="NAME", help="leave these cameras out")
     many = {"action": "append", "default": []}
     help_check = "distance between two lenses, measured with a tape"
@@ -142,6 +144,7 @@ def request_from(args: argparse.Namespace) -> RigRequest:
         corners=Path(args.corners) if args.corners else None,
         click=None if args.click is None else tuple(args.click),
         without=tuple(args.without),
+        refine_intrinsics=args.refine_intrinsics,
         choice=read_choice(args.origin, args.heading, args.board_thickness),
         live=args.live,
         carried_live=args.live and args.moving is not None,
