@@ -9,7 +9,7 @@ import pytest
 
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import FootageSettings
-from camera_client.sources.footage_reader import open_footage
+from camera_client.sources.footage_reader import VideoReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource, Pace
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
@@ -172,16 +172,16 @@ def test_rate_zero_goes_on_without_acknowledgement_and_counts_it(video):
         assert source.counters["pace_timeouts"] == 6
 
 
-def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene):
+def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
     path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
     with source_of(path) as source:
-        decoded, original = [], source._reader.read
+        decoded, original = [], VideoReader.read
 
-        def counted():
+        def counted(reader):
             decoded.append(1)
-            return original()
+            return original(reader)
 
-        source._reader.read = counted
+        monkeypatch.setattr(VideoReader, "read", counted)
         source.start()
         for delivered in range(1, 21):
             read(source, 1)

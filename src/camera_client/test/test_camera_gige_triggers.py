@@ -92,7 +92,7 @@ def test_thread_fires_instants_when_they_are_due_and_stops():
     count = len(fired)
     assert all(instant_ns % (4 * MS) == 0 and instant_ns <= fired_ns for instant_ns, fired_ns in fired)
     assert len({instant_ns for instant_ns, _ in fired}) == count
-    assert not thread._thread.is_alive()
+    assert "trigger" not in {other.name for other in threading.enumerate()}
 
 
 @pytest.fixture
@@ -111,15 +111,16 @@ def answer(listener, status):
     packet, peer = listener.recvfrom(2048)
     command = CommandPacket.decode(packet)
     listener.sendto(AcknowledgePacket(0x101, b"", command.request_id, status).encode(), peer)
-    return Action.decode(command)
+    return Action.decode(command), peer
 
 
 def test_action_carries_keys_and_time_and_its_answer_is_counted(device):
     listener, sender = device
     for status in (Status.SUCCESS, Status.ACTION_LATE, Status.OVERFLOW, Status.NO_REFERENCE_TIME):
         sender.send(NOW_NS)
-        assert answer(listener, status) == Action(1, 2, 4, NOW_NS)
-    listener.sendto(b"nonsense", sender._socket.getsockname())
+        action, peer = answer(listener, status)
+        assert action == Action(1, 2, 4, NOW_NS)
+    listener.sendto(b"nonsense", peer)
     sender.collect()
     assert sender.counts == {"actions": 1, "actions_late": 1, "actions_refused": 2, "actions_unanswered": 0}
 

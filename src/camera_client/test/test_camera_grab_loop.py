@@ -46,8 +46,7 @@ def run(source, on_frame=lambda frame: None, **options):
     errors = []
     loop = GrabLoop(source, on_frame, errors.append, **options)
     loop.start()
-    loop._thread.join(PATIENCE_S)
-    assert not loop._thread.is_alive()
+    assert loop.wait(PATIENCE_S)
     return loop, errors
 
 
@@ -96,7 +95,7 @@ def test_source_is_started_only_when_ready():
     assert asked.wait(PATIENCE_S)
     assert loop.state is GrabState.WAITING and source.calls == []
     ready.set()
-    loop._thread.join(PATIENCE_S)
+    loop.wait(PATIENCE_S)
     assert source.calls == ["start"] and loop.frames == 1
 
 
@@ -105,5 +104,5 @@ def test_stop_while_waiting_never_starts_the_source():
     loop = GrabLoop(source, lambda frame: None, lambda error: None, lambda: False, ready_timeout_s=3600.0)
     loop.start()
     loop.stop()
-    assert not loop._thread.is_alive()
+    assert loop.wait(0.0)
     assert source.calls == ["stop"] and loop.frames == 0

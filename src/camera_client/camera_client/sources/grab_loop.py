@@ -61,9 +61,14 @@ class GrabLoop:
     def stop(self) -> None:
         """End the loop and stop the source."""
         self._stopping.set()
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(STOP_TIMEOUT_S)
+        self.wait(STOP_TIMEOUT_S)
         self._source.stop()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the loop has ended; False when it has not within ``timeout_s``."""
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         try:
