@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import socket
+import threading
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from pathlib import Path
+from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from typing import Any
 
 from capture_rig.errors import InputError
@@ -16,6 +20,8 @@ from .server.loop import EventLoop
 Request = dict[str, Any]
 LONGEST_LINE = 1 << 16
 ANSWER_TIMEOUT_S = 10.0
+POLL_S = 0.05
+"""How long the server takes to notice that it is to end."""
 
 
 def default_path() -> Path:
@@ -25,75 +31,30 @@ def default_path() -> Path:
 
 
 class ControlServer:
-    """Answers each request with what ``handle`` returns; its InputErrors become {"error": ...}."""
+    """Answers each request with what ``handle`` returns, called within the loop; InputErrors become {"error": ...}.
+
+    Raises InputError where the socket cannot be had.
+    """
 
     def __init__(self, path: Path, loop: EventLoop, handle: Callable[[Request], Request]) -> None:
-        self._path, self._loop, self._handle = path, loop, handle
-        self._connections: dict[socket.socket, bytearray] = {}
-        self._socket = _listening(path)
-        loop.call(lambda: loop.add_reader(self._socket, self._accept))
+        self._path = path
+
+        class Connection(StreamRequestHandler):
+            def handle(self) -> None:
+                while (line := self.rfile.readline(LONGEST_LINE)).endswith(b"\n"):
+                    try:
+                        answer = loop.call(functools.partial(_answer, line, handle))
+                        self.wfile.write(json.dumps(answer).encode() + b"\n")
+                    except (OSError, RuntimeError, CancelledError):  # the client has gone, or the studio ends
+                        return
+
+        self._server = _listening(path, Connection)
+        threading.Thread(target=self._server.serve_forever, args=(POLL_S,), name="control", daemon=True).start()
 
     def close(self) -> None:
-        """Only while the loop runs."""
-        self._loop.call(self._close)
+        self._server.shutdown()
+        self._server.server_close()
         self._path.unlink(missing_ok=True)
-
-    def _close(self) -> None:
-        for connection in [self._socket, *self._connections]:
-            self._loop.remove_reader(connection)
-            connection.close()
-        self._connections.clear()
-
-    def _accept(self) -> None:
-        try:
-            connection, _ = self._socket.accept()
-        except BlockingIOError:
-            return
-        connection.setblocking(False)
-        self._connections[connection] = bytearray()
-        self._loop.add_reader(connection, lambda: self._receive(connection))
-
-    def _receive(self, connection: socket.socket) -> None:
-        received = self._connections[connection]
-        try:
-            data = connection.recv(LONGEST_LINE)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        received += data
-        if not data or len(received) > LONGEST_LINE:
-            self._drop(connection)
-            return
-        while (end := received.find(b"\n")) >= 0:
-            line = bytes(received[:end])
-            del received[: end + 1]
-            if not self._reply(connection, self._answer(line)):
-                self._drop(connection)
-                return
-
-    def _answer(self, line: bytes) -> Request:
-        try:
-            request = json.loads(line)
-            if not isinstance(request, dict):
-                raise InputError("a request is a JSON object", where="studio", remedy='Such as {"do": "status"}.')
-            return self._handle(request)
-        except (json.JSONDecodeError, UnicodeDecodeError) as error:
-            return {"error": f"not a line of JSON: {error}"}
-        except InputError as error:
-            return {"error": str(error)}
-
-    def _reply(self, connection: socket.socket, answer: Request) -> bool:
-        try:
-            connection.sendall(json.dumps(answer).encode() + b"\n")
-        except OSError:
-            return False
-        return True
-
-    def _drop(self, connection: socket.socket) -> None:
-        self._loop.remove_reader(connection)
-        del self._connections[connection]
-        connection.close()
 
 
 def ask(request: Request, path: str | Path | None = None) -> Request:
@@ -116,21 +77,33 @@ def ask(request: Request, path: str | Path | None = None) -> Request:
     return answer
 
 
-def _listening(path: Path) -> socket.socket:
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    listener.setblocking(False)
+def _answer(line: bytes, handle: Callable[[Request], Request]) -> Request:
+    try:
+        request = json.loads(line)
+        if not isinstance(request, dict):
+            raise InputError("a request is a JSON object", where="studio", remedy='Such as {"do": "status"}.')
+        return handle(request)
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        return {"error": f"not a line of JSON: {error}"}
+    except InputError as error:
+        return {"error": str(error)}
+
+
+def _listening(path: Path, connection: type[StreamRequestHandler]) -> ThreadingUnixStreamServer:
+    server = ThreadingUnixStreamServer(str(path), connection, bind_and_activate=False)
+    server.daemon_threads = True
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_socket() and not _is_served(path):
             path.unlink()  # a studio that was killed left it behind
-        listener.bind(str(path))
+        server.server_bind()
         path.chmod(0o600)
-        listener.listen()
+        server.server_activate()
     except OSError as error:
-        listener.close()
+        server.server_close()
         remedy = "Another studio may be there: end it, or choose another --control."
         raise InputError(f"cannot listen ({error.strerror or error})", where=str(path), remedy=remedy) from None
-    return listener
+    return server
 
 
 def _is_served(path: Path) -> bool:

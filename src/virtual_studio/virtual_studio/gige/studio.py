@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
@@ -204,9 +203,7 @@ class Studio:
     def __enter__(self) -> Studio:
         return self.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _camera_settings(self, number: int, name: str) -> CameraSettings:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from types import TracebackType
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from ..server.device import CameraSettings, Device, Faults
 from ..server.genicam_xml import XML_NAME, genicam_xml, zipped
 from ..server.gvcp_server import ControlPrivilege, GvcpServer
 from ..server.loop import EventLoop
-from ..server.registers import FILE_SPACE, Feature, Registers
+from ..server.registers import FILE_SPACE, Registers
 from ..server.stream import StreamChannel
 from .acquisition import Acquisition
 from .feature_table import CAPABILITIES, feature_table
@@ -27,6 +26,10 @@ from .timing import CameraClock, Timing, TriggerWire
 
 STEADY_C, SWING_C, SWING_S = 42.0, 1.5, 120.0
 """The device's mean temperature, and amplitude and period of its swing."""
+KEPT_BY_USER_SET = (
+    *("FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress"),
+    *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD", "GevSCCFG"),
+)
 
 
 class SimulatedCamera:
@@ -46,7 +49,7 @@ class SimulatedCamera:
         loop: EventLoop | None = None,
         wire: TriggerWire | None = None,
     ) -> None:
-        self.address, self.settings = address, settings or CameraSettings()
+        self.address, self.scene, self.settings = address, scene, settings or CameraSettings()
         self.faults, self.counters = Faults(), Counter[str]()
         self._own_loop = loop is None
         self.loop = loop or EventLoop(f"camera {address}")
@@ -54,10 +57,9 @@ class SimulatedCamera:
         self.wire.listen(self._line_rose)
         self._user_id = self.settings.user_id
         height, width, *channels = scene.shape
-        self._features = feature_table(self.settings, address, width, height, bool(channels))
-        self._description = zipped(genicam_xml(self._features, self.settings.vendor, self.settings.model))
+        self.features = feature_table(self.settings, address, width, height, bool(channels))
+        self._description = zipped(genicam_xml(self.features, self.settings.vendor, self.settings.model))
         self._powered: _PoweredCamera | None = None
-        self._scene = scene
         self._started = self._closed = False
 
     def start(self) -> SimulatedCamera:
@@ -96,18 +98,10 @@ class SimulatedCamera:
         return self._powered is not None
 
     @property
-    def scene(self) -> CameraScene:
-        return self._scene
-
-    @property
     def registers(self) -> Registers:
         """The register memory. Only while the camera is powered."""
         assert self._powered is not None
         return self._powered.registers
-
-    @property
-    def features(self) -> tuple[Feature, ...]:
-        return self._features
 
     def status(self) -> dict[str, object]:
         """Returns what it is doing, for people and for programs."""
@@ -116,9 +110,7 @@ class SimulatedCamera:
     def __enter__(self) -> SimulatedCamera:
         return self.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _power_on(self) -> None:
@@ -169,7 +161,7 @@ class _PoweredCamera:
 
     def status(self) -> dict[str, object]:
         owner = self.privilege.owner
-        late_us = np.array(self.acquisition.lateness_ns or [0]) / 1e3
+        p50, p99, most = np.percentile(np.array(self.acquisition.lateness_ns or [0]) / 1e3, (50, 99, 100)).round(1)
         return {
             "user_id": self.registers["DeviceUserID"],
             "controller": f"{owner[0]}:{owner[1]}" if owner else "",
@@ -177,20 +169,17 @@ class _PoweredCamera:
             "frame_rate": round(float(1 / self._timing.period_s), 3),
             "trigger": self._timing.source,
             "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
-            "late_us": {
-                name: round(float(np.percentile(late_us, q)), 1) for name, q in (("p50", 50), ("p99", 99), ("max", 100))
-            },
+            "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         }
 
     def _set_identity(self, description: bytes, user_id: str) -> None:
-        url = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
-        self.registers["FirstUrl"] = url
+        self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
         self.registers["DeviceUserID"] = user_id
         self.registers["PtpClockID"] = 0x0200_00FF_FE00_0000 | self.registers.integer("CurrentIp") & 0xFFFFFF
 
     def _hook_device_features(self) -> None:
         r, clock = self.registers, self._clock
-        r.reads["DeviceTemperature"] = _temperature
+        r.reads["DeviceTemperature"] = lambda: STEADY_C + SWING_C * math.sin(2 * math.pi * time.time() / SWING_S)
         r.reads["GvcpCapability"] = self._capability
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
@@ -231,7 +220,7 @@ class _PoweredCamera:
         camera.loop.call_at(time.time_ns(), restart)  # the answer to the command leaves first
 
     def _load_defaults(self) -> None:
-        kept = {key: self.registers[key] for key in _KEPT_BY_USER_SET}
+        kept = {key: self.registers[key] for key in KEPT_BY_USER_SET}
         self.acquisition.stop()
         self.registers.reset()
         for key, value in kept.items():
@@ -239,24 +228,3 @@ class _PoweredCamera:
         self._imaging.region.reset()
         self._timing.reset()
         self._clock.enable_ptp(False)
-
-
-_KEPT_BY_USER_SET = (
-    "FirstUrl",
-    "DeviceUserID",
-    "PtpClockID",
-    "ControlPrivilege",
-    "PrimaryPort",
-    "PrimaryAddress",
-    "GevHeartbeatTimeout",
-    "PacketSizeWord",
-    "GevSCPHostPort",
-    "GevSCDA",
-    "GevSCSP",
-    "GevSCPD",
-    "GevSCCFG",
-)
-
-
-def _temperature() -> float:
-    return STEADY_C + SWING_C * math.sin(2 * math.pi * time.time() / SWING_S)

@@ -30,6 +30,10 @@ _AXES = (
     ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
     ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
 )
+_REFRESHING = (
+    *("Width", "Height", "OffsetX", "OffsetY"),
+    *("BinningHorizontal", "BinningVertical", "PixelFormat", "ChunkModeActive"),
+)
 _STEP = 4
 _CHUNK_BYTES = len(encode_chunk(0, bytes(8)))
 _NOISE_PIXELS = 1 << 21
@@ -135,16 +139,7 @@ class Region:
     def __init__(self, registers: Registers) -> None:
         self._registers = registers
         self.enabled_chunks: set[str] = set()
-        for key in (
-            "Width",
-            "Height",
-            "OffsetX",
-            "OffsetY",
-            "BinningHorizontal",
-            "BinningVertical",
-            "PixelFormat",
-            "ChunkModeActive",
-        ):
+        for key in _REFRESHING:
             registers.writes[key] = self.refresh
         registers.reads["ChunkEnable"] = lambda: int(registers.label("ChunkSelector") in self.enabled_chunks)
         registers.writes["ChunkEnable"] = self._chunk_written
