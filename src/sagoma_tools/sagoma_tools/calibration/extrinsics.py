@@ -70,11 +70,8 @@ def _detect_floor(
     corners = read_corners(request.corners) if request.corners is not None else {}
     unknown = sorted(set(corners) - set(sources.names) - set(request.without))
     if unknown:
-        raise InputError(
-            f"there is no camera '{unknown[0]}'",
-            where=str(request.corners),
-            remedy=f"Known cameras: {', '.join(sources.names)}.",
-        )
+        remedy = f"Known cameras: {', '.join(sources.names)}."
+        raise InputError(f"there is no camera '{unknown[0]}'", where=str(request.corners), remedy=remedy)
     floor = sources.detect_floor(board, cameras, corners)
     if request.click is not None and floor:
         clicked = click_missing(request, floor, cameras, board, console)
@@ -141,11 +138,8 @@ def click_missing(
     wanted = [name for name in request.click or [name for name, seen in floor.items() if not seen.detections]]
     unknown = sorted(set(wanted) - set(floor))
     if unknown:
-        raise InputError(
-            f"there is no picture of the floor by '{unknown[0]}'",
-            where="--click",
-            remedy=f"Cameras with one: {', '.join(sorted(floor))}.",
-        )
+        remedy = f"Cameras with one: {', '.join(sorted(floor))}."
+        raise InputError(f"there is no picture of the floor by '{unknown[0]}'", where="--click", remedy=remedy)
     if not wanted:
         return {}
     from .click_window import click_corners, open_display  # matplotlib takes a second to load

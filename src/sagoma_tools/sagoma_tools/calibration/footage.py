@@ -160,11 +160,8 @@ def _one_piece(camera: str, entries: list[Path], source: str) -> list[Path]:
     unnumbered = [entry for entry in entries if _kind(entry) != "still" or _number(entry, camera) is None]
     if unnumbered:
         others = ", ".join(entry.name for entry in entries[:4])
-        raise InputError(
-            f"camera '{camera}' has several pieces of footage ({others})",
-            where=source,
-            remedy=f"Take one away, or name it: {camera}={unnumbered[0]}.",
-        )
+        remedy = f"Take one away, or name it: {camera}={unnumbered[0]}."
+        raise InputError(f"camera '{camera}' has several pieces of footage ({others})", where=source, remedy=remedy)
     return entries
 
 
@@ -173,11 +170,8 @@ def _video_or_stills(files: list[Path], source: str) -> list[Path]:
     if not files:
         raise InputError("holds no video and no still", where=source, remedy=HELP)
     if videos and len(files) > 1:
-        raise InputError(
-            f"holds {len(files)} files, of which {videos[0].name} is a video",
-            where=source,
-            remedy="Give one video a camera, or stills only.",
-        )
+        remedy = "Give one video a camera, or stills only."
+        raise InputError(f"holds {len(files)} files, of which {videos[0].name} is a video", where=source, remedy=remedy)
     return files
 
 
@@ -185,11 +179,8 @@ def _existing(path: Path, source: str) -> Path:
     if not path.is_file():
         raise InputError("does not exist", where=source, remedy=HELP)
     if not _kind(path):
-        raise InputError(
-            f"'{path.suffix}' is neither a video nor a still",
-            where=source,
-            remedy=f"Known are {', '.join(VIDEOS + STILLS)}.",
-        )
+        remedy = f"Known are {', '.join(VIDEOS + STILLS)}."
+        raise InputError(f"'{path.suffix}' is neither a video nor a still", where=source, remedy=remedy)
     return path
 
 

@@ -157,11 +157,8 @@ def save_results(folder: Path, result: Intrinsics, board: Board, source: str) ->
 
         draw(result).savefig(picture, dpi=PICTURE_DPI)
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})",
-            where=str(folder),
-            remedy="Name a folder that may be written (--output).",
-        ) from None
+        remedy = "Name a folder that may be written (--output)."
+        raise InputError(f"cannot be written ({error.strerror})", where=str(folder), remedy=remedy) from None
     return [info, report, picture]
 
 

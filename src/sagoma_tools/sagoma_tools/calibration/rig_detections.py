@@ -178,11 +178,8 @@ def _in_one(
             detections.append(detection)
         progress()
     if picture is None:
-        raise InputError(
-            f"has no frame {only}" if only is not None else "has no frame",
-            where=footage.name,
-            remedy="Give a frame that exists, or footage that can be decoded.",
-        )
+        what = f"has no frame {only}" if only is not None else "has no frame"
+        raise InputError(what, where=footage.name, remedy="Give a frame that exists, or footage that can be decoded.")
     return CameraDetections(
         footage.name, tuple(detections), examined, blurred, picture, None if detections else refused
     )
@@ -229,11 +226,8 @@ class FootageSources(RigSources):
         every = self._floor.keys() | self._moving.keys() | self._wand.keys()
         unknown = sorted(set(without) - every)
         if unknown:
-            raise InputError(
-                f"there is no footage of camera '{unknown[0]}' to leave out",
-                where="--without",
-                remedy=f"Known cameras: {', '.join(sorted(every))}.",
-            )
+            what = f"there is no footage of camera '{unknown[0]}' to leave out"
+            raise InputError(what, where="--without", remedy=f"Known cameras: {', '.join(sorted(every))}.")
         self.names = tuple(sorted(every - set(without)))
         self._console = console
 

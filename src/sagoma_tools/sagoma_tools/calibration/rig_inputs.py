@@ -165,18 +165,12 @@ def _part(document: Mapping[str, Any], key: str, path: str | Path) -> list[tuple
 
 def _detection(camera: CameraModel, seen: Any, order: Mapping[str, int], where: str) -> TargetDetection:
     if not isinstance(seen, Mapping) or len(seen) < FEWEST_POINTS:
-        raise InputError(
-            f"shows fewer than {FEWEST_POINTS} points",
-            where=where,
-            remedy="Measure more points, spread over what the camera sees.",
-        )
+        remedy = "Measure more points, spread over what the camera sees."
+        raise InputError(f"shows fewer than {FEWEST_POINTS} points", where=where, remedy=remedy)
     unknown = sorted(set(map(str, seen)) - set(order))
     if unknown:
-        raise InputError(
-            f"point '{unknown[0]}' is not among the measured ones",
-            where=where,
-            remedy=f"Known points: {', '.join(order)}.",
-        )
+        remedy = f"Known points: {', '.join(order)}."
+        raise InputError(f"point '{unknown[0]}' is not among the measured ones", where=where, remedy=remedy)
     pixels = np.array([_numbers(uv, (2,), f"{where}.{name}") for name, uv in seen.items()])
     ids = np.array([order[str(name)] for name in seen], np.int64)
     return TargetDetection(camera.name, 0, ids, pixels, (camera.width, camera.height), FLOOR, CLICKED_SD_PX)
@@ -239,16 +233,12 @@ def _read(folder: Path, name: str) -> CameraModel:
     if not path.is_file():
         files = sorted(file.stem for file in folder.glob("*.yaml") if not file.stem.endswith(".report"))
         there = f"it holds {', '.join(files)}" if files else "it holds no .yaml file"
-        raise InputError(
-            f"there is no {path.name} with the intrinsics of camera '{name}'; {there}",
-            where=str(folder),
-            remedy=f"{CALIBRATE}, rename the footage or the file, or leave the camera out (--without {name}).",
-        )
+        what = f"there is no {path.name} with the intrinsics of camera '{name}'; {there}"
+        remedy = f"{CALIBRATE}, rename the footage or the file, or leave the camera out (--without {name})."
+        raise InputError(what, where=str(folder), remedy=remedy)
     camera = read_camera_info(path)
     if camera.name != name:
-        raise InputError(
-            f"camera_name = '{camera.name}', but the footage is called '{name}'",
-            where=str(path),
-            remedy="If the file belongs to this camera, correct camera_name in it; else give the right folder.",
-        )
+        what = f"camera_name = '{camera.name}', but the footage is called '{name}'"
+        remedy = "If the file belongs to this camera, correct camera_name in it; else give the right folder."
+        raise InputError(what, where=str(path), remedy=remedy)
     return camera

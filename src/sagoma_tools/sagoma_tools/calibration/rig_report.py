@@ -59,11 +59,8 @@ def write_outputs(
         save_rig(calibrated.placed.rig, path)
         written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})",
-            where=str(path),
-            remedy="Name a file in a folder that may be written (--output).",
-        ) from None
+        remedy = "Name a file in a folder that may be written (--output)."
+        raise InputError(f"cannot be written ({error.strerror})", where=str(path), remedy=remedy) from None
     figures = {camera.name: camera for camera in calibrated.figures.cameras}
     written.append(
         draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))

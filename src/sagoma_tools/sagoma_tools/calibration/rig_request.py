@@ -55,11 +55,8 @@ class RigRequest:
 def read_boards(board: str | None, floor_board: str | None, needed: bool) -> tuple[Board | None, Board | None]:
     """The carried board and the one on the floor; the latter is the former where it is not given."""
     if board is None and floor_board is None and needed:
-        raise InputError(
-            "no board is described",
-            where="--board",
-            remedy='Say what was printed, e.g. --board "checkerboard 9x6 25mm".',
-        )
+        remedy = 'Say what was printed, e.g. --board "checkerboard 9x6 25mm".'
+        raise InputError("no board is described", where="--board", remedy=remedy)
     carried = read_board(board) if board is not None else None
     lying = read_board(floor_board) if floor_board is not None else carried
     return carried or lying, lying
@@ -71,11 +68,8 @@ def read_choice(origin: str, heading_deg: float, thickness_m: float) -> WorldCho
         if not math.isfinite(value):
             raise InputError(f"{value} is no number to measure with", where=name, remedy="Give a finite number.")
     if not 0.0 <= thickness_m < 0.5:
-        raise InputError(
-            f"{thickness_m} m is no board's thickness",
-            where="--board-thickness",
-            remedy="Give metres: 0.005 for a foam board of 5 mm.",
-        )
+        remedy = "Give metres: 0.005 for a foam board of 5 mm."
+        raise InputError(f"{thickness_m} m is no board's thickness", where="--board-thickness", remedy=remedy)
     heading = math.radians(heading_deg)
     if origin == CENTRE:
         return WorldChoice(CENTRE, heading, thickness_m)
@@ -103,11 +97,8 @@ def read_floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorA
     if text == "last":
         return "last"
     if not text.isdigit():
-        raise InputError(
-            f"'{text}' is no frame",
-            where="--floor-at",
-            remedy="Give a frame's number (from 0), first, last, lowest, or none.",
-        )
+        remedy = "Give a frame's number (from 0), first, last, lowest, or none."
+        raise InputError(f"'{text}' is no frame", where="--floor-at", remedy=remedy)
     return int(text)
 
 

@@ -165,11 +165,8 @@ def select_clients(names: Sequence[str], cameras: Sequence[str] | None) -> list[
     by_camera = {camera_of(name): name for name in names}
     absent = sorted(set(cameras) - set(by_camera))
     if absent:
-        raise InputError(
-            f"no client of {', '.join(absent)} is there",
-            where="--cameras",
-            remedy=f"There are: {', '.join(sorted(by_camera))}.",
-        )
+        remedy = f"There are: {', '.join(sorted(by_camera))}."
+        raise InputError(f"no client of {', '.join(absent)} is there", where="--cameras", remedy=remedy)
     return [by_camera[camera] for camera in sorted(set(cameras))]
 
 

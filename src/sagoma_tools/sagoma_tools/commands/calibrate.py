@@ -77,11 +77,8 @@ def write_board(args: argparse.Namespace) -> int:
 def calibrate_cameras(args: argparse.Namespace) -> int:
     """Calibrate every camera's lens; 0 when all results are usable, 1 when a camera must be done again."""
     if bool(args.sources) == bool(args.topic):
-        raise InputError(
-            "give either footage or --topic",
-            where="sagoma calibrate intrinsics",
-            remedy="For example: sagoma calibrate intrinsics FOLDER --board 'checkerboard 9x6 25mm'.",
-        )
+        remedy = "For example: sagoma calibrate intrinsics FOLDER --board 'checkerboard 9x6 25mm'."
+        raise InputError("give either footage or --topic", where="sagoma calibrate intrinsics", remedy=remedy)
     board, console = read_board(args.board), table_console(stderr=args.json)
     failures: list[InputError] = []
     if args.topic:

@@ -121,11 +121,8 @@ def request_from(args: argparse.Namespace) -> RigRequest:
     if not args.live and not (args.floor or moving or args.wand or args.floor_points):
         raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
     if args.live and (args.floor or moving or args.wand):
-        raise InputError(
-            "pictures come from the cameras",
-            where="--live",
-            remedy="Leave out the footage; write --moving alone to record a carried board.",
-        )
+        remedy = "Leave out the footage; write --moving alone to record a carried board."
+        raise InputError("pictures come from the cameras", where="--live", remedy=remedy)
     if args.floor and args.floor_points:
         raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
     has_floor = bool(args.floor or args.floor_points or args.live)

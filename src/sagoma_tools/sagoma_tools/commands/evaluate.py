@@ -80,11 +80,8 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
 def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, Track], int]:
     """The track in a bag that was recorded on the session, the thesis's track where it is wanted, and frames."""
     if args.ablation:
-        raise InputError(
-            "a bag holds one track and no variants of it",
-            where="--ablation",
-            remedy=f"Run sagoma evaluate {session.folder} --ablation.",
-        )
+        remedy = f"Run sagoma evaluate {session.folder} --ablation."
+        raise InputError("a bag holds one track and no variants of it", where="--ablation", remedy=remedy)
     clock = clock_of_bag(bag, session)
     tracks = {OURS: track_from_bag(bag, clock.frame_of).between(0, clock.frames)}
     if args.thesis and not session.videos:
@@ -98,11 +95,8 @@ def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict
 def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track], int]:
     """The session tracked with the given settings, by the thesis's method, and by every row of an ablation; frames."""
     if args.ablation and session.truth is None:
-        raise InputError(
-            "has no truth.csv or reference*.csv to compare with",
-            where=args.session,
-            remedy="Leave out --ablation, or give a session with a truth.",
-        )
+        remedy = "Leave out --ablation, or give a session with a truth."
+        raise InputError("has no truth.csv or reference*.csv to compare with", where=args.session, remedy=remedy)
     settings = _settings(args, session)
     variants = ablation_rows(settings)
     if not args.ablation:

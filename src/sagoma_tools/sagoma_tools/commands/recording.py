@@ -106,17 +106,11 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
 def check_replay(args: argparse.Namespace) -> None:
     """Raises InputError for arguments that do not go together, before anything is started."""
     if args.graph != (args.output is not None) or (args.graph and not args.lockstep):
-        raise InputError(
-            "--graph and --output belong together, with --lockstep",
-            where="arguments",
-            remedy="Write `sagoma replay BAG --graph --lockstep --output OUT`.",
-        )
+        remedy = "Write `sagoma replay BAG --graph --lockstep --output OUT`."
+        raise InputError("--graph and --output belong together, with --lockstep", where="arguments", remedy=remedy)
     if args.rate <= 0:
-        raise InputError(
-            f"--rate {args.rate:g} is not a speed",
-            where="arguments",
-            remedy="Give a factor above 0, or --lockstep for as fast as the graph can.",
-        )
+        remedy = "Give a factor above 0, or --lockstep for as fast as the graph can."
+        raise InputError(f"--rate {args.rate:g} is not a speed", where="arguments", remedy=remedy)
     if args.output is not None:
         require_new(args.output)
 
@@ -137,11 +131,8 @@ def compare(args: argparse.Namespace) -> int:
     """Print one line a topic with its SHA-256; 0 when all agree."""
     topics = args.topics or sorted({*default_comparison(args.a), *default_comparison(args.b)})
     if not topics:
-        raise InputError(
-            "neither bag holds an output of the graph",
-            where=f"{args.a}, {args.b}",
-            remedy="Name the topics to compare with --topics.",
-        )
+        remedy = "Name the topics to compare with --topics."
+        raise InputError("neither bag holds an output of the graph", where=f"{args.a}, {args.b}", remedy=remedy)
     digests_a, digests_b = bag_digest(args.a, topics), bag_digest(args.b, topics)
     different = [topic for topic in topics if digests_a[topic] != digests_b[topic]]
     for topic in topics:

@@ -31,19 +31,13 @@ def check_calibration(calibration: Calibration, settings: CameraClientSettings) 
     """Report whether the camera's lens and pose are known."""
     camera = calibration.camera
     if camera is None:
-        return note(
-            "rig.uncalibrated",
-            "not calibrated yet: it sends images, no silhouettes",
-            f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD",
-        )
+        remedy = f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD"
+        return note("rig.uncalibrated", "not calibrated yet: it sends images, no silhouettes", remedy)
     size = f"{camera.name}, {camera.width} x {camera.height} pixels"
     if calibration.placed:
         return ok("rig", f"{settings.rig_file}: {size}")
-    return note(
-        "rig.lens_only",
-        f"{settings.camera_info_file}: {size}; its lens is known, its place is not",
-        "sagoma calibrate extrinsics, then name the rig file in rig_file.",
-    )
+    remedy = "sagoma calibrate extrinsics, then name the rig file in rig_file."
+    return note("rig.lens_only", f"{settings.camera_info_file}: {size}; its lens is known, its place is not", remedy)
 
 
 def check_background(
@@ -79,31 +73,22 @@ def _check_learned_exposure(facts: BackgroundFacts, settings: CameraClientSettin
     except ValueError:  # it is not written in the file
         return
     if wanted > 0 and abs(learned - wanted) > EXPOSURE_TOLERANCE * wanted:
-        yield warning(
-            "background.exposure_differs",
-            f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}",
-            learn,
-        )
+        text = f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}"
+        yield warning("background.exposure_differs", text, learn)
 
 
 def check_timing(settings: CameraClientSettings) -> Iterator[Finding]:
     """Check that the exposure fits the frame rate, and name settings that are left to the camera."""
     exposure_us, rate = settings.aravis.exposure_us, settings.aravis.frame_rate
     if exposure_us > 0 and rate > 0 and exposure_us * 1e-6 * rate >= 1:
-        yield error(
-            "exposure.longer_than_frame",
-            f"{exposure_us:g} us do not fit {rate:g} frames a second (at most {1e6 / rate:.0f} us)",
-            "Shorten aravis.exposure_us or lower aravis.frame_rate.",
-        )
+        text = f"{exposure_us:g} us do not fit {rate:g} frames a second (at most {1e6 / rate:.0f} us)"
+        yield error("exposure.longer_than_frame", text, "Shorten aravis.exposure_us or lower aravis.frame_rate.")
     elif exposure_us > 0 and rate > 0:
         yield ok("exposure", f"{exposure_us:g} us at {rate:g} frames a second")
     for key, value in (("exposure_us", exposure_us), ("gain", settings.aravis.gain), ("frame_rate", rate)):
         if value < 0:
-            yield note(
-                "settings.left_to_camera",
-                f"aravis.{key} is left as the camera has it",
-                "Set it: cameras lose their settings when they lose power.",
-            )
+            remedy = "Set it: cameras lose their settings when they lose power."
+            yield note("settings.left_to_camera", f"aravis.{key} is left as the camera has it", remedy)
 
 
 NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
@@ -147,11 +132,8 @@ def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) 
     except InputError as problem:
         yield error("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy)
     if file.settings.camera_name not in ("", file.name):
-        yield warning(
-            "file.names_differ",
-            f"its key names {file.name}, camera_name says '{file.settings.camera_name}'",
-            "Give both the same name.",
-        )
+        text = f"its key names {file.name}, camera_name says '{file.settings.camera_name}'"
+        yield warning("file.names_differ", text, "Give both the same name.")
     if camera is not None:
         shape = (camera.height, camera.width)
         yield from check_background(collect_background(file.settings, shape), camera, file.settings)
@@ -206,11 +188,8 @@ def _examine_live(file: CameraFile, host: HostFacts, open_it: bool) -> Iterator[
     yield from check_timing(file.settings)
     yield from check_receive_buffer(host, settings)
     if not settings.address:
-        yield note(
-            "camera.no_address",
-            "found by broadcast when the client starts; not asked here",
-            "Give aravis.address to have it examined.",
-        )
+        remedy = "Give aravis.address to have it examined."
+        yield note("camera.no_address", "found by broadcast when the client starts; not asked here", remedy)
     else:
         interface = collect_interface(settings.address)
         yield from check_interface(interface, settings.address, settings)
@@ -235,21 +214,15 @@ def _opened(file: CameraFile) -> Iterator[Finding]:
 
 
 def _unopened(file: CameraFile) -> Iterator[Finding]:
-    yield note(
-        "opened.not_tried",
-        "PTP, temperature and features are known only to the program that controls the camera",
-        "Run again with --open while no client runs.",
-    )
+    text = "PTP, temperature and features are known only to the program that controls the camera"
+    yield note("opened.not_tried", text, "Run again with --open while no client runs.")
 
 
 def _camera_info(settings: CameraClientSettings) -> Iterator[Finding]:
     path = settings.camera_info_file
     if path and not Path(path).exists():
-        yield note(
-            "camera_info.missing",
-            f"{path} does not exist yet: the rig's intrinsics are in use",
-            "Calibrate the camera: set_camera_info writes it.",
-        )
+        remedy = "Calibrate the camera: set_camera_info writes it."
+        yield note("camera_info.missing", f"{path} does not exist yet: the rig's intrinsics are in use", remedy)
     elif path:
         yield ok("camera_info", f"intrinsics of {path}")
 

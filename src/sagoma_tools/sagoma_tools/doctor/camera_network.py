@@ -31,11 +31,8 @@ ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
 def check_interface(facts: InterfaceFacts | None, address: str, settings: AravisSettings) -> Iterator[Finding]:
     """Check that an interface leads to the camera and carries large packets."""
     if facts is None:
-        yield error(
-            "interface.none",
-            f"there is no way to {address} from this machine",
-            f"Give an interface an address in the camera's subnet; see: ip route get {address}",
-        )
+        remedy = f"Give an interface an address in the camera's subnet; see: ip route get {address}"
+        yield error("interface.none", f"there is no way to {address} from this machine", remedy)
         return
     if not facts.up:
         yield error(
@@ -45,21 +42,15 @@ def check_interface(facts: InterfaceFacts | None, address: str, settings: Aravis
     yield ok("interface", f"{facts.name}, {facts.address}/{facts.netmask}, MTU {facts.mtu}")
     jumbo = f"sudo ip link set {facts.name} mtu {JUMBO_MTU} (and the same on the switch)"
     if settings.packet_size > facts.mtu:
-        yield error(
-            "mtu.packet_too_large",
-            f"aravis.packet_size = {settings.packet_size}, but the MTU of {facts.name} is {facts.mtu}",
-            f"{jumbo}, or a smaller packet_size, or 0: the largest that passes",
-        )
+        text = f"aravis.packet_size = {settings.packet_size}, but the MTU of {facts.name} is {facts.mtu}"
+        yield error("mtu.packet_too_large", text, f"{jumbo}, or a smaller packet_size, or 0: the largest that passes")
     elif facts.mtu < JUMBO_MTU and not facts.loopback:
         yield warning(
             "mtu.no_jumbo_frames", f"{facts.name} carries packets of {facts.mtu} bytes: six times the interrupts", jumbo
         )
     if 0 < facts.speed_mbit < GIGABIT and not facts.loopback:
-        yield warning(
-            "speed.slow",
-            f"{facts.name} runs at {facts.speed_mbit} Mbit/s",
-            "Check cable and switch: GigE Vision needs 1000 Mbit/s or more.",
-        )
+        remedy = "Check cable and switch: GigE Vision needs 1000 Mbit/s or more."
+        yield warning("speed.slow", f"{facts.name} runs at {facts.speed_mbit} Mbit/s", remedy)
 
 
 def check_device(facts: DeviceFacts, settings: AravisSettings, interface: InterfaceFacts | None) -> Iterator[Finding]:
@@ -70,31 +61,22 @@ def check_device(facts: DeviceFacts, settings: AravisSettings, interface: Interf
     yield ok("camera", f"{facts.name}, serial {facts.serial}, answers at {facts.address}")
     for key, wanted, got in (("serial", settings.serial, facts.serial), ("user_id", settings.user_id, facts.user_id)):
         if wanted and wanted != got:
-            yield error(
-                f"{key}.differs",
-                f"the camera at {facts.address} has {key} '{got}', aravis.{key} asks for '{wanted}'",
-                f"Correct aravis.address or aravis.{key}.",
-            )
+            text = f"the camera at {facts.address} has {key} '{got}', aravis.{key} asks for '{wanted}'"
+            yield error(f"{key}.differs", text, f"Correct aravis.address or aravis.{key}.")
     yield from _check_subnet(facts, interface)
     yield from _check_control(facts, interface)
     yield from _check_ptp(facts, settings)
     if facts.can_resend is False:
-        yield warning(
-            "resend.unsupported",
-            "the camera cannot send a packet again: each one lost costs a frame",
-            "Use its own cable to this machine, and jumbo frames.",
-        )
+        text = "the camera cannot send a packet again: each one lost costs a frame"
+        yield warning("resend.unsupported", text, "Use its own cable to this machine, and jumbo frames.")
 
 
 def check_bandwidth(streams: Sequence[Stream], interface: InterfaceFacts | None, packet_size: int) -> Iterator[Finding]:
     """Check that all cameras on this interface fit its link; ``streams`` holds this camera first."""
     unknown = [stream.camera for stream in streams if not stream.frame_rate]
     if unknown:
-        yield note(
-            "bandwidth.rate_unknown",
-            f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera",
-            "Set it, so that all cameras run at one rate.",
-        )
+        text = f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera"
+        yield note("bandwidth.rate_unknown", text, "Set it, so that all cameras run at one rate.")
         return
     if interface is None:
         return
@@ -144,11 +126,8 @@ def _check_subnet(facts: DeviceFacts, interface: InterfaceFacts | None) -> Itera
     theirs = ipaddress.IPv4Interface(f"{facts.own_address}/{facts.subnet_mask}").network
     if ipaddress.IPv4Address(facts.own_address) in ours and ipaddress.IPv4Address(interface.address) in theirs:
         return
-    yield warning(
-        "subnet.differs",
-        f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router",
-        "Put both into one subnet (the maker's IP tool, or DHCP).",
-    )
+    text = f"the camera is in {theirs}, {interface.name} in {ours}: images come through a router"
+    yield warning("subnet.differs", text, "Put both into one subnet (the maker's IP tool, or DHCP).")
 
 
 def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding]:
@@ -166,11 +145,8 @@ def _check_ptp(facts: DeviceFacts, settings: AravisSettings) -> Iterator[Finding
         )
     else:
         # the capability bit is of GigE Vision 2.0; older cameras may have PTP all the same
-        yield warning(
-            "ptp.unsupported",
-            f"{what}, and the camera does not announce it",
-            "See with --open; else set aravis.sync to line or software, stamp_source to camera.",
-        )
+        remedy = "See with --open; else set aravis.sync to line or software, stamp_source to camera."
+        yield warning("ptp.unsupported", f"{what}, and the camera does not announce it", remedy)
 
 
 def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iterator[Finding]:
@@ -179,17 +155,11 @@ def _check_control(facts: DeviceFacts, interface: InterfaceFacts | None) -> Iter
     elif not facts.controlled:
         yield ok("control", "no program controls the camera: it can be opened")
     elif interface is not None and facts.controller == interface.address:
-        yield note(
-            "control.local",
-            f"a program on this machine ({facts.controller}) controls the camera",
-            "Nothing, if that is the camera client; else stop it.",
-        )
+        remedy = "Nothing, if that is the camera client; else stop it."
+        yield note("control.local", f"a program on this machine ({facts.controller}) controls the camera", remedy)
     else:
-        yield warning(
-            "control.taken",
-            f"{facts.controller or 'another program'} controls the camera",
-            "Stop the program there; a camera has one controller.",
-        )
+        remedy = "Stop the program there; a camera has one controller."
+        yield warning("control.taken", f"{facts.controller or 'another program'} controls the camera", remedy)
 
 
 def ask_camera(address: str) -> DeviceFacts:

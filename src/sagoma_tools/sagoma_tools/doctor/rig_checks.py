@@ -53,11 +53,8 @@ def check_rig(facts: RigFacts) -> Iterator[Finding]:
     yield from check_report(facts.report, CALIBRATE)
     bare = [camera.name for camera in facts.cameras if camera.name not in facts.reports]
     if bare:
-        yield note(
-            "reports.no_lens",
-            f"there is none of the lens of {', '.join(bare)}",
-            f"{CALIBRATE_LENS}, or say with --intrinsics where they are.",
-        )
+        remedy = f"{CALIBRATE_LENS}, or say with --intrinsics where they are."
+        yield note("reports.no_lens", f"there is none of the lens of {', '.join(bare)}", remedy)
     yield from _check_number(facts)
     yield from _check_common_view(facts)
     yield from _check_pairs(facts)
@@ -105,19 +102,13 @@ def check_footage(facts: FootageFacts, camera: CameraGeometry) -> Iterator[Findi
     if facts.error:
         yield error("footage.unreadable", facts.error, "Record the session again, or mend the file.")
     elif facts.size != camera.size:
-        yield error(
-            "footage.size_differs",
-            f"is {facts.size[0]} x {facts.size[1]} pixels, the camera was calibrated at {width} x {height}",
-            "Record at the calibrated size, or calibrate at the recorded one.",
-        )
+        text = f"is {facts.size[0]} x {facts.size[1]} pixels, the camera was calibrated at {width} x {height}"
+        yield error("footage.size_differs", text, "Record at the calibrated size, or calibrate at the recorded one.")
     else:
         yield ok("footage", f"{facts.frames} frames of {width} x {height} pixels")
     if facts.background_size is not None and facts.background_size != camera.size:
-        yield error(
-            "background.size_differs",
-            f"is {facts.background_size[0]} x {facts.background_size[1]} pixels, the camera {width} x {height}",
-            "Record the empty room at the camera's size.",
-        )
+        text = f"is {facts.background_size[0]} x {facts.background_size[1]} pixels, the camera {width} x {height}"
+        yield error("background.size_differs", text, "Record the empty room at the camera's size.")
 
 
 def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
@@ -125,11 +116,8 @@ def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
     frames = {facts.camera: facts.frames for facts in footage if not facts.error}
     if len(set(frames.values())) > 1:
         lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
-        yield warning(
-            "footage.lengths_differ",
-            f"the videos have different numbers of frames ({lengths})",
-            "Cut them so that frame k of all was taken at the same instant.",
-        )
+        remedy = "Cut them so that frame k of all was taken at the same instant."
+        yield warning("footage.lengths_differ", f"the videos have different numbers of frames ({lengths})", remedy)
     bare = [facts.camera for facts in footage if not facts.error and facts.background_size is None]
     if bare:
         yield error(
@@ -142,11 +130,8 @@ def _check_number(facts: RigFacts) -> Iterator[Finding]:
     if number < ENOUGH_CAMERAS:
         yield error("cameras.too_few", f"{number} cannot carve a body", "Use four cameras or more; three at the least.")
     elif number == ENOUGH_CAMERAS:
-        yield note(
-            "cameras.three",
-            "three: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted",
-            "Add one or two where there is room.",
-        )
+        text = "three: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted"
+        yield note("cameras.three", text, "Add one or two where there is room.")
     sizes = {camera.size for camera in facts.cameras}
     if len(sizes) > 1:
         yield note(
@@ -171,23 +156,14 @@ def _check_pairs(facts: RigFacts) -> Iterator[Finding]:
         angle = angle_deg(one.direction_world, other.direction_world)
         pair = f"{one.name} and {other.name}"
         if apart_m < SAME_PLACE_M:
-            yield error(
-                "cameras.same_place",
-                f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?",
-                f"{CALIBRATE}; check which file is whose.",
-            )
+            text = f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?"
+            yield error("cameras.same_place", text, f"{CALIBRATE}; check which file is whose.")
         elif angle > 180.0 - SAME_OUTLINE_DEG:
-            yield warning(
-                "cameras.opposite",
-                f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored",
-                "Move one of them sideways by an eighth of the circle, or higher.",
-            )
+            text = f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored"
+            yield warning("cameras.opposite", text, "Move one of them sideways by an eighth of the circle, or higher.")
         elif angle < SAME_OUTLINE_DEG:
-            yield warning(
-                "cameras.parallel",
-                f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline",
-                "Spread the cameras around the volume.",
-            )
+            text = f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline"
+            yield warning("cameras.parallel", text, "Spread the cameras around the volume.")
 
 
 def _check_age(report: ReportFacts, again: str) -> Iterator[Finding]:
@@ -228,23 +204,14 @@ def _check_place(camera: CameraGeometry) -> Iterator[Finding]:
     elif height > HIGH_M:
         yield warning("place.high", f"it hangs {height:.1f} m above the floor", again)
     elif height < LOW_M:
-        yield note(
-            "place.low",
-            f"it stands {height:.2f} m above the floor: feet and limbs hide each other",
-            "Raise it to 1.2 to 2.5 m.",
-        )
+        remedy = "Raise it to 1.2 to 2.5 m."
+        yield note("place.low", f"it stands {height:.2f} m above the floor: feet and limbs hide each other", remedy)
     if camera.sees < SEES_NOTHING:
-        yield error(
-            "view.nobody",
-            "it sees no person in the volume from soles to head",
-            f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up.",
-        )
+        remedy = f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up."
+        yield error("view.nobody", "it sees no person in the volume from soles to head", remedy)
     elif camera.mm_per_px > COARSE_MM_PER_PX:
-        yield warning(
-            "view.coarse",
-            f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m away",
-            "Use a longer lens, more pixels, or move it nearer.",
-        )
+        text = f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m away"
+        yield warning("view.coarse", text, "Use a longer lens, more pixels, or move it nearer.")
     else:
         yield ok(
             "view",

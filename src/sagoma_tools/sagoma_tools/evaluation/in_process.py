@@ -68,11 +68,8 @@ def track_variants(
             if state is not None:
                 states.append((frame, state))
     if not rows[0]:
-        raise InputError(
-            "no body was found in any frame",
-            where=str(session.folder),
-            remedy="Start from a T-pose, or give the reference of the first frame.",
-        )
+        remedy = "Start from a T-pose, or give the reference of the first frame."
+        raise InputError("no body was found in any frame", where=str(session.folder), remedy=remedy)
     return {name: Track.of_states(states) for name, states in zip(variants, rows, strict=True)}
 
 
@@ -91,11 +88,8 @@ def exact_silhouettes(session: Session) -> Iterator[Masks]:
     """Canvas masks of every camera from the session's exact silhouettes."""
     missing = [name for name in session.rig.names if name not in session.masks]
     if missing:
-        raise InputError(
-            f"there is no exact silhouette for {', '.join(missing)}",
-            where=str(session.folder),
-            remedy=f"Add {missing[0]}_mask.mp4, or segment the footage.",
-        )
+        what = f"there is no exact silhouette for {', '.join(missing)}"
+        raise InputError(what, where=str(session.folder), remedy=f"Add {missing[0]}_mask.mp4, or segment the footage.")
     views = {camera.name: camera.undistorted_view() for camera in session.rig.cameras}
     for images in _images(session.masks):
         yield {n: views[n].undistort_mask(np.where(i > 127, np.uint8(255), np.uint8(0))) for n, i in images.items()}

@@ -73,11 +73,8 @@ class StudioProcess:
         while self._child.log_tail(1) != "ready":
             if ended.wait(START_POLL_S) or time.monotonic() > deadline_s or (cancel is not None and cancel.is_set()):
                 self.close()
-                raise InputError(
-                    f"the studio did not start ({self._child.log_tail(2) or 'its log is empty'})",
-                    where=str(log),
-                    remedy="Correct what its log names.",
-                )
+                what = f"the studio did not start ({self._child.log_tail(2) or 'its log is empty'})"
+                raise InputError(what, where=str(log), remedy="Correct what its log names.")
         return self
 
     def ask(self, do: str, **words: Any) -> dict[str, Any]:

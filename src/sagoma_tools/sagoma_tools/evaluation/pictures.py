@@ -236,11 +236,8 @@ def write_overlay(path: Path, evaluated: TrackEvaluation, progress: Callable[[in
                 size = sheet.shape[1], sheet.shape[0]
                 writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODEC), session.fps, size)
                 if not writer.isOpened():
-                    raise InputError(
-                        f"a video with codec {CODEC} cannot be written",
-                        where=str(path),
-                        remedy="Install an OpenCV with FFmpeg, or name another folder.",
-                    )
+                    remedy = "Install an OpenCV with FFmpeg, or name another folder."
+                    raise InputError(f"a video with codec {CODEC} cannot be written", where=str(path), remedy=remedy)
             writer.write(sheet)
     finally:
         if writer is not None:

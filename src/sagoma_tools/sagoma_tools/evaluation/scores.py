@@ -141,11 +141,8 @@ def score(track: Track, truth: Truth) -> Scores:
     aligned = track.at(truth.frames)
     tracked = np.isfinite(aligned.points_world).all(axis=(1, 2))
     if not tracked.any():
-        raise InputError(
-            f"the track shares none of its {len(track.frames)} frames with the truth",
-            where=str(truth.source),
-            remedy="Check that track and truth are of the same session.",
-        )
+        what = f"the track shares none of its {len(track.frames)} frames with the truth"
+        raise InputError(what, where=str(truth.source), remedy="Check that track and truth are of the same session.")
     estimate, reference = truth.comparable(aligned.points_world), truth.points_world
     centred = metrics.without_offsets(estimate[tracked], reference[tracked])
     summary = metrics.summary(estimate[tracked], reference[tracked])

@@ -101,11 +101,8 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
             angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {ANGLES_TOPIC}")
     frames = sorted(set(points) & set(angles))
     if not frames:
-        raise InputError(
-            "holds no tracked body",
-            where=str(bag),
-            remedy=f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person.",
-        )
+        remedy = f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person."
+        raise InputError("holds no tracked body", where=str(bag), remedy=remedy)
     return Track(
         np.array(frames),
         np.stack([points[f][0] for f in frames]),
@@ -117,9 +114,6 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
 
 def _angles(message: Any, where: str) -> np.ndarray:
     if list(message.name) != list(ANGLE_NAMES):
-        raise InputError(
-            f"joint names {list(message.name)} are not the stick figure's",
-            where=where,
-            remedy="Give a bag that this graph recorded.",
-        )
+        remedy = "Give a bag that this graph recorded."
+        raise InputError(f"joint names {list(message.name)} are not the stick figure's", where=where, remedy=remedy)
     return np.array(message.position)

@@ -54,11 +54,9 @@ def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
     """
     found = settled(lambda: owners_of(node, SERVICE, SERVICE_TYPE), expect, wait_s)
     if len(found) < max(expect, 1):
-        raise InputError(
-            f"found {len(found)} camera clients, expected {max(expect, 1)}",
-            where="the ROS graph",
-            remedy="Start them (sagoma up --cameras FOLDER), or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE.",
-        )
+        what = f"found {len(found)} camera clients, expected {max(expect, 1)}"
+        remedy = "Start them (sagoma up --cameras FOLDER), or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE."
+        raise InputError(what, where="the ROS graph", remedy=remedy)
     return found
 
 
@@ -143,11 +141,8 @@ def learn_backgrounds(supervisor: Supervisor, timeout_s: float = TIMEOUT_S) -> d
     outcomes = train_backgrounds(supervisor.node, supervisor.diagnostics, names, timeout_s)
     failed = [outcome for outcome in outcomes if outcome.grade == REDO]
     if failed:
-        raise InputError(
-            "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed),
-            where="learning the background",
-            remedy="Clear the scene and try again.",
-        )
+        what = "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed)
+        raise InputError(what, where="learning the background", remedy="Clear the scene and try again.")
     return {outcome.camera: outcome.message for outcome in outcomes}
 
 

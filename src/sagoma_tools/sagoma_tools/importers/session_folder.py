@@ -26,11 +26,8 @@ def new_session_folder(folder: str | Path) -> Iterator[Path]:
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(
-            "exists and is not an empty folder",
-            where=str(folder),
-            remedy="Give the path of a new folder, or remove this one yourself.",
-        )
+        remedy = "Give the path of a new folder, or remove this one yourself."
+        raise InputError("exists and is not an empty folder", where=str(folder), remedy=remedy)
     partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
     partial.mkdir(parents=True)
     try:
@@ -52,11 +49,8 @@ class FootageFile:
         fourcc = cv2.VideoWriter.fourcc(*CODEC)
         self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, image.ndim == 3)
         if not self._writer.isOpened():
-            raise InputError(
-                f"a video with codec {CODEC} cannot be written",
-                where=str(path),
-                remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).",
-            )
+            remedy = "Install an OpenCV with FFmpeg (pip install opencv-python-headless)."
+            raise InputError(f"a video with codec {CODEC} cannot be written", where=str(path), remedy=remedy)
 
     def write(self, image: np.ndarray) -> None:
         """Append one image of the first one's shape."""

@@ -104,11 +104,8 @@ def wait_for_listeners(node: Node, timeout_s: float) -> None:
     deadline_s = time.monotonic() + timeout_s
     while missing := _missing_subscriptions(node):
         if time.monotonic() > deadline_s:
-            raise InputError(
-                f"not heard by {', '.join(sorted(set().union(*missing.values())))} within {timeout_s:g} s",
-                where=", ".join(missing),
-                remedy="All three nodes of the server must be active.",
-            )
+            what = f"not heard by {', '.join(sorted(set().union(*missing.values())))} within {timeout_s:g} s"
+            raise InputError(what, where=", ".join(missing), remedy="All three nodes of the server must be active.")
         threading.Event().wait(LOOK_S)  # rclpy has no event for a change of the graph
 
 
@@ -120,11 +117,8 @@ def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
     known, recorded = load_rig(rig_file).names, bag_cameras(bag)
     unknown = [name for name in recorded if name not in known]
     if unknown:
-        raise InputError(
-            f"the bag has silhouettes of {', '.join(unknown)}, which the rig does not know",
-            where=str(rig_file),
-            remedy=f"Known cameras: {', '.join(known)}.",
-        )
+        what = f"the bag has silhouettes of {', '.join(unknown)}, which the rig does not know"
+        raise InputError(what, where=str(rig_file), remedy=f"Known cameras: {', '.join(known)}.")
     return rig_file
 
 

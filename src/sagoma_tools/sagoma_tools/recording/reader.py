@@ -110,11 +110,8 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
         with Reader(bag) as reader:
             yield reader
     except ReaderError as error:
-        raise InputError(
-            f"cannot be read as a rosbag2 bag ({error})",
-            where=str(bag),
-            remedy="Record it again, or try `sagoma recover`.",
-        ) from error
+        remedy = "Record it again, or try `sagoma recover`."
+        raise InputError(f"cannot be read as a rosbag2 bag ({error})", where=str(bag), remedy=remedy) from error
 
 
 def bag_topics(bag: str | Path) -> dict[str, str]:
@@ -144,11 +141,8 @@ def bag_cameras(bag: str | Path) -> tuple[str, ...]:
     """The cameras whose silhouettes a bag holds, in name order; InputError when it holds none."""
     cameras = cameras_in(bag_topics(bag))
     if not cameras:
-        raise InputError(
-            "holds no topic /CAMERA/silhouette/compressed",
-            where=str(bag),
-            remedy="Record the cameras' topics too: `sagoma record` does.",
-        )
+        remedy = "Record the cameras' topics too: `sagoma record` does."
+        raise InputError("holds no topic /CAMERA/silhouette/compressed", where=str(bag), remedy=remedy)
     return cameras
 
 

@@ -176,10 +176,8 @@ def play_lockstep(
         if not answers.wait_for(frame_set.stamp_ns, timeout_s):
             report.unanswered_ns.append(frame_set.stamp_ns)
             if report.sets == 1:
-                raise InputError(
-                    f"no answer to the first frame set within {timeout_s:g} s",
-                    where=PREDICTION_TOPIC,
-                    remedy="All of hull_server, icp_tracker and ekf_tracker must be active.",
-                )
+                what = f"no answer to the first frame set within {timeout_s:g} s"
+                remedy = "All of hull_server, icp_tracker and ekf_tracker must be active."
+                raise InputError(what, where=PREDICTION_TOPIC, remedy=remedy)
     report.stray_answers = answers.stray_count(sent)
     return report

@@ -64,11 +64,8 @@ def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]
     for message in read_messages(bag, cameras.__contains__):
         stamps.setdefault(cameras[message.topic], []).append(message.stamp_ns)
     if not stamps:
-        raise InputError(
-            "holds no silhouette of the session's cameras",
-            where=str(bag),
-            remedy="Give a bag of this session; if it is, read the cameras' logs beside it.",
-        )
+        remedy = "Give a bag of this session; if it is, read the cameras' logs beside it."
+        raise InputError("holds no silhouette of the session's cameras", where=str(bag), remedy=remedy)
     return {name: sorted(values) for name, values in stamps.items()}
 
 
@@ -97,10 +94,7 @@ def session_of_bag(bag: Path) -> Session:
     if named:
         return load_session(named)
     if not (bag / SIDECAR_RIG).is_file():
-        raise InputError(
-            f"says neither of which session it is nor, in {SIDECAR_RIG}, by which cameras",
-            where=str(bag),
-            remedy=f"Run sagoma evaluate SESSION --bag {bag}.",
-        )
+        what = f"says neither of which session it is nor, in {SIDECAR_RIG}, by which cameras"
+        raise InputError(what, where=str(bag), remedy=f"Run sagoma evaluate SESSION --bag {bag}.")
     fps = 0.5e9 / frame_tolerance_ns(bag)
     return Session(bag, load_rig(bag / SIDECAR_RIG), fps, videos={}, backgrounds={}, masks={}, truth=None)

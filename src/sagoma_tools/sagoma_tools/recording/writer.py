@@ -177,11 +177,8 @@ def _read_record(file: BinaryIO) -> Record | None:
 def _chunk_records(body: memoryview, where: str) -> Iterator[Record]:
     compression, position = _text(body, CHUNK_HEAD_BYTES)
     if compression:
-        raise InputError(
-            f"its chunks are compressed ({compression})",
-            where=where,
-            remedy="Use the mcap command line's `mcap recover` for this bag.",
-        )
+        remedy = "Use the mcap command line's `mcap recover` for this bag."
+        raise InputError(f"its chunks are compressed ({compression})", where=where, remedy=remedy)
     position += 8  # the length of what follows
     while position < len(body):
         opcode, length = struct.unpack_from("<BQ", body, position)

@@ -53,11 +53,8 @@ def check_graph(facts: GraphFacts, cameras: Sequence[str]) -> Iterator[Finding]:
     heard = {node.name for node in facts.nodes}
     absent = [name for name in SERVER_NODES if name not in heard]
     if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
-        yield note(
-            "nodes.setting_up",
-            "cameras that are not calibrated yet, and no server: the set-up has begun",
-            "Go on with docs/first_capture.md.",
-        )
+        text = "cameras that are not calibrated yet, and no server: the set-up has begun"
+        yield note("nodes.setting_up", text, "Go on with docs/first_capture.md.")
     elif absent:
         yield error(
             "nodes.server_missing",
@@ -67,11 +64,8 @@ def check_graph(facts: GraphFacts, cameras: Sequence[str]) -> Iterator[Finding]:
         )
     unknown = [facts.camera for facts in facts.cameras if cameras and facts.camera not in cameras]
     if unknown:
-        yield warning(
-            "cameras.not_in_rig",
-            f"{', '.join(unknown)} publish silhouettes, but are not in the rig file",
-            "Calibrate them into the rig, or stop them.",
-        )
+        text = f"{', '.join(unknown)} publish silhouettes, but are not in the rig file"
+        yield warning("cameras.not_in_rig", text, "Calibrate them into the rig, or stop them.")
     if facts.simulated_time:
         yield note("clock.simulated", "the graph runs on simulated time (/clock): clocks are not compared")
 
@@ -102,11 +96,8 @@ def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: i
     if hull is None or hull.state != ACTIVE:
         return
     if sets is None or not sets.sets:
-        yield error(
-            "frame_sets.none",
-            "the hull server forms none",
-            "See the cameras; their stamps must lie within half a frame period: sync and clocks.",
-        )
+        remedy = "See the cameras; their stamps must lie within half a frame period: sync and clocks."
+        yield error("frame_sets.none", "the hull server forms none", remedy)
         return
     period_ms = 1e3 / sets.rate_hz if sets.rate_hz else 1e3 * USUAL_PERIOD_S
     spread, latency = _high(sets.spread_ms), _high(sets.latency_ms)
@@ -115,11 +106,8 @@ def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: i
     yield graded("sync", text, (spread > period_ms / 4, warning, "spread", remedy))
     text = f"{sets.rate_hz:.1f} frame sets a second, {latency:.0f} ms from exposure to the hull"
     if latency > max(LATE_PERIODS * period_ms, LATE_MS):
-        yield warning(
-            "latency.late",
-            text,
-            "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy.",
-        )
+        remedy = "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy."
+        yield warning("latency.late", text, remedy)
     else:
         yield ok("frame_sets", text)
     yield from _check_hull(sets, seen)
@@ -131,17 +119,11 @@ def check_share_in_sets(camera: str, sets: FrameSetFacts | None) -> Iterator[Fin
         return
     missing, left_out = sets.missing.get(camera, 0), sets.left_out.get(camera, 0)
     if missing > MISSING * sets.sets:
-        yield warning(
-            "frame_sets.missing_camera",
-            f"it is missing from {missing} of {sets.sets}",
-            "Frames come late, get lost, or have other stamps: see clock, sync and network.",
-        )
+        remedy = "Frames come late, get lost, or have other stamps: see clock, sync and network."
+        yield warning("frame_sets.missing_camera", f"it is missing from {missing} of {sets.sets}", remedy)
     if left_out:
-        yield warning(
-            "consistency.left_out",
-            f"it contradicts the others: left out of {left_out} of {sets.sets} frame sets",
-            "Was it moved? Is something before its lens? docs/camera_faults.md",
-        )
+        text = f"it contradicts the others: left out of {left_out} of {sets.sets} frame sets"
+        yield warning("consistency.left_out", text, "Was it moved? Is something before its lens? docs/camera_faults.md")
 
 
 def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
@@ -149,11 +131,8 @@ def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
     if bodies:
         yield ok("centerline", f"in {bodies} of {sets.sets} frame sets")
     elif seen >= ENOUGH_CAMERAS:
-        yield error(
-            "centerline.empty",
-            f"{seen} cameras see a person, but the hull is empty",
-            "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live",
-        )
+        remedy = "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live"
+        yield error("centerline.empty", f"{seen} cameras see a person, but the hull is empty", remedy)
     else:
         yield note("centerline.nobody", "the hull is empty: probably the room is, too")
 
@@ -276,11 +255,8 @@ def _check_refusals(facts: GraphFacts, canvases: dict[str, Canvas]) -> Iterator[
         canvas = published.get(name)
         if f"{name}:" in hull.message and canvas is not None and not check_canvas_agrees(canvas, wanted):
             has = facts.rig_files.get(HULL, "unknown")
-            yield error(
-                "rig.refused",
-                f"it refuses {name}, which agrees with the rig file: the server has another one ({has})",
-                "Give it the same rig file: sagoma stop, sagoma up --rig RIG.",
-            )
+            text = f"it refuses {name}, which agrees with the rig file: the server has another one ({has})"
+            yield error("rig.refused", text, "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")
 
 
 def _hulls_rig(facts: GraphFacts) -> Rig | None:

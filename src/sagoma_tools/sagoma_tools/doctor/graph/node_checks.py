@@ -44,17 +44,11 @@ def camera_of(node: str) -> str:
 def check_node(node: NodeFacts, nobody: bool = False) -> Iterator[Finding]:
     """Check that it answers, reports, and is active and well. ``nobody``: no camera sees a person: masks are empty."""
     if node.copies > 1:
-        yield error(
-            "node.duplicate",
-            f"{node.copies} nodes call themselves {node.name}",
-            "Stop all but one: the same camera or server was started twice.",
-        )
+        remedy = "Stop all but one: the same camera or server was started twice."
+        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
     if node.state is None and not node.reports:
-        yield error(
-            "node.silent",
-            f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here",
-            UNREACHABLE,
-        )
+        text = f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here"
+        yield error("node.silent", text, UNREACHABLE)
         return
     if node.state is None:
         yield warning(
@@ -106,11 +100,8 @@ def _message_finding(node: NodeFacts, nobody: bool) -> Finding:
 
 def _check_work(node: NodeFacts) -> Iterator[Finding]:
     if node.reports >= FEW_REPORTS and node.rate_hz < RARE_HZ:
-        yield warning(
-            "diagnostics.rare",
-            f"come {node.rate_hz:.1f} times a second instead of {REPORT_HZ:.0f}: it is busy, or they get lost",
-            BIG_MESSAGES,
-        )
+        text = f"come {node.rate_hz:.1f} times a second instead of {REPORT_HZ:.0f}: it is busy, or they get lost"
+        yield warning("diagnostics.rare", text, BIG_MESSAGES)
     busy = node.values.get("cpu_percent", "")
     if busy.isdigit() and float(busy) > BUSY_PERCENT:
         yield note("load.high", f"it uses {busy} % of a core")

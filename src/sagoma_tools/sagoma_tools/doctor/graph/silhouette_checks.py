@@ -39,11 +39,8 @@ def check_silhouettes(
     known; rig_file : the one that its client was given.
     """
     if facts.publishers > 1:
-        yield error(
-            "silhouettes.duplicate_publisher",
-            f"{facts.publishers} nodes publish them",
-            "Stop all but one client of this camera.",
-        )
+        remedy = "Stop all but one client of this camera."
+        yield error("silhouettes.duplicate_publisher", f"{facts.publishers} nodes publish them", remedy)
     if not facts.masks:
         yield from _check_absence(facts, node)
         return
@@ -92,11 +89,8 @@ def _check_canvas(facts: SilhouetteFacts, rig: Canvas | None, rig_file: str) -> 
         return
     if any(size != (canvas.width, canvas.height) for size in facts.sizes):
         sizes = " and ".join(f"{width} x {height}" for width, height in facts.sizes)
-        yield error(
-            "silhouettes.size_differs",
-            f"they are {sizes}, camera_info says {canvas.width} x {canvas.height} pixels",
-            "Two clients of one name, or a damaged one: restart it.",
-        )
+        text = f"they are {sizes}, camera_info says {canvas.width} x {canvas.height} pixels"
+        yield error("silhouettes.size_differs", text, "Two clients of one name, or a damaged one: restart it.")
     if rig is None:
         return
     differs = check_canvas_agrees(canvas, rig)
@@ -120,17 +114,11 @@ def _check_way(facts: SilhouetteFacts) -> Iterator[Finding]:
             "network.loss", f"{facts.lost} of {sent} silhouettes{large} got lost on the way here", BIG_MESSAGES
         )
     if facts.age_s is not None and facts.age_s < -EARLY_S:
-        yield error(
-            "stamps.ahead",
-            f"its frames are stamped {-facts.age_s:.3f} s ahead of this machine's clock",
-            "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.",
-        )
+        text = f"its frames are stamped {-facts.age_s:.3f} s ahead of this machine's clock"
+        yield error("stamps.ahead", text, "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.")
     elif facts.age_s is not None and facts.age_s > OLD_S:
-        yield warning(
-            "latency.old",
-            f"its silhouettes are {facts.age_s:.1f} s old when they arrive",
-            "Its clock is behind (see clock), footage plays late, or the machine is too busy.",
-        )
+        remedy = "Its clock is behind (see clock), footage plays late, or the machine is too busy."
+        yield warning("latency.old", f"its silhouettes are {facts.age_s:.1f} s old when they arrive", remedy)
 
 
 def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterator[Finding]:
@@ -142,17 +130,11 @@ def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterato
     elif share >= FLOODED:
         yield error("silhouettes.flooded", f"flooded: {text}", f"The light or the camera was changed. {learn}")
     elif facts.masks >= ENOUGH_MASKS and not facts.changes and share > NOTHING:
-        yield error(
-            "silhouettes.frozen",
-            f"frozen: the same one {facts.masks} times ({text})",
-            "Cycle the camera's power; see its client's message.",
-        )
+        remedy = "Cycle the camera's power; see its client's message."
+        yield error("silhouettes.frozen", f"frozen: the same one {facts.masks} times ({text})", remedy)
     elif share < NOTHING and others_see:
-        yield warning(
-            "silhouettes.blank",
-            f"blank, while {', '.join(others_see)} see a person",
-            f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}",
-        )
+        remedy = f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}"
+        yield warning("silhouettes.blank", f"blank, while {', '.join(others_see)} see a person", remedy)
     elif share < SOMEBODY and others_see:
         yield note(
             "silhouettes.nearly_blank",

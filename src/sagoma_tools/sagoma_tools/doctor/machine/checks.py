@@ -59,11 +59,8 @@ def _check_cores(host: HostFacts) -> Iterator[Finding]:
         yield ok("governor", "performance on all cores")
     else:
         names = ", ".join(sorted(set(host.governors)))
-        yield note(
-            "governor.powersave",
-            f"{names}: cores that sleep wake up late, which adds latency",
-            "sudo cpupower frequency-set -g performance",
-        )
+        remedy = "sudo cpupower frequency-set -g performance"
+        yield note("governor.powersave", f"{names}: cores that sleep wake up late, which adds latency", remedy)
 
 
 def _check_clock(clock: ClockFacts) -> Iterator[Finding]:
@@ -75,11 +72,8 @@ def _check_clock(clock: ClockFacts) -> Iterator[Finding]:
     elif clock.offset_s is None:
         yield ok("clock", f"kept in step by {clock.keeper}; how closely is unknown")
     elif abs(clock.offset_s) > CLOCK_LIMIT_S:
-        yield warning(
-            "clock.off",
-            f"{1e3 * abs(clock.offset_s):.1f} ms off ({clock.keeper})",
-            "Wait until it has settled, or use a server in this network.",
-        )
+        text = f"{1e3 * abs(clock.offset_s):.1f} ms off ({clock.keeper})"
+        yield warning("clock.off", text, "Wait until it has settled, or use a server in this network.")
     else:
         yield ok("clock", f"{1e6 * abs(clock.offset_s):.0f} us off ({clock.keeper})")
 
@@ -97,11 +91,8 @@ def _check_environment(host: HostFacts) -> Iterator[Finding]:
         yield error("ros.discovery_invalid", f"ROS_AUTOMATIC_DISCOVERY_RANGE = '{reach}'", remedy)
     elif reach in ("LOCALHOST", "OFF") or given.get("ROS_LOCALHOST_ONLY") == "1":
         what = "ROS_LOCALHOST_ONLY = 1" if not reach else f"ROS_AUTOMATIC_DISCOVERY_RANGE = {reach}"
-        yield warning(
-            "ros.discovery_local",
-            f"{what}: other machines do not hear this one",
-            "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here.",
-        )
+        remedy = "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here."
+        yield warning("ros.discovery_local", f"{what}: other machines do not hear this one", remedy)
     rmw = given.get("RMW_IMPLEMENTATION", "")
     if rmw and rmw != TESTED_RMW:
         text = f"RMW_IMPLEMENTATION = {rmw}; tested with {TESTED_RMW}"
@@ -146,11 +137,8 @@ def check_software(software: SoftwareFacts) -> Iterator[Finding]:
     else:
         yield warning("python.untested", f"{python}: not tested", "Use Python 3.11 or 3.12.")
     if software.rmw_error:
-        yield error(
-            "ros.no_middleware",
-            f"no middleware can be loaded ({software.rmw_error})",
-            "Source ROS 2 Jazzy before make setup, or let make setup install its wheels.",
-        )
+        remedy = "Source ROS 2 Jazzy before make setup, or let make setup install its wheels."
+        yield error("ros.no_middleware", f"no middleware can be loaded ({software.rmw_error})", remedy)
         return
     if software.ros_distro not in ("", ROS):
         yield warning(
@@ -167,35 +155,23 @@ def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
             "kernels.not_compiled", "none is compiled yet: every node's first start takes a minute", "make setup"
         )
     elif kernels.fresh is False:
-        yield warning(
-            "kernels.stale",
-            f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash",
-            "make setup (it empties the cache and compiles anew)",
-        )
+        text = f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash"
+        yield warning("kernels.stale", text, "make setup (it empties the cache and compiles anew)")
     elif kernels.fresh is None:
-        yield note(
-            "kernels.unknown",
-            f"{kernels.compiled} compiled; whether of these sources is unknown",
-            f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then python -m sagoma_tools.warm_up",
-        )
+        remedy = f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then python -m sagoma_tools.warm_up"
+        yield note("kernels.unknown", f"{kernels.compiled} compiled; whether of these sources is unknown", remedy)
     else:
         yield ok("kernels", f"{kernels.compiled} compiled, of these sources")
     if not kernels.writable:
-        yield warning(
-            "kernels.read_only",
-            f"{kernels.folder} may not be written: kernels compile anew at every start",
-            "Set NUMBA_CACHE_DIR to a folder that this user may write.",
-        )
+        text = f"{kernels.folder} may not be written: kernels compile anew at every start"
+        yield warning("kernels.read_only", text, "Set NUMBA_CACHE_DIR to a folder that this user may write.")
 
 
 def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
     """Report what the hull server's backend "auto" takes."""
     if graphics.error:
-        yield note(
-            "opengl.none",
-            f"none, the hull server carves on the CPU ({graphics.error})",
-            "Nothing, on a machine without a GPU; else see docs/opengl.md.",
-        )
+        remedy = "Nothing, on a machine without a GPU; else see docs/opengl.md."
+        yield note("opengl.none", f"none, the hull server carves on the CPU ({graphics.error})", remedy)
     elif graphics.hardware:
         yield ok("opengl", f"{graphics.renderer}, OpenGL {graphics.version}: the hull server carves on it")
     else:
@@ -223,19 +199,13 @@ def check_disk(disk: DiskFacts) -> Iterator[Finding]:
 def check_shared_memory(memory: SharedMemoryFacts) -> Iterator[Finding]:
     """Check the shared memory through which nodes of one machine exchange messages."""
     if memory.free_bytes < SMALL_SHARED_MEMORY:
-        yield warning(
-            "shm.small",
-            f"{memory.free_bytes >> 20} of {memory.size_bytes >> 20} MiB of /dev/shm are free",
-            "In a container: --shm-size=512m (or --ipc=host); else mount it larger.",
-        )
+        text = f"{memory.free_bytes >> 20} of {memory.size_bytes >> 20} MiB of /dev/shm are free"
+        yield warning("shm.small", text, "In a container: --shm-size=512m (or --ipc=host); else mount it larger.")
     else:
         yield ok("shm", f"{memory.free_bytes >> 20} MiB of /dev/shm are free")
     if memory.abandoned > ABANDONED:
-        yield note(
-            "shm.abandoned",
-            f"{memory.abandoned} segments there belong to nodes that were killed",
-            "While no node runs: rm /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*",
-        )
+        remedy = "While no node runs: rm /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*"
+        yield note("shm.abandoned", f"{memory.abandoned} segments there belong to nodes that were killed", remedy)
 
 
 def check_limits(limits: LimitFacts) -> Iterator[Finding]:
@@ -277,11 +247,9 @@ def check_network(network: NetworkFacts) -> Iterator[Finding]:
             "(239.255.0.1); ports 3956 and above 1024 from the cameras.",
         )
     if not network.profile_exists:
-        yield error(
-            "dds_profile.missing",
-            f"{network.profile} does not exist, and the middleware ignores that silently",
-            "export FASTRTPS_DEFAULT_PROFILES_FILE=/path/to/config/dds/fastdds.xml, or unset it.",
-        )
+        text = f"{network.profile} does not exist, and the middleware ignores that silently"
+        remedy = "export FASTRTPS_DEFAULT_PROFILES_FILE=/path/to/config/dds/fastdds.xml, or unset it."
+        yield error("dds_profile.missing", text, remedy)
     elif network.profile:
         yield ok("dds_profile", network.profile)
     if network.domains_here:
@@ -296,10 +264,7 @@ def _check_interface(interface: InterfaceFacts) -> Iterator[Finding]:
             "network.down", f"{interface.name} is down", f"sudo ip link set {interface.name} up, if it is in use."
         )
     elif interface.mtu < ETHERNET_MTU:
-        yield note(
-            "network.small_mtu",
-            f"{text}: silhouettes are cut into more packets than needed",
-            f"sudo ip link set {interface.name} mtu {ETHERNET_MTU}, unless a tunnel wants it so.",
-        )
+        remedy = f"sudo ip link set {interface.name} mtu {ETHERNET_MTU}, unless a tunnel wants it so."
+        yield note("network.small_mtu", f"{text}: silhouettes are cut into more packets than needed", remedy)
     else:
         yield ok("network", text)

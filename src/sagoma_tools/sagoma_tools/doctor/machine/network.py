@@ -129,17 +129,11 @@ def collect_reach(address: str) -> ReachFacts:
 def check_reach(facts: ReachFacts) -> Iterator[Finding]:
     """Check that the machine can be reached, answers, and gets packets of the interface's MTU whole."""
     if facts.interface is None:
-        yield error(
-            "way.none",
-            f"there is no way to {facts.address} from this machine",
-            f"Check the address; see: ip route get {facts.address}",
-        )
+        remedy = f"Check the address; see: ip route get {facts.address}"
+        yield error("way.none", f"there is no way to {facts.address} from this machine", remedy)
     elif not facts.answers:
-        yield warning(
-            "answer.none",
-            f"{facts.address} does not answer through {facts.interface.name}: it is off, or a firewall is silent",
-            f"ping {facts.address}; open UDP between the machines.",
-        )
+        text = f"{facts.address} does not answer through {facts.interface.name}: it is off, or a firewall is silent"
+        yield warning("answer.none", text, f"ping {facts.address}; open UDP between the machines.")
     elif facts.largest >= min(facts.interface.mtu, max(SIZES)):
         yield ok("mtu", f"packets of {facts.largest} bytes reach {facts.address} through {facts.interface.name}")
     else:

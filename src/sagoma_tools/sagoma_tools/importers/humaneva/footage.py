@@ -36,11 +36,9 @@ class Movie:
         """Make the 1-based image ``number`` the next one. Raises InputError when the movie is shorter."""
         self.read_count += self.video.skip(number - 1 - self.read_count)
         if self.read_count < number - 1:
-            raise InputError(
-                f"ends after {self.read_count} images, before image {number}",
-                where=str(self.path),
-                remedy="Import other frames, or copy it again from the data set.",
-            )
+            what = f"ends after {self.read_count} images, before image {number}"
+            remedy = "Import other frames, or copy it again from the data set."
+            raise InputError(what, where=str(self.path), remedy=remedy)
 
     def read(self) -> Image | None:
         """The next image, None at the end."""
@@ -84,11 +82,8 @@ def read_in_step(videos: Mapping[str, Path], first: Mapping[str, int], count: in
                 return
             if ended:
                 movie = movies[ended[0]]
-                raise InputError(
-                    f"ends after {movie.read_count} images, {(count or 1) - done} too early",
-                    where=str(movie.path),
-                    remedy="Import fewer frames.",
-                )
+                what = f"ends after {movie.read_count} images, {(count or 1) - done} too early"
+                raise InputError(what, where=str(movie.path), remedy="Import fewer frames.")
             yield {camera: image for camera, image in images.items() if image is not None}
             done += 1
 
@@ -108,11 +103,8 @@ class EmptyRoom:
         """Add an image of the trial to the comparison. Raises InputError when it has another size than the movies."""
         for path, mean in zip(self._movies, self._means, strict=True):
             if mean.shape != image.shape:
-                raise InputError(
-                    f"its images have shape {mean.shape}, those of the trial {image.shape}",
-                    where=str(path),
-                    remedy=COPY_AGAIN,
-                )
+                what = f"its images have shape {mean.shape}, those of the trial {image.shape}"
+                raise InputError(what, where=str(path), remedy=COPY_AGAIN)
         self._differences.append([float(np.median(np.abs(image - mean))) for mean in self._means])
 
     @property

@@ -60,11 +60,8 @@ def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
     numbers = read_numbers(path, 22, CAL_NUMBERS)
     focal, centre, skew, D = numbers[0:2], numbers[2:4], numbers[4], numbers[5:10]
     if (focal <= 0).any() or skew != 0:
-        raise InputError(
-            f"focal lengths {focal.tolist()} and skew {skew:g} are not those of a camera with square axes",
-            where=str(path),
-            remedy="Focal lengths must be positive pixels and the skew 0.",
-        )
+        what = f"focal lengths {focal.tolist()} and skew {skew:g} are not those of a camera with square axes"
+        raise InputError(what, where=str(path), remedy="Focal lengths must be positive pixels and the skew 0.")
     T_camera_world = np.eye(4)
     T_camera_world[:3, :3] = _rotation(numbers[10:19].reshape(3, 3), path)
     T_camera_world[:3, 3] = numbers[19:22] / 1000.0
@@ -76,11 +73,8 @@ def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
     """The rotation nearest to R: the file's digits are rounded."""
     error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
     if error > ROTATION_TOLERANCE:
-        raise InputError(
-            f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}",
-            where=str(path),
-            remedy=f"It reads {CAL_NUMBERS}: copy it again from the data set.",
-        )
+        what = f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}"
+        raise InputError(what, where=str(path), remedy=f"It reads {CAL_NUMBERS}: copy it again from the data set.")
     return nearest_rotation(R)
 
 
@@ -116,11 +110,8 @@ class Mocap:
         for label in labels:
             if label in self.column:
                 return self.points_mm[:, self.column[label]]
-        raise InputError(
-            f"has no point labelled {' or '.join(labels)}",
-            where=str(self.path),
-            remedy="Take the .c3d of the original release: it holds the markers and the body model's points.",
-        )
+        remedy = "Take the .c3d of the original release: it holds the markers and the body model's points."
+        raise InputError(f"has no point labelled {' or '.join(labels)}", where=str(self.path), remedy=remedy)
 
 
 def read_c3d(path: Path) -> Mocap:
@@ -160,11 +151,8 @@ def read_ofs(path: Path) -> Offset:
     """The offset of one camera. Raises InputError naming the file."""
     offset = Offset(*read_numbers(path, 3, OFS_NUMBERS).tolist())
     if offset.mocap_per_image <= 0:
-        raise InputError(
-            f"{offset.mocap_per_image:g} mocap frames per image frame",
-            where=str(path),
-            remedy="It must be positive, near 2: copy the file again from the data set.",
-        )
+        remedy = "It must be positive, near 2: copy the file again from the data set."
+        raise InputError(f"{offset.mocap_per_image:g} mocap frames per image frame", where=str(path), remedy=remedy)
     return offset
 
 

@@ -70,11 +70,8 @@ class Trial:
         folder = self.root / "Background"
         found = sorted(folder.glob(f"Background_*_({camera}).avi"))
         if not found:
-            raise InputError(
-                f"has no Background_*_({camera}).avi",
-                where=str(folder),
-                remedy="Unpack the data set's background movies there.",
-            )
+            remedy = "Unpack the data set's background movies there."
+            raise InputError(f"has no Background_*_({camera}).avi", where=str(folder), remedy=remedy)
         return found
 
     @property
@@ -107,11 +104,8 @@ class Request:
     def __post_init__(self) -> None:
         first, last = self.frames or (FIRST_USABLE_FRAME, FIRST_USABLE_FRAME)
         if first < FIRST_USABLE_FRAME or last < first:
-            raise InputError(
-                f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on",
-                where="--frames",
-                remedy="The first five frames of a movie all show the same image.",
-            )
+            what = f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on"
+            raise InputError(what, where="--frames", remedy="The first five frames of a movie all show the same image.")
 
     @property
     def first_frame(self) -> int:
@@ -156,11 +150,9 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
 def _source(request: Request, time: CommonTime, camera: str, number: int) -> Source:
     trial = request.trial
     if camera not in time.first_image:
-        raise InputError(
-            f"has no .ofs file of camera {camera} for {trial}",
-            where=str(trial.folder / "Sync_Data"),
-            remedy=f"It has those of {', '.join(time.first_image)}.",
-        )
+        what = f"has no .ofs file of camera {camera} for {trial}"
+        remedy = f"It has those of {', '.join(time.first_image)}."
+        raise InputError(what, where=str(trial.folder / "Sync_Data"), remedy=remedy)
     first_image = time.image(camera, request.first_frame)
     return Source(trial.video(camera), first_image, trial.backgrounds(camera), f"cam{number:02d}")
 
@@ -182,11 +174,9 @@ def _frame_rate(sources: Mapping[str, Source], time: CommonTime, mocap: Mocap | 
 def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
     """Rows from the first known frame on, so that a track can start at the first row; unknown cells stay empty."""
     if not found.valid.any():
-        raise InputError(
-            f"no imported frame of {trial} has complete motion capture",
-            where=str(trial.mocap()),
-            remedy="Import other frames, or footage alone with --no-truth.",
-        )
+        what = f"no imported frame of {trial} has complete motion capture"
+        remedy = "Import other frames, or footage alone with --no-truth."
+        raise InputError(what, where=str(trial.mocap()), remedy=remedy)
     start = int(found.valid.argmax())
     points = {n: np.where(found.valid[:, None], p, np.nan)[start:] / 1000.0 for n, p in found.points_mm.items()}
     write_truth_file(path, np.arange(start, len(found.valid)), points)
