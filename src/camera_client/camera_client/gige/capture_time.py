@@ -5,7 +5,7 @@ Each strategy turns what a frame carries into the stamp of mid-exposure and a bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from capture_rig.errors import InputError
@@ -53,6 +53,18 @@ class TimeSource(Protocol):
     def stamp(self, times: FrameTimes) -> Stamp: ...
 
 
+class _Increasing:
+    """Keeps stamps from going back."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+
+    def after_last(self, stamp_ns: int) -> int:
+        """``stamp_ns``, or a nanosecond after the last one if that is later."""
+        self._last_ns = stamp_ns if self._last_ns is None else max(stamp_ns, self._last_ns + 1)
+        return self._last_ns
+
+
 class ArrivalTime:
     """The host's clock at the first packet, less half the exposure: cameras send once the exposure is over.
 
@@ -63,13 +75,10 @@ class ArrivalTime:
 
     def __init__(self) -> None:
         self.jumps = 0
-        self._last_ns: int | None = None
+        self._increasing = _Increasing()
 
     def stamp(self, times: FrameTimes) -> Stamp:
-        stamp_ns = times.arrival_ns - times.exposure_ns // 2
-        if self._last_ns is not None:
-            stamp_ns = max(stamp_ns, self._last_ns + 1)
-        self._last_ns = stamp_ns
+        stamp_ns = self._increasing.after_last(times.arrival_ns - times.exposure_ns // 2)
         return Stamp(stamp_ns, times.exposure_ns // 2 + ARRIVAL_UNCERTAINTY_NS, self.name)
 
 
@@ -90,7 +99,7 @@ class CameraTime:
         self._reading, self._camera_stamps = reading, camera_stamps
         self._clock = CameraClock()
         self._delay_ns: int | None = None
-        self._last_ns: int | None = None
+        self._increasing = _Increasing()
 
     @property
     def jumps(self) -> int:
@@ -107,10 +116,7 @@ class CameraTime:
             unsure_ns += UNSEEN_DELAY_NS
         else:
             unsure_ns += round(USUAL_DRIFT * self._clock.span_ns)
-        stamp_ns = host_ns - delay_ns + to_middle_ns
-        if self._last_ns is not None:
-            stamp_ns = max(stamp_ns, self._last_ns + 1)
-        self._last_ns = stamp_ns
+        stamp_ns = self._increasing.after_last(host_ns - delay_ns + to_middle_ns)
         return Stamp(stamp_ns, unsure_ns + round(2 * self._clock.spread_ns), self.name)
 
     def _smallest_delay(self, times: FrameTimes) -> int:
@@ -138,7 +144,7 @@ class PtpTime:
         self._ahead_ns, self._camera_stamps = tai_utc_offset_s * SECOND, camera_stamps
         self._uncertainty_ns, self._fallback = uncertainty_ns, fallback
         self._in_step = True
-        self._last_ns: int | None = None
+        self._increasing = _Increasing()
         self.jumps = 0
 
     def stamp(self, times: FrameTimes) -> Stamp:
@@ -148,10 +154,7 @@ class PtpTime:
         self.jumps += self._in_step and not in_step
         self._in_step = in_step
         stamp = Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
-        if self._last_ns is not None and stamp.ns <= self._last_ns:
-            stamp = Stamp(self._last_ns + 1, stamp.uncertainty_ns, stamp.clock)
-        self._last_ns = stamp.ns
-        return stamp
+        return replace(stamp, ns=self._increasing.after_last(stamp.ns))
 
 
 def choose_time_source(
