@@ -65,7 +65,7 @@ class HullNode(SagomaNode):
         self._slicer: Worker[CarvedSet] | None = None  # ... while the other finishes and publishes this one
         self._mesh: SaveMeshService | None = None
         self._canvases: dict[str, CameraModel] = {}
-        self._refused: dict[str, str] = {}  # camera: why
+        self.refused: dict[str, str] = {}  # camera: why
         self._heard_ns: dict[str, int] = {}
         self._left_out: tuple[str, ...] = ()
         self._moved: set[str] = set()
@@ -123,7 +123,7 @@ class HullNode(SagomaNode):
         if self._pipeline is not None:
             self._pipeline.close()
             self._pipeline = None
-        self._refused = {}
+        self.refused = {}
 
     def _advertise(self) -> None:
         self._contour_rays = self.create_publisher(PointCloud2, "hull/contour_rays", RESULT)
@@ -153,7 +153,7 @@ class HullNode(SagomaNode):
             return
         now_ns = monotonic_ns()
         self._heard_ns[camera] = now_ns
-        if camera in self._refused:
+        if camera in self.refused:
             self.health.count("frames_refused")
             return
         canvas = self._canvases[camera]
@@ -170,11 +170,11 @@ class HullNode(SagomaNode):
         """Refuse a camera whose images are not made with the rig's calibration, until they are."""
         mismatch = calibration_mismatch(info, self._canvases[camera])
         if not mismatch:
-            if self._refused.pop(camera, None):
+            if self.refused.pop(camera, None):
                 self.get_logger().info(f"{topic}: agrees with the rig file again")
             return
-        if self._refused.get(camera) != mismatch:
-            self._refused[camera] = mismatch
+        if self.refused.get(camera) != mismatch:
+            self.refused[camera] = mismatch
             error = InputError(
                 f"the images of {camera} are refused: camera_info has {mismatch}",
                 where=topic,
@@ -192,8 +192,8 @@ class HullNode(SagomaNode):
             self.health.set(COUNTER_KEYS.get(name, f"frames_{name}"), count)
         silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
         self.health.set("silent", ",".join(silent))
-        if self._refused:
-            self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self._refused.items())}")
+        if self.refused:
+            self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self.refused.items())}")
         elif silent:
             self.health.status(WARN, f"no silhouettes from {', '.join(silent)}")
 
@@ -252,7 +252,7 @@ class HullNode(SagomaNode):
         for camera in {*result.extrinsic_errors.suspects} - self._moved:
             self.get_logger().warning(result.extrinsic_errors.suspects[camera])
         self._moved = {*result.extrinsic_errors.suspects}
-        if not self._refused:
+        if not self.refused:
             self.health.status(*summarise(result))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from capture_rig import CameraModel, Rig, Volume
@@ -45,6 +46,20 @@ def capsule_person(yaw: float = 0.0, x: float = 0.0, y: float = 0.0) -> list[tup
         ("rk", "rf", 0.06),
     ]
     return [(at[a], at[b], r) for a, b, r in limbs]
+
+
+def walking_person(share: float) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """The person at a share of a lap in a circle of half a metre, turning."""
+    angle = 2 * np.pi * share
+    return capsule_person(angle, 0.5 * np.cos(angle), 0.5 * np.sin(angle))
+
+
+def rotated_mask(rig: Rig, name: str, mask: np.ndarray, rotation_deg) -> np.ndarray:
+    """The mask (h, w) of a camera after a rotation about its own axes (x right, y down, z forward): pixels move by
+    K R K^-1; outlines are as sharp as before."""
+    K = rig.camera(name).undistorted_view().camera.K
+    H = K @ cv2.Rodrigues(np.radians(np.array(rotation_deg, float)))[0] @ np.linalg.inv(K)
+    return np.where(cv2.warpPerspective(mask, H, mask.shape[::-1]) > 127, np.uint8(255), np.uint8(0))
 
 
 def look_at(

@@ -6,7 +6,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
+from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, rotated_mask, silhouettes, walking_person
 
 from capture_rig import InputError, Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
@@ -28,17 +28,11 @@ def rig_of(cameras):
     return Rig(tuple(replace(camera, name=f"cam{n:02d}") for n, camera in enumerate(chosen, 1)), six.volume)
 
 
-def body(frame):
-    """A person who walks in a circle of half a metre and turns."""
-    angle = 2 * np.pi * frame / LAP
-    return capsule_person(angle, 0.5 * np.cos(angle), 0.5 * np.sin(angle))
-
-
 @cache
 def walking(cameras):
     """The masks of one lap; rendering them is what costs time."""
     if cameras == 6:
-        return [silhouettes(rig_of(6), body(frame)) for frame in range(LAP)]
+        return [silhouettes(rig_of(6), walking_person(frame / LAP)) for frame in range(LAP)]
     return [
         {f"cam{n:02d}": masks[f"cam{index + 1:02d}"] for n, index in enumerate(OF_SIX[cameras], 1)}
         for masks in walking(6)
@@ -82,16 +76,8 @@ def without_legs(name):
     return fault
 
 
-def turned(rig, name, axis, degrees):
-    """The picture of a camera that has been turned: pixels move by K R K^-1."""
-    K = rig.camera(name).undistorted_view().camera.K
-    R = cv2.Rodrigues(np.radians(degrees) * np.array(axis, float))[0]
-    H = K @ R @ np.linalg.inv(K)
-
-    def fault(masks):
-        return {name: cv2.warpPerspective(masks[name], H, masks[name].shape[::-1], flags=cv2.INTER_NEAREST)}
-
-    return fault
+def rotated(rig, name, rotation_deg):
+    return lambda masks: {name: rotated_mask(rig, name, masks[name], rotation_deg)}
 
 
 @pytest.mark.parametrize("cameras", [3, 4, 5, 6])
@@ -129,7 +115,7 @@ def test_camera_turned_by_two_degrees_is_left_out_and_its_offset_is_measured(axi
     """A turn about the camera's y axis moves the picture to the right: the shift that cures it goes to the left."""
     rig = rig_of(6)
     session = Session(rig, walking(6))
-    faults = session.show(2 * LAP, turned(rig, "cam04", axis, 2.0))
+    faults = session.show(2 * LAP, rotated(rig, "cam04", 2.0 * np.array(axis)))
     assert faults.left_out == ("cam04",)
     expected_px = FOCAL_PX * np.tan(np.radians(2.0))
     assert np.dot(faults.silhouette_offset_px["cam04"], shift) == pytest.approx(expected_px, rel=0.5)
@@ -227,7 +213,7 @@ def test_room_that_is_all_foreground_for_everyone_tells_nothing():
 def test_camera_that_cannot_see_the_person_is_not_blamed_for_its_empty_silhouette():
     away = look_at("cam06", np.array([3.2, 0.0, 2.0]), np.array([3.2, 3.0, 1.5]), 300.0, SIZE)
     rig = Rig((*rig_of(5).cameras, away), rig_of(5).volume)
-    frames = [masks | silhouettes(Rig((away,), rig.volume), body(0)) for masks in walking(5)]
+    frames = [masks | silhouettes(Rig((away,), rig.volume), walking_person(0.0)) for masks in walking(5)]
     assert not frames[0]["cam06"].any()
     session = Session(rig, frames)
     faults = session.show(LAP)
@@ -246,10 +232,11 @@ def test_floor_shadows_that_all_cameras_but_one_take_for_the_person_blame_nobody
     """The one that removed the shadow is alone in vetoing it, and right."""
     rig, frames = rig_of(6), []
     for frame in range(0, LAP, 4):
-        foot = body(frame)[-1][1] * [1, 1, 0]
+        person = walking_person(frame / LAP)
+        foot = person[-1][1] * [1, 1, 0]
         shadow = [(foot + np.array([0, k, 0]), foot + np.array([0.8, k + 0.4, 0]), 0.03) for k in (-0.05, 0.0, 0.05)]
-        masks = silhouettes(rig, body(frame) + shadow)
-        frames.append(masks | {"cam03": silhouettes(Rig((rig.camera("cam03"),), rig.volume), body(frame))["cam03"]})
+        masks = silhouettes(rig, person + shadow)
+        frames.append(masks | {"cam03": silhouettes(Rig((rig.camera("cam03"),), rig.volume), person)["cam03"]})
     session = Session(rig, frames)
     faults = session.show(24)
     assert session.left_out_after == {} and faults.suspects == ()
@@ -276,7 +263,7 @@ def test_detector_that_is_switched_off_leaves_nobody_out():
 def test_faults_are_the_same_when_the_session_is_run_again():
     def run():
         session = Session(rig_of(6), walking(6))
-        return [session.show(1, turned(rig_of(6), "cam02", (0, 1, 0), 1.5)) for _ in range(20)]
+        return [session.show(1, rotated(rig_of(6), "cam02", (0, 1.5, 0))) for _ in range(20)]
 
     assert run() == run()
 

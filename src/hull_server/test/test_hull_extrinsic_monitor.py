@@ -6,7 +6,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from hull_scenes import capsule_person, ring_rig, silhouettes
+from hull_scenes import ring_rig, rotated_mask, silhouettes, walking_person
 
 from capture_rig import Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
@@ -28,28 +28,13 @@ def rig_of(cameras=6):
     return Rig(six.cameras[:cameras], six.volume)
 
 
-def body(frame):
-    """A person who walks in a circle of half a metre and turns."""
-    angle = 2 * np.pi * frame / SETS
-    return capsule_person(angle, 0.5 * np.cos(angle), 0.5 * np.sin(angle))
-
-
 @cache
 def walking():
-    return [silhouettes(rig_of(), body(frame)) for frame in range(SETS)]
-
-
-@cache
-def turn_of(name, turn_deg):
-    """What a turn of the camera about its own axes (x right, y down, z forward) does to its undistorted picture."""
-    K = rig_of().camera(name).undistorted_view().camera.K
-    return K @ cv2.Rodrigues(np.radians(np.array(turn_deg, float)))[0] @ np.linalg.inv(K)
+    return [silhouettes(rig_of(), walking_person(frame / SETS)) for frame in range(SETS)]
 
 
 def turned(masks, name, turn_deg):
-    """The picture of a camera after it was turned; its outlines are as sharp as before."""
-    smooth = cv2.warpPerspective(masks[name], turn_of(name, turn_deg), masks[name].shape[::-1], flags=cv2.INTER_LINEAR)
-    return masks | {name: np.where(smooth > 127, np.uint8(255), np.uint8(0))}
+    return masks | {name: rotated_mask(rig_of(), name, masks[name], turn_deg)}
 
 
 def monitor_of(rig, **settings):

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hull_scenes import capsule_person, ring_rig, silhouettes
 from node_probe import FAILURE, PATIENCE_S, SUCCESS, NodeProbe, values_of
 from plyfile import PlyData
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 from std_srvs.srv import Trigger
 
@@ -259,7 +260,7 @@ def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again
     info = camera_info_message(canvas, stamp(0), "cam02")
     spoil(info)
     bench.infos["cam02"].publish(info)
-    bench.until(lambda: "cam02" in bench.node._refused)
+    bench.until(lambda: "cam02" in bench.node.refused)
     bench.send(masks, 0)
     bench.let_the_deadline_pass(frames=3)
     assert [values["missing"] for values in bench.answers(1)] == ["cam02"]
@@ -268,7 +269,7 @@ def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again
     assert said.startswith("cam02/camera_info") and text in said and "same rig file" in said
     assert status.level == b"\x02"
     bench.infos["cam02"].publish(camera_info_message(canvas, stamp(1), "cam02"))
-    bench.until(lambda: not bench.node._refused)
+    bench.until(lambda: not bench.node.refused)
     bench.send(masks, 1)
     assert bench.answers(2)[1]["missing"] == ""
 
@@ -284,46 +285,50 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     bench.until_values(sets_empty="1")
 
 
-def test_node_publishes_the_rims_before_the_centerline_of_the_same_set(make_bench, scene):
-    """Whoever fits starts when the centerline comes; the rims must be there."""
+def test_node_publishes_the_contour_rays_before_the_centerline_of_the_same_set(make_bench, scene, monkeypatch):
+    """The tracker starts to fit when the centerline comes; the contour rays must be there."""
     _, rig, masks = scene
-    bench = make_bench().start(rig)
-    order = []
-    for name in ("contour_rays", "centerline", "voxels"):
-        publisher = getattr(bench.node, f"_{name}")
-        setattr(
-            bench.node,
-            f"_{name}",
-            SimpleNamespace(
-                publish=lambda cloud, name=name, publisher=publisher: (order.append(name), publisher.publish(cloud))
-            ),
-        )
+    bench, order, publish = make_bench().start(rig), [], Publisher.publish
+
+    def recorded(publisher, message):
+        order.append(publisher.topic_name)
+        publish(publisher, message)
+
+    monkeypatch.setattr(Publisher, "publish", recorded)
     for k in range(3):
         bench.send(masks, k)
     bench.answers(3)
-    assert order == ["contour_rays", "centerline", "voxels"] * 3
+    clouds = ["/hull/contour_rays", "/hull/centerline", "/hull/voxels"]
+    assert [topic for topic in order if topic in clouds] == clouds * 3
 
 
 @pytest.mark.parametrize(("stage", "answered"), [("begin", [0, 5]), ("finish", [0, 1, 2, 5])])
-def test_node_drops_the_oldest_set_when_a_stage_cannot_keep_up(make_bench, scene, stage, answered):
+def test_node_drops_the_oldest_set_when_a_stage_cannot_keep_up(make_bench, scene, stage, answered, monkeypatch):
     """One set waits for the carver; when slicing is slow, one more waits for the slicer, and one for room there."""
     _, rig, masks = scene
     bench = make_bench(queue_depth=1).start(rig)
-    busy, released, work = threading.Event(), threading.Event(), getattr(bench.node._pipeline, stage)
+    busy, released, begun = threading.Event(), threading.Event(), []
+    stages = {name: getattr(HullPipeline, name) for name in ("begin", "finish")}
 
-    def slow_work(item):
-        busy.set()
-        assert released.wait(PATIENCE_S)
-        return work(item)
+    def slow(name):
+        def work(pipeline, item):
+            begun.extend([item] if name == "begin" else [])
+            if name == stage:
+                busy.set()
+                assert released.wait(PATIENCE_S)
+            return stages[name](pipeline, item)
 
-    setattr(bench.node._pipeline, stage, slow_work)
+        return work
+
+    for name in stages:
+        monkeypatch.setattr(HullPipeline, name, slow(name))
     bench.send(masks, 0)
     bench.until(busy.is_set)
     for k in range(1, 6):
         bench.send(masks, k)
         bench.until_values(sets_complete=str(k + 1))
         if stage == "finish" and k <= 2:  # that the carver has taken it
-            bench.until(lambda: not bench.node._carver.waiting)
+            bench.until(lambda k=k: len(begun) > k)
     bench.until_values(sets_dropped=str(6 - len(answered)))
     released.set()
     bench.answers(len(answered))
