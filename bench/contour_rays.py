@@ -56,7 +56,7 @@ class Tracer:
         self.ms: dict[str, list[float]] = {"slice": [], "contour_rays": []}
 
     def trace(self, levels: Masks) -> ContourRays:
-        masks = self._shadows.resolve(levels, self.seeing).masks
+        masks = self._shadows.resolve(levels, self.seeing)
         volume = self._backend.carve(masks, self.seeing)
         begin = time.thread_time()
         runs = slice_hull(volume).runs

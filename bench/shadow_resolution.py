@@ -82,7 +82,7 @@ class Scorer:
 
     def resolve(self, levels: Masks) -> Masks:
         begin = time.thread_time()
-        masks = self.resolver.resolve(levels, self.seeing).masks
+        masks = self.resolver.resolve(levels, self.seeing)
         self.seconds["resolve"].append(time.thread_time() - begin)
         return masks
 

@@ -114,7 +114,7 @@ class HullPipeline:
         seeing = min_seeing(len(used), self.settings.min_seeing)
         watch.lap("consistency")
         # decide whether dark pixels are the person or floor in shadow
-        masks = self._shadows.resolve(used, seeing).masks
+        masks = self._shadows.resolve(used, seeing)
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         ticket = self.backend.submit(masks, seeing)

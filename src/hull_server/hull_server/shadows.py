@@ -19,7 +19,6 @@ constants were chosen with bench/shadow_resolution.py.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -48,19 +47,6 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
 
 
-@dataclass(frozen=True, eq=False)
-class ResolvedMasks:
-    """Binary masks, and how many pixels were resolved.
-
-    masks : (h, w) uint8 of each camera, 0 or 255; the same array that came in if it was binary.
-    shadow_px, body_px : attenuated pixels that are shadow, and candidates that are the body.
-    """
-
-    masks: dict[str, Mask]
-    shadow_px: int
-    body_px: int
-
-
 class ShadowResolver:
     """Resolves silhouettes of several levels into binary ones. One thread at a time: it keeps scratch memory."""
 
@@ -71,11 +57,11 @@ class ShadowResolver:
         self._scene = floor_scene(views, volume)
         self._floor_px = np.empty((len(views.names), 3))
 
-    def resolve(self, masks: Masks, seeing: int) -> ResolvedMasks:
+    def resolve(self, masks: Masks, seeing: int) -> dict[str, Mask]:
         """Resolve masks of one instant, of the levels of ``capture_rig.mask_levels``, to masks of 0 and 255.
 
-        ``seeing``: how many cameras must see a voxel. The masks that come in are not written to. InputError for a
-        camera that is not in the rig, and for a mask of the wrong size.
+        ``seeing``: how many cameras must see a voxel. The masks that come in are not written to, and are returned where
+        they are binary. InputError for a camera that is not in the rig, and for a mask of the wrong size.
         """
         self._views.present(masks)
         boxes = {
@@ -85,14 +71,11 @@ class ShadowResolver:
         }
         binary = {name: binary_mask(mask) if name in boxes else mask for name, mask in masks.items()}
         if not boxes or not self._settings.enabled:
-            return ResolvedMasks(binary, 0, 0)
+            return binary
         self._stack(masks)
-        shadow_px = body_px = 0
         for name, (x, y, width, height) in boxes.items():
-            box = x, y, x + width, y + height
-            shadow, body = self._resolve(self._views.number[name], box, seeing, binary[name])
-            shadow_px, body_px = shadow_px + shadow, body_px + body
-        return ResolvedMasks(binary, shadow_px, body_px)
+            self._resolve(self._views.number[name], (x, y, x + width, y + height), seeing, binary[name])
+        return binary
 
     def _stack(self, masks: Masks) -> None:
         """Copy all masks to one array; pixels of absent cameras, and unseen ones, are blind."""
@@ -104,15 +87,13 @@ class ShadowResolver:
             own = self._levels[index, :height, :width]
             cv2.bitwise_or(masks[name], self._blind[index, :height, :width], dst=own)
 
-    def _resolve(self, camera: int, box: tuple[int, int, int, int], seeing: int, binary: Mask) -> tuple[int, int]:
-        """Correct the camera's ``binary`` mask within the box (left, top, right, bottom): pixels removed, and added."""
+    def _resolve(self, camera: int, box: tuple[int, int, int, int], seeing: int, binary: Mask) -> None:
+        """Correct the camera's ``binary`` mask within the box (left, top, right, bottom)."""
         min_height_m, scene = self._settings.min_height_m, self._scene
-        if scene.centres[camera, 2] <= max(min_height_m, LEAST_CENTRE_Z_M):
-            return 0, 0
-        labels = PixelLabels.zeros(box)
-        label_pixels(scene, self._levels, camera, box, seeing, min_height_m, self._floor_px, labels)
-        shadow_px, body_px = apply_labels(scene.kind, self._levels[camera], box, labels, binary)
-        return shadow_px, body_px
+        if scene.centres[camera, 2] > max(min_height_m, LEAST_CENTRE_Z_M):
+            labels = PixelLabels.zeros(box)
+            label_pixels(scene, self._levels, camera, box, seeing, min_height_m, self._floor_px, labels)
+            apply_labels(scene.kind, self._levels[camera], box, labels, binary)
 
 
 def binary_mask(mask: Mask) -> Mask:
@@ -231,12 +212,8 @@ def label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, label
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_labels(kinds, levels, box, labels, mask):
     """Apply the labels that most neighbours share (rule 3) to ``mask`` (h, w) of 0 and 255, whose levels are
-    ``levels``.
-
-    Returns how many attenuated pixels became background, and how many candidates the person.
-    """
+    ``levels``."""
     rows, columns = labels.foreground.shape
-    shadow_px, body_px = 0, 0
     for row in range(rows):
         for column in range(columns):
             if labels.shadow[row, column] | labels.body[row, column] == 0:
@@ -248,26 +225,20 @@ def apply_labels(kinds, levels, box, labels, mask):
                     labels.applied[r, c] = YES
                     shadow = _most(labels.shadow, labels.foreground, r, c)
                     body = _most(labels.body, labels.candidate, r, c)
-                    removed, added = _write(kinds, levels, box, (r, c), (shadow, body), mask)
-                    shadow_px, body_px = shadow_px + removed, body_px + added
-    return shadow_px, body_px
+                    _write(kinds, levels, box, (r, c), (shadow, body), mask)
 
 
 @kernel
 def _write(kinds, levels, box, place, label, mask):
-    """Write one label (shadow, body) to the square of pixels that it stands for; return how many changed each way."""
+    """Write one label (shadow, body) to the square of pixels that it stands for."""
     (left, top, right, bottom), (row, column), (shadow, body) = box, place, label
-    removed, added = 0, 0
     for v in range(top + STRIDE * row, min(top + STRIDE * (row + 1), bottom)):
         for u in range(left + STRIDE * column, min(left + STRIDE * (column + 1), right)):
             kind = kinds[levels[v, u]]
             if shadow and kind == ATTENUATED:
                 mask[v, u] = 0
-                removed += 1
             elif body and kind == CANDIDATE:
                 mask[v, u] = 255
-                added += 1
-    return removed, added
 
 
 @kernel

@@ -58,8 +58,7 @@ def test_binary_masks_are_passed_on_as_they_are():
     rig = ring_rig(4)
     masks = silhouettes(rig, capsule_person())
     resolved = resolver(rig).resolve(masks, 3)
-    assert all(resolved.masks[name] is masks[name] for name in masks)
-    assert resolved.shadow_px == resolved.body_px == 0
+    assert all(resolved[name] is masks[name] for name in masks)
 
 
 def test_mask_of_another_size_is_refused_by_name():
@@ -77,16 +76,16 @@ def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras, least):
     before = {name: mask.copy() for name, mask in levels.items()}
     resolved = resolver(rig).resolve(levels, min_seeing(cameras))
     assert share({n: binary_mask(m) for n, m in levels.items()}, shadow) == 1.0
-    assert share(resolved.masks, shadow) < 1 - least  # the rest is seen through the legs' hull
-    assert share(resolved.masks, body) == 1.0
+    assert share(resolved, shadow) < 1 - least  # the rest is seen through the legs' hull
+    assert share(resolved, body) == 1.0
     assert all(np.array_equal(levels[n], before[n]) for n in levels)
-    assert set(np.unique(np.concatenate([m.ravel() for m in resolved.masks.values()]))) == {0, 255}
+    assert set(np.unique(np.concatenate([m.ravel() for m in resolved.values()]))) == {0, 255}
 
 
 def test_clothes_exactly_as_dark_as_the_shadow_lose_at_most_the_soles():
     rig = ring_rig(6, seed=3)
     levels, body, shadow = body_and_shadow(rig, body_level=ATTENUATED_LEVELS[4])
-    masks = resolver(rig).resolve(levels, min_seeing(6)).masks
+    masks = resolver(rig).resolve(levels, min_seeing(6))
     assert share(masks, shadow) < 0.4
     assert share(masks, body) > 0.97
     above = silhouettes(rig, [(a, b, r) for a, b, r in capsule_person(0.4) if min(a[2], b[2]) > 0.3])
@@ -97,7 +96,7 @@ def test_dark_clothes_on_a_bright_floor_are_the_person():
     rig = ring_rig(5, seed=4)
     body = silhouettes(rig, capsule_person(1.0))
     levels = {n: np.where(m > 0, ATTENUATED_LEVELS[k % 9], 0).astype(np.uint8) for k, (n, m) in enumerate(body.items())}
-    masks = resolver(rig).resolve(levels, min_seeing(5)).masks
+    masks = resolver(rig).resolve(levels, min_seeing(5))
     assert share(masks, {n: m > 0 for n, m in body.items()}) > 0.999
 
 
@@ -107,7 +106,7 @@ def test_a_place_that_is_bright_for_most_cameras_is_not_in_shadow():
     for name in list(levels)[2:]:
         levels[name][shadow[name]] = 0
     first = list(levels)[:2]
-    masks = resolver(rig).resolve(levels, 3).masks
+    masks = resolver(rig).resolve(levels, 3)
     assert share({n: masks[n] for n in first}, {n: shadow[n] for n in first}) > 0.85
 
 
@@ -116,7 +115,7 @@ def test_places_of_another_darkness_in_every_camera_are_no_shadow():
     levels, _, shadow = body_and_shadow(rig)
     for k, name in enumerate(levels):
         levels[name][shadow[name]] = ATTENUATED_LEVELS[2 * k]
-    assert share(resolver(rig).resolve(levels, 3).masks, shadow) == 1.0
+    assert share(resolver(rig).resolve(levels, 3), shadow) == 1.0
 
 
 def test_candidates_of_other_cameras_are_witnesses_and_their_own_pixels_background():
@@ -124,12 +123,12 @@ def test_candidates_of_other_cameras_are_witnesses_and_their_own_pixels_backgrou
     levels, body, shadow = body_and_shadow(rig)
     for name in list(levels)[1:]:
         levels[name][shadow[name]] = CANDIDATE_LEVELS[2]  # of the steps 4 and 5
-    masks = resolver(rig).resolve(levels, 3).masks
+    masks = resolver(rig).resolve(levels, 3)
     assert share(masks, shadow) < 0.05 and share(masks, body) == 1.0
     for name in list(levels)[1:]:
         levels[name][shadow[name]] = CANDIDATE_LEVELS[0]  # of the steps 0 and 1: shadow, but of something else
     first = next(iter(levels))
-    masks = resolver(rig).resolve(levels, 3).masks
+    masks = resolver(rig).resolve(levels, 3)
     assert share({first: masks[first]}, {first: shadow[first]}) == 1.0
 
 
@@ -137,7 +136,7 @@ def test_disabled_it_takes_candidates_for_background_and_dark_pixels_for_the_per
     rig = ring_rig(3)
     levels, body, shadow = body_and_shadow(rig)
     levels["cam01"][shadow["cam01"]] = CANDIDATE_LEVELS[1]
-    masks = resolver(rig, ShadowSettings(enabled=False)).resolve(levels, 3).masks
+    masks = resolver(rig, ShadowSettings(enabled=False)).resolve(levels, 3)
     assert np.array_equal(masks["cam01"] > 0, body["cam01"])
     assert np.array_equal(masks["cam02"] > 0, body["cam02"] | shadow["cam02"])
 
@@ -145,12 +144,12 @@ def test_disabled_it_takes_candidates_for_background_and_dark_pixels_for_the_per
 def test_a_camera_alone_or_one_under_the_floor_removes_nothing():
     rig = ring_rig(4, seed=2)
     levels, body, shadow = body_and_shadow(rig)
-    alone = resolver(rig).resolve({"cam02": levels["cam02"]}, 2).masks["cam02"]
+    alone = resolver(rig).resolve({"cam02": levels["cam02"]}, 2)["cam02"]
     assert np.array_equal(alone > 0, body["cam02"] | shadow["cam02"])
     low = look_at("cam05", np.array([3.0, 0.5, -0.3]), np.array([0.0, 0, 1]), 235.0, (320, 240))
     more = Rig((*rig.cameras, low), VOLUME)
     levels["cam05"] = np.full(low.undistorted_view().seen.shape, ATTENUATED_LEVELS[4], np.uint8)
-    assert resolver(more).resolve(levels, 3).masks["cam05"].all()
+    assert resolver(more).resolve(levels, 3)["cam05"].all()
 
 
 def test_the_same_masks_give_the_same_bytes_whatever_came_between():
@@ -160,7 +159,7 @@ def test_the_same_masks_give_the_same_bytes_whatever_came_between():
     first = worker.resolve(levels, 3)
     worker.resolve({n: np.full_like(m, ATTENUATED_LEVELS[4]) for n, m in list(levels.items())[:3]}, 3)
     again = worker.resolve(dict(reversed(levels.items())), 3)
-    assert all(np.array_equal(first.masks[n], again.masks[n]) for n in levels)
+    assert all(np.array_equal(first[n], again[n]) for n in levels)
 
 
 @pytest.mark.parametrize("seed", range(3))
