@@ -111,7 +111,7 @@ def filtered_mm(clip: Clip, information: list[np.ndarray], every: int, settled: 
 def transition(dt: float) -> tuple[np.ndarray, np.ndarray]:
     """F and Q (48, 48) of the motion model."""
     t = MOTION.transition(dt)
-    F = np.block([[np.eye(24), np.diag(t.reach)], [np.zeros((24, 24)), np.diag(t.kept)]])
+    F = np.block([[np.eye(24), np.diag(t.f_cross)], [np.zeros((24, 24)), np.diag(t.f_velocity)]])
     Q = np.block([[np.diag(t.q_pose), np.diag(t.q_cross)], [np.diag(t.q_cross), np.diag(t.q_velocity)]])
     return F, Q
 

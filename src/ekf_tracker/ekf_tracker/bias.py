@@ -1,8 +1,8 @@
-"""Errors of the measured points that last for many sets, and so cannot be averaged away.
+"""Time-correlated bias of the measured points: covariances that a filter's averaging may not shrink.
 
 A figure fitted to a hull errs in the same way for many sets: the hull is fat on the side that no camera sees, a
 shoulder is no single point. Measured on tracked sessions, what is wrong with a fitted point in one set is wrong with it
-to about 0.7 a quarter of a second later. With b the error that lasts and v the noise that is new in every set,
+to about 0.7 a quarter of a second later. With b the bias and v the noise that is new in every set,
 
     z_k = h(x_k) + b_k + v_k .
 
@@ -32,11 +32,11 @@ from .settings import MeasurementBiasSettings
 
 N = 24
 NEGLIGIBLE_M2 = 1e-12
-"""m^2: a micrometre squared. A lasting error below that is none."""
+"""m^2: a micrometre squared. A bias below that is none."""
 
 
 class MeasurementBias:
-    """What lasts of the errors of the 15 points, from the sets in which each was last used.
+    """The covariance of the 15 points' bias, from the sets in which each was last used.
 
     covariance : (15, 3, 3) m^2; zero for points that were never used.
     """
@@ -45,32 +45,32 @@ class MeasurementBias:
         self._share, self._variance = settings.share, settings.sd_m() ** 2
         self.covariance = np.zeros((15, 3, 3))
 
-    def remember(self, R: np.ndarray, used: np.ndarray) -> None:
+    def update(self, R: np.ndarray, used: np.ndarray) -> None:
         """Take the covariances (15, 3, 3) m^2 of the points (15,) bool that were used in this set."""
-        _renew(R, used, self._share, self._variance, self.covariance)
+        _update(R, used, self._share, self._variance, self.covariance)
 
 
 @njit(cache=True)
-def _renew(R, used, share, variance, lasting):
+def _update(R, used, share, variance, bias):
     for point in range(15):
         if used[point]:
             for i in range(3):
                 for j in range(3):
-                    lasting[point, i, j] = share * R[point, i, j]
-                lasting[point, i, i] += variance[point]
+                    bias[point, i, j] = share * R[point, i, j]
+                bias[point, i, i] += variance[point]
 
 
 @njit(cache=True)
-def add_measurement_bias(at, lasting, least_information, points, state):
+def add_measurement_bias(at, bias, least_information, points, state):
     """points (15, 3, 3) and state (>= 24, >= 24) += what lasts, as the module's derivation says.
 
-    lasting (15, 3, 3) : B of each point; least_information : 1/cap^2, 1/rad^2.
+    bias (15, 3, 3) : B of each point; least_information : 1/cap^2, 1/rad^2.
     """
     L, unused, weight, numbers = np.zeros((N, N)), np.zeros(N), np.empty((3, 3)), 0
     for point in range(15):
-        if lasting[point, 0, 0] + lasting[point, 1, 1] + lasting[point, 2, 2] > NEGLIGIBLE_M2:
-            points[point] += lasting[point]
-            inverse3(lasting[point], weight)
+        if bias[point, 0, 0] + bias[point, 1, 1] + bias[point, 2, 2] > NEGLIGIBLE_M2:
+            points[point] += bias[point]
+            inverse3(bias[point], weight)
             add_information(at, point, weight, unused, L, unused)
             numbers += 3
     if numbers == 0:

@@ -23,207 +23,27 @@ from .kernels import (
     report,
     reset_slots,
 )
-from .measurement import GateDecision, InnovationGate, Measurement, linearised
+from .measurement import GateDecision, InnovationGate, Measurement, Sizes, linearised
 from .motion_model import MotionModel
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, per_slot
 
-# --- The first estimate, from one measurement and nothing else.
-
+NS = 1e-9
+NO_BODY = "waiting for the body"
+SAME_PERSON_M = 0.06
+"""Statures of one person, measured twice, differ by less."""
+RESIZED_M, RESIZED_RAD = 0.01, 0.04
+"""What other sizes of the body change in the pose that suits the same points: a centimetre, also at a limb's end."""
+RELEASED_TORSO_SD_M = 0.5
+"""How far the torso may have gone while its points were left out."""
 NEEDED_TORSO_POINTS = 4
 """Of centre, neck, shoulders and hips; fewer may lie on a line and leave the torso's rotation open."""
 TORSO_SD_M = 1.0
 TORSO_SD_RAD = 1.0
 """What is known of the torso before its first measurement: it stands about where inverse kinematics puts it."""
-
-
-def enough_to_start(z: Measurement) -> bool:
-    """Whether the visible points fix the torso."""
-    return int(z.visible[TORSO_POINTS].sum()) >= NEEDED_TORSO_POINTS
-
-
-def first_estimate(
-    body: Body, z: Measurement, motion: MotionModel, joint_sd: float, options: UpdateOptions
-) -> Estimate:
-    """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
-
-    Joints that no visible point bears on keep the T-pose and the standard deviation ``joint_sd`` (rad); the velocity
-    is unknown. Needs :func:`enough_to_start`.
-    """
-    resting = Pose.from_angles(*_torso_of(body, z), T_POSE_ANGLES)
-    pose = pose_of_points(body, z, z.visible, resting)
-    P = np.zeros((DIMENSION, DIMENSION))
-    P[POSE, POSE] = np.diag(per_slot(TORSO_SD_M, TORSO_SD_RAD, joint_sd, joint_sd) ** 2)
-    P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
-    return correct_estimate(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, options)
-
-
-def pose_of_points(body: Body, z: Measurement, chosen: np.ndarray, otherwise: Pose) -> Pose:
-    """Inverse kinematics of the chosen points (15,) bool; the rest stands as in the pose ``otherwise``."""
-    points = np.where(chosen[:, None], z.points_world, forward(body, otherwise))
-    return inverse(body, points, otherwise)
-
-
-def _torso_of(body: Body, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) and rotation (3, 3) of the torso: rigid fit of its visible points (Procrustes)."""
-    seen = z.visible[TORSO_POINTS]
-    R, t = rigid_transform(body.torso_points[seen], z.points_world[TORSO_POINTS][seen])
-    return t, R
-
-
-# --- One body being followed: the estimate from its first measurement on, through updates, outliers and gaps.
-
-NS = 1e-9
-REFOUND_TORSO_SD_M = 0.5
-"""How far the torso may have gone while its points were left out."""
-RESIZED_M, RESIZED_RAD = 0.01, 0.04
-"""What other sizes of the body change in the pose that suits the same points: a centimetre, also at a limb's end."""
-NOBODY_LEFT_OUT = np.zeros(15, bool)
-
-
-class Track:
-    """Estimate and memory of one body that is followed from a first measurement on.
-
-    Needs `initial.enough_to_start` of that measurement. ``repairs`` counts how often rounding had to be mended in
-    the covariance; it stays 0.
-    """
-
-    def __init__(self, body: Body, settings: EkfSettings, stamp_ns: int, z: Measurement) -> None:
-        self.body, self.settings = body, settings
-        self.repairs = 0
-        self._motion = motion_model(settings)
-        self._gate = InnovationGate(settings.gate_chi2, settings.readmit_after_sets)
-        self._update_options = UpdateOptions(settings.iterations, limit_weight(settings), settings.hinge_margin_rad)
-        self._lasting = MeasurementBias(settings.measurement_bias)
-        self._angles: np.ndarray | None = None
-        self._stamp_ns, self._last_dt = stamp_ns, 0.0
-        self._estimate = first_estimate(body, z, self._motion, settings.joint_sd_cap_rad, self._update_options)
-        self._measured(z, z.visible)
-        self.first_report = self._report(z.visible, NOBODY_LEFT_OUT, np.zeros(15))
-
-    @property
-    def unmeasured_s(self) -> float:
-        """Seconds from the last measurement that was used to the last prediction."""
-        return (self._stamp_ns - self._measured_ns) * NS
-
-    def change_body(self, body: Body) -> None:
-        """Go on with other sizes of the same body; the pose is less sure by what they move."""
-        self.body = body
-        x, slots = self._estimate, np.arange(24)
-        P = x.covariance.copy()
-        P[slots, slots] += per_slot(RESIZED_M, RESIZED_RAD, RESIZED_RAD, RESIZED_RAD) ** 2
-        self._estimate = Estimate(x.arrays, x.velocity, P)
-
-    def predict(self, stamp_ns: int) -> None:
-        """Move the estimate to a later stamp (thesis Table 5.5).
-
-        A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
-        from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
-        """
-        coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
-        if self._coasting and coast_end_ns < stamp_ns:
-            self._advance(coast_end_ns)
-            self._forget_velocity()
-        self._advance(stamp_ns)
-
-    def update(self, z: Measurement) -> BodyState | None:
-        """Correct the estimate with points of the predicted stamp (thesis Table 5.7).
-
-        None when the torso's points have contradicted the prediction for so long that the track has to start anew.
-        """
-        distances = innovation_distances(self.body, self._estimate, z)
-        verdict = self._gate.decide(distances, z.visible)
-        if verdict.returned and 2 * verdict.readmitted[TORSO_POINTS].sum() >= len(TORSO_POINTS) and enough_to_start(z):
-            return None
-        if verdict.used:
-            self._estimate = self._corrected(z, verdict)
-            self._measured(z, verdict.accepted)
-        return self._report(verdict.accepted, verdict.rejected, distances)
-
-    def _corrected(self, z: Measurement, verdict: GateDecision) -> Estimate:
-        prior, start = self._estimate, None
-        if verdict.returned:  # their limbs are elsewhere: look for them from where the points say
-            prior = self._release_limbs(prior, verdict.readmitted)
-            start = pose_of_points(self.body, z, verdict.accepted, prior.pose)
-        try:
-            return correct_estimate(self.body, prior, z, verdict.accepted, self._update_options, start)
-        except ValueError:
-            self.repairs += 1
-            mended = Estimate(prior.arrays, prior.velocity, positive_definite(prior.covariance))
-            return correct_estimate(self.body, mended, z, verdict.accepted, self._update_options, start)
-
-    def _measured(self, z: Measurement, used: np.ndarray) -> None:
-        self._lasting.remember(z.covariance, used)
-        self._measured_ns, self._coasting = self._stamp_ns, True
-
-    def _advance(self, stamp_ns: int) -> None:
-        dt = (stamp_ns - self._stamp_ns) * NS
-        if dt <= 0.0:
-            return
-        self._estimate = predict_estimate(self._estimate, self._motion.transition(dt), self.settings.joint_sd_cap_rad)
-        self._stamp_ns, self._last_dt = stamp_ns, dt
-
-    def _forget_velocity(self) -> None:
-        slots, P = np.arange(24), self._estimate.covariance.copy()
-        P[VELOCITY, :] = P[:, VELOCITY] = 0.0
-        P[24 + slots, 24 + slots] = self._motion.velocity_variance()
-        self._estimate = Estimate(self._estimate.arrays, np.zeros(24), P)
-        self._coasting = False
-
-    def _release_limbs(self, prior: Estimate, readmitted: np.ndarray) -> Estimate:
-        """The prior without any knowledge of the joints above the readmitted points (of the torso, for its own)."""
-        at, moves = linearised(self.body, prior.pose), np.zeros(24, bool)
-        for point in np.flatnonzero(readmitted):
-            moves[at.slots[point, 6 : at.columns[point]]] = True
-        moves[:6] = readmitted[TORSO_POINTS].any()
-        slots = np.flatnonzero(moves)
-        cap = self.settings.joint_sd_cap_rad
-        pose_variance = per_slot(REFOUND_TORSO_SD_M, cap, cap, cap)[slots] ** 2
-        velocity = np.where(moves, 0.0, prior.velocity)
-        P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
-        return Estimate(prior.arrays, velocity, P)
-
-    def _report(self, accepted: np.ndarray, gated: np.ndarray, distances: np.ndarray) -> BodyState:
-        x, pose = self._estimate, self._estimate.pose
-        self._angles = pose.angles(self._angles)
-        points_world, point_covariance, covariance, rates = report(
-            x.arrays,
-            x.velocity,
-            x.covariance,
-            self.body.lengths,
-            self.body.stick_origins_torso,
-            self._lasting.covariance,
-            self.settings.joint_sd_cap_rad**-2,
-            self._angles,
-        )
-        tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
-        return BodyState(
-            stamp_ns=self._stamp_ns,
-            pose=pose,
-            velocity=x.velocity,
-            predicted_velocity=self._predicted_velocity(x.velocity),
-            covariance=covariance,
-            angles=self._angles,
-            rates=rates,
-            points_world=points_world,
-            point_covariance=point_covariance,
-            accepted=accepted,
-            gated=gated,
-            distances=distances,
-            tracking=tracking,
-            reason=reason,
-        )
-
-    def _predicted_velocity(self, velocity: np.ndarray) -> np.ndarray:
-        """Mean rate (24,) over a step as long as the last one, by the motion model."""
-        if self._last_dt == 0.0:
-            return np.zeros(24)
-        return self._motion.transition(self._last_dt).reach * velocity / self._last_dt
-
-
-NO_BODY = "waiting for the body"
-SAME_PERSON_M = 0.06
-"""Statures of one person, measured twice, differ by less."""
+STATURE_M = 1.75
+FRAME_NS = 10_000_000
+NONE_REJECTED = np.zeros(15, bool)
 
 
 class ArticulatedEkf:
@@ -315,20 +135,191 @@ class ArticulatedEkf:
         """Take the state from this measurement alone."""
         assert self.body is not None
         self._track = Track(self.body, self.settings, stamp_ns, z)
-        return self._track.first_report
+        return self._track.first_state
 
 
-# --- Running the filter once before it matters, so that compiling does not hold up the first frame set.
+class Track:
+    """Estimate and memory of one body that is followed from a first measurement on.
 
-STATURE_M = 1.75
-FRAME_NS = 10_000_000
+    Needs :func:`enough_to_start` of that measurement. ``repairs`` counts how often rounding had to be mended in
+    the covariance; it stays 0.
+    """
+
+    def __init__(self, body: Body, settings: EkfSettings, stamp_ns: int, z: Measurement) -> None:
+        self.body, self.settings = body, settings
+        self.repairs = 0
+        self._motion = motion_model(settings)
+        self._gate = InnovationGate(settings.gate_chi2, settings.readmit_after_sets)
+        self._update_options = UpdateOptions(settings.iterations, limit_weight(settings), settings.hinge_margin_rad)
+        self._bias = MeasurementBias(settings.measurement_bias)
+        self._angles: np.ndarray | None = None
+        self._stamp_ns, self._last_dt = stamp_ns, 0.0
+        self._estimate = first_estimate(body, z, self._motion, settings.joint_sd_cap_rad, self._update_options)
+        self._note_measured(z, z.visible)
+        self.first_state = self._state(z.visible, NONE_REJECTED, np.zeros(15))
+
+    @property
+    def unmeasured_s(self) -> float:
+        """Seconds from the last measurement that was used to the last prediction."""
+        return (self._stamp_ns - self._measured_ns) * NS
+
+    def change_body(self, body: Body) -> None:
+        """Go on with other sizes of the same body; the pose is less sure by what they move."""
+        self.body = body
+        x, slots = self._estimate, np.arange(24)
+        P = x.covariance.copy()
+        P[slots, slots] += per_slot(RESIZED_M, RESIZED_RAD, RESIZED_RAD, RESIZED_RAD) ** 2
+        self._estimate = Estimate(x.arrays, x.velocity, P)
+
+    def predict(self, stamp_ns: int) -> None:
+        """Move the estimate to a later stamp (thesis Table 5.5).
+
+        A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
+        from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
+        """
+        coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
+        if self._coasting and coast_end_ns < stamp_ns:
+            self._advance(coast_end_ns)
+            self._forget_velocity()
+        self._advance(stamp_ns)
+
+    def update(self, z: Measurement) -> BodyState | None:
+        """Correct the estimate with points of the predicted stamp (thesis Table 5.7).
+
+        None when the torso's points have contradicted the prediction for so long that the track has to start anew.
+        """
+        distances = innovation_distances(self.body, self._estimate, z)
+        decision = self._gate.decide(distances, z.visible)
+        if (
+            decision.n_readmitted
+            and 2 * decision.readmitted[TORSO_POINTS].sum() >= len(TORSO_POINTS)
+            and enough_to_start(z)
+        ):
+            return None
+        if decision.n_accepted:
+            self._estimate = self._correct(z, decision)
+            self._note_measured(z, decision.accepted)
+        return self._state(decision.accepted, decision.rejected, distances)
+
+    def _correct(self, z: Measurement, decision: GateDecision) -> Estimate:
+        prior, start = self._estimate, None
+        if decision.n_readmitted:  # their limbs are elsewhere: look for them from where the points say
+            prior = self._release_limbs(prior, decision.readmitted)
+            start = pose_of_points(self.body, z, decision.accepted, prior.pose)
+        try:
+            return correct_estimate(self.body, prior, z, decision.accepted, self._update_options, start)
+        except ValueError:
+            self.repairs += 1
+            mended = Estimate(prior.arrays, prior.velocity, positive_definite(prior.covariance))
+            return correct_estimate(self.body, mended, z, decision.accepted, self._update_options, start)
+
+    def _note_measured(self, z: Measurement, used: np.ndarray) -> None:
+        self._bias.update(z.covariance, used)
+        self._measured_ns, self._coasting = self._stamp_ns, True
+
+    def _advance(self, stamp_ns: int) -> None:
+        dt = (stamp_ns - self._stamp_ns) * NS
+        if dt <= 0.0:
+            return
+        self._estimate = predict_estimate(self._estimate, self._motion.transition(dt), self.settings.joint_sd_cap_rad)
+        self._stamp_ns, self._last_dt = stamp_ns, dt
+
+    def _forget_velocity(self) -> None:
+        slots, P = np.arange(24), self._estimate.covariance.copy()
+        P[VELOCITY, :] = P[:, VELOCITY] = 0.0
+        P[24 + slots, 24 + slots] = self._motion.velocity_variance()
+        self._estimate = Estimate(self._estimate.arrays, np.zeros(24), P)
+        self._coasting = False
+
+    def _release_limbs(self, prior: Estimate, readmitted: np.ndarray) -> Estimate:
+        """The prior without any knowledge of the joints above the readmitted points (of the torso, for its own)."""
+        at, moves = linearised(self.body, prior.pose), np.zeros(24, bool)
+        for point in np.flatnonzero(readmitted):
+            moves[at.slots[point, 6 : at.columns[point]]] = True
+        moves[:6] = readmitted[TORSO_POINTS].any()
+        slots = np.flatnonzero(moves)
+        cap = self.settings.joint_sd_cap_rad
+        pose_variance = per_slot(RELEASED_TORSO_SD_M, cap, cap, cap)[slots] ** 2
+        velocity = np.where(moves, 0.0, prior.velocity)
+        P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
+        return Estimate(prior.arrays, velocity, P)
+
+    def _state(self, accepted: np.ndarray, gated: np.ndarray, distances: np.ndarray) -> BodyState:
+        x, pose = self._estimate, self._estimate.pose
+        self._angles = pose.angles(self._angles)
+        points_world, point_covariance, covariance, rates = report(
+            x.arrays,
+            x.velocity,
+            x.covariance,
+            Sizes.of(self.body),
+            self._bias.covariance,
+            self.settings.joint_sd_cap_rad**-2,
+            self._angles,
+        )
+        tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
+        return BodyState(
+            stamp_ns=self._stamp_ns,
+            pose=pose,
+            velocity=x.velocity,
+            predicted_velocity=self._predicted_velocity(x.velocity),
+            covariance=covariance,
+            angles=self._angles,
+            rates=rates,
+            points_world=points_world,
+            point_covariance=point_covariance,
+            accepted=accepted,
+            gated=gated,
+            distances=distances,
+            tracking=tracking,
+            reason=reason,
+        )
+
+    def _predicted_velocity(self, velocity: np.ndarray) -> np.ndarray:
+        """Mean rate (24,) over a step as long as the last one, by the motion model."""
+        if self._last_dt == 0.0:
+            return np.zeros(24)
+        return self._motion.transition(self._last_dt).f_cross * velocity / self._last_dt
+
+
+def enough_to_start(z: Measurement) -> bool:
+    """Whether the visible points fix the torso."""
+    return int(z.visible[TORSO_POINTS].sum()) >= NEEDED_TORSO_POINTS
+
+
+def first_estimate(
+    body: Body, z: Measurement, motion: MotionModel, joint_sd: float, options: UpdateOptions
+) -> Estimate:
+    """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
+
+    Joints that no visible point bears on keep the T-pose and the standard deviation ``joint_sd`` (rad); the velocity
+    is unknown. Needs :func:`enough_to_start`.
+    """
+    resting = Pose.from_angles(*_torso_of(body, z), T_POSE_ANGLES)
+    pose = pose_of_points(body, z, z.visible, resting)
+    P = np.zeros((DIMENSION, DIMENSION))
+    P[POSE, POSE] = np.diag(per_slot(TORSO_SD_M, TORSO_SD_RAD, joint_sd, joint_sd) ** 2)
+    P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
+    return correct_estimate(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, options)
+
+
+def pose_of_points(body: Body, z: Measurement, chosen: np.ndarray, otherwise: Pose) -> Pose:
+    """Inverse kinematics of the chosen points (15,) bool; the rest stands as in the pose ``otherwise``."""
+    points = np.where(chosen[:, None], z.points_world, forward(body, otherwise))
+    return inverse(body, points, otherwise)
+
+
+def _torso_of(body: Body, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and rotation (3, 3) of the torso: rigid fit of its visible points (Procrustes)."""
+    seen = z.visible[TORSO_POINTS]
+    R, t = rigid_transform(body.torso_points[seen], z.points_world[TORSO_POINTS][seen])
+    return t, R
 
 
 def warm_up() -> None:
-    """Two sets of a standing figure through a filter of its own."""
+    """Run a filter of its own over two sets, so that compiling does not hold up the first real one."""
     body = Body.from_stature(STATURE_M)
     points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
     covariance = np.tile(np.eye(3) * 1e-4, (15, 1, 1))
-    rehearsed = ArticulatedEkf(body)
+    ekf = ArticulatedEkf(body)
     for number in range(2):
-        rehearsed.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool))
+        ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool))

@@ -1,13 +1,16 @@
 """Prediction and correction of the articulated EKF (thesis Tables 5.5 and 5.7) on the manifold of poses.
 
-The covariance belongs to an error vector of 48 slots: 24 of the pose's tangent (`stick_figure.pose`), 24 of its
-velocity. The pose itself stays a set of rotation matrices, so nothing needs normalising and no gimbal locks.
+The covariance belongs to an error vector of 48 slots (see `state`): 24 of the pose's tangent (`stick_figure.pose`), 24
+of its velocity. The pose itself stays a set of rotation matrices, so nothing needs normalising and no gimbal locks. The
+kernels take a pose as its state arrays (t0, R0, RJ, hinges) of `stick_figure.kernels`; no fast-math and fixed orders of
+summation, so equal inputs give equal bytes.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -24,6 +27,7 @@ from stick_figure.skeleton import HINGE_ANGLES
 from .bias import add_measurement_bias
 from .measurement import (
     Measurement,
+    Sizes,
     add_information,
     empty_linearised,
     linearise,
@@ -32,50 +36,266 @@ from .measurement import (
     squared_distances,
 )
 from .motion_model import Transition
-from .state import HINGES
-
-# --- The filter's two steps, compiled: plain arrays in, plain arrays out.
-#
-# Slots as in `slots`: 24 of the pose's tangent, then 24 of its velocity. No fast-math and fixed orders of summation, so
-# equal inputs give equal bytes. A pose is its state arrays (t0, R0, RJ, hinges) of `stick_figure.kernels`.
 
 N = 24
 STEP_LIMIT = 0.5
 """rad and m: a longer Gauss-Newton step is outside the region where the linearisation holds."""
 LINEAR_M = 1e-3
 """When every point is this close to where the linearisation said, linearising again is not worth it."""
+SMALLEST_VARIANCE = 1e-12
+"""Eigenvalues below this (1 micrometre, 1 microradian) are rounding, not knowledge."""
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Mean and covariance of the state.
+
+    arrays : the pose as `stick_figure.pose.Pose.arrays` names it
+    velocity : (24,) rates of the pose's tangent, m/s and rad/s
+    covariance : (48, 48), pose before velocity
+    """
+
+    arrays: Arrays
+    velocity: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def pose(self) -> Pose:
+        """The pose, with arrays of its own."""
+        return Pose(*self.arrays)
+
+
+class UpdateOptions(NamedTuple):
+    """How an update is iterated: relinearisations at most, weight of a joint limit (1/rad^2), and how far (rad) an
+    elbow or knee may pass straight before it is described the other way round."""
+
+    max_iterations: int
+    limit_weight: float = 0.0
+    hinge_margin_rad: float = HINGE_MARGIN_RAD
+
+
+def predict_estimate(estimate: Estimate, transition: Transition, joint_sd_cap_rad: float) -> Estimate:
+    """The estimate one transition later (thesis Table 5.5, from the a-posteriori state and covariance).
+
+    No joint's pose is left with a standard deviation above the cap (rad): see :func:`cap_joints`.
+    """
+    x = estimate
+    return Estimate(*predict_arrays(x.arrays, x.velocity, x.covariance, transition, joint_sd_cap_rad))
+
+
+def correct_estimate(
+    body: Body, prior: Estimate, z: Measurement, chosen: np.ndarray, options: UpdateOptions, start: Pose | None = None
+) -> Estimate:
+    """The estimate after the chosen points (15,) bool of z: iterated EKF update (thesis Table 5.7, relinearised).
+
+    Each iteration is one Gauss-Newton step on the sum of the points' and the prior's squared residuals (Bell &
+    Cathey 1993). ``start`` is the pose of the first linearisation; the prior's own by default. Joint limits move the
+    mean but are left out of the covariance: that an arm cannot be there does not say where it is. ValueError when the
+    prior's covariance is not positive definite.
+    """
+    first = prior.arrays if start is None else start.arrays
+    return Estimate(
+        *correct_arrays(prior.arrays, first, prior.velocity, prior.covariance, Sizes.of(body), z, chosen, options)
+    )
+
+
+def innovation_distances(body: Body, prior: Estimate, z: Measurement) -> np.ndarray:
+    """(15,) squared Mahalanobis distance of each visible point from its prediction; 0 for the others.
+
+    Each is chi-square with 3 degrees of freedom while model and covariances are right.
+    """
+    return squared_distances(prior.arrays, Sizes.of(body), prior.covariance, z)
+
+
+def positive_definite(P: np.ndarray) -> np.ndarray:
+    """P (n, n) made symmetric, with its eigenvalues raised where rounding spoilt them."""
+    eigenvalues, vectors = np.linalg.eigh(P)
+    mended = (vectors * np.maximum(eigenvalues, SMALLEST_VARIANCE)) @ vectors.T
+    return 0.5 * (mended + mended.T)
+
+
+def reset_slots(
+    P: np.ndarray, slots: np.ndarray, pose_variance: np.ndarray, velocity_variance: np.ndarray
+) -> np.ndarray:
+    """P (48, 48) that knows nothing about these tangent slots but the given variances (n,) of pose and velocity."""
+    both = np.concatenate([slots, 24 + slots])
+    P = P.copy()
+    P[both, :] = P[:, both] = 0.0
+    P[both, both] = np.concatenate([pose_variance, velocity_variance])
+    return P
+
+
+# --- kernels ---------------------------------------------------------------------------------------------------------
 
 
 @njit(cache=True)
-def predict_arrays(pose, velocity, P, reach, kept, q_pose, q_cross, q_velocity, sd_cap):
+def predict_arrays(pose, velocity, P, transition, sd_cap):
     """Pose, velocity and covariance (48, 48) one transition later (thesis Table 5.5).
 
-    F = [[I, reach], [0, kept]] and Q = [[q_pose, q_cross], [q_cross, q_velocity]], each block diagonal (24,).
+    ``transition`` is a `motion_model.Transition`.
     """
+    f_cross, f_velocity, q_pose, q_cross, q_velocity = transition
     out = np.empty_like(P)
     for i in range(N):
         for j in range(N):  # each sum in an order that its mirror image shares, so that the result is exactly symmetric
-            cross = P[i, N + j] * reach[j] + reach[i] * P[N + i, j]
-            out[i, j] = (P[i, j] + cross) + (reach[i] * reach[j]) * P[N + i, N + j]
-            out[i, N + j] = (P[i, N + j] + reach[i] * P[N + i, N + j]) * kept[j]
-            out[N + i, j] = (P[N + i, j] + P[N + i, N + j] * reach[j]) * kept[i]
-            out[N + i, N + j] = (kept[i] * kept[j]) * P[N + i, N + j]
+            cross = P[i, N + j] * f_cross[j] + f_cross[i] * P[N + i, j]
+            out[i, j] = (P[i, j] + cross) + (f_cross[i] * f_cross[j]) * P[N + i, N + j]
+            out[i, N + j] = (P[i, N + j] + f_cross[i] * P[N + i, N + j]) * f_velocity[j]
+            out[N + i, j] = (P[N + i, j] + P[N + i, N + j] * f_cross[j]) * f_velocity[i]
+            out[N + i, N + j] = (f_velocity[i] * f_velocity[j]) * P[N + i, N + j]
         out[i, i] += q_pose[i]
         out[i, N + i] += q_cross[i]
         out[N + i, i] += q_cross[i]
         out[N + i, N + i] += q_velocity[i]
     cap_joints(out, sd_cap)
-    ahead = copied(pose)
-    t0, R0, RJ, hinges = ahead
-    kernels.retract(t0, R0, RJ, hinges, reach * velocity, 1.0)
-    return ahead, kept * velocity, out
+    moved_pose = copied(pose)
+    t0, R0, RJ, hinges = moved_pose
+    kernels.retract(t0, R0, RJ, hinges, f_cross * velocity, 1.0)
+    return moved_pose, f_velocity * velocity, out
 
 
 @njit(cache=True)
-def copied(pose):
-    """State arrays of their own."""
+def correct_arrays(prior, start, velocity, P, sizes, z, chosen, options):
+    """Pose, velocity and covariance after the chosen points (15,) bool of z, a `Measurement` (thesis Table 5.7).
+
+    ``start`` is the pose of the first linearisation. Elbows and knees come out bent the right way. ValueError when P
+    (48, 48) has lost its positive definiteness.
+    """
+    pose = copied(start)
+    L, Y, V, offset = iterate_update(prior, pose, P, sizes, z, chosen, options)
+    P_vx = np.ascontiguousarray(P[N:, :N])
+    moved_velocity = velocity + np.dot(P_vx, np.dot(Y, offset))  # the mean of v given x
+    G = np.empty((2 * N, N))
+    G[:N] = V
+    G[N:] = np.dot(np.dot(P_vx, Y), V)
+    posterior = joseph(P, G, L)
+    _canonicalise_hinges(pose, moved_velocity, posterior, options.hinge_margin_rad, options.limit_weight > 0.0)
+    return pose, moved_velocity, posterior
+
+
+@njit(cache=True)
+def iterate_update(prior, pose, P, sizes, z, chosen, options):
+    """Iterates the EKF's update (thesis Table 5.7) to the pose at which its own linearisation holds.
+
+    ``pose`` is the first linearisation, and becomes the result. Joint limits that the last step passed are worth one
+    more iteration.
+
+    In information form, because the points' covariance is one small block each: with Y = P_pose^-1 and L = H' R^-1 H,
+    the step from the prior is V (H' R^-1 (z - h) + L (x (-) prior)), V = (Y + L)^-1 the covariance of the pose. Returns
+    L, Y, V (24, 24), L and V of the last linearisation, and x (-) prior (24,).
+    """
+    max_iterations, limit_weight, hinge_margin = options
     t0, R0, RJ, hinges = pose
-    return t0.copy(), R0.copy(), RJ.copy(), hinges.copy()
+    t0_prior, R0_prior, RJ_prior, hinges_prior = prior
+    Y, weights, at = (
+        inverse_positive(np.ascontiguousarray(P[:N, :N])),
+        _inverses(z.covariance, chosen),
+        empty_linearised(),
+    )
+    L, A, g, offset = np.empty((N, N)), np.zeros((N, N)), np.zeros(N), np.empty(N)
+    linearise(pose, sizes, at)
+    iteration, violated = 0, add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
+    while True:
+        iteration += 1
+        kernels.difference(t0, R0, RJ, hinges, t0_prior, R0_prior, RJ_prior, hinges_prior, offset)
+        _normal_equations(at, weights, z.points_world, chosen, L, g)
+        V = inverse_positive(Y + L)
+        g -= np.dot(Y, offset)
+        step = np.dot(V, g)
+        if limit_weight > 0.0 and violated > 0:
+            A[:] = Y + L
+            add_joint_limits(RJ, hinges, hinge_margin, limit_weight, A, g)
+            step = np.dot(inverse_positive(A), g)
+        step *= min(1.0, STEP_LIMIT / max(np.abs(step).max(), STEP_LIMIT))
+        offset += step
+        t0[:], R0[:], RJ[:], hinges[:] = t0_prior, R0_prior, RJ_prior, hinges_prior
+        kernels.retract(t0, R0, RJ, hinges, offset, 1.0)
+        linearisation_error = _linearise_and_compare(pose, sizes, chosen, step, at)
+        now_violated = add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
+        limits_hold = limit_weight == 0.0 or now_violated <= violated
+        if iteration > max_iterations or (
+            limits_hold and (iteration == max_iterations or linearisation_error < LINEAR_M)
+        ):
+            return L, Y, V, offset
+        violated = now_violated
+
+
+@njit(cache=True)
+def _normal_equations(at, weights, z, chosen, L, g):
+    """L (24, 24) <- H' R^-1 H and g (24,) <- H' R^-1 (z - h) of the chosen points."""
+    L[:] = 0.0
+    g[:] = 0.0
+    for point in range(15):
+        if chosen[point]:
+            add_information(at, point, weights[point], z[point] - at.h[point], L, g)
+    for i in range(N):
+        for j in range(i):
+            L[i, j] = L[j, i]
+
+
+@njit(cache=True)
+def _linearise_and_compare(pose, sizes, chosen, step, at):
+    """at <- linearisation at the pose; returns how far (m, any axis) the chosen points are from where it had them."""
+    expected = np.empty((15, 3))
+    for point in range(15):
+        expected[point, 0], expected[point, 1], expected[point, 2] = moved(at, point, step)
+    linearise(pose, sizes, at)
+    linearisation_error = 0.0
+    for point in range(15):
+        if chosen[point]:
+            for i in range(3):
+                linearisation_error = max(linearisation_error, abs(expected[point, i] - at.h[point, i]))
+    return linearisation_error
+
+
+@njit(cache=True)
+def _inverses(R, chosen):
+    inverses = np.empty_like(R)
+    for point in range(15):
+        if chosen[point]:
+            inverse3(R[point], inverses[point])
+    return inverses
+
+
+@njit(cache=True)
+def joseph(P, G, L):
+    """(I - K H) P (I - K H)' + K R K' for the gain K = G H' R^-1, with L = H' R^-1 H (24, 24) on the pose, P (48, 48).
+
+    Joseph's form, because a sum of two squares stays symmetric and positive whatever the rounding of K;
+    the thesis's (I - K H) P (Table 5.7) is right only for the exact gain and loses both over a few thousand sets.
+    Here K H = [G L, 0] and K R K' = G L G'.
+    """
+    KH = np.dot(G, L)
+    T = P - np.dot(KH, P[:N])  # (I - K H) P
+    out = np.dot(G - T[:, :N], KH.T)
+    out += T
+    symmetrise(out)
+    return out
+
+
+@njit(cache=True)
+def _canonicalise_hinges(pose, velocity, P, margin, only_if_better):
+    """Describes limbs that passed straight the other way round, in place; with joint limits only if that is better."""
+    _, _, RJ, hinges = pose
+    RJ_turned, hinges_turned, velocity_turned = RJ.copy(), hinges.copy(), velocity.copy()
+    turned = kernels.canonicalise_hinges(RJ_turned, hinges_turned, velocity_turned, margin)
+    for h in range(4):
+        if not turned >> h & 1:
+            continue
+        if only_if_better and not flipped_limb_fits_better(h, RJ, hyperextension(h, hinges, margin)):
+            continue
+        slot = kernels.HINGE_SLOT[h]
+        RJ[1 + h], hinges[h], velocity[slot] = RJ_turned[1 + h], hinges_turned[h], velocity_turned[slot]
+        _negate(P, slot)
+        _negate(P, N + slot)
+
+
+@njit(cache=True)
+def _negate(P, slot):
+    P[slot, :] *= -1.0
+    P[:, slot] *= -1.0
 
 
 @njit(cache=True)
@@ -136,265 +356,23 @@ def _turn_rows(P, slots, shrink):
 
 
 @njit(cache=True)
-def correct_arrays(prior, start, velocity, P, lengths, origins, z, R, chosen, limit_weight, iterations, hinge_margin):
-    """Pose, velocity and covariance after the chosen points (15,) bool of z (15, 3), R (15, 3, 3) (thesis Table 5.7).
-
-    ``start`` is the pose of the first linearisation. Elbows and knees come out bent the right way. ValueError when P
-    (48, 48) has lost its positive definiteness.
-    """
-    pose = copied(start)
-    L, Y, V, offset = iterate_update(
-        prior, pose, lengths, origins, P, z, R, chosen, limit_weight, iterations, hinge_margin
-    )
-    P_vx = np.ascontiguousarray(P[N:, :N])
-    moved_velocity = velocity + np.dot(P_vx, np.dot(Y, offset))  # the mean of v given x
-    G = np.empty((2 * N, N))
-    G[:N] = V
-    G[N:] = np.dot(np.dot(P_vx, Y), V)
-    posterior = joseph(P, G, L)
-    _canonicalise_hinges(pose, moved_velocity, posterior, hinge_margin, limit_weight > 0.0)
-    return pose, moved_velocity, posterior
-
-
-@njit(cache=True)
-def _canonicalise_hinges(pose, velocity, P, margin, only_if_better):
-    """Describes limbs that passed straight the other way round, in place; with joint limits only if that is better."""
-    _, _, RJ, hinges = pose
-    RJ_turned, hinges_turned, velocity_turned = RJ.copy(), hinges.copy(), velocity.copy()
-    turned = kernels.canonicalise_hinges(RJ_turned, hinges_turned, velocity_turned, margin)
-    for h in range(4):
-        if not turned >> h & 1:
-            continue
-        if only_if_better and not flipped_limb_fits_better(h, RJ, hyperextension(h, hinges, margin)):
-            continue
-        slot = kernels.HINGE_SLOT[h]
-        RJ[1 + h], hinges[h], velocity[slot] = RJ_turned[1 + h], hinges_turned[h], velocity_turned[slot]
-        _negate(P, slot)
-        _negate(P, N + slot)
-
-
-@njit(cache=True)
-def _negate(P, slot):
-    P[slot, :] *= -1.0
-    P[:, slot] *= -1.0
-
-
-@njit(cache=True)
-def iterate_update(prior, pose, lengths, origins, P, z, R, chosen, limit_weight, iterations, hinge_margin):
-    """Iterates the EKF's update (thesis Table 5.7) to the pose at which its own linearisation holds.
-
-    ``pose`` is the first linearisation, and becomes the result. ``limit_weight`` of the joint limits in 1/rad^2; limits
-    that the last step passed are worth one more iteration.
-
-    In information form, because the points' covariance is one small block each: with Y = P_pose^-1 and L = H' R^-1 H,
-    the step from the prior is V (H' R^-1 (z - h) + L (x (-) prior)), V = (Y + L)^-1 the covariance of the pose. Returns
-    L, Y, V (24, 24), L and V of the last linearisation, and x (-) prior (24,).
-    """
+def copied(pose):
+    """State arrays of their own."""
     t0, R0, RJ, hinges = pose
-    t0_prior, R0_prior, RJ_prior, hinges_prior = prior
-    Y, weights, at = inverse_positive(np.ascontiguousarray(P[:N, :N])), _inverses(R, chosen), empty_linearised()
-    L, A, g, offset = np.empty((N, N)), np.zeros((N, N)), np.zeros(N), np.empty(N)
-    linearise(pose, lengths, origins, at)
-    number, beyond = 0, add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
-    while True:
-        number += 1
-        kernels.difference(t0, R0, RJ, hinges, t0_prior, R0_prior, RJ_prior, hinges_prior, offset)
-        _normal_equations(at, weights, z, chosen, L, g)
-        V = inverse_positive(Y + L)
-        g -= np.dot(Y, offset)
-        step = np.dot(V, g)
-        if limit_weight > 0.0 and beyond > 0:
-            A[:] = Y + L
-            add_joint_limits(RJ, hinges, hinge_margin, limit_weight, A, g)
-            step = np.dot(inverse_positive(A), g)
-        step *= min(1.0, STEP_LIMIT / max(np.abs(step).max(), STEP_LIMIT))
-        offset += step
-        t0[:], R0[:], RJ[:], hinges[:] = t0_prior, R0_prior, RJ_prior, hinges_prior
-        kernels.retract(t0, R0, RJ, hinges, offset, 1.0)
-        linearisation_error = _linearise_and_compare(pose, lengths, origins, chosen, step, at)
-        passed = add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
-        limits_hold = limit_weight == 0.0 or passed <= beyond
-        if number > iterations or (limits_hold and (number == iterations or linearisation_error < LINEAR_M)):
-            return L, Y, V, offset
-        beyond = passed
+    return t0.copy(), R0.copy(), RJ.copy(), hinges.copy()
 
 
 @njit(cache=True)
-def _inverses(R, chosen):
-    inverses = np.empty_like(R)
-    for point in range(15):
-        if chosen[point]:
-            inverse3(R[point], inverses[point])
-    return inverses
-
-
-@njit(cache=True)
-def _normal_equations(at, weights, z, chosen, L, g):
-    """L (24, 24) <- H' R^-1 H and g (24,) <- H' R^-1 (z - h) of the chosen points."""
-    L[:] = 0.0
-    g[:] = 0.0
-    for point in range(15):
-        if chosen[point]:
-            add_information(at, point, weights[point], z[point] - at.h[point], L, g)
-    for i in range(N):
-        for j in range(i):
-            L[i, j] = L[j, i]
-
-
-@njit(cache=True)
-def _linearise_and_compare(pose, lengths, origins, chosen, step, at):
-    """at <- linearisation at the pose; returns how far (m, any axis) the chosen points are from where it had them."""
-    expected = np.empty((15, 3))
-    for point in range(15):
-        expected[point, 0], expected[point, 1], expected[point, 2] = moved(at, point, step)
-    linearise(pose, lengths, origins, at)
-    linearisation_error = 0.0
-    for point in range(15):
-        if chosen[point]:
-            for i in range(3):
-                linearisation_error = max(linearisation_error, abs(expected[point, i] - at.h[point, i]))
-    return linearisation_error
-
-
-@njit(cache=True)
-def joseph(P, G, L):
-    """(I - K H) P (I - K H)' + K R K' for the gain K = G H' R^-1, with L = H' R^-1 H (24, 24) on the pose, P (48, 48).
-
-    Joseph's form, because a sum of two squares stays symmetric and positive whatever the rounding of K;
-    the thesis's (I - K H) P (Table 5.7) is right only for the exact gain and loses both over a few thousand sets.
-    Here K H = [G L, 0] and K R K' = G L G'.
-    """
-    KH = np.dot(G, L)
-    T = P - np.dot(KH, P[:N])  # (I - K H) P
-    out = np.dot(G - T[:, :N], KH.T)
-    out += T
-    symmetrise(out)
-    return out
-
-
-Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """Mean and covariance of the state.
-
-    arrays : the pose as `stick_figure.pose.Pose.arrays` names it
-    velocity : (24,) rates of the pose's tangent, m/s and rad/s
-    covariance : (48, 48), pose before velocity
-    """
-
-    arrays: Arrays
-    velocity: np.ndarray
-    covariance: np.ndarray
-
-    @property
-    def pose(self) -> Pose:
-        """The pose, with arrays of its own."""
-        return Pose(*self.arrays)
-
-
-@dataclass(frozen=True)
-class UpdateOptions:
-    """How an update is iterated: relinearisations at most, weight of a joint limit (1/rad^2), and how far (rad) an
-    elbow or knee may pass straight before it is described the other way round."""
-
-    most: int
-    limit_weight: float = 0.0
-    hinge_margin_rad: float = HINGE_MARGIN_RAD
-
-
-def predict_estimate(estimate: Estimate, transition: Transition, joint_sd_cap_rad: float) -> Estimate:
-    """The estimate one transition later (thesis Table 5.5, from the a-posteriori state and covariance).
-
-    No joint's pose is left with a standard deviation above the cap (rad): see `compiled.cap_joints`.
-    """
-    x = estimate
-    return Estimate(*predict_arrays(x.arrays, x.velocity, x.covariance, *transition, joint_sd_cap_rad))
-
-
-def correct_estimate(
-    body: Body, prior: Estimate, z: Measurement, chosen: np.ndarray, options: UpdateOptions, start: Pose | None = None
-) -> Estimate:
-    """The estimate after the chosen points (15,) bool of z: iterated EKF update (thesis Table 5.7, relinearised).
-
-    Each iteration is one Gauss-Newton step on the sum of the points' and the prior's squared residuals (Bell &
-    Cathey 1993). ``start`` is the pose of the first linearisation; the prior's own by default. Joint limits move the
-    mean but are left out of the covariance: that an arm cannot be there does not say where it is. ValueError when the
-    prior's covariance is not positive definite.
-    """
-    return Estimate(
-        *correct_arrays(
-            prior.arrays,
-            prior.arrays if start is None else start.arrays,
-            prior.velocity,
-            prior.covariance,
-            body.lengths,
-            body.stick_origins_torso,
-            z.points_world,
-            z.covariance,
-            chosen,
-            options.limit_weight,
-            options.most,
-            options.hinge_margin_rad,
-        )
-    )
-
-
-def innovation_distances(body: Body, prior: Estimate, z: Measurement) -> np.ndarray:
-    """(15,) squared Mahalanobis distance of each visible point from its prediction; 0 for the others.
-
-    Each is chi-square with 3 degrees of freedom while model and covariances are right.
-    """
-    lengths, origins = body.lengths, body.stick_origins_torso
-    return squared_distances(prior.arrays, lengths, origins, prior.covariance, z.points_world, z.covariance, z.visible)
-
-
-# --- Keeping a covariance a covariance: symmetric, positive definite, bounded where nothing is observed.
-
-JOINT_SLOTS = tuple(row[row >= 0] for row in SLOT_OF_JOINT_AXIS) + tuple(HINGES[k : k + 1] for k in range(4))
-"""Tangent slots of each joint: neck (2), shoulders and hips (3 each), elbows and knees (1 each)."""
-
-SMALLEST_VARIANCE = 1e-12
-"""Eigenvalues below this (1 micrometre, 1 microradian) are rounding, not knowledge."""
-
-
-def symmetric_part(P: np.ndarray) -> np.ndarray:
-    """The symmetric part of P: rounding makes the two triangles drift apart."""
-    return 0.5 * (P + P.T)
-
-
-def positive_definite(P: np.ndarray) -> np.ndarray:
-    """P (n, n) symmetric, with its eigenvalues raised where rounding spoilt them."""
-    eigenvalues, vectors = np.linalg.eigh(P)
-    return symmetric_part((vectors * np.maximum(eigenvalues, SMALLEST_VARIANCE)) @ vectors.T)
-
-
-def reset_slots(
-    P: np.ndarray, slots: np.ndarray, pose_variance: np.ndarray, velocity_variance: np.ndarray
-) -> np.ndarray:
-    """P (48, 48) that knows nothing about these tangent slots but the given variances (n,) of pose and velocity."""
-    both = np.concatenate([slots, 24 + slots])
-    P = P.copy()
-    P[both, :] = P[:, both] = 0.0
-    P[both, both] = np.concatenate([pose_variance, velocity_variance])
-    return P
-
-
-# --- What the filter publishes of a state, computed from it (compiled).
-
-
-@njit(cache=True)
-def report(pose, velocity, P, lengths, origins, lasting, least_information, angles):
+def report(pose, velocity, P, sizes, bias, least_information, angles):
     """Points (15, 3), their covariances (15, 3, 3), the state's covariance (48, 48), rates (18,) of the angles (18,).
 
-    Both covariances include the errors that last: ``lasting`` and ``least_information`` of `lasting_errors`.
+    Both covariances include the measurements' bias: ``bias`` and ``least_information`` of `bias.add_measurement_bias`.
     """
     at, points, state = empty_linearised(), np.empty((15, 3, 3)), P.copy()
-    linearise(pose, lengths, origins, at)
+    linearise(pose, sizes, at)
     for point in range(15):
         point_covariance(at, point, P, points[point])
-    add_measurement_bias(at, lasting, least_information, points, state)
+    add_measurement_bias(at, bias, least_information, points, state)
     _, _, _, hinges = pose
     return at.h, points, state, rates_of_angles(hinges, velocity, angles)
 
@@ -403,8 +381,8 @@ def report(pose, velocity, P, lengths, origins, lasting, least_information, angl
 def rates_of_angles(hinges, velocity, angles):
     """(18,) rad/s of the angles (18,), for a tangent velocity (24,) and the pose's own hinges (4,).
 
-    Equals `stick_figure.kinematics.angle_rates`, at a filter's pace.
-    Angles may describe a hinge the other way round than the pose; its rate then has the other sign.
+    Equals `stick_figure.kinematics.angle_rates`, compiled. Angles may describe a hinge the other way round than the
+    pose; its rate then has the other sign.
     """
     rates, omega = np.zeros(18), np.empty(3)
     for ball in range(5):

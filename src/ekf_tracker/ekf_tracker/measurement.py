@@ -1,9 +1,14 @@
-"""The measurement of the filter: the 15 reference points with a covariance each (thesis eq. 5.48)."""
+"""The filter's measurement: 15 reference points with a covariance each (thesis eq. 5.48), their prediction, the gate.
+
+The measurement function h gives the 15 points of a pose (thesis Table 5.2), H is its Jacobian (Table 5.8). The pose's
+state arrays (t0, R0, RJ, hinges) are those of `stick_figure.kernels`. A point hangs from at most eleven of the 24
+tangent slots, and only those columns of its Jacobian are kept. Points that contradict the prediction are left out by a
+chi-square gate, but not for ever.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +24,11 @@ from stick_figure.skeleton import POINT_NAMES, POINT_STICK
 POINTS = len(POINT_NAMES)
 ASYMMETRY_M2 = 1e-9
 """m^2: more than rounding of float32 leaves between the two triangles of a covariance."""
+WIDTH = 11
+"""Columns that are kept of a point: at most ten are used, one spare as `kernels.point_jacobian` asks for."""
 
 
-@dataclass(frozen=True, eq=False)
-class Measurement:
+class Measurement(NamedTuple):
     """z and R of one frame set.
 
     points_world : (15, 3) metres
@@ -54,54 +60,21 @@ class Measurement:
             if array.shape != shape:
                 raise InputError(f"{name} has shape {array.shape}", remedy=f"Expected {shape}.")
         z, R = np.zeros((POINTS, 3)), np.zeros((POINTS, 3, 3))
-        if not _take(points_world, covariance, visible, sd_floor**2, z, R):
-            _complain(z, R)
+        if not _copy_visible(points_world, covariance, visible, sd_floor**2, z, R):
+            _refuse(z, R)
         return cls(z, R, visible.copy())
 
 
-@njit(cache=True)
-def _take(points_world, covariance, visible, floor, z, R):
-    """z and R <- what is visible, the floor (m^2) added to each variance; whether all of it can be used."""
-    good = True
-    for point in range(POINTS):
-        if visible[point]:
-            z[point] = points_world[point]
-            R[point] = covariance[point]
-        for i in range(3):
-            good = good and math.isfinite(z[point, i])
-            for j in range(i):
-                good = good and abs(R[point, i, j] - R[point, j, i]) < ASYMMETRY_M2
-            R[point, i, i] += floor
-        good = good and positive3(R[point])
-    return good
+class Sizes(NamedTuple):
+    """A body for the kernels: lengths (10,) m of the sticks, origins (10, 3) m of those that start on the torso."""
 
+    lengths: np.ndarray
+    origins: np.ndarray
 
-def _complain(points_world: np.ndarray, covariance: np.ndarray) -> None:
-    """Raises InputError that names the first bad point and what is wrong with it."""
-    for i, name in enumerate(POINT_NAMES):
-        problem = "has a covariance that is not positive"
-        if not np.isfinite(points_world[i]).all():
-            problem = "is not finite"
-        elif not np.isfinite(covariance[i]).all():
-            problem = "has a covariance that is not finite"
-        elif _asymmetry(covariance[i]) >= ASYMMETRY_M2:
-            problem = "has an asymmetric covariance"
-        elif np.linalg.eigvalsh(covariance[i])[0] > 0.0:
-            continue
-        raise InputError(f"point '{name}' {problem}", remedy="Mark points that could not be measured as not visible.")
-
-
-def _asymmetry(covariance: np.ndarray) -> np.ndarray:
-    return np.abs(covariance - covariance.swapaxes(-1, -2)).max(axis=(-1, -2))
-
-
-# --- The measurement function of the filter, linearised: the 15 points and how each moves with the pose (compiled).
-#
-# The pose's state arrays (t0, R0, RJ, hinges) are those of `stick_figure.kernels`. A point hangs from at most eleven of
-# the 24 tangent slots, and only those columns of its Jacobian are kept.
-
-WIDTH = 11
-"""Columns that are kept of a point: at most ten are used, one spare as `kernels.point_jacobian` asks for."""
+    @staticmethod
+    def of(body: Body) -> Sizes:
+        """Its arrays."""
+        return Sizes(body.lengths, body.stick_origins_torso)
 
 
 class Linearised(NamedTuple):
@@ -121,8 +94,74 @@ class Linearised(NamedTuple):
 def linearised(body: Body, pose: Pose) -> Linearised:
     """The measurement function and its Jacobian at a pose."""
     at = empty_linearised()
-    linearise(pose.arrays, body.lengths, body.stick_origins_torso, at)
+    linearise(pose.arrays, Sizes.of(body), at)
     return at
+
+
+class GateDecision(NamedTuple):
+    """accepted, rejected, readmitted : (15,) bool; a readmitted point is one of the accepted. n_... : how many."""
+
+    accepted: np.ndarray
+    rejected: np.ndarray
+    readmitted: np.ndarray
+    n_accepted: int
+    n_rejected: int
+    n_readmitted: int
+
+
+class InnovationGate:
+    """Chi-square gate with a memory.
+
+    A point beyond the threshold is left out; one that has been left out for more than ``patience`` sets in a row is
+    readmitted: by then it is the prediction that is wrong. Sets in which the point is not visible do not count.
+    """
+
+    def __init__(self, threshold: float, patience: int) -> None:
+        self._threshold, self._patience = threshold, patience
+        self.rejected_in_a_row = np.zeros(POINTS, dtype=np.int64)
+
+    def decide(self, distances: np.ndarray, visible: np.ndarray) -> GateDecision:
+        """Squared Mahalanobis distances (15,) of the visible points (15,) against the threshold."""
+        return GateDecision(*_decide(distances, visible, self._threshold, self._patience, self.rejected_in_a_row))
+
+
+def _refuse(points_world: np.ndarray, covariance: np.ndarray) -> None:
+    """Raises InputError that names the first bad point and what is wrong with it."""
+    for i, name in enumerate(POINT_NAMES):
+        problem = "has a covariance that is not positive"
+        if not np.isfinite(points_world[i]).all():
+            problem = "is not finite"
+        elif not np.isfinite(covariance[i]).all():
+            problem = "has a covariance that is not finite"
+        elif _asymmetry(covariance[i]) >= ASYMMETRY_M2:
+            problem = "has an asymmetric covariance"
+        elif np.linalg.eigvalsh(covariance[i])[0] > 0.0:
+            continue
+        raise InputError(f"point '{name}' {problem}", remedy="Mark points that could not be measured as not visible.")
+
+
+def _asymmetry(covariance: np.ndarray) -> np.ndarray:
+    return np.abs(covariance - covariance.swapaxes(-1, -2)).max(axis=(-1, -2))
+
+
+# --- kernels ---------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True)
+def _copy_visible(points_world, covariance, visible, floor, z, R):
+    """z and R <- what is visible, the floor (m^2) added to each variance; whether all of it can be used."""
+    good = True
+    for point in range(POINTS):
+        if visible[point]:
+            z[point] = points_world[point]
+            R[point] = covariance[point]
+        for i in range(3):
+            good = good and math.isfinite(z[point, i])
+            for j in range(i):
+                good = good and abs(R[point, i, j] - R[point, j, i]) < ASYMMETRY_M2
+            R[point, i, i] += floor
+        good = good and positive3(R[point])
+    return good
 
 
 @njit(cache=True)
@@ -133,10 +172,10 @@ def empty_linearised():
 
 
 @njit(cache=True)
-def linearise(pose, lengths, origins, at):
+def linearise(pose, sizes, at):
     """at <- points and Jacobian at the pose (t0, R0, RJ, hinges) of a body."""
     t0 = pose[0]
-    _, axes, A, B = kernels.place_sticks(pose, lengths, origins)
+    _, axes, A, B = kernels.place_sticks(pose, sizes.lengths, sizes.origins)
     kernels.reference_points(A, B, t0, at.h)
     for point in range(15):
         at.columns[point] = kernels.point_jacobian(
@@ -178,19 +217,19 @@ def point_covariance(at, point, P, C):
 
 
 @njit(cache=True)
-def squared_distances(pose, lengths, origins, P, z, R, visible):
+def squared_distances(pose, sizes, P, z):
     """(15,) squared Mahalanobis lengths of the innovations of the visible points; 0 for the others."""
     distances, at = np.zeros(15), empty_linearised()
-    linearise(pose, lengths, origins, at)
+    linearise(pose, sizes, at)
     S, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for point in range(15):
-        if not visible[point]:
+        if not z.visible[point]:
             continue
         point_covariance(at, point, P, S)
         for i in range(3):
-            y[i] = z[point, i] - at.h[point, i]
+            y[i] = z.points_world[point, i] - at.h[point, i]
             for j in range(3):
-                S[i, j] += R[point, i, j]
+                S[i, j] += z.covariance[point, i, j]
         inverse3(S, inverse)
         for i in range(3):
             for j in range(3):
@@ -212,36 +251,6 @@ def add_information(at, point, weight, y, information, gradient):
         row = information[slots[a]]
         for b in range(n):
             row[slots[b]] += J[0, a] * WJ[0, b] + J[1, a] * WJ[1, b] + J[2, a] * WJ[2, b]
-
-
-# --- Leaving out points that contradict the prediction, without ever shutting the truth out.
-
-
-class GateDecision(NamedTuple):
-    """accepted, rejected, readmitted (15,) bool, a readmitted point is one of the accepted; how many of each."""
-
-    accepted: np.ndarray
-    rejected: np.ndarray
-    readmitted: np.ndarray
-    used: int
-    left_out: int
-    returned: int
-
-
-class InnovationGate:
-    """Chi-square gate with a memory.
-
-    A point beyond the threshold is left out; one that has been left out for more than ``patience`` sets in a row is
-    readmitted: by then it is the prediction that is wrong. Sets in which the point is not visible do not count.
-    """
-
-    def __init__(self, threshold: float, patience: int) -> None:
-        self._threshold, self._patience = threshold, patience
-        self.rejected_in_a_row = np.zeros(POINTS, dtype=np.int64)
-
-    def decide(self, distances: np.ndarray, visible: np.ndarray) -> GateDecision:
-        """Squared Mahalanobis distances (15,) of the visible points (15,) against the threshold."""
-        return GateDecision(*_decide(distances, visible, self._threshold, self._patience, self.rejected_in_a_row))
 
 
 @njit(cache=True)

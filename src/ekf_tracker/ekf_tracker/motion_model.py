@@ -6,8 +6,8 @@ of the previous set on the right-hand side):
     x <- x (+) F x,     P <- F P F' + Q
 
 over 48 slots, the pose's tangent (24) and its velocity (24). Every slot moves by itself, so the blocks of F and Q are
-diagonal. About its own estimate the error of the pose is zero, so the pose moves by ``reach v`` and the velocity
-becomes ``kept v``. Turning of the error's own axes during one step is neglected: it is of second order in the step.
+diagonal. About its own estimate the error of the pose is zero, so the pose moves by ``f_cross v`` and the velocity
+becomes ``f_velocity v``. Turning of the error's own axes during one step is neglected: it is of second order.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from .state import per_slot
 
 
 class Transition(NamedTuple):
-    """F = [[I, reach], [0, kept]] and Q = [[q_pose, q_cross], [q_cross, q_velocity]]: diagonals (24,) of the blocks.
+    """Diagonals (24,) of the blocks of F and Q.
 
+    F = [[I, f_cross], [0, f_velocity]], Q = [[q_pose, q_cross], [q_cross, q_velocity]].
     Units m, rad, m/s, rad/s and their products.
     """
 
-    reach: np.ndarray
-    kept: np.ndarray
+    f_cross: np.ndarray
+    f_velocity: np.ndarray
     q_pose: np.ndarray
     q_cross: np.ndarray
     q_velocity: np.ndarray
@@ -70,8 +71,8 @@ class DampedVelocity:
         fade = -math.expm1(-g * dt)  # 1 - e^(-g dt)
         density = self._density()
         return _frozen(
-            reach=np.full(24, fade / g),
-            kept=np.full(24, 1.0 - fade),
+            f_cross=np.full(24, fade / g),
+            f_velocity=np.full(24, 1.0 - fade),
             q_pose=density * _position_growth(g, dt),
             q_cross=density * (fade * fade / (2.0 * g * g)),
             q_velocity=density * (fade * (2.0 - fade) / (2.0 * g)),
@@ -106,7 +107,11 @@ class Identity:
         """F = I on the pose, 0 on the velocity; Q = (rates dt)^2 on the pose."""
         variance = self.velocity_variance()
         return _frozen(
-            reach=np.zeros(24), kept=np.zeros(24), q_pose=variance * dt * dt, q_cross=variance * dt, q_velocity=variance
+            f_cross=np.zeros(24),
+            f_velocity=np.zeros(24),
+            q_pose=variance * dt * dt,
+            q_cross=variance * dt,
+            q_velocity=variance,
         )
 
     def velocity_variance(self) -> np.ndarray:

@@ -81,6 +81,6 @@ def ellipsoid_distances(errors, covariances):
 
 def dense_matrices(transition):
     """F and Q (48, 48) of a transition."""
-    reach, kept, q_pose, q_cross, q_velocity = (np.diag(diagonal) for diagonal in transition)
-    F = np.block([[np.eye(24), reach], [np.zeros((24, 24)), kept]])
+    f_cross, f_velocity, q_pose, q_cross, q_velocity = (np.diag(diagonal) for diagonal in transition)
+    F = np.block([[np.eye(24), f_cross], [np.zeros((24, 24)), f_velocity]])
     return F, np.block([[q_pose, q_cross], [q_cross, q_velocity]])

@@ -22,17 +22,18 @@ from scipy.stats import chi2
 
 from capture_rig.errors import InputError
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.kernels import JOINT_SLOTS
 from ekf_tracker.motion_model import DampedVelocity
 from ekf_tracker.settings import DampedVelocitySettings, EkfSettings
 from ekf_tracker.state import POSE, VELOCITY
 from mocap_packets.state import BodyState, NoState, Tracking
 from stick_figure.body import Body
+from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import POINT_NAMES, TORSO_POINTS
 
 SETTLED = 30
+JOINT_SLOTS = [row[row >= 0] for row in SLOT_OF_JOINT_AXIS] + [[slot] for slot in HINGE_SLOT]
 HAND, ELBOW = POINT_NAMES.index("left_hand"), POINT_NAMES.index("left_elbow")
 LEFT_ARM = [HAND, ELBOW]
 BENT_POSE = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), BENT_ANGLES)

@@ -17,7 +17,7 @@ from ekf_tracker.kernels import (
     positive_definite,
     predict_estimate,
 )
-from ekf_tracker.measurement import Measurement, linearised, point_covariance
+from ekf_tracker.measurement import Measurement, Sizes, linearised, point_covariance
 from ekf_tracker.motion_model import DampedVelocity, Identity
 from ekf_tracker.state import POSE, VELOCITY
 from stick_figure.kinematics import forward
@@ -215,10 +215,10 @@ def test_turned_hinge_leaves_points_and_their_covariance_as_they_were(body, hing
     past = pose.hinges.copy()
     past[hinge] = 0.4 if hinge < 2 else -0.4
     before = Pose(pose.position_world, pose.R_world_torso, pose.R_joints, past)
-    nothing = (np.zeros((15, 3)), isotropic(1.0), NONE)  # an update without points: only the description changes
-    sizes = (body.lengths, body.stick_origins_torso)
+    nothing = Measurement(np.zeros((15, 3)), isotropic(1.0), NONE)  # an update without points: description alone
+    options = UpdateOptions(1, 0.0, 0.15)
     arrays, turned_velocity, turned = correct_arrays(
-        before.arrays, before.arrays, velocity, P, *sizes, *nothing, 0.0, 1, 0.15
+        before.arrays, before.arrays, velocity, P, Sizes.of(body), nothing, NONE, options
     )
     assert arrays[3][hinge] == pytest.approx(-past[hinge])
 

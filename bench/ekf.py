@@ -1,20 +1,26 @@
-"""Accuracy and cost of the filter on a synthetic person with noisy points: ``python -m ekf_tracker.benchmark``."""
+"""Accuracy and cost of the filter on a synthetic person with noisy points.
+
+    python bench/ekf.py
+
+One row a motion model: cost of a set (median CPU time), mean error of the measured and of the filtered points, and the
+share of the true points inside the 95 % ellipsoids. The last line is JSON: figures by motion model.
+"""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 
+from report import Table, execute, finish, parser
+
 import numpy as np
 
+from ekf_tracker.filter import ArticulatedEkf, warm_up
+from ekf_tracker.settings import EkfSettings, MeasurementBiasSettings
 from mocap_packets.state import BodyState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
-
-from .filter import ArticulatedEkf, warm_up
-from .settings import EkfSettings, MeasurementBiasSettings
 
 FPS = 60.0
 FRAMES = 1200
@@ -43,16 +49,16 @@ def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
 
 
 def measure(model: str) -> dict[str, float]:
-    """Figures of one motion model; lengths in mm, cost in ms of wall time for one set."""
+    """Figures of one motion model; lengths in mm, cost in ms of CPU time for one set."""
     body = Body.from_stature(STATURE_M)
     ekf = ArticulatedEkf(body, EkfSettings(motion_model=model, measurement_bias=NO_BIAS))
     rng, covariance = np.random.default_rng(1), np.tile(np.eye(3) * NOISE_M**2, (15, 1, 1))
     cost, raw, filtered, inside = [], [], [], []
     for k, true in enumerate(motion(body, FRAMES)):
         points = true + NOISE_M * rng.standard_normal((15, 3))
-        began = time.perf_counter()
+        began = time.thread_time()
         state = ekf.step(round(k * 1e9 / FPS), points, covariance, np.ones(15, bool))
-        cost.append(1e3 * (time.perf_counter() - began))
+        cost.append(1e3 * (time.thread_time() - began))
         if k >= SETTLED and isinstance(state, BodyState):
             error = state.points_world - true
             raw.append(np.linalg.norm(points - true, axis=1).mean())
@@ -68,15 +74,19 @@ def measure(model: str) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print a table of both motion models and, last, one line of JSON."""
+    """Print the table and one line of JSON."""
+    parser(__doc__).parse_args()
     warm_up()
-    results = {model: measure(model) for model in ("constant_velocity", "identity")}
-    print(f"{FRAMES} sets at {FPS:g} Hz, points with {1e3 * NOISE_M:g} mm of noise on each axis")
-    print(f"{'model':20}{'ms a set':>10}{'measured mm':>14}{'filtered mm':>14}{'inside 95 %':>14}")
-    for model, r in results.items():
-        print(f"{model:20}{r['ekf_ms']:10.2f}{r['raw_mm']:14.1f}{r['mean_mm']:14.1f}{100 * r['inside_95']:13.1f}%")
-    print(json.dumps(results))
+    table = Table(
+        "model:<20 | ms a set:>10.2f | measured mm:>13.1f | filtered mm:>13.1f | inside 95 %:>13.1%",
+        f"{FRAMES} sets at {FPS:g} Hz, points with {1e3 * NOISE_M:g} mm of noise on each axis",
+    )
+    results = {}
+    for model in ("constant_velocity", "identity"):
+        results[model] = r = measure(model)
+        table.row(model, r["ekf_ms"], r["raw_mm"], r["mean_mm"], r["inside_95"])
+    finish(results)
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)
