@@ -78,7 +78,7 @@ def see(
 def see_all(
     cameras: dict[str, CameraModel], board: Board, poses: list[np.ndarray], target: str, noise_px: float = NOISE_PX
 ) -> list[TargetDetection]:
-    """What all cameras see of a board at successive moments."""
+    """What all cameras see of a board in successive frames."""
     seen = [see(c, board, T, target, m, noise_px) for m, T in enumerate(poses) for c in cameras.values()]
     return [detection for detection in seen if detection is not None]
 

@@ -23,12 +23,12 @@ def scene(seed: int = 1, frames: int = 20) -> list[TargetDetection]:
 
 
 def seen_by(detections: list[TargetDetection], cameras: int) -> list[int]:
-    """Rows of the first moment of the carried board that so many cameras see."""
+    """Rows of the first frame of the carried board that so many cameras see."""
     for frame_index in range(100):
         rows = [i for i, s in enumerate(detections) if (s.target, s.frame_index) == ("moving", frame_index)]
         if len(rows) == cameras:
             return rows
-    raise AssertionError("no such moment")
+    raise AssertionError("no such frame")
 
 
 def solved(detections: list[TargetDetection]) -> tuple[RigSolution, set[tuple[str, str, int, str]]]:

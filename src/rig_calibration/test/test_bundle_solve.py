@@ -182,7 +182,7 @@ def detection(**changed: object) -> TargetDetection:
         ([detection(image_size=(1920, 1080))], "1920 x 1080 pixels, the camera's intrinsics are for 640 x 480"),
         ([detection(ids=np.arange(30) + 5)], "corner 34, the target has 30"),
         ([detection(ids=np.zeros(30, int))], "not numbered one by one"),
-        ([detection(), detection()], "two detections by camera 'cam01' at moment 0"),
+        ([detection(), detection()], "two detections by camera 'cam01' in frame 0"),
         ([detection()], "cam02, cam03: no picture"),
     ],
 )
@@ -191,7 +191,7 @@ def test_detections_that_do_not_fit_are_named(detections: list[TargetDetection],
         solve_rig(ring(3), detections, TARGETS)
 
 
-@pytest.mark.parametrize(("reference", "said"), [("moving", r"seen at \d+ moments"), ("ceiling", "neither a camera")])
+@pytest.mark.parametrize(("reference", "said"), [("moving", r"seen in \d+ frames"), ("ceiling", "neither a camera")])
 def test_impossible_reference_is_refused(reference: str, said: str):
     cameras = ring(3)
     with pytest.raises(InputError, match=said):

@@ -90,7 +90,7 @@ def test_carried_board_is_found_lying_at_the_place_where_nothing_was_below_it() 
     poses = dict(enumerate(carried_poses(60)))
     lying = on_floor(CARRIED_BOARD, 0.3, -0.2, 0.5)
     poses |= {frame_index: lying for frame_index in range(60, 66)}
-    poses[70] = on_floor(CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a moment
+    poses[70] = on_floor(CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a frame
     centres = [camera.centre_world for camera in circle(4).values()]
     assert find_resting_frames(poses, CARRIED_BOARD.corners_board, centres) == tuple(range(60, 66))
 

@@ -22,7 +22,7 @@ def test_report_reads_back_with_values_deviations_and_what_was_left_out(result):
     assert report["board"] == "checkerboard 9x6 25mm" and report["camera"] == "cam01"
     assert report["parameters"]["fx"]["value"] == result.camera.K[0, 0]
     assert report["parameters"]["fx"]["sd"] == pytest.approx(result.sd["fx"], rel=1e-3)
-    assert report["left_out"][0]["moment"] == 4 and len(report["views"]) == 14
+    assert report["left_out"][0]["frame"] == 4 and len(report["views"]) == 14
     distances = [view["distance_m"] for view in report["views"]]
     assert all(0.2 < distance < 1.2 for distance in distances)
     assert report["verdict"] == result.verdict.grade

@@ -17,7 +17,7 @@ from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector, d
 
 
 def jittered(detection, frame_index, seed=0):
-    """The same view a moment later."""
+    """The same view a frame later."""
     shake = np.random.default_rng(seed).normal(0, 0.2, detection.pixels.shape)
     return replace(detection, pixels=detection.pixels + shake, frame_index=frame_index)
 

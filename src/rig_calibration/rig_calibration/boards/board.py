@@ -1,4 +1,4 @@
-"""The calibration boards: plain checkerboards, and ChArUco boards, whose corners say which they are.
+"""The calibration boards, plain checkerboards and ChArUco boards, and what one image shows of a target.
 
 Board frame: seen from in front, x to the right along the rows of the print, y up, z out of the print towards the
 viewer (so z is up when the board lies on the floor); origin at the first corner, the upper left one; metres.
@@ -73,14 +73,11 @@ def _grid(columns: int, rows: int, field_m: tuple[float, float]) -> Array:
     return np.column_stack([column * field_m[0], -row * field_m[1], np.zeros(columns * rows)])
 
 
-# --- What one image shows of a calibration target.
-
-
 @dataclass(frozen=True, eq=False)
 class TargetDetection:
     """Corners of a target found in one image of one camera.
 
-    camera : the camera's name. moment : which frame (what several cameras show at the same moment is in the same
+    camera : the camera's name. frame : which frame (what several cameras show in the same frame is in the same
     place). target : which of several targets, "" when there is only one. ids (n,) : which corners, rows of the
     target's ``corners_board``. pixels (n, 2) : where, in the raw (distorted) image; pixel centres at whole numbers.
     image_size : (width, height), px. sigma_px : standard deviation of a corner's coordinate, as far as it is known.
@@ -96,9 +93,6 @@ class TargetDetection:
 
     def __len__(self) -> int:
         return len(self.ids)
-
-
-# --- The same ChArUco board as OpenCV knows it.
 
 
 def opencv_board(board: CharucoBoard) -> cv2.aruco.CharucoBoard:

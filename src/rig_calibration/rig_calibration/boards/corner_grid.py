@@ -1,4 +1,7 @@
-"""A grid of fitted corners: refined in the raw image, checked against their neighbours, completed by prediction."""
+"""A grid of fitted corners: refined in the raw image, checked against their neighbours, completed by prediction.
+
+A grid is (rows, columns, 2) pixels, NaN where a corner is not known.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy.typing as npt
 
 from .x_corner import XCorners, fit_x_corners
 
-# --- Arithmetic on grids of corners: (rows, columns, 2) pixels, NaN where a corner is not known.
+# --- Arithmetic on grids.
 
 Array = npt.NDArray[np.float64]
 

@@ -1,4 +1,8 @@
-"""Finds a calibration board in one image."""
+"""Finds a calibration board in one image, or says what is seen instead.
+
+A checkerboard is a lattice of corners: refined, completed and put into the board's order. Of a ChArUco board the
+markers say which corners are seen, and the fits of the corners where they are.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ from .corner_grid import (
 )
 from .lattice import Variant, find_lattices, variants_for
 
-# --- Finds a checkerboard in an image: a lattice of corners, refined, completed, and put into the board's order.
+# --- Checkerboards.
 
 MIN_FOUND = 0.7  # of a board's corners
 MIN_CORNERS = 6
@@ -98,7 +102,7 @@ def _runs_right(grid: CornerGrid) -> tuple[float, float]:
     return float(np.round(along[0] / np.hypot(*along), 6)), float(down[1])
 
 
-# --- Finds a ChArUco board, or the part of it that the image shows: markers say which corners, fits say where they are.
+# --- ChArUco boards.
 
 Array = npt.NDArray[np.float64]
 
@@ -232,7 +236,7 @@ def detection_of(
     )
 
 
-# --- Says what is seen instead, when a board is not found in an image.
+# --- What is seen instead of a board.
 
 MIN_PATTERN_CORNERS = 9  # of a pattern worth mentioning
 MIN_MARKERS = 3

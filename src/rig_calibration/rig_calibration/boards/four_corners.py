@@ -43,16 +43,9 @@ class _View:
         rows, columns = self.shape
         return np.array([0, columns - 1, rows * columns - 1, (rows - 1) * columns])
 
-    def ideal(self, pixels: Array) -> Array:
-        """Pixels (n, 2) without what the lens does."""
-        if self.model is None:
-            return pixels
-        rays = self.model.rays_world(pixels)
-        return rays[:, :2] / rays[:, 2:]
-
     def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
         """All corners (rows, columns, 2) of the flat board whose corners ``ids`` lie at ``pixels``."""
-        ideal = self.ideal(pixels)
+        ideal = pixels if self.model is None else self.model.ideal_points(pixels)
         known = np.isfinite(ideal).all(axis=1)
         if known.sum() < 4:
             return np.full((*self.shape, 2), np.nan)

@@ -1,4 +1,4 @@
-"""How blurred a board's edges are in an image: out of focus, or moved during the exposure."""
+"""Measures how blurred a board is in an image, and how far it moves from one image to the next."""
 
 from __future__ import annotations
 
@@ -56,8 +56,6 @@ def _columns(detection: TargetDetection) -> int:
             errors[columns] = float(np.mean((flat @ solution - detection.pixels) ** 2))
     return min(errors, key=lambda columns: errors[columns], default=MAX_CORNERS)
 
-
-# --- Did the board move between two images of a video?
 
 WINDOW_PX, LEVELS = 15, 3
 TRACKED_SHARE = 0.5

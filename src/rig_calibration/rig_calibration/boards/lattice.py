@@ -243,7 +243,7 @@ def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Lattice:
     return Lattice(pixels)
 
 
-# --- The same image scaled in one or both directions, for detectors that look for patterns of a certain size.
+# --- The image scaled in one or both directions: the detector looks for patterns of a certain size.
 
 
 OWN_BLUR_PX = 0.6  # of an ordinary image: optics and pixel

@@ -1,4 +1,7 @@
-"""Lays a board out on pages of paper, true to scale: with a ruler, and over several pages where one is too small."""
+"""Lays a board out on pages of paper, true to scale, and writes them as SVG (one file a page) or PDF (one file).
+
+With a ruler, and over several pages where one is too small. The same board gives the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -121,7 +124,7 @@ def _foot(paper_mm: tuple[float, float], title: str) -> tuple[tuple[float, float
     return ((MARGIN_MM, bottom - 2.5, 2.8, advice), (MARGIN_MM, bottom + 1.0, 2.8, title))
 
 
-# --- Writes pages as SVG (one file a page) or PDF (one file); the same board gives the same bytes.
+# --- Files.
 
 POINTS_PER_MM = 72 / 25.4
 

@@ -17,7 +17,7 @@ from numba import njit
 
 from capture_rig.small_matrices import solve_positive
 
-# --- The compiled part of fitting corners: one Levenberg-Marquardt fit, pixel by pixel.
+# --- The compiled part: one Levenberg-Marquardt fit, pixel by pixel.
 #
 # Parameters: x, y; directions of the edge along the row and of the edge along the column, rad; logarithms of the blur
 # (sigma, px) across the edge along the column and across the one along the row; contrast; light and its two slopes.

@@ -2,7 +2,7 @@
 
 A plane seen by a camera has two poses that fit, mirror images of each other about the line of sight (Collins & Bartoli
 2014, "Infinitesimal Plane-based Pose Estimation"); a small or distant board leaves both possible. A target that looks
-alike after a turn multiplies them. All are kept until other cameras or moments tell.
+alike after a turn multiplies them. All are kept until other cameras or frames tell.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ THIN = 0.02  # corners whose spread across is less than this share of their leng
 class DetectionPoses:
     """Poses of a (centred) target in the camera's frame that fit one detection, by falling fit.
 
-    R (h, 3, 3), t (h, 3): x_camera = R x + t; rms_px (h,): distance of the corners, undistorted; turn (h,): which of
-    the target's hidden turns, 0 being the corners as they were numbered.
+    R (h, 3, 3), t (h, 3): x_camera = R x + t; rms_px (h,): distance of the corners, undistorted; symmetry (h,): which
+    of the target's hidden turns, 0 being the corners as they were numbered.
     """
 
     R: Array
@@ -151,9 +151,6 @@ def _distinct(scored: list[tuple[float, Array, Array]]) -> list[tuple[float, Arr
     return kept
 
 
-# --- A detection and what it tells by itself.
-
-
 @dataclass(frozen=True, eq=False)
 class View:
     """A detection, its corners without distortion (n, 2), and the poses of the target that it alone allows (None: it
@@ -170,7 +167,7 @@ class View:
 
     @property
     def links(self) -> bool:
-        """Can it tie its camera to others? A wand does so together with other moments, a board by its pose."""
+        """Can it tie its camera to others? A wand does so together with other frames, a board by its pose."""
         return self.poses is not None or self.shape.dimension == LINE
 
 

@@ -1,7 +1,7 @@
 """Step 3: first poses of all cameras and targets.
 
 Relative poses of pairs of cameras are chained along the best supported pairs (a maximum spanning tree from the best
-seen camera). Then the views vote for the pose of each target at each moment, and for the way round it lies.
+seen camera). Then the views vote for the pose of each target in each frame, and for the way round it lies.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from .view_graph import PoseKey
 
 @dataclass(frozen=True, eq=False)
 class InitialPoses:
-    """First poses in the frame of camera ``root``; ``turns`` says, view by view, which hidden turn its ids need."""
+    """First poses in the frame of camera ``root``; ``symmetries`` says, view by view, which hidden turn its
+    ids need."""
 
     root: str
     T_camera_root: dict[str, Array]
@@ -33,7 +34,7 @@ class InitialPoses:
 
 
 def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
-    """Poses good enough to start the adjustment from; InputError when the pairs do not hang together."""
+    """Poses good enough to start the adjustment from; InputError when the pairs leave a camera untied."""
     pairs = relative_poses(cameras, views)
     root, T_camera_root = poses_along_spanning_tree(sorted(cameras), pairs)
     T_root_target: dict[PoseKey, Array] = {}
@@ -48,7 +49,7 @@ def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> 
 
 
 def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
-    """The relative pose of each pair of cameras (a < b) with common moments, by boards or, where better, by wands."""
+    """The relative pose of each pair of cameras (a < b) with common frames, by boards or, where better, by wands."""
     by_camera: dict[str, dict[PoseKey, View]] = {name: {} for name in sorted(cameras)}
     for view in views:
         by_camera[view.detection.camera][view.key] = view
@@ -103,7 +104,7 @@ def _rows_by_key(views: Sequence[View]) -> dict[PoseKey, list[int]]:
 
 
 def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
-    """The pose of one target at one moment that its views agree on best, and the turn that each view needs."""
+    """The pose of one target in one frame that its views agree on best, and the turn that each view needs."""
     usable = [(view.poses, T_camera_root) for view, T_camera_root in seen if view.poses is not None]
     if not usable:
         return None, [0] * len(seen)

@@ -1,4 +1,4 @@
-"""Step 5: detections that contradict the others, and which of them to blame.
+"""Step 5: detections that contradict the others, and which of them to leave out.
 
 A wrong order of corners, a target that moved between the exposures, corners found on something else: where three or
 more cameras saw the target, the one without which the others agree is left out; where two did, both are, unless a half
@@ -21,9 +21,9 @@ from .state import Bools, Ints, Layout, Observations
 WORST_FIRST = 0.3  # of the worst: what is left out in one round
 RENUMBERED_GAIN = 0.2  # a turned numbering must fit this many times better to be believed
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
-ODD_ONE = "contradicts the other cameras at that moment (wrong corners, or moved between the exposures)"
-PAIR = "the two cameras contradict each other at that moment (wrong corners, or moved between the exposures)"
-ALL = "the cameras contradict one another at that moment (the target moved between the exposures)"
+ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
+PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
+ALL = "the cameras contradict one another in that frame (the target moved between the exposures)"
 RENUMBERED = "its corners are numbered from the other end: the target is seen upside down, or was found wrongly"
 
 
@@ -79,7 +79,7 @@ def contradictions(
     shapes: Mapping[str, TargetShape],
     limits: Limits,
 ) -> list[tuple[int, str]]:
-    """The rows of detections to leave out, with the reason; of one moment, no more than needs be."""
+    """The rows of detections to leave out, with the reason; of one frame, no more than needs be."""
     misfit = misfits(fit, seen)
     found: list[tuple[int, str]] = []
     disputed: list[Ints] = []
@@ -96,7 +96,7 @@ def contradictions(
         without = _misfit_without(fit, seen, disputed)
         renumbered = _misfit_renumbered(fit, seen, disputed, detections, shapes)
         for rows in disputed:
-            found += _blame(rows, misfit, without, renumbered)
+            found += _to_leave_out(rows, misfit, without, renumbered)
     return sorted(found)
 
 
@@ -117,23 +117,25 @@ def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
     return sorted({int(row) for case in fitting for row in case if row in out})
 
 
-def _blame(rows: Ints, misfit: Array, without: dict[int, float], renumbered: dict[int, float]) -> list[tuple[int, str]]:
-    """Who of the detections of one pose must go."""
+def _to_leave_out(
+    rows: Ints, misfit: Array, without: dict[int, float], renumbered: dict[int, float]
+) -> list[tuple[int, str]]:
+    """Which of the detections of one pose are left out, and why."""
     worst = float(misfit[rows].max())
-    culprit = int(min(rows, key=lambda row: without[row]))
+    odd_one = int(min(rows, key=lambda row: without[row]))
     renumbered_row = int(min(rows, key=lambda row: renumbered.get(row, np.inf)))
     if renumbered.get(renumbered_row, np.inf) < RENUMBERED_GAIN * worst and (
-        len(rows) == 2 or culprit == renumbered_row
+        len(rows) == 2 or odd_one == renumbered_row
     ):
-        return [(int(row), RENUMBERED) for row in (rows if len(rows) == 2 else [culprit])]
+        return [(int(row), RENUMBERED) for row in (rows if len(rows) == 2 else [odd_one])]
     if len(rows) > 2:
         clear = (
-            without[culprit] < RIG_LIMITS.detection or len(rows) > 3
-        )  # else two of three are wrong, nobody knows which
-        return [(culprit, ODD_ONE)] if clear else [(int(row), ALL) for row in rows]
-    other = int(rows[0] if culprit == rows[1] else rows[1])
-    if without[culprit] < RIG_LIMITS.detection < without[other]:  # the other one fits the target, this one does not
-        return [(culprit, SINGLE)]
+            without[odd_one] < RIG_LIMITS.detection or len(rows) > 3
+        )  # else two of three are wrong, and it is open which
+        return [(odd_one, ODD_ONE)] if clear else [(int(row), ALL) for row in rows]
+    other = int(rows[0] if odd_one == rows[1] else rows[1])
+    if without[odd_one] < RIG_LIMITS.detection < without[other]:  # the other one fits the target, this one does not
+        return [(odd_one, SINGLE)]
     return [(int(row), PAIR) for row in rows]
 
 

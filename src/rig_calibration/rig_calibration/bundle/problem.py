@@ -25,7 +25,7 @@ LENS = 12  # fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Cameras and targets in name order, detections by (target, moment, camera) with corners by id.
+    """Cameras and targets in name order, detections by (target, frame, camera) with corners by id.
 
     ``lens_covariance``: (12, 12) of fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6, of the cameras for which it was given.
     """
@@ -37,7 +37,7 @@ class Problem:
 
     @property
     def keys(self) -> tuple[PoseKey, ...]:
-        """All (target, moment), in order."""
+        """All (target, frame), in order."""
         return tuple(sorted({(detection.target, detection.frame_index) for detection in self.detections}))
 
 
@@ -75,7 +75,7 @@ def _by_id(detection: TargetDetection) -> TargetDetection:
 
 def _name(detection: TargetDetection) -> str:
     target = f" of target '{detection.target}'" if detection.target else ""
-    return f"by camera '{detection.camera}' at moment {detection.frame_index}{target}"
+    return f"by camera '{detection.camera}' in frame {detection.frame_index}{target}"
 
 
 def _check_detection(

@@ -1,14 +1,16 @@
-"""Step 3a: the pose of one camera relative to another, by consensus of all the moments both saw a target.
+"""Step 3a: the pose of one camera relative to another, by consensus of all the frames in which both saw a target.
 
-Every moment offers several relative poses: two planar solutions in each camera, times the turns that hide. The right
-ones agree from moment to moment, the wrong ones scatter. The candidate that most moments support wins; then the
-supporting moments are averaged.
+Every frame allows several relative poses: two planar solutions in each camera, times the turns that hide. The right
+ones agree from frame to frame, the wrong ones scatter. The candidate that most frames support wins; then the
+supporting frames are averaged. Markers of a wand lie on a line and have no pose in a single picture: pairs of cameras
+are related by their essential matrix (Hartley & Zisserman 2004, chapter 9), and the wand's length gives the scale.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,15 +30,14 @@ AVERAGING_ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class RelativePose:
-    """``T_b_a`` (4, 4) maps coordinates in camera a to camera b; ``support``: how many moments it is worth."""
+    """``T_b_a`` (4, 4) maps coordinates in camera a to camera b; ``support``: how many frames it is worth."""
 
     T_b_a: Array
     support: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Hypotheses:
-    """What all common moments offer, one row each: rotation a to b, the target's centre in a and in b, weight."""
+class _Hypotheses(NamedTuple):
+    """What all common frames allow, one row each: rotation a to b, the target's centre in a and in b, weight."""
 
     R: Array
     centre_a: Array
@@ -44,14 +45,21 @@ class _Hypotheses:
     weight: Array
     frame_index: npt.NDArray[np.int64]
 
+    def only(self, rows: npt.NDArray) -> _Hypotheses:
+        """Those of the ``rows``."""
+        return _Hypotheses(
+            self.R[rows], self.centre_a[rows], self.centre_b[rows], self.weight[rows], self.frame_index[rows]
+        )
+
 
 def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
-    """The pose of camera b relative to a from what both saw at the same moments: pairs (poses in a, poses in b)."""
+    """The pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
     hypotheses = _hypotheses(common)
-    voting = _evenly_spaced(len(common), VOTING_FRAMES)
+    voting = np.isin(hypotheses.frame_index, _evenly_spaced(len(common), VOTING_FRAMES))
     candidates = np.flatnonzero(np.isin(hypotheses.frame_index, _evenly_spaced(len(common), CANDIDATE_FRAMES)))
-    R, t = hypotheses.R[candidates], _translations(hypotheses, candidates)
-    votes = _agreement(_only(hypotheses, voting), R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight[candidates])
+    R = hypotheses.R[candidates]
+    t = hypotheses.centre_b[candidates] - (R @ hypotheses.centre_a[candidates, :, None])[..., 0]
+    votes = _agreement(hypotheses.only(voting), R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight[candidates])
     best = int(np.argmax(np.round(votes, 9)))
     R_b_a, t_b_a = R[best], t[best]
     for _ in range(AVERAGING_ROUNDS):
@@ -66,51 +74,28 @@ def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
 
 
 def _hypotheses(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> _Hypotheses:
-    R, centre_a, centre_b, weight, frame_index = [], [], [], [], []
+    rows = []
     for index, (a, b) in enumerate(common):
         for i in np.flatnonzero(a.symmetry == 0):  # only the turn of one against the other matters
-            R.append(b.R @ a.R[i].T)
-            centre_a.append(np.tile(a.t[i], (len(b.t), 1)))
-            centre_b.append(b.t)
-            weight.append(a.weight[i] * b.weight)
-            frame_index.append(np.full(len(b.t), index))
-    return _Hypotheses(
-        np.concatenate(R),
-        np.concatenate(centre_a),
-        np.concatenate(centre_b),
-        np.concatenate(weight),
-        np.concatenate(frame_index),
-    )
-
-
-def _only(hypotheses: _Hypotheses, frames: npt.NDArray[np.int64]) -> _Hypotheses:
-    rows = np.isin(hypotheses.frame_index, frames)
-    return _Hypotheses(
-        hypotheses.R[rows],
-        hypotheses.centre_a[rows],
-        hypotheses.centre_b[rows],
-        hypotheses.weight[rows],
-        hypotheses.frame_index[rows],
-    )
+            centre_a, frame = np.tile(a.t[i], (len(b.t), 1)), np.full(len(b.t), index)
+            rows.append((b.R @ a.R[i].T, centre_a, b.t, a.weight[i] * b.weight, frame))
+    R, centre_a, centre_b, weight, frame_index = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return _Hypotheses(R, centre_a, centre_b, weight, frame_index)
 
 
 def _evenly_spaced(count: int, wanted: int) -> npt.NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, wanted)).round().astype(np.int64))
 
 
-def _translations(hypotheses: _Hypotheses, rows: npt.NDArray[np.int64]) -> Array:
-    return hypotheses.centre_b[rows] - (hypotheses.R[rows] @ hypotheses.centre_a[rows, :, None])[..., 0]
-
-
 def _row_agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """(candidates, offers) how well each offer agrees with each candidate."""
+    """(candidates, hypotheses) how well each hypothesis agrees with each candidate."""
     miss = np.einsum("cij,oj->coi", R, hypotheses.centre_a) + t[:, None] - hypotheses.centre_b
     ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(hypotheses.centre_b, axis=1)
     return hypotheses.weight * agreement_weight(angle_between(R, hypotheses.R), ratio)
 
 
 def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """(candidates, moments) the best agreement that each moment offers."""
+    """(candidates, frames) the best agreement in each frame."""
     starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
     return np.maximum.reduceat(_row_agreement(hypotheses, R, t), starts, axis=1)
 
@@ -125,21 +110,20 @@ def _average(hypotheses: _Hypotheses, R: Array, t: Array) -> tuple[Array, Array]
     return R_mean, weight @ shift / weight.sum()
 
 
-# --- Step 3 for wands: markers on a line have no pose in a single picture, so pairs of cameras are related by their
-# essential matrix (Hartley & Zisserman 2004, chapter 9), and the wand's length gives the scale.
+# --- Wands.
 
 MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
 INLIER_PX, CONFIDENCE = 3.0, 0.9999
 LABELLING_ROUNDS = 5
-FRAME_SUPPORT = 0.5  # what a moment of a wand is worth beside a moment of a board
+FRAME_SUPPORT = 0.5  # what a frame of a wand is worth beside a frame of a board
 
-Pair = tuple[Array, Array, Array]  # the same markers of a moment: ideal points (n, 2) in a and b, positions (n, 3)
+Pair = tuple[Array, Array, Array]  # the same markers of a frame: ideal points (n, 2) in a and b, positions (n, 3)
 
 
 def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b: CameraModel) -> RelativePose | None:
-    """The pose of camera b relative to a from wands that both saw at the same moments; None when there are too few.
+    """The pose of camera b relative to a from wands that both saw in the same frames; None when there are too few.
 
-    Where a wand's ends cannot be told apart, each moment's numbering in b is tried both ways round.
+    Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
     """
     choices = [[pair for pair in _ways_round(u, v) if len(pair[0])] for u, v in common]
     choices = [pairs for pairs in choices if pairs]
@@ -160,7 +144,7 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
 
 
 def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
-    """The pose of a wand at one moment by triangulation, and the way round that each view needs.
+    """The pose of a wand in one frame by triangulation, and the way round that each view needs.
 
     ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views tell it.
     """

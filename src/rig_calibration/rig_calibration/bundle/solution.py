@@ -1,4 +1,4 @@
-"""What the solver found, and how good it is."""
+"""What the solver found, in the frame that was asked for, and how good it is."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from .view_graph import PoseKey, most_seen
 class RigSolution:
     """The poses of all cameras and targets, in the frame of the ``reference``.
 
-    reference : a camera's name, or (target, moment): the target's own frame at that moment.
+    reference : a camera's name, or (target, frame index): the target's own coordinate frame then.
     cameras : the cameras, with these poses as their ``T_camera_world`` (and refined lenses, if asked for).
-    T_camera_reference : (4, 4) by camera. T_reference_target : (4, 4) by (target, moment).
+    T_camera_reference : (4, 4) by camera. T_reference_target : (4, 4) by (target, frame).
     detections, residuals_px : what was used, ids as they proved right, and seen minus predicted pixels (n, 2) of each.
     rms_px : by camera, root mean square distance of its corners (sqrt(2) times the noise of one coordinate, as OpenCV
     reports it); rms_all_px of all of them.
@@ -38,8 +38,8 @@ class RigSolution:
     noise : standard deviation of the corners over the one that their detections claim. sync_error_m : by how much (sd)
     the targets seem to have moved between the cameras' exposures, 0 where nothing says that they did.
     left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
-    nothing). turned : detections whose numbering was turned.
-    undecided : cameras whose way round (half turn) nothing tells. scale_of : by target, the size that it has beside
+    nothing). renumbered : detections whose numbering was turned.
+    undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside
     the most seen one (``scale_base``) over the size given, and its standard deviation; believed when consistent with
     1, else the solution uses the ratio. focal_of : by camera, the focal length that all views together ask for over the
     one given (or refined), and its standard deviation: far from 1, the intrinsics are not this camera's.
@@ -66,11 +66,11 @@ class RigSolution:
     iterations: int
 
 
-# --- The frame of the solution: that of a camera, or of a target at one moment.
+# --- The coordinate frame of the solution: that of a camera, or of a target at one frame index.
 
 
 def choose_reference(problem: Problem, reference: str | PoseKey | None, root: str) -> str | PoseKey:
-    """A camera's name or (target, moment); InputError when ``reference`` names neither, or a target that moved."""
+    """A camera's name or (target, frame); InputError when ``reference`` names neither, or a target that moved."""
     if reference is None:
         return root
     if isinstance(reference, str):
@@ -79,8 +79,8 @@ def choose_reference(problem: Problem, reference: str | PoseKey | None, root: st
         keys = [key for key in problem.keys if key[0] == reference]
         if len(keys) > 1:
             raise InputError(
-                f"target '{reference}' cannot be the reference: it was seen at {len(keys)} moments",
-                remedy="Say at which: (target, moment).",
+                f"target '{reference}' cannot be the reference: it was seen in {len(keys)} frames",
+                remedy="Say at which: (target, frame).",
             )
         reference = keys[0] if keys else (reference, 0)
     if reference not in problem.keys:
@@ -101,7 +101,7 @@ def in_gauge(fit: Fit, reference: str | PoseKey) -> Fit:
         row = problem.keys.index(reference)
         if row not in fit.used.pose:
             raise InputError(
-                f"the reference, target '{reference[0]}' at moment {reference[1]}, contradicts the rest",
+                f"the reference, target '{reference[0]}' in frame {reference[1]}, contradicts the rest",
                 remedy="Take another reference, or take its pictures again.",
             )
         R, origin = state.R_pose[row].T, target_origin(problem, state, row)
@@ -122,7 +122,7 @@ def target_origin(problem: Problem, state: State, row: int) -> Array:
     return state.position[row] - state.scale[names.index(name)] * state.R_pose[row] @ problem.shapes[name].centroid
 
 
-# --- Do the views of several cameras agree with the focal lengths that were given?
+# --- A check of the focal lengths that were given.
 #
 # One Gauss-Newton step away from the solution, with focal lengths and principal points of all cameras set free: if the
 # intrinsics are right, it changes them by no more than their standard deviations. (A board that only one camera sees
@@ -156,9 +156,6 @@ def focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
         ratio = float(np.mean(1 + change[focal] / state.lens[row, :2]))
         found[name] = ratio, float(np.sqrt(variance[focal].mean()) / focal_px[row])
     return found
-
-
-# --- From the adjusted state to the solution that is handed out.
 
 
 def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> RigSolution:

@@ -32,8 +32,8 @@ def solve_rig(
 ) -> RigSolution:
     """Poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of known size.
 
-    targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target at the same moment
-    is in one place. reference : whose frame the poses are in: a camera, a target that was seen at one moment only, or
+    targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target in the same frame
+    is in one place. reference : whose frame the poses are in: a camera, a target that was seen in one frame only, or
     (target, frame); the best linked camera by default. symmetry_orders : of targets whose turns a picture does not
     show (:func:`.problem.symmetry_order_of`): their numbering is settled by what the cameras agree on.
     intrinsics_covariance : by camera, of fx fy cx cy and the distortion (standard deviations or a matrix); it enlarges
@@ -47,7 +47,7 @@ def solve_rig(
     _check_refinement(problem, refine_intrinsics)
     # 1. The pose of each target in each picture by itself: all solutions.
     views = views_of(problem.detections, problem.cameras, problem.shapes)
-    # 2. Do the cameras hang together?
+    # 2. Are all cameras tied together by common views?
     useless = {view.detection.camera: NO_POSE for view in views if not view.links}
     require_connected(problem.cameras, [view.detection for view in views if view.links], useless)
     # 3. First poses, by consensus of pairs of cameras and of the views of each target.

@@ -27,7 +27,7 @@ from .state import Ints
 
 SINGULAR = 1e-9
 POSITION = slice(3, 6)
-PRIOR_DOF = 6.0  # imagined numbers that hold a frame's displacement to that of all
+PRIOR_DOF = 6.0  # degrees of freedom of the prior that holds a frame's displacement to that of all
 MAX_CHANGE = 4.0  # of tau^2 in one round
 
 

@@ -1,4 +1,4 @@
-"""Step 2: do the cameras hang together? Two cameras do when both see the same target at the same moment."""
+"""Step 2: which cameras are tied together. Two cameras are when both see the same target in the same frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from capture_rig.errors import InputError
 
 from ..boards.board import TargetDetection
 
-PoseKey = tuple[str, int]  # (target, moment): one pose of one target
+PoseKey = tuple[str, int]  # (target, frame): one pose of one target
 
 
 def groups_of(cameras: Iterable[str], detections: Sequence[TargetDetection]) -> list[tuple[str, ...]]:
@@ -68,11 +68,8 @@ def require_connected(
         listed = " | ".join(", ".join(group) for group in groups)
         raise InputError(
             f"these groups of cameras share no view: {listed}.{why}",
-            remedy="Show the board where cameras of both groups see it at the same moment.",
+            remedy="Show the board where cameras of both groups see it in the same frame.",
         )
-
-
-# --- Which targets' sizes can be compared: a check of the sizes that were given.
 
 
 def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> str:
@@ -86,7 +83,7 @@ def comparable_targets(
 ) -> npt.NDArray[np.bool_]:
     """(k,) the targets whose size the views tell beside that of ``base``, which is not among them.
 
-    So it is when two cameras that are linked by targets of known size saw the target at the same moment.
+    So it is when two cameras that are linked by targets of known size saw the target in the same frame.
     """
     known, changed = {base}, True
     cameras = sorted({detection.camera for detection in detections})

@@ -17,7 +17,7 @@ from ..bundle.diagnosis import diagnose
 from ..bundle.problem import symmetry_order_of
 from ..bundle.solution import RigSolution
 from ..bundle.solve import solve_rig
-from .figures import CameraEstimate, RigFigures, rig_figures
+from .figures import RigFigures, rig_figures
 from .floor import FloorView, floor_view
 from .verdict import RigEvidence, TapeCheck, TapeMeasure, rig_verdict
 from .world import PlacedRig, WorldChoice, board_in_world, place_rig, world_from_floor, world_of_level_camera
@@ -103,9 +103,13 @@ def calibrate_rig(
     )
     # z up, the origin on the floor (thesis 6.1)
     placed = place_rig(solution.cameras, solution.T_camera_reference, _world(solution, floor))
-    views = {} if floor is None else _floor_views(solution, floor)
+    views = {
+        seen.camera: floor_view(seen, floor.points, solution.cameras[seen.camera])
+        for seen in solution.detections  # numbered as the solver found right
+        if floor is not None and seen.target == FLOOR
+    }
     # figures and verdict
-    figures = rig_figures(placed, _adjusted(solution), views)
+    figures = rig_figures(placed, solution, views)
     checks = tuple(measure.check(placed.rig) for measure in tape)
     evidence = replace(
         _evidence(placed, solution, figures, views, checks),
@@ -152,22 +156,6 @@ def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
     if floor is None:
         return world_of_level_camera(solution.T_camera_reference[min(solution.T_camera_reference)])
     return world_from_floor(solution.T_reference_target[FLOOR_POSE], floor.T_world_floor)
-
-
-def _floor_views(solution: RigSolution, floor: Target) -> dict[str, FloorView]:
-    views = {}
-    for detection in solution.detections:  # numbered as the solver found right
-        if detection.target == FLOOR:
-            views[detection.camera] = floor_view(detection, floor.points, solution.cameras[detection.camera])
-    return views
-
-
-def _adjusted(solution: RigSolution) -> dict[str, CameraEstimate]:
-    used = [detection.camera for detection in solution.detections]
-    return {
-        name: CameraEstimate(solution.rms_px[name], used.count(name), solution.covariance[name])
-        for name in solution.T_camera_reference
-    }
 
 
 def _evidence(

@@ -1,4 +1,8 @@
-"""Which moments of a carried board to use: shared by cameras, all over the volume, the board moving slowly."""
+"""A board carried through the room: which frames to use, in which it lies on the floor, and where to carry it next.
+
+Frames are used that several cameras share, spread over the volume, the board moving slowly. The board lies on the floor
+when the user says so, or where nothing was ever below its plane.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +28,12 @@ Array = npt.NDArray[np.float64]
 Feature = tuple[str | int, ...]
 
 MAX_FRAMES = 120
-CELLS = 4
-"""An image is divided into so many cells along its width and along its height."""
-PAIR_WEIGHT = 2.0
-"""What two cameras share ties them together; where in the image it is helps less."""
+CELLS = 4  # an image is divided into so many cells along its width and along its height
+PAIR_WEIGHT = 2.0  # what two cameras share ties them together; where in the image it is helps less
 
 
 def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[TargetDetection]]:
-    """Detections by moment, ascending; in each, by camera's name."""
+    """Detections by frame, ascending; in each, by camera's name."""
     groups: dict[int, list[TargetDetection]] = {}
     for detection in sorted(detections, key=lambda detection: (detection.frame_index, detection.camera)):
         groups.setdefault(detection.frame_index, []).append(detection)
@@ -39,7 +41,7 @@ def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[Targ
 
 
 def choose_frames(detections: Sequence[TargetDetection], most: int = MAX_FRAMES) -> tuple[int, ...]:
-    """At most ``most`` of the moments that two or more cameras see, ascending.
+    """At most ``most`` of the frames that two or more cameras see, ascending.
 
     Greedily the one that adds most: pairs of cameras and cells of their images that few of the chosen have, each worth
     less the more often it is there. A board that moved fast counts less (exposure and synchronisation smear it). Of
@@ -63,8 +65,8 @@ def choose_frames(detections: Sequence[TargetDetection], most: int = MAX_FRAMES)
 
 
 def speeds_px(detections: Iterable[TargetDetection]) -> dict[tuple[str, int], float]:
-    """How far the board moves a frame (median over its corners, px), by camera and moment: the slower of the way from
-    the moment before and to the moment after. Missing where a camera saw the board only once."""
+    """How far the board moves a frame (median over its corners, px), by camera and frame: the slower of the way from
+    the frame before and to the frame after. Missing where a camera saw the board only once."""
     by_camera: dict[str, list[TargetDetection]] = {}
     for detection in sorted(detections, key=lambda detection: (detection.camera, detection.frame_index)):
         by_camera.setdefault(detection.camera, []).append(detection)
@@ -110,27 +112,56 @@ def _gain(features: Sequence[Feature], seen: Counter[Feature]) -> float:
     return sum((PAIR_WEIGHT if len(feature) == 2 else 1.0) / (1 + seen[feature]) for feature in features)
 
 
-# --- When does a carried board lie on the floor? When a person says, or where nothing was ever below its plane.
+# --- When the board lies on the floor.
 
+FloorAt = int | Literal["first", "last", "lowest"]
 
 BELOW_M = 0.03
 """So far may another board's corner, or a camera, lie below the plane of a board on the floor (noise, a soft floor)."""
-STRAYS_PERCENT = 1.0
-"""Of all corners, so many may lie lower still: poses go wrong now and then."""
+STRAYS_PERCENT = 1.0  # of all corners, so many may lie lower still: poses go wrong now and then
 RISES_M = 0.10
 """So far above that plane, at least, the board must have been carried: two boards in one plane tell no floor."""
-SAME_PLACE_M = 0.01
-"""A board whose corners all stay within this rests."""
+SAME_PLACE_M = 0.01  # a board whose corners all stay within this rests
 
 
-RESTS_PX = 0.5
-"""A board whose corners stay within this (median, in every camera) from one moment to the next rests."""
+RESTS_PX = 0.5  # a board whose corners stay within this (median, in every camera) from one frame to the next rests
+
+
+def frames_on_floor(
+    cameras: Mapping[str, CameraModel], moving: Sequence[TargetDetection], board: Board, when: FloorAt
+) -> tuple[int, ...]:
+    """The frames in which the carried ``board`` lies on the floor, at one place.
+
+    ``when``: a frame, the first or last one that shows the board, or "lowest": found by solving for the rig without a
+    floor. Raises InputError when there is no such frame.
+    """
+    if not moving:
+        raise InputError("no picture shows the carried board", remedy="Check --board and --moving.")
+    if when == "first":
+        return resting_around(moving, min(detection.frame_index for detection in moving))
+    if when == "last":
+        return resting_around(moving, max(detection.frame_index for detection in moving))
+    if when != "lowest":
+        return resting_around(moving, when)
+    chosen = set(choose_frames(moving))
+    if not chosen:
+        raise InputError(
+            "in no frame do two cameras show the carried board",
+            remedy="Carry it where two or more cameras see it at once.",
+        )
+    some = [detection for detection in moving if detection.frame_index in chosen]
+    solution = solve_rig(
+        cameras, some, {some[0].target: board.corners_board}, symmetry_orders={some[0].target: symmetry_order_of(board)}
+    )
+    poses = {frame_index: T for (_, frame_index), T in solution.T_reference_target.items()}
+    centres = [inverse(T)[:3, 3] for T in solution.T_camera_reference.values()]
+    return find_resting_frames(poses, board.corners_board, centres)
 
 
 def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> tuple[int, ...]:
-    """``moment`` and those right before and after it at which the board rests, as far as the cameras saw it.
+    """``frame`` and those right before and after it at which the board rests, as far as the cameras saw it.
 
-    Raises InputError when no camera saw the board at ``moment``.
+    Raises InputError when no camera saw the board at ``frame``.
     """
     groups = group_by_frame(detections)
     if frame_index not in groups:
@@ -151,11 +182,11 @@ def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> t
 def find_resting_frames(
     T_reference_board: Mapping[int, Array], corners_board: Array, centres_reference: Sequence[Array]
 ) -> tuple[int, ...]:
-    """The moments, ascending, at which the board lies on the floor, at one place.
+    """The frames, ascending, at which the board lies on the floor, at one place.
 
-    A moment counts when no corner of any other moment, and no camera, lies below the board's plane. Of the places where
+    A frame counts when no corner of any other frame, and no camera, lies below the board's plane. Of the places where
     it does, the one where the board rested longest, of equal ones the last. ``corners_board`` (n, 3); centres (3,).
-    Raises InputError when there is no such moment.
+    Raises InputError when there is no such frame.
     """
     frames = sorted(T_reference_board)
     poses = np.array([T_reference_board[frame_index] for frame_index in frames])
@@ -164,7 +195,7 @@ def find_resting_frames(
     candidates = [m for m in range(len(frames)) if _supports(poses[m], everything, corners)]
     if not candidates:
         raise InputError(
-            "at no moment does the carried board lie on the floor: each time it was elsewhere below that plane",
+            "in no frame does the carried board lie on the floor: each time it was elsewhere below that plane",
             remedy="Lay it on the floor at the end and say when (--floor-at last or --floor-at FRAME), give pictures "
             "of it on the floor (--floor), or do without a floor (--floor-at none).",
         )
@@ -197,55 +228,17 @@ def _ranges(frames: Sequence[int]) -> str:
     return ", ".join(shown) + (f", ... {frames[-1]}" if len(frames) > 8 else "")
 
 
-# --- The floor from a board that is carried, and lies on the floor at some moment.
+# --- Progress while the board is carried.
 
-FloorAt = int | Literal["first", "last", "lowest"]
-
-
-def frames_on_floor(
-    cameras: Mapping[str, CameraModel], moving: Sequence[TargetDetection], board: Board, when: FloorAt
-) -> tuple[int, ...]:
-    """The moments at which the carried ``board`` lies on the floor, at one place.
-
-    ``when``: a frame, the first or last one that shows the board, or "lowest": found by solving for the rig without a
-    floor. Raises InputError when there is no such moment.
-    """
-    if not moving:
-        raise InputError("no picture shows the carried board", remedy="Check --board and --moving.")
-    if when == "first":
-        return resting_around(moving, min(detection.frame_index for detection in moving))
-    if when == "last":
-        return resting_around(moving, max(detection.frame_index for detection in moving))
-    if when != "lowest":
-        return resting_around(moving, when)
-    chosen = set(choose_frames(moving))
-    if not chosen:
-        raise InputError(
-            "at no moment do two cameras show the carried board",
-            remedy="Carry it where two or more cameras see it at once.",
-        )
-    some = [detection for detection in moving if detection.frame_index in chosen]
-    solution = solve_rig(
-        cameras, some, {some[0].target: board.corners_board}, symmetry_orders={some[0].target: symmetry_order_of(board)}
-    )
-    poses = {frame_index: T for (_, frame_index), T in solution.T_reference_target.items()}
-    centres = [inverse(T)[:3, 3] for T in solution.T_camera_reference.values()]
-    return find_resting_frames(poses, board.corners_board, centres)
-
-
-# --- While a board is carried: what is known already, and where to carry it next.
-
-ENOUGH_SHARED = 12
-"""So many moments tie one camera to another."""
+ENOUGH_SHARED = 12  # so many frames tie one camera to another
 ENOUGH_FRAMES = 40
 PROGRESS_CELLS = 3
-ENOUGH_CELLS = 5
-"""Of the 9 cells of its image, a camera should have seen the board in so many."""
+ENOUGH_CELLS = 5  # of the 9 cells of its image, a camera should have seen the board in so many
 
 
 @dataclass(frozen=True)
 class MotionProgress:
-    """moments : those at which two or more cameras saw the board. shared : moments by pair of cameras. groups : of
+    """frames : those in which two or more cameras saw the board. shared : frames by pair of cameras. groups : of
     cameras that are tied to each other. cells : by camera, in how many of the 9 cells of its image the board was."""
 
     cameras: tuple[str, ...]
@@ -260,7 +253,7 @@ class MotionProgress:
         if len(self.groups) > 1:
             return self._bring_together()
         if self.shared_frames < ENOUGH_FRAMES:
-            return f"carry on: {self.shared_frames} of {ENOUGH_FRAMES} moments"
+            return f"carry on: {self.shared_frames} of {ENOUGH_FRAMES} frames"
         poorest = min(self.cameras, key=lambda name: (self.cells[name], name))
         if self.cells[poorest] < ENOUGH_CELLS:
             return f"carry the board to more places of {poorest}'s image: near and far, left and right"
@@ -271,7 +264,7 @@ class MotionProgress:
         first, rest = self.groups[0], [name for group in self.groups[1:] for name in group]
         across = {(a, b): self.shared.get((min(a, b), max(a, b)), 0) for a in first for b in rest}
         (one, other), count = max(across.items(), key=lambda item: item[1])
-        shown = f"share {count} of {ENOUGH_SHARED} moments" if count else "share no view"
+        shown = f"share {count} of {ENOUGH_SHARED} frames" if count else "share no view"
         return f"{one} and {other} {shown}: carry the board where both see it"
 
 

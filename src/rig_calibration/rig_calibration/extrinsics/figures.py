@@ -1,7 +1,8 @@
-"""What there is to know about a calibrated rig, as figures: each camera's, and how the cameras stand together."""
+"""A calibrated rig in figures: each camera's, and how the cameras stand together."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 
+from ..bundle.solution import RigSolution
 from .floor import FloorView
 from .world import PlacedRig, centre_of
 
@@ -59,26 +61,14 @@ class RigFigures:
         return next(camera for camera in self.cameras if camera.name == name)
 
 
-@dataclass(frozen=True, eq=False)
-class CameraEstimate:
-    """What the adjustment says of one camera: rms_px, number of detections, and covariance (6, 6) of its pose: rotation
-    vector (rad), then centre (m)."""
-
-    rms_px: float
-    detections: int
-    covariance: Array
-
-
-def rig_figures(
-    placed: PlacedRig, adjusted: Mapping[str, CameraEstimate], floor: Mapping[str, FloorView]
-) -> RigFigures:
-    """All figures of the rig; ``adjusted`` by camera, ``floor`` for those that see the floor board."""
-    centre = centre_of(placed.rig.volume)
-    cameras = placed.rig.cameras
-    weights = np.array([adjusted[camera.name].detections for camera in cameras], float)
-    squares = np.array([adjusted[camera.name].rms_px ** 2 for camera in cameras])
+def rig_figures(placed: PlacedRig, solution: RigSolution, floor: Mapping[str, FloorView]) -> RigFigures:
+    """All figures of the rig; ``floor`` for those that see the floor board."""
+    centre, cameras = centre_of(placed.rig.volume), placed.rig.cameras
+    counts = Counter(detection.camera for detection in solution.detections)
+    weights = np.array([counts[camera.name] for camera in cameras], float)
+    squares = np.array([solution.rms_px[camera.name] ** 2 for camera in cameras])
     return RigFigures(
-        cameras=tuple(_camera_figures(c, centre, adjusted[c.name], floor.get(c.name)) for c in cameras),
+        cameras=tuple(_camera_figures(c, centre, solution, counts[c.name], floor.get(c.name)) for c in cameras),
         rms_px=float(np.sqrt(np.average(squares, weights=weights))),
         gaps_deg=_gaps_deg(cameras, centre),
         facing_deg=_facing_deg(cameras, centre),
@@ -88,14 +78,16 @@ def rig_figures(
 
 
 def _camera_figures(
-    camera: CameraModel, centre: Array, adjusted: CameraEstimate, floor: FloorView | None
+    camera: CameraModel, centre: Array, solution: RigSolution, detections: int, floor: FloorView | None
 ) -> CameraFigures:
     distance = float(np.linalg.norm(camera.centre_world - centre))
-    sd_rotation, sd_centre = (_worst_sd(adjusted.covariance[part, part]) for part in (slice(0, 3), slice(3, 6)))
+    sd_rotation, sd_centre = (
+        _worst_sd(solution.covariance[camera.name][part, part]) for part in (slice(0, 3), slice(3, 6))
+    )
     return CameraFigures(
         name=camera.name,
-        rms_px=adjusted.rms_px,
-        detections=adjusted.detections,
+        rms_px=solution.rms_px[camera.name],
+        detections=detections,
         distance_m=distance,
         height_m=float(camera.centre_world[2]),
         mm_per_px=1e3 * distance / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),

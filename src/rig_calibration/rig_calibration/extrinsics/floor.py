@@ -1,7 +1,7 @@
-"""The pose of one camera from a board on the floor, which is mostly seen at a grazing angle (thesis 6.1).
+"""The floor board: its corners averaged over several frames, and the pose of one camera from it (thesis 6.1).
 
-A plane has two poses that fit its picture nearly as well (Schweighofer & Pinz 2006): both are looked at, and kept
-unless the corners rule one out. EPnP is not used: it fails by metres on a plane seen at a grazing angle.
+It is mostly seen at a grazing angle. A plane has two poses that fit its picture nearly as well (Schweighofer & Pinz
+2006): both are kept unless the corners rule one out. EPnP is not used: it fails by metres at a grazing angle.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from ..bundle.rigid import inverse, transform
 Array = npt.NDArray[np.float64]
 
 MIN_CORNERS = 4
-SAME_POSE = np.deg2rad(0.5)
-"""Solutions whose planes differ by less are one."""
+SAME_POSE = np.deg2rad(0.5)  # solutions whose planes differ by less are one
 RULED_OUT_CHI2 = 25.0
 """The second solution is ruled out when it explains the corners so much worse (5 standard deviations)."""
 
@@ -146,16 +145,14 @@ def _standard_deviations(points: Array, camera: CameraModel, T: Array, sigma: fl
     return worst[0], worst[1]
 
 
-# --- The corners of a board that lies still before a camera, out of several frames: averaged, hands left out.
+# --- The corners of a still board, averaged over frames without the hands that cover some.
 
 
 SAME_PLACE_PX = 1.0
 """Corners that lie further apart (median over the board) belong to a board, or a camera, that was moved."""
 OUTLIER_SDS = 4.0
-MIN_SCATTER_PX = 0.1
-"""A corner that strays less than OUTLIER_SDS times this is never an outlier."""
-MIN_SHARE = 1 / 3
-"""A corner counts when so many of the frames that agree show it."""
+MIN_SCATTER_PX = 0.1  # a corner that strays less than OUTLIER_SDS times this is never an outlier
+MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show it
 LASTING_PX = 0.05
 """What averaging does not remove: compression, the grid of pixels and the lens err alike in every frame."""
 
@@ -164,7 +161,8 @@ LASTING_PX = 0.05
 class StillBoard:
     """What one camera's frames say together.
 
-    detection : the averaged corners. frames : the moments that agree. strays : those that show the board elsewhere.
+    detection : the averaged corners. frames : the frames that agree. moved_frames : those that show the
+    board elsewhere.
     """
 
     detection: TargetDetection

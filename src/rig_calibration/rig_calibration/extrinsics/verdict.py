@@ -1,4 +1,7 @@
-"""Is a calibrated rig good enough to track a person with, and if not, what to do about it."""
+"""Judges whether a calibrated rig is good enough to track a person with, and says what to do if not.
+
+A tape measure is part of the evidence: it alone can tell that the board's fields have another size than stated.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,7 @@ from capture_rig.verdict import REDO, USABLE, Finding, Verdict, judge
 from .figures import CameraFigures, RigFigures
 from .floor import FloorView
 
-# --- A tape measure against the calibration: it alone can tell that the board's fields have another size than stated.
-
-MIN_M = 0.2
-"""A shorter length tells nothing: a tape at a lens errs by a centimetre."""
+MIN_M = 0.2  # a shorter length tells nothing: a tape at a lens errs by a centimetre
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,6 @@ class TapeMeasure:
         return TapeCheck(what, self.tape_m, float(length))
 
 
-# --- What a rig is judged by.
-
-
 @dataclass(frozen=True, eq=False)
 class RigEvidence:
     """Everything that is known about a rig that was just calibrated.
@@ -70,12 +67,11 @@ class RigEvidence:
     figures : its figures. widths_px : width of each camera's images. usable_volume : is there a place where enough
     cameras see a standing person? floor : how each camera that sees the floor board sees it. by_floor_alone : cameras
     that no carried board ties to the others. floor_known : False when z up is a guess. floor_guess : frames in
-    which the carried board was taken to lie on the floor because nothing was below it. undecided : cameras of
-    which nothing tells on which side of the board they stand. strays : by camera, frames in
-    which the floor board lay elsewhere, and all its frames. left_out : by camera, why detections were left out.
-    scales : by target, its size relative to the first target's as the cameras see it, and that ratio's standard
-    deviation. tape : what was measured by hand. floor_left_out : by camera, why its detection
-    of the floor board was left out.
+    which the carried board was taken to lie on the floor because nothing was below it. undecided : cameras that may
+    stand on either side of the board. moved_frames : by camera, frames in which the floor board lay elsewhere, and all
+    its frames. left_out : by camera, why detections were left out. scales : by target, its size relative to the first
+    target's as the cameras see it, and that ratio's standard deviation. tape : what was measured by hand.
+    floor_left_out : by camera, why its detection of the floor board was left out.
     """
 
     figures: RigFigures
@@ -93,121 +89,12 @@ class RigEvidence:
     tape: tuple[TapeCheck, ...] = ()
 
 
-# --- What is wrong with one camera of a calibrated rig.
-
-GRAZING_DEG = 75.0
-"""From the board's normal; beyond, its fields are too thin to find them well."""
-SD_USABLE_MM, SD_REDO_MM = 10.0, 40.0
-SD_USABLE_DEG, SD_REDO_DEG = 0.2, 1.0
-RMS_USABLE_PX, RMS_REDO_PX = 1.0, 3.0
-RMS_WIDTH_PX = 1000
-"""Wider images may have residuals in proportion."""
-LOWEST_M, HIGHEST_M = 0.0, 6.0
-LEFT_OUT_SHARE = 0.2
-MOVED_SHARE = 0.2
-
-
-def camera_findings(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    """All that is wrong with one camera, the worst causes first."""
-    yield from _of_view(camera, evidence)
-    yield from _of_precision(camera, evidence)
-    yield from _of_height(camera, evidence)
-    yield from _of_detections(camera, evidence)
-
-
-def _of_view(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    view = evidence.floor.get(camera.name)
-    if view is None or camera.floor_angle_deg is None:
-        return
-    alone = camera.name in evidence.by_floor_alone
-    if view.other is not None and alone:
-        yield Finding(
-            REDO,
-            f"two poses of {camera.name} fit the floor board equally well",
-            "Use a larger board, lay it nearer to the camera, or carry a board through the room (--moving).",
-        )
-    if camera.floor_angle_deg > GRAZING_DEG and alone:
-        yield Finding(
-            USABLE,
-            f"{camera.name} sees the board at {camera.floor_angle_deg:.0f} degrees from its normal",
-            "Raise the camera, move the board nearer to it, or carry a board through the room (--moving).",
-        )
-
-
-def _of_precision(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    widening = max(1.0, evidence.widths_px[camera.name] / RMS_WIDTH_PX)
-    if camera.rms_px > RMS_USABLE_PX * widening:
-        grade = REDO if camera.rms_px > RMS_REDO_PX * widening else USABLE
-        yield Finding(
-            grade,
-            f"{camera.name}: the corners miss their places by {camera.rms_px:.2f} px (rms)",
-            "Check that the intrinsics are this camera's, at this focus and image size, that the board is "
-            "flat and specified as printed, and that it was held still.",
-        )
-    if camera.sd_centre_mm > SD_USABLE_MM:
-        grade = REDO if camera.sd_centre_mm > SD_REDO_MM else USABLE
-        yield Finding(grade, f"the place of {camera.name} is known to {camera.sd_centre_mm:.0f} mm only (sd)", _NEARER)
-    if camera.sd_rotation_deg > SD_USABLE_DEG:
-        grade = REDO if camera.sd_rotation_deg > SD_REDO_DEG else USABLE
-        what = f"the direction of {camera.name} is known to {camera.sd_rotation_deg:.2f} degrees only (sd)"
-        yield Finding(grade, what, _NEARER)
-
-
-_NEARER = "Show it the board larger, nearer, more from above, and at more places of its image (--moving)."
-
-
-def _of_height(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    if not evidence.floor_known:
-        return
-    if camera.height_m < LOWEST_M:
-        yield Finding(
-            REDO,
-            f"{camera.name} comes to lie {-camera.height_m:.2f} m below the floor",
-            "Lay the board on the floor, print upwards; where corners are given by hand, give them in reading order.",
-        )
-    elif camera.height_m > HIGHEST_M:
-        yield Finding(
-            USABLE,
-            f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor",
-            "If it hangs lower, the board's size is wrong: measure a field of the print.",
-        )
-
-
-def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    if (reason := evidence.floor_left_out.get(camera.name)) is not None:
-        yield Finding(
-            REDO,
-            f"{camera.name} sees the floor board otherwise than the rest of the rig does: {reason}",
-            "Was the board, or the camera, moved in between, or are its outer corners given the wrong way "
-            "round? Take the pictures of the floor board again.",
-        )
-    reasons = evidence.left_out.get(camera.name, ())
-    total = len(reasons) + camera.detections
-    if len(reasons) > LEFT_OUT_SHARE * total:
-        yield Finding(
-            USABLE,
-            f"{len(reasons)} of {total} detections of {camera.name} contradict the rest: {reasons[0]}",
-            "Check that the cameras are synchronised, that the board was carried slowly, and that nobody "
-            "touched the camera.",
-        )
-    moved_frames, frames = evidence.moved_frames.get(camera.name, (0, 0))
-    if moved_frames > MOVED_SHARE * frames:
-        yield Finding(
-            USABLE,
-            f"in {moved_frames} of {frames} frames of {camera.name} the floor board lies elsewhere",
-            "Film it lying still, and start when everybody has left it.",
-        )
-
-
-FACING_DEG = 170.0
-"""Cameras that look at each other see the same outline, mirrored."""
+FACING_DEG = 170.0  # cameras that look at each other see the same outline, mirrored
 CLOSE_DEG, WIDE_DEG = 12.0, 170.0
 MIN_CAMERAS = 3
-RESTING_FRAMES = 3
-"""A board that lies on the floor is seen there in so many frames."""
+RESTING_FRAMES = 3  # a board that lies on the floor is seen there in so many frames
 SCALE_USABLE, SCALE_REDO, SCALE_SDS = 0.01, 0.03, 4.0
-TAPE_ERROR_M = 0.02
-"""A tape held against a lens errs by so much."""
+TAPE_ERROR_M = 0.02  # a tape held against a lens errs by so much
 
 
 def rig_verdict(evidence: RigEvidence) -> Verdict:
@@ -308,3 +195,107 @@ def _of_layout(evidence: RigEvidence) -> Iterator[Finding]:
                     f"no camera stands between {one} and {other}, {gap:.0f} degrees apart",
                     "Spread the cameras around the volume.",
                 )
+
+
+# --- Findings about one camera.
+
+GRAZING_DEG = 75.0  # from the board's normal; beyond, its fields are too thin to find them well
+SD_USABLE_MM, SD_REDO_MM = 10.0, 40.0
+SD_USABLE_DEG, SD_REDO_DEG = 0.2, 1.0
+RMS_USABLE_PX, RMS_REDO_PX = 1.0, 3.0
+RMS_WIDTH_PX = 1000  # wider images may have residuals in proportion
+LOWEST_M, HIGHEST_M = 0.0, 6.0
+LEFT_OUT_SHARE = 0.2
+MOVED_SHARE = 0.2
+
+
+def camera_findings(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+    """All that is wrong with one camera, the worst causes first."""
+    yield from _of_view(camera, evidence)
+    yield from _of_precision(camera, evidence)
+    yield from _of_height(camera, evidence)
+    yield from _of_detections(camera, evidence)
+
+
+def _of_view(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+    view = evidence.floor.get(camera.name)
+    if view is None or camera.floor_angle_deg is None:
+        return
+    alone = camera.name in evidence.by_floor_alone
+    if view.other is not None and alone:
+        yield Finding(
+            REDO,
+            f"two poses of {camera.name} fit the floor board equally well",
+            "Use a larger board, lay it nearer to the camera, or carry a board through the room (--moving).",
+        )
+    if camera.floor_angle_deg > GRAZING_DEG and alone:
+        yield Finding(
+            USABLE,
+            f"{camera.name} sees the board at {camera.floor_angle_deg:.0f} degrees from its normal",
+            "Raise the camera, move the board nearer to it, or carry a board through the room (--moving).",
+        )
+
+
+def _of_precision(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+    widening = max(1.0, evidence.widths_px[camera.name] / RMS_WIDTH_PX)
+    if camera.rms_px > RMS_USABLE_PX * widening:
+        grade = REDO if camera.rms_px > RMS_REDO_PX * widening else USABLE
+        yield Finding(
+            grade,
+            f"{camera.name}: the corners miss their places by {camera.rms_px:.2f} px (rms)",
+            "Check that the intrinsics are this camera's, at this focus and image size, that the board is "
+            "flat and specified as printed, and that it was held still.",
+        )
+    if camera.sd_centre_mm > SD_USABLE_MM:
+        grade = REDO if camera.sd_centre_mm > SD_REDO_MM else USABLE
+        yield Finding(grade, f"the place of {camera.name} is known to {camera.sd_centre_mm:.0f} mm only (sd)", _NEARER)
+    if camera.sd_rotation_deg > SD_USABLE_DEG:
+        grade = REDO if camera.sd_rotation_deg > SD_REDO_DEG else USABLE
+        what = f"the direction of {camera.name} is known to {camera.sd_rotation_deg:.2f} degrees only (sd)"
+        yield Finding(grade, what, _NEARER)
+
+
+_NEARER = "Show it the board larger, nearer, more from above, and at more places of its image (--moving)."
+
+
+def _of_height(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+    if not evidence.floor_known:
+        return
+    if camera.height_m < LOWEST_M:
+        yield Finding(
+            REDO,
+            f"{camera.name} comes to lie {-camera.height_m:.2f} m below the floor",
+            "Lay the board on the floor, print upwards; where corners are given by hand, give them in reading order.",
+        )
+    elif camera.height_m > HIGHEST_M:
+        yield Finding(
+            USABLE,
+            f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor",
+            "If it hangs lower, the board's size is wrong: measure a field of the print.",
+        )
+
+
+def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+    if (reason := evidence.floor_left_out.get(camera.name)) is not None:
+        yield Finding(
+            REDO,
+            f"{camera.name} sees the floor board otherwise than the rest of the rig does: {reason}",
+            "Was the board, or the camera, moved in between, or are its outer corners given the wrong way "
+            "round? Take the pictures of the floor board again.",
+        )
+    reasons = evidence.left_out.get(camera.name, ())
+    total = len(reasons) + camera.detections
+    if len(reasons) > LEFT_OUT_SHARE * total:
+        yield Finding(
+            USABLE,
+            f"{len(reasons)} of {total} detections of {camera.name} contradict the rest: {reasons[0]}",
+            "Check that the cameras are synchronised, that the board was carried slowly, and that the camera "
+            "was not touched.",
+        )
+    moved_frames, frames = evidence.moved_frames.get(camera.name, (0, 0))
+    if moved_frames > MOVED_SHARE * frames:
+        yield Finding(
+            USABLE,
+            f"in {moved_frames} of {frames} frames of {camera.name} the floor board lies elsewhere",
+            "Film it lying still, and start when everybody has left it.",
+        )

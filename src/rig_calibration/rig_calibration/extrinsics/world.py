@@ -1,4 +1,8 @@
-"""The world frame (``map``): z up, origin on the floor, given by the board that lies there (thesis 6.1, REP-105)."""
+"""The rig in the world: the frame ``map`` (z up, origin on the floor; REP-105), the cameras placed in it, their volume.
+
+The board that lies on the floor gives the frame (thesis 6.1). The common volume is where enough cameras see a person
+for a hull (thesis 3.1), and the box around it.
+"""
 
 from __future__ import annotations
 
@@ -63,18 +67,35 @@ def world_of_level_camera(T_camera_reference: Array) -> Array:
     return T_world_camera @ T_camera_reference
 
 
-# --- The common volume: where enough cameras see a person for a hull (thesis 3.1), and the box around it.
+@dataclass(frozen=True, eq=False)
+class PlacedRig:
+    """The rig in the world, and what its cameras see in common (its box is the rig's volume)."""
+
+    rig: Rig
+    common: CommonVolume
 
 
-ENOUGH_CAMERAS = 3
-"""Two outlines leave a hull far fatter than the body."""
+def place_rig(
+    cameras: Mapping[str, CameraModel], T_camera_reference: Mapping[str, Array], T_world_reference: Array
+) -> PlacedRig:
+    """The cameras whose poses are known, placed in the world; their intrinsics are those of ``cameras``."""
+    T_reference_world = inverse(T_world_reference)
+    placed = tuple(
+        replace(cameras[name], T_camera_world=T_camera_reference[name] @ T_reference_world)
+        for name in sorted(T_camera_reference)
+    )
+    common = common_volume(placed)
+    return PlacedRig(Rig(placed, common.box), common)
+
+
+# --- The common volume.
+
+
+ENOUGH_CAMERAS = 3  # two outlines leave a hull far fatter than the body
 STEP_M = 0.1
-LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)
-"""Heights at which a place on the floor is asked who sees it."""
-BODY_TOP_M = 1.7
-"""A person can be tracked at a place where enough cameras see every height up to this."""
-REACH = 2.0
-"""A camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse."""
+LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)  # heights at which a place on the floor is asked who sees it
+BODY_TOP_M = 1.7  # a person can be tracked at a place where enough cameras see every height up to this
+REACH = 2.0  # a camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse
 MIN_DISTANCE_M = 0.3
 MIN_SIDE_M, MAX_SIDE_M = 1.0, 8.0
 TIP_SHARE = 0.02
@@ -179,27 +200,3 @@ def _extent(counts: npt.NDArray[np.int64]) -> tuple[int, int]:
     below = np.cumsum(counts)
     tip = TIP_SHARE * below[-1]
     return int(np.searchsorted(below, tip, side="right")), int(np.searchsorted(below, below[-1] - tip))
-
-
-# --- From poses in the solver's reference frame to the rig: cameras in the world, and their common volume.
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedRig:
-    """The rig in the world, and what its cameras see in common (its box is the rig's volume)."""
-
-    rig: Rig
-    common: CommonVolume
-
-
-def place_rig(
-    cameras: Mapping[str, CameraModel], T_camera_reference: Mapping[str, Array], T_world_reference: Array
-) -> PlacedRig:
-    """The cameras whose poses are known, placed in the world; their intrinsics are those of ``cameras``."""
-    T_reference_world = inverse(T_world_reference)
-    placed = tuple(
-        replace(cameras[name], T_camera_world=T_camera_reference[name] @ T_reference_world)
-        for name in sorted(T_camera_reference)
-    )
-    common = common_volume(placed)
-    return PlacedRig(Rig(placed, common.box), common)

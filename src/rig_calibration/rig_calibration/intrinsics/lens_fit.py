@@ -32,7 +32,7 @@ from .lens_model import LAYOUT, Array, LensModel
 MIN_CORNERS = 8
 MIN_SPREAD = 0.02  # the corners' shape on the board: its shorter axis over its longer one; below, they lie on a line
 MIN_VIEWS = 3
-AGREEING_SHARE = 0.4  # of the views must agree, else it is anybody's guess who is right
+AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them are right
 FOCAL_TRIALS = np.geomspace(0.4, 5.0, 7)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
 UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
@@ -97,7 +97,7 @@ def fit_lens(
     """
     some = detections[:: max(1, len(detections) // TRIAL_VIEWS)]
     if start is None:
-        start = _roughly(_fit_from(_best_of_trials(some, board, model), some, board, model))
+        start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model), START))
     # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
     fit = settled(_fit_from(start, detections, board, model), LENS_LIMITS)
     if len(fit.rows) < max(MIN_VIEWS, AGREEING_SHARE * len(detections)):
@@ -173,10 +173,6 @@ def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board:
         free_bows=np.ones_like(fit.free_bows),
         prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board)),
     )
-
-
-def _roughly(fit: Fit) -> CameraModel:
-    return _camera_of(adjusted(fit, START))
 
 
 def _camera_of(fit: Fit) -> CameraModel:

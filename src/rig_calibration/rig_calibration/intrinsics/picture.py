@@ -88,7 +88,7 @@ def _views(axis: Axes, result: Intrinsics) -> None:
     axis.bar(range(len(names)), [view.rms_px for view in result.views], color=SEEN)
     axis.axhline(result.rms_px, color=CURVE, label=f"all: {result.rms_px:.3f} px")
     axis.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    axis.set_xlabel("moment")
+    axis.set_xlabel("frame")
     axis.set_ylabel("rms of a corner's distance [px]")
     axis.set_title("residual of each view", fontsize=10)
     axis.legend(loc="upper left")

@@ -1,4 +1,4 @@
-"""What the calibration of one camera comes to."""
+"""What the calibration of one lens comes to, and the report about it."""
 
 from __future__ import annotations
 
@@ -72,9 +72,6 @@ class Intrinsics:
         return float(max(radii) / (np.hypot(*size) / 2))
 
 
-# --- The report beside a calibration: what was found, how sure it is, from which views, and whether it will do.
-
-
 def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
     """Plain data for YAML; ``about`` (board, sources, versions, date) comes first."""
     return {
@@ -116,7 +113,7 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
 
 def _view(view: ViewResult) -> dict[str, Any]:
     return {
-        "moment": view.detection.frame_index,
+        "frame": view.detection.frame_index,
         "corners": len(view.pixels),
         "rms_px": _short(view.rms_px),
         "tilt_deg": _short(float(np.rad2deg(view.placement.tilt))),
@@ -125,7 +122,7 @@ def _view(view: ViewResult) -> dict[str, Any]:
 
 
 def _left_out(entry: LeftOut) -> dict[str, Any]:
-    what = {"moment": entry.detection.frame_index, "why": entry.reason}
+    what = {"frame": entry.detection.frame_index, "why": entry.reason}
     return what if entry.whole else {**what, "corners": list(entry.corners)}
 
 

@@ -1,8 +1,8 @@
-"""Which views of many to calibrate from: sharp, still, unlike each other, and telling about the camera.
+"""Chooses the views to calibrate from: sharp, still, unlike each other, and informative about the lens.
 
-Views are offered one by one, from a video or live, and each is answered at once. How much they tell is measured by what
-they add to the normal matrix of the adjustment, so that collecting can end when focal length and principal point are
-known well enough, not after some number of views.
+Views are offered one by one, from a video or live, and each is answered at once. How informative they are is measured
+by what they add to the normal matrix of the adjustment, so that collecting ends when focal length and principal point
+are known well enough, not after some number of views.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def d_optimal_views(information: Array, precision: Array, wanted: int) -> list[i
     return sorted(chosen)
 
 
-# --- Looks at images one by one, and collects the views of a board that are worth calibrating from.
+# --- From images to views.
 
 NOT_SEEN = "the board is not seen"
 
