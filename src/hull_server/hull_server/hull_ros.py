@@ -101,7 +101,7 @@ def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
     K = np.asarray(info.k).reshape(3, 3)
     if not np.allclose(K, canvas.K, rtol=0, atol=INTRINSICS_TOLERANCE_PX):
         given, wanted = (f"fx {M[0, 0]:.3f} fy {M[1, 1]:.3f} cx {M[0, 2]:.3f} cy {M[1, 2]:.3f}" for M in (K, canvas.K))
-        return f"K with {given}, but the rig says {wanted}"
+        return f"K with {given}, but the rig has {wanted}"
     return ""
 
 

@@ -41,7 +41,7 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
     if not len(volume.index):
         raise InputError(
             "the hull is empty: there is nothing to make a mesh of",
-            remedy="Ask again when somebody stands in the capture volume.",
+            remedy="Ask again when a person stands in the capture volume.",
         )
     occupancy, low = _crop(volume, margin=2 + int(np.ceil(3 * smoothing_voxels)))
     if smoothing_voxels > 0:

@@ -25,7 +25,7 @@ class BlobSettings:
         0, "times each slice is eroded before its blobs are found; costs thin limbs", unit="voxels", low=0, high=3
     )
     max_growth: float = setting(
-        3.0, "a limb goes on: largest ratio of the areas a step to either side to the blob's; 0: not asked", low=0.0
+        3.0, "largest ratio of the areas a step to either side to the blob's, as a limb continues; 0: any", low=0.0
     )
     growth_step_m: float = setting(0.02, "the step of max_growth, in whole voxels", unit="m", low=0.0, high=0.2)
 

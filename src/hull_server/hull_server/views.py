@@ -116,7 +116,7 @@ class CarveBackend(Protocol):
     device: str
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """Carve one canvas mask a camera (nonzero = foreground); absent cameras are not asked."""
+        """Carve one canvas mask a camera (nonzero = foreground); absent cameras do not count."""
         ...
 
     def submit(self, masks: Masks, min_seeing: int) -> Any:

@@ -98,7 +98,9 @@ def _enclose_octants(sizes, camera, corners, box):  # type: ignore[no-untyped-de
     """
     width, height, zero, one = np.float32(sizes[camera, 0]), np.float32(sizes[camera, 1]), np.float32(0), np.float32(1)
     margin = MARGIN * (max(width, height) + abs(corners[0]) + abs(corners[64]))
-    for octant in range(box.size // 5):  # eight; told so, the compiler would unroll the loop instead of vectorising it
+    for octant in range(
+        box.size // 5
+    ):  # eight; as a constant, the compiler would unroll the loop instead of vectorising it
         low_u, low_v = _least(corners, octant) - margin, _least(corners, 64 + octant) - margin
         high_u, high_v = _greatest(corners, octant) + margin, _greatest(corners, 64 + octant) + margin
         box[32 + octant] = (low_u >= zero) & (low_v >= zero) & (high_u < width) & (high_v < height)

@@ -3,7 +3,7 @@
 Blocks of 32, 8 and 4 voxels are classified by summed-area tables, and single voxels only where a block is mixed. For a
 camera and a block there are three outcomes: the camera sees every voxel of the block and none is foreground (the block
 is empty); it sees every voxel and all are foreground, or it sees none (settled: inside the block the camera is not
-asked again); anything else (undecided: asked again, closer). A camera settled as foreground counts as seeing.
+tested again); anything else (undecided: tested again, closer). A camera settled as foreground counts as seeing.
 
 Sets of cameras are words whose bit s stands for camera ``scene.present[s]``.
 """
@@ -77,7 +77,7 @@ class CpuCarver(Immediate):
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
         """Carve the silhouettes of one frame set, by the rule of :mod:`hull_server.views`.
 
-        masks : one canvas mask (h, w) uint8 a camera, nonzero = foreground; absent cameras are not asked.
+        masks : one canvas mask (h, w) uint8 a camera, nonzero = foreground; absent cameras do not count.
         Raises InputError for an unknown camera or a mask of another size.
         """
         present = self.views.present(masks)

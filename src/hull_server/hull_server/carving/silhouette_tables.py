@@ -23,7 +23,7 @@ class Scene(NamedTuple):
     stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
     foreground_table (N, (H + 1) * (W + 1)): summed areas of the foreground inside that box, from its corner, row after
     row without gaps (which takes a fraction of the memory pages that a canvas would).
-    present (n,): cameras of this frame set, in the order in which they are asked; the result does not depend on it.
+    present (n,): cameras of this frame set, in the order in which they are tested; the result does not depend on it.
     min_seeing: cameras that must see a voxel. shape (3,): the grid.
     """
 

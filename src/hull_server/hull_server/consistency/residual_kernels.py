@@ -42,7 +42,7 @@ class CoarseViews(NamedTuple):
 
 
 class VotingSet(NamedTuple):
-    """``cameras`` (n,), the first ``voters`` of which can veto; how many must see a voxel that nobody vetoes
+    """``cameras`` (n,), the first ``voters`` of which can veto; how many must see a voxel that no camera vetoes
     (``needed``), and one that a single camera vetoes (``needed_without``)."""
 
     cameras: npt.NDArray[np.int64]

@@ -60,7 +60,7 @@ _SIGNATURES: tuple[tuple[str, Any, list], ...] = (
 
 
 class NoGraphics(RuntimeError):
-    """No OpenGL 4.3 context of the wanted kind can be had on this machine; the text says why."""
+    """No OpenGL 4.3 context of the wanted kind can be had on this machine; the text has the reason."""
 
 
 class GlContext:
