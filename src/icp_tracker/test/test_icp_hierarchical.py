@@ -56,7 +56,7 @@ def test_thesis_weights_follow_a_noisy_motion_but_worse_than_all_joints_at_once(
 def weights(j, stick, along, squared, proximal, epsilon=0.2):
     stick, along, squared = np.array(stick), np.array(along, float), np.array(squared, float)
     keep, weight = np.empty(len(stick), bool), np.empty(len(stick))
-    own = weight_points(j, (stick, along, np.zeros((len(stick), 3)), squared), proximal, epsilon, 0.005, keep, weight)
+    own = weight_points(j, (stick, along, np.zeros((len(stick), 3)), squared), proximal, epsilon, keep, weight)
     return own, weight
 
 

@@ -120,7 +120,7 @@ def test_fat_hull_is_trusted_less_than_a_tight_one(body, synthetic):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
         weights = make_weights(data, settings)
         _, _, distance = surface_distances(data.voxels, synthetic.placed(body, truth))
-        return discount_loose_hull(weights, distance, settings).voxel / weights.voxel
+        return discount_loose_hull(weights, distance).voxel / weights.voxel
 
     assert trust(tight) > 0.8
     assert trust(fat) < 0.5 * trust(tight)

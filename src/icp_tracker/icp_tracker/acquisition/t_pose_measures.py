@@ -17,6 +17,7 @@ LOWERED_BY = np.pi / 4
 ARMPIT = (-0.10, -0.06)  # over the stature, from the arms' height: here the trunk's sides end
 TRUNK_REACH = 0.16  # over the stature: farther from the spine is no trunk
 LARGEST_SWEEP = 0.45  # rad, of both arms ahead or behind: elbows that are bent a little swing their forearms ahead
+SPAN, ASYMMETRY = (0.88, 1.25), 0.10  # over the stature: of both arms, least and largest; of their reach
 NO_WIDTH = float("nan")
 
 
@@ -32,9 +33,6 @@ class TPoseSettings:
     stature_low_m: float = setting(1.2, "least stature", unit="m", low=0.5, high=2.6)
     stature_high_m: float = setting(2.2, "largest stature", unit="m", low=0.5, high=2.6)
     tilt: float = setting(0.33, "an arm's largest angle from where it should be", unit="rad", low=0.0, high=0.7)
-    span_low: float = setting(0.88, "least span of the arms over the stature", low=0.1, high=2.0)
-    span_high: float = setting(1.25, "largest span of the arms over the stature", low=0.1, high=2.0)
-    asymmetry: float = setting(0.10, "largest difference of the arms' reach over the stature", low=0.0, high=1.0)
     sureness: float = setting(
         5.0, "least log-likelihood ratio of the heading that was found against the opposite one", low=0.0, high=100.0
     )
@@ -107,10 +105,10 @@ def _refuse_arms(arms: tuple[Arm, Arm], stature: float, settings: TPoseSettings)
     if abs(ahead) > LARGEST_SWEEP:
         raise PoseRejected(f"arms not straight sideways: they lie {np.degrees(abs(ahead)):.0f} degrees ahead or behind")
     span = sum(arm.length_from(0.0) for arm in arms)
-    if not settings.span_low <= span / stature <= settings.span_high:
+    if not SPAN[0] <= span / stature <= SPAN[1]:
         what = "arms not stretched" if span < stature else "more than one body, or not upright"
         raise PoseRejected(f"{what}: they span {span:.2f} m at a stature of {stature:.2f} m")
-    if abs(arms[0].tip - arms[1].tip) > settings.asymmetry * stature:
+    if abs(arms[0].tip - arms[1].tip) > ASYMMETRY * stature:
         raise PoseRejected(f"arms of unequal reach: {arms[0].tip:.2f} m and {arms[1].tip:.2f} m")
 
 

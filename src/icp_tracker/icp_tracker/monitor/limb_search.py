@@ -16,7 +16,7 @@ from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import DIRECTION, RayArrays, match_rays, sum_rays
-from stick_figure.least_squares.normal_equations import OF_ENDS, TANGENT, add_pose_sums, mirror_upper
+from stick_figure.least_squares.normal_equations import ENDS, TANGENT, add_pose_sums, mirror_upper, no_sums
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
@@ -104,16 +104,15 @@ def _search(rays, without, state, figure, limb, library, hull):
 @njit(cache=True)
 def _refine_limb(rays, state, figure, limb):
     """Move the limb toward the rays, in place: Gauss-Newton over its four angles; returns the placed figure."""
-    k = figure.surface.stick.shape[0]
     H, g, step = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), np.zeros(TANGENT)
     own, pull, L, turn = np.empty((ANGLES, ANGLES)), np.empty(ANGLES), np.empty((ANGLES, ANGLES)), np.empty(ANGLES)
     placed = place(state, figure)
     for _ in range(ITERATIONS):
-        V, b = np.zeros((k, OF_ENDS, OF_ENDS)), np.zeros((k, OF_ENDS))
-        sum_rays(rays, match_rays(rays, placed, SLACK_M), REFINE_GATE_M, V, b)
+        sums = no_sums(placed.P.shape[0], ENDS)
+        sum_rays(rays, match_rays(rays, placed, SLACK_M), REFINE_GATE_M, sums)
         H[:] = 0.0
         g[:] = 0.0
-        add_pose_sums(V, b, placed, H, g)
+        add_pose_sums(sums, placed, H, g)
         mirror_upper(H)
         for i in range(ANGLES):
             pull[i] = g[limb.slots[i]]

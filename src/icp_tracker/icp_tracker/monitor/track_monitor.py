@@ -36,26 +36,26 @@ from .pose_library import (
 )
 from .track_quality import Baseline, Hypothesis, contested, judge_track
 
-# --- Settings of the watch over the track.
-
 
 @dataclass(frozen=True)
 class RecoverySettings:
     """How a lost track, or a lost limb, is noticed and found again."""
 
     search: bool = setting(True, "look for better poses of limbs and body; off: the track is judged, not repaired")
-    limb_parts: int = setting(
-        4, "a limb's library is searched in so many parts, one a frame set (a doubtful limb's at once)", low=1, high=64
-    )
-    turned_every: int = setting(16, "frame sets between two looks at the body turned round", low=1, high=100000)
     margin_rays: float = setting(
-        2.0, "lead in rays that another pose must have, on average over the sets it is compared in", low=0.0, high=1e4
+        2.0,
+        "rays that another pose must explain beyond the followed one, on average over the sets it is compared in",
+        low=0.0,
+        high=1e4,
     )
     margin_sets: int = setting(6, "frame sets that it must be compared in", low=1, high=1000)
-    clear_rays: float = setting(20.0, "lead in rays with which two frame sets are enough", low=0.0, high=1e4)
-    patient_sets: int = setting(30, "frame sets after which another pose without that lead is forgotten", low=1)
 
 
+# chosen on the drills of bench/recovery.py
+CLEAR_RAYS = 20.0  # margin with which two frame sets are enough
+PATIENT_SETS = 30  # frame sets after which a hypothesis without the margin is dropped
+LIMB_PARTS = 4  # a limb's library is searched in so many parts, one a frame set (a doubtful limb's at once)
+TURNED_EVERY = 16  # frame sets between two tries of the whole body turned round
 SAME_M = 0.10  # poses whose 15 points are so near to each other are one
 FAR_M = 0.4  # a pose so far from the followed one, or farther, needs twice the evidence: tracks slip, they seldom leap
 FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
@@ -149,11 +149,11 @@ class TrackMonitor:
         enough = hypothesis.sets >= s.margin_sets and hypothesis.margin >= s.margin_rays * max(
             1.0, sets / hypothesis.sets
         )
-        if enough or (hypothesis.sets >= 2 and hypothesis.margin >= s.clear_rays):
+        if enough or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
             self._hypothesis = None
             known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline.share)
             return Examination(known, hypothesis.pose, hypothesis.why)
-        if hypothesis.sets >= s.patient_sets or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
+        if hypothesis.sets >= PATIENT_SETS or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
             self._hypothesis = None
             return Examination(quality)
         return Examination(contested(quality, hypothesis, s.margin_rays), hypothesis=hypothesis.pose)
@@ -177,7 +177,7 @@ class TrackMonitor:
 
     def _guess(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
         """What to try at this set: a lost body's stances, the whole body turned, or one limb elsewhere."""
-        turn, every = self._sets, self._settings.turned_every
+        turn, every = self._sets, TURNED_EVERY
         if quality.state == LOST and turn % 2 == 0:
             return self._stance(observed, turn // 2)
         if quality.state != GOOD:
@@ -215,7 +215,7 @@ class TrackMonitor:
         limbs, look = doubtful or LIMBS, self._limb_looks
         self._limb_looks += 1
         limb = limbs[look % len(limbs)]
-        library, parts = limb_poses(limb), self._settings.limb_parts
+        library, parts = limb_poses(limb), LIMB_PARTS
         if not doubtful:
             library = library.part(look // len(limbs), parts)
         hull = HullMap.of(observed.data.hull)

@@ -30,31 +30,22 @@ from .shape import SIZE, UNKNOWNS, ShapeModel, ShapePrior, body_of, contour_syst
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """The sizes of a body that was measured in a T-pose, from the rims of the poses that follow."""
+    """The sizes of a body that was measured in a T-pose, from the contour rays of the poses that follow."""
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
     turn: float = setting(
         0.2, "a pose is different when some joint turned by this much against every kept one", unit="rad", low=0.01
     )
-    rays: int = setting(400, "rays of a kept pose that are looked at", low=50, high=100000)
     explained: float = setting(
-        0.93, "share of the rays that the flesh must explain for a pose to count", low=0.0, high=1.0
-    )
-    explained_m: float = setting(0.06, "misfit up to which a ray is explained", unit="m", low=1e-3)
-    gate_m: float = setting(0.04, "misfit at which a ray's weight has fallen to 1/4", unit="m", low=1e-3)
-    slack_m: float = setting(
-        0.05, "the flesh may touch a ray this far from the stretch where the ray touches the hull", unit="m", low=0.0
+        0.93, "share of the rays that the body's surface must explain for a pose to count", low=0.0, high=1.0
     )
     surface_sd_m: float = setting(
-        0.01,
-        "distance of a body's surface from the capsules that stand for it, where they fit well",
-        unit="m",
-        low=1e-4,
+        0.01, "distance of a body's surface from the capsules, where they fit well", unit="m", low=1e-4
     )
     independent_rays: float = setting(
         6.0,
-        "independent rays that all rays of a pose are worth: one for head, trunk and each limb, for the misfit of "
-        "the flesh is common to them",
+        "independent rays that all rays of a pose count as: one for head, trunk and each limb, for the model's error "
+        "is common to them",
         low=0.1,
         high=1e4,
     )
@@ -70,6 +61,9 @@ class RefinementSettings:
     pause_s: float = setting(1.0, "and not more often than this", unit="s", low=0.0)
 
 
+# chosen on the studio's bodies and rendered sessions of the package's README
+RAYS = 400  # of a kept pose that are used
+GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
 # --- One kept pose with its rims, and what it says about the body's shape whatever the pose was exactly.
 
 LARGEST_STEP = 0.3  # m, rad
@@ -102,9 +96,10 @@ class Keyframe:
             kernels.retract(*state, step, min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), LARGEST_STEP)))
             self.pose = state.pose()
         H, g = np.empty((n, n)), np.empty(n)
-        robust = (self._settings.gate_m, self._settings.slack_m, self._settings.explained_m)
         placed = place(state, model.at(values))
-        self.explained = float(contour_system(self.contour_rays, placed, model.derivatives, robust, H, g))
+        self.explained = float(
+            contour_system(self.contour_rays, placed, model.derivatives, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
+        )
         pose, shape = slice(0, TANGENT), slice(TANGENT, n)
         own, pull = self._with_prior(state, H, g)
         self._through, self._values = np.linalg.solve(own, np.column_stack([H[pose, shape], pull])), values
@@ -133,7 +128,7 @@ class Keyframe:
 def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> RayArrays:
     """At most so many rays, evenly spread, together worth the independent ones."""
     count = len(contour_rays.information)
-    rows = np.arange(count) if count <= settings.rays else np.arange(settings.rays) * count // settings.rays
+    rows = np.arange(count) if count <= RAYS else np.arange(RAYS) * count // RAYS
     information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
     return contour_rays.chosen(rows, information)
 

@@ -11,7 +11,15 @@ from numba import njit
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import match_rays, sum_rays
-from stick_figure.least_squares.normal_equations import OF_CAPSULE, TANGENT, add_sums, mirror_upper, pose_columns
+from stick_figure.least_squares.normal_equations import (
+    CHAIN_COLUMNS,
+    TANGENT,
+    WHOLE,
+    add_capsule,
+    mirror_upper,
+    no_sums,
+    pose_columns,
+)
 from stick_figure.least_squares.placed_figure import STICKS, Figure
 from stick_figure.skeleton import STICK_AXIS, STICK_SIGN
 
@@ -113,42 +121,52 @@ def contour_system(rays, placed, derivatives, robust, H, g):
     ``robust`` = gate, slack, separation up to which a ray is explained, metres.
     """
     gate, slack, explained = robust
-    k, match = placed.P.shape[0], match_rays(rays, placed, slack)
-    V, b = np.zeros((k, OF_CAPSULE, OF_CAPSULE)), np.zeros((k, OF_CAPSULE))
-    sum_rays(rays, match, gate, V, b)
-    M = np.zeros((k, OF_CAPSULE, H.shape[0]))
-    pose_columns(placed, M)
-    shape_columns(placed.surface.stick, placed.G, derivatives, M)
+    unknowns, match = H.shape[0] - TANGENT, match_rays(rays, placed, slack)
+    sums = no_sums(placed.P.shape[0], WHOLE)
+    sum_rays(rays, match, gate, sums)
+    starts = start_columns(placed.G, derivatives)
+    M, slots = np.empty((2 * WHOLE, CHAIN_COLUMNS + unknowns)), np.empty(CHAIN_COLUMNS + unknowns, np.int64)
     H[:] = 0.0
     g[:] = 0.0
-    add_sums(M, V, b, H, g)
+    for k in range(placed.P.shape[0]):
+        n = pose_columns(k, placed, M, slots)
+        M[3, :n] = 0.0  # a pose changes no radius
+        M[7, :n] = 0.0
+        for s in range(unknowns):
+            slots[n + s] = TANGENT + s
+        shape_columns(k, placed, starts, derivatives, M[:, n:])
+        add_capsule(sums, k, M, slots, n + unknowns, H, g)
     mirror_upper(H)
     return np.sum(match.separation < explained) / max(match.separation.shape[0], 1)
 
 
 @njit(cache=True)
-def shape_columns(stick, G, derivatives, M):
-    """Derivatives of the capsules with respect to the shape's unknowns, into M (k, 8, 24:)."""
+def start_columns(G, derivatives):
+    """Return the derivatives (10, 3, unknowns) of the sticks' starts, world, with respect to the shape's unknowns."""
     unknowns = derivatives.lengths.shape[1]
-    dA = np.zeros((STICKS, 3, unknowns))
+    starts = np.zeros((STICKS, 3, unknowns))
     for j in range(STICKS):
         for i in range(3):
             for s in range(unknowns):
                 if j < 6:  # starts on the torso
                     for q in range(3):
-                        dA[j, i, s] += G[0, i, q] * derivatives.origins[j, q, s]
+                        starts[j, i, s] += G[0, i, q] * derivatives.origins[j, q, s]
                 else:  # starts where the upper limb ends
                     upper = j - 4
                     axis = G[upper, i, _AXIS[upper]] * _SIGN[upper]
-                    dA[j, i, s] = dA[upper, i, s] + axis * derivatives.lengths[upper, s]
-    for k in range(stick.shape[0]):
-        j = stick[k]
-        for s in range(unknowns):
+                    starts[j, i, s] = starts[upper, i, s] + axis * derivatives.lengths[upper, s]
+    return starts
+
+
+@njit(cache=True)
+def shape_columns(k, placed, starts, derivatives, M):
+    """Fill M (8, unknowns) with the derivatives of capsule k with respect to the shape's unknowns."""
+    j = placed.surface.stick[k]
+    for s in range(starts.shape[2]):
+        for end in range(2):
             for i in range(3):
-                for end in range(2):
-                    change = dA[j, i, s]
-                    for q in range(3):
-                        change += G[j, i, q] * derivatives.capsules[k, 3 * end + q, s]
-                    M[k, 3 * end + i, TANGENT + s] = change
-            M[k, 6, TANGENT + s] = derivatives.capsules[k, 6, s]
-            M[k, 7, TANGENT + s] = derivatives.capsules[k, 7, s]
+                change = starts[j, i, s]
+                for q in range(3):
+                    change += placed.G[j, i, q] * derivatives.capsules[k, 3 * end + q, s]
+                M[WHOLE * end + i, s] = change
+            M[WHOLE * end + 3, s] = derivatives.capsules[k, 6 + end, s]

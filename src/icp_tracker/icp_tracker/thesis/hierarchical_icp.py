@@ -10,6 +10,7 @@ a stick is done when its increment is small, since with noisy data the mean dist
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,13 +20,15 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, columns
-from stick_figure.least_squares.point_factor import place_feet, prefer_stick, x84_keep
+from stick_figure.least_squares.point_factor import SIGMA_FLOOR_M, place_feet, prefer_stick, x84_keep
 from stick_figure.pose import Pose
 from stick_figure.skeleton import PARENT, PREORDER
 
 from .procrustes import weighted_extended_procrustes, weighted_procrustes_about, weighted_swing_about
 
 OWN, DESCENDANT, OTHER = 0, 1, 2
+MIN_OWN_POINTS = 3  # a stick with fewer points of its own stays where it is
+ROTATION_TOLERANCE, SHIFT_TOLERANCE_M = 1e-3, 1e-4  # rad, m: a stick, the torso, is done below this increment
 
 
 def _descendants() -> np.ndarray:
@@ -60,10 +63,6 @@ class HierarchicalSettings:
     )
     max_iterations: int = setting(30, "ICP iterations a stick at most", low=1, high=1000)
     sweeps: int = setting(1, "passes over the whole figure (1: the thesis's)", low=1, high=20)
-    min_own_points: int = setting(3, "a stick with fewer points of its own stays where it is", low=1, high=1000)
-    rejection_floor_m: float = setting(0.005, "least scale of the X84 rejection", unit="m", low=0.0, high=1.0)
-    rotation_tolerance: float = setting(1e-3, "a stick is done below this increment", unit="rad", low=0.0, high=1.0)
-    shift_tolerance_m: float = setting(1e-4, "the torso is done below this increment", unit="m", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,23 +80,12 @@ def fit_hierarchical(
     """Fit the stick figure to ``points_world`` (n, 3) m, starting from ``start``."""
     settings = settings or HierarchicalSettings()
     state, figure = State.of(start), Figure.of(body)
-    G = np.empty((STICKS, 3, 3))
-    kernels.stick_frames(state.R0, state.RJ, state.hinges, G, np.empty((18, 3)))
-    iterations, converged = align_sticks(
-        np.ascontiguousarray(points_world, dtype=np.float64),
-        G,
-        state.t0,
-        figure.lengths,
-        figure.origins,
-        settings.weighting == "proximal",
-        settings.descendant_weight,
-        settings.max_iterations,
-        settings.sweeps,
-        settings.min_own_points,
-        settings.rejection_floor_m,
-        settings.rotation_tolerance,
-        settings.shift_tolerance_m,
+    G, *_ = kernels.place_sticks(state, figure.lengths, figure.origins)
+    options = Options(
+        settings.weighting == "proximal", settings.descendant_weight, settings.max_iterations, settings.sweeps
     )
+    points = np.ascontiguousarray(points_world, dtype=np.float64)
+    iterations, converged = align_sticks(points, G, state.t0, figure, options)
     # every joint was free to turn in all directions; the nearest pose with hinges at elbows and knees has these points
     return HierarchicalFit(inverse(body, _reference_points(G, state.t0, figure), start), converged, iterations)
 
@@ -109,10 +97,17 @@ def _reference_points(G: np.ndarray, t0: np.ndarray, figure: Figure) -> np.ndarr
     return P
 
 
+class Options(NamedTuple):
+    """The settings for the kernel; epsilon is the descendants' weight."""
+
+    proximal: bool
+    epsilon: float
+    max_iterations: int
+    sweeps: int
+
+
 @njit(cache=True)
-def align_sticks(
-    points, G, t0, lengths, origins, proximal, epsilon, max_iterations, sweeps, min_own, floor, tol_r, tol_t
-):
+def align_sticks(points, G, t0, figure, options):
     """Algorithm 2 on the sticks' world frames ``G`` (10, 3, 3) and the torso centre ``t0``, in place.
 
     Returns the iterations spent and whether every stick that had points met the tolerance.
@@ -124,20 +119,22 @@ def align_sticks(
     fixed = (np.empty(n, np.int64), np.empty(n), np.empty(n))
     keep, weight = np.empty(n, np.bool_), np.empty(n)
     spent, converged = 0, True
-    for _ in range(sweeps):
+    for _ in range(options.sweeps):
         for j in _ORDER:  # step 1: preorder; step 2: the current stick
-            kernels.stick_ends(G, t0, lengths, origins, A, B)
+            kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
             match_fixed_sticks(j, xyz, A, B, fixed)
             done = False
-            for _ in range(max_iterations):
+            for _ in range(options.max_iterations):
                 spent += 1
                 match_moving_sticks(j, xyz, A, B, fixed, match)  # step 3
-                if weight_points(j, match, proximal, epsilon, floor, keep, weight) < min_own:  # steps 4 and 5
+                if (
+                    weight_points(j, match, options.proximal, options.epsilon, keep, weight) < MIN_OWN_POINTS
+                ):  # steps 4 and 5
                     done = True
                     break
                 angle, shift = move_stick(j, points, match[2], weight, A, B, G, t0)  # steps 6 and 7
-                kernels.stick_ends(G, t0, lengths, origins, A, B)
-                if angle < tol_r and shift < tol_t:  # step 8
+                kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
+                if angle < ROTATION_TOLERANCE and shift < SHIFT_TOLERANCE_M:  # step 8
                     done = True
                     break
             converged = converged and done
@@ -183,7 +180,7 @@ def move_stick(j, points, feet, weight, A, B, G, t0):
 
 
 @njit(cache=True)
-def weight_points(j, match, proximal, epsilon, floor, keep, weight):
+def weight_points(j, match, proximal, epsilon, keep, weight):
     """Weights (n,): own points 1, descendants' below, rejected (X84 in either group) and foreign points 0.
 
     Returns the number of stick j's own points before rejection.
@@ -196,7 +193,7 @@ def weight_points(j, match, proximal, epsilon, floor, keep, weight):
         group[i] = OWN if stick[i] == j else (DESCENDANT if DESCENDANTS[j, stick[i]] else OTHER)
         distances[i] = np.sqrt(squared[i])
         own += group[i] == OWN
-    x84_keep(distances, group, 2, floor, keep)
+    x84_keep(distances, group, 2, SIGMA_FLOOR_M, keep)
     for i in range(n):
         weight[i] = 0.0
         if not keep[i]:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .normal_equations import OF_ENDS, add_pose_sums, add_to_sums
+from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
 HALF_LENGTH, ROWS = 12, 13
@@ -66,22 +66,22 @@ class RayMatch(NamedTuple):
 @njit(cache=True)
 def add_contour(data, placed, weights, H, g):
     """Add every ray's distance from its capsule to upper H and g, Geman-McClure."""
-    rays, k = data.contour_rays, placed.P.shape[0]
+    rays = data.contour_rays
     if rays.information.shape[0] == 0:
         return
-    V, b = np.zeros((k, OF_ENDS, OF_ENDS)), np.zeros((k, OF_ENDS))
-    sum_rays(rays, match_rays(rays, placed, weights.contour_slack), weights.contour_gate, V, b)
-    add_pose_sums(V, b, placed, H, g)
+    sums = no_sums(placed.P.shape[0], ENDS)
+    sum_rays(rays, match_rays(rays, placed, weights.contour_slack), weights.contour_gate, sums)
+    add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True)
-def sum_rays(rays, match, gate, V, b):
-    """Add the rays' residuals to the sums of their capsules, V (k, c, c) and b (k, c), with Geman-McClure weights."""
+def sum_rays(rays, match, gate, sums):
+    """Add the rays' residuals to the sums of their capsules, with Geman-McClure weights."""
     for i in range(match.capsule.shape[0]):
         ratio = 1.0 + (match.separation[i] / gate) ** 2
         weight = rays.information[i] / (ratio * ratio)
-        n0, n1, n2 = rays.rows[0, i], rays.rows[1, i], rays.rows[2, i]
-        add_to_sums(match.capsule[i], match.along[i], n0, n1, n2, weight, match.distance[i], V, b)
+        normal = (rays.rows[0, i], rays.rows[1, i], rays.rows[2, i])
+        add_to_sums(sums, match.capsule[i], match.along[i], normal, weight, match.distance[i])
 
 
 @njit(cache=True)

@@ -5,13 +5,15 @@ displacements of points that are fixed to a stick (:mod:`.point_factor`), single
 distances from capsules. A distance from the surface of a capsule, taken along the unit normal n at the place u of its
 axis, is linear in what a capsule consists of, its ends P and Q and its two radii:
 
-    e = n . (x - (1-u) P - u Q) - (1-u) r_P - u r_Q,    de = v . d(P, Q, r_P, r_Q),    v = -((1-u) n, u n, 1-u, u)
+    e = n . (x - (1-u) P - u Q) - (1-u) r_P - u r_Q,    de = -(1-u) m . d(P, r_P) - u m . d(Q, r_Q),    m = (n, 1)
 
-so the data of a capsule enter through the sums V = w v v^T and b = w e v, and the equations of any unknowns follow from
-the capsules' derivatives M_k: H = sum_k M_k^T V_k M_k, g = -sum_k M_k^T b_k. A pose moves the ends alone: 6 numbers.
+so the data of a capsule enter through the sums of w (1-u)^2 m m^T, w u (1-u) m m^T, w u^2 m m^T and of w (1-u) e m,
+w u e m, and the equations of any unknowns follow from the capsules' derivatives. A pose moves the ends alone.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -24,7 +26,25 @@ from .placed_figure import POINTS, reference_points
 
 TANGENT = 24
 CHAIN_COLUMNS = 11  # most columns that a point's Jacobian can have
-OF_ENDS, OF_CAPSULE = 6, 8  # numbers of a capsule that a pose moves, and all of them
+ENDS, WHOLE = 3, 4  # numbers at either end of a capsule: its place, and with its radius
+_ROW, _COLUMN = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
+
+
+class CapsuleSums(NamedTuple):
+    """Sums over the distances from each of k capsules.
+
+    squares (k, 3, 6 or 10) : of w (1-u)^2, w u (1-u), w u^2 times the products m_p m_q (xx xy xz yy yz zz, and for the
+    radii x y z 1). pulls (k, 2, 4) : of w (1-u) e m and w u e m.
+    """
+
+    squares: np.ndarray
+    pulls: np.ndarray
+
+
+@njit(cache=True)
+def no_sums(capsules, numbers):
+    """Return zero sums over so many capsules; ``numbers`` is ENDS or WHOLE."""
+    return CapsuleSums(np.zeros((capsules, 3, numbers * (numbers + 1) // 2)), np.zeros((capsules, 2, 4)))
 
 
 @njit(cache=True)
@@ -39,63 +59,65 @@ def add_scalar_residual(row, slots, n, residual, weight, H, g):
 
 
 @njit(cache=True)
-def add_to_sums(k, u, n0, n1, n2, weight, residual, V, b):
-    """Add one distance from capsule k to the sums V (k, c, c) and b (k, c); c = 6 leaves the radii out."""
-    c = V.shape[1]
-    v = np.empty(OF_CAPSULE)
-    v[0], v[1], v[2] = -(1.0 - u) * n0, -(1.0 - u) * n1, -(1.0 - u) * n2
-    v[3], v[4], v[5] = -u * n0, -u * n1, -u * n2
-    v[6], v[7] = -(1.0 - u), -u
-    for p in range(c):
-        a = weight * v[p]
-        b[k, p] += a * residual
+def add_to_sums(sums, k, u, normal, weight, residual):
+    """Add one distance from capsule k, at the place u of its axis along ``normal`` = (x, y, z)."""
+    x, y, z = normal
+    start, end = weight * (1.0 - u), weight * u
+    aa, ab, bb = start * (1.0 - u), start * u, end * u
+    squares, pulls = sums.squares[k], sums.pulls[k]
+    for q, product in enumerate((x * x, x * y, x * z, y * y, y * z, z * z)):
+        squares[0, q] += aa * product
+        squares[1, q] += ab * product
+        squares[2, q] += bb * product
+    for q, coordinate in enumerate((x, y, z, 1.0)):
+        pulls[0, q] += start * residual * coordinate
+        pulls[1, q] += end * residual * coordinate
+    if squares.shape[1] == 10:
+        for q, product in enumerate((x, y, z, 1.0)):
+            squares[0, 6 + q] += aa * product
+            squares[1, 6 + q] += ab * product
+            squares[2, 6 + q] += bb * product
+
+
+@njit(cache=True)
+def add_pose_sums(sums, placed, H, g):
+    """Add the sums of distances to the equations of the pose."""
+    M, slots = np.empty((2 * ENDS, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
+    for k in range(placed.P.shape[0]):
+        if sums.pulls[k].any():
+            add_capsule(sums, k, M, slots, pose_columns(k, placed, M, slots), H, g)
+
+
+@njit(cache=True)
+def pose_columns(k, placed, M, slots):
+    """Fill M (6 or 8, n) with the derivatives of capsule k's ends along the tangent ``slots`` (n,); returns n."""
+    stick, second = placed.surface.stick[k], M.shape[0] // 2
+    kernels.point_jacobian(stick, placed.P[k], placed.t0, placed.A, placed.axes, M[:3], slots)
+    return kernels.point_jacobian(stick, placed.Q[k], placed.t0, placed.A, placed.axes, M[second:], slots)
+
+
+@njit(cache=True)
+def add_capsule(sums, k, M, slots, n, H, g):
+    """Add the sums of capsule k, whose numbers (place and radius at its start, then at its end) move by M (c, n) with
+    the unknowns ``slots`` (n,)."""
+    c = M.shape[0]
+    d = c // 2
+    V, half = np.empty((c, c)), np.empty(c)
+    for q in range(sums.squares.shape[2]):
+        i, j = _ROW[q], _COLUMN[q]
+        aa, ab, bb = sums.squares[k, 0, q], sums.squares[k, 1, q], sums.squares[k, 2, q]
+        V[i, j], V[j, i], V[d + i, d + j], V[d + j, d + i] = aa, aa, bb, bb
+        V[i, d + j], V[j, d + i], V[d + i, j], V[d + j, i] = ab, ab, ab, ab
+    for m in range(n):
         for q in range(c):
-            V[k, p, q] += a * v[q]
-
-
-@njit(cache=True)
-def pose_columns(placed, M):
-    """Fill M (k, 6 or 8, :24) with the derivatives of the capsules' ends with respect to the pose's tangent."""
-    J, slots = np.empty((3, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
-    for k in range(M.shape[0]):
-        for end in range(2):
-            point = placed.P[k] if end == 0 else placed.Q[k]
-            n = kernels.point_jacobian(placed.surface.stick[k], point, placed.t0, placed.A, placed.axes, J, slots)
-            for m in range(n):
-                for i in range(3):
-                    M[k, 3 * end + i, slots[m]] = J[i, m]
-
-
-@njit(cache=True)
-def add_sums(M, V, b, H, g):
-    """Add M^T V M and -M^T b of all capsules; most of a capsule's columns are empty, and passed over."""
-    c = V.shape[1]
-    used, half = np.empty(M.shape[2], np.int64), np.empty(c)
-    for k in range(M.shape[0]):
-        count = 0
-        for column in range(M.shape[2]):
+            half[q] = 0.0
             for p in range(c):
-                if M[k, p, column] != 0.0:
-                    used[count] = column
-                    count += 1
-                    break
-        for m in range(count):
+                half[q] += M[p, m] * V[p, q]
+            g[slots[m]] += M[q, m] * sums.pulls[k, q // d, q % d]
+        for other in range(m, n):
+            first, last = min(slots[m], slots[other]), max(slots[m], slots[other])
             for q in range(c):
-                half[q] = 0.0
-                for p in range(c):
-                    half[q] += M[k, p, used[m]] * V[k, p, q]
-                g[used[m]] -= M[k, q, used[m]] * b[k, q]
-            for other in range(m, count):
-                for q in range(c):
-                    H[used[m], used[other]] += half[q] * M[k, q, used[other]]
-
-
-@njit(cache=True)
-def add_pose_sums(V, b, placed, H, g):
-    """Add the sums of distances V (k, 6, 6), b (k, 6) to the equations of the pose."""
-    M = np.zeros((V.shape[0], OF_ENDS, TANGENT))
-    pose_columns(placed, M)
-    add_sums(M, V, b, H, g)
+                H[first, last] += half[q] * M[q, other]
 
 
 @njit(cache=True)

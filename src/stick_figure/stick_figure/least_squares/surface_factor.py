@@ -14,7 +14,7 @@ from numba import njit
 
 from .. import kernels
 from ..body_surface import TORSO_CAPSULES
-from .normal_equations import CHAIN_COLUMNS, OF_ENDS, add_pose_sums, add_scalar_residual, add_to_sums
+from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_scalar_residual, add_to_sums, no_sums
 from .placed_figure import STICKS, surface_distances
 
 FIRST_JOINT_SLOT = 6
@@ -32,20 +32,19 @@ def add_surface(data, placed, weights, H, g):
     """Add the distances of the hull's surface voxels from the body's surface to upper H and g, Geman-McClure."""
     if weights.voxel == 0.0:
         return
-    k = placed.P.shape[0]
-    V, b = np.zeros((k, OF_ENDS, OF_ENDS)), np.zeros((k, OF_ENDS))
+    sums = no_sums(placed.P.shape[0], ENDS)
     capsule, along, distance = surface_distances(data.voxels, placed)
     for i in range(data.voxels.shape[0]):
         e, c, u = distance[i], capsule[i], along[i]
-        n0 = data.voxels[i, 0] - (placed.P[c, 0] + u * (placed.Q[c, 0] - placed.P[c, 0]))
-        n1 = data.voxels[i, 1] - (placed.P[c, 1] + u * (placed.Q[c, 1] - placed.P[c, 1]))
-        n2 = data.voxels[i, 2] - (placed.P[c, 2] + u * (placed.Q[c, 2] - placed.P[c, 2]))
-        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        x = data.voxels[i, 0] - (placed.P[c, 0] + u * (placed.Q[c, 0] - placed.P[c, 0]))
+        y = data.voxels[i, 1] - (placed.P[c, 1] + u * (placed.Q[c, 1] - placed.P[c, 1]))
+        z = data.voxels[i, 2] - (placed.P[c, 2] + u * (placed.Q[c, 2] - placed.P[c, 2]))
+        length = np.sqrt(x * x + y * y + z * z)
         if length > 0.0:
             ratio = 1.0 + e * e / (weights.voxel_gate * weights.voxel_gate)
-            weight = weights.voxel / (ratio * ratio)
-            add_to_sums(c, u, n0 / length, n1 / length, n2 / length, weight, e, V, b)
-    add_pose_sums(V, b, placed, H, g)
+            normal = (x / length, y / length, z / length)
+            add_to_sums(sums, c, u, normal, weights.voxel / (ratio * ratio), e)
+    add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True)
