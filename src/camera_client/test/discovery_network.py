@@ -9,6 +9,7 @@ import socket
 import subprocess
 import threading
 
+from camera_client.gige import discovery
 from camera_client.gige.discovery import CameraSelector, find_camera
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket, DeviceRecord
@@ -21,6 +22,8 @@ CAMERAS = [
     DeviceRecord("10.1.0.5", "Maker", "M", serial="S5", user_id="twin", mac=b"\2\0\0\0\0\5"),
     DeviceRecord("192.168.77.5", "Maker", "M", serial="S6", mac=b"\2\0\0\0\0\6", subnet_mask="255.255.255.0"),
 ]
+
+discovery.discover_on.__defaults__ = (0.15,)  # s: these cameras answer at once
 
 
 def sh(command):
