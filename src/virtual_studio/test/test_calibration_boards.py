@@ -10,7 +10,7 @@ import pytest
 from rig_calibration.boards.board import CharucoBoard, Checkerboard
 from stick_figure.body import Body
 from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.board_camera import BoardCamera, FilmingCamera, Optics, exposure_poses
+from virtual_studio.rendering.board_camera import BoardCamera, FilmingCamera, Optics, exposure_poses, ideal_corners
 from virtual_studio.rendering.board_caster import cast_board, sample_offsets
 from virtual_studio.rendering.camera import WHITE, Sensor
 from virtual_studio.rig import ring
@@ -55,7 +55,7 @@ def cast_alone(T, greys, clear, samples):
     light = np.zeros((480, 640), np.float32)
     far = np.full(light.shape, np.inf, np.float32)
     cast_board(
-        EYE._ideal,
+        ideal_corners(CAMERA),
         homographies(T),
         np.array([greys]),
         HAND.texture,

@@ -1,6 +1,5 @@
 """The faults of simulated cameras, as a client sees them."""
 
-from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +9,7 @@ from gige_client import AravisClient, eventually
 from capture_rig.errors import InputError
 from gige_vision.pixel_formats import PixelFormat
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
-from virtual_studio.gige.server.stream import StreamChannel
+from virtual_studio.gige.server.stream import kept_packets
 
 SECOND_NS = 1_000_000_000
 
@@ -121,10 +120,7 @@ def test_half_of_the_packets_lost_still_gives_some_whole_frames(camera, client):
 
 def test_packet_loss_follows_the_seed():
     def dropped(seed):
-        channel = StreamChannel.__new__(StreamChannel)
-        channel._faults, channel._counters = Faults(packet_loss=0.3), Counter()
-        channel._rng = np.random.default_rng(seed)
-        return channel._kept(1000)
+        return kept_packets(1000, 0.3, np.random.default_rng(seed))
 
     assert (dropped(1) == dropped(1)).all()
     assert (dropped(1) != dropped(2)).any()

@@ -13,7 +13,7 @@ from gige_vision.gvsp import Content, ImageLeader, ImageTrailer, PacketHeader
 from virtual_studio.gige.server.device import CameraSettings, Device, Faults
 from virtual_studio.gige.server.loop import EventLoop
 from virtual_studio.gige.server.registers import Registers
-from virtual_studio.gige.server.stream import Block, Layout, StreamChannel, _stretches
+from virtual_studio.gige.server.stream import Block, Layout, StreamChannel, stretches
 from virtual_studio.gige.simulated_camera.camera import feature_table
 
 DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
@@ -186,7 +186,7 @@ def test_largest_sends_hold_whole_packets_only():
     assert all(size <= 65507 and size % 8972 == 0 for size in sizes[:-1])
 
 
-def test_stretches_are_the_runs_of_true_values():
-    assert _stretches(np.array([True, True, False, True, False, False, True])) == [(0, 2), (3, 4), (6, 7)]
-    assert _stretches(np.array([False, False])) == []
-    assert _stretches(np.array([True, True])) == [(0, 2)]
+def teststretches_are_the_runs_of_true_values():
+    assert stretches(np.array([True, True, False, True, False, False, True])) == [(0, 2), (3, 4), (6, 7)]
+    assert stretches(np.array([False, False])) == []
+    assert stretches(np.array([True, True])) == [(0, 2)]

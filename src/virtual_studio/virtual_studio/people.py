@@ -104,11 +104,15 @@ class VolumetricBody:
         trunk_and_head = [*_trunk(self.body, thick), *_head(self.body, thin)]
         return [*trunk_and_head, *_arms(self.body, thick, thin), *_legs(self.body, thick)]
 
+    @property
+    def sticks(self) -> NDArray[np.int64]:
+        """(p,) the stick of each part but the feet's, in the order of `place`."""
+        return np.array([part.stick for part in self._parts])
+
     def place(self, pose: Pose) -> Capsules:
         """Returns the parts in the world."""
         G, A, B = _frames(self.body, pose)
-        parts = self._parts
-        sticks = np.array([part.stick for part in parts])
+        parts, sticks = self._parts, self.sticks
         origins = A.copy()
         origins[TORSO] = pose.position_world
         starts = origins[sticks] + np.einsum("pij,pj->pi", G[sticks], np.array([part.start for part in parts]))

@@ -44,7 +44,7 @@ class BoardCamera:
 
     def __init__(self, camera: CameraModel) -> None:
         self.camera = camera
-        self._view, self._ideal = view_room(camera), _ideal_corners(camera)
+        self._view, self._ideal = view_room(camera), ideal_corners(camera)
 
     def empty_room(self) -> Light:
         """Returns the light of the room with nobody in it."""
@@ -154,8 +154,8 @@ def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: fl
     return np.array([path(time) for time in shutter[0] + between * exposure_s])
 
 
-def _ideal_corners(camera: CameraModel) -> Array:
-    """(h + 1, w + 1, 2) normalised undistorted coordinates of the pixels' corners; NaN beyond the lens model."""
+def ideal_corners(camera: CameraModel) -> Array:
+    """Returns normalised undistorted coordinates (h + 1, w + 1, 2) of the pixels' corners; NaN beyond the lens model."""
     y, x = np.mgrid[: camera.height + 1, : camera.width + 1] - 0.5
     rays = camera.rays_world(np.column_stack([x.ravel(), y.ravel()])) @ camera.R_camera_world.T
     return np.ascontiguousarray((rays[:, :2] / rays[:, 2:]).reshape(camera.height + 1, camera.width + 1, 2))

@@ -184,11 +184,9 @@ class StreamChannel:
                 self._transmit([header.encode()], self._destination)
             return
         for packet_id in range(request.first, min(request.last, block.packets - 1) + 1):
-            if self._faults.packet_loss and self._rng.random() < self._faults.packet_loss:
-                self._counters["packets_dropped"] += 1
-                continue
-            self._transmit(block.resent(packet_id), self._destination)
-            self._counters["packets_resent"] += 1
+            if self._kept(1)[0]:
+                self._transmit(block.resent(packet_id), self._destination)
+                self._counters["packets_resent"] += 1
 
     @property
     def _destination(self) -> tuple[str, int]:
@@ -214,7 +212,7 @@ class StreamChannel:
             return [block.packet(0), *block.runs(1, block.packets - 1), block.packet(block.packets - 1)]
         kept = self._kept(block.packets)
         pieces: list[Piece] = [block.packet(0)] if kept[0] else []
-        for first, end in _stretches(kept[1:-1]):
+        for first, end in stretches(kept[1:-1]):
             pieces += block.runs(first + 1, end + 1)
         return [*pieces, block.packet(block.packets - 1)] if kept[-1] else pieces
 
@@ -223,11 +221,10 @@ class StreamChannel:
         return (block.packet(packet_id) for packet_id in range(block.packets) if kept[packet_id])
 
     def _kept(self, packets: int) -> NDArray[np.bool_]:
-        """Which packets the network does not lose."""
-        if not self._faults.packet_loss:
-            return np.ones(packets, np.bool_)
-        kept = self._rng.random(packets) >= self._faults.packet_loss
-        self._counters["packets_dropped"] += int(packets - kept.sum())
+        """Which packets the network does not lose; the others are counted."""
+        kept = kept_packets(packets, self._faults.packet_loss, self._rng)
+        if not kept.all():
+            self._counters["packets_dropped"] += int(packets - kept.sum())
         return kept
 
     def _set_segment(self, size: int) -> None:
@@ -285,7 +282,12 @@ class StreamChannel:
             self._segment = 0
 
 
-def _stretches(kept: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and end of every stretch of true values."""
+def kept_packets(count: int, loss: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Draws which of so many packets (count,) arrive where each is lost with probability ``loss``."""
+    return rng.random(count) >= loss if loss else np.ones(count, np.bool_)
+
+
+def stretches(kept: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Finds first and end of every stretch of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]])))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
