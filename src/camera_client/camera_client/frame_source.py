@@ -157,8 +157,8 @@ class FrameStatistics:
     incomplete: int = 0
     lost: int = 0
     repeated: int = 0
-    _last: int | None = field(default=None, repr=False, compare=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False, compare=False)
+    _last: int | None = field(default=None, init=False, repr=False, compare=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False, compare=False)
 
     def restart(self, first_id: int | None = None) -> None:
         """A new run of ids begins: at ``first_id`` where the device says so (GVSP: 1), else wherever it begins."""

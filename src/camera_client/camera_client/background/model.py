@@ -10,6 +10,7 @@ from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import cv2
 import numpy as np
@@ -77,7 +78,7 @@ class BackgroundModel:
     def shape(self) -> tuple[int, ...]:
         return self.mean.shape
 
-    def with_provenance(self, **changes: str) -> BackgroundModel:
+    def with_provenance(self, **changes: Any) -> BackgroundModel:
         """The same arrays with some fields of the provenance changed."""
         return BackgroundModel(self.mean, self.sigma, replace(self.provenance, **changes))
 

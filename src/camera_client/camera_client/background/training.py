@@ -138,7 +138,8 @@ class BackgroundTrainer:
 
     def _conclude(self, training: _Training) -> TrainingReport:
         """Judge, use and save what was learned."""
-        request, model, findings = training.request, None, ()
+        request, model = training.request, None
+        findings: tuple[Finding, ...] = ()
         try:
             model = training.learner.model(request.source, software=SOFTWARE, **request.about)
             verdict = judge_background(model, training.learner.brightness, request.before)
