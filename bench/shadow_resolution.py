@@ -1,4 +1,4 @@
-"""Scores what all cameras together make of floor shadows: silhouettes and hulls against exact ones, row by row.
+"""Scores the resolution of floor shadows by all cameras: silhouettes and hulls against exact ones, row by row.
 
     python bench/shadow_resolution.py --quick      # about a minute: a few frames of each session
     python bench/shadow_resolution.py
@@ -8,14 +8,14 @@ Sessions: the built-in studio, and the rendered ones of ../shared/data/sessions 
 same footage and carves at 20 mm; hulls are compared with the hull of the exact silhouettes, voxel by voxel, and again
 below 25 cm ("feet"). miss and extra are shares of the exact hull's voxels. Rows:
 
-candidates background : every camera for itself, outline untrimmed: what was before.
+candidates background : every camera for itself, outline untrimmed (the state before).
 candidates person : the same, shadow candidates kept.
 outline trimmed : every camera for itself, outline at half contrast.
-all cameras judge : the default.
-exact shadows : our masks (trimmed) without anything that is no body: what no judgement can surpass.
+resolved : by all cameras together, the default.
+exact shadows : our masks (trimmed) without anything that is no body: the upper bound of any resolution.
 
 The last line is JSON: feet_iou, feet_miss, feet_extra, hull_iou, mask_iou of the default row and their ``_before``;
-resolve_per_carve : cost of the judgement as a share of the carve's, in the same run; png_bytes : a message.
+resolve_per_carve : cost of the resolution as a share of the carve's, in the same run; png_bytes : a message.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 VOXEL_M, FEET_M = 0.02, 0.25
-DEFAULT, BEFORE = "all cameras judge", "candidates background"
+DEFAULT, BEFORE = "resolved", "candidates background"
 Masks = dict[str, np.ndarray]
 
 
@@ -187,7 +187,7 @@ def score(
 
 
 def picture(session: Session, path: Path, index: int) -> None:
-    """Levels above (orange candidate, white sure, green to red dark), verdict below (green removed, red added)."""
+    """Levels above (orange candidate, white person, green to red attenuated), result below (green removed, red added)."""
     scorer = Scorer(session.rig)
     frame = next(f for k, f in enumerate(frames(session, 15)) if k == index)
     binary, tiles = scorer.resolve(frame.levels), []
