@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:
 	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
 	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/studio.md)"
-	@echo "make test                   set up, run the tests;  make test-all: the slow ones too"
+	@echo "make test                   set up, run the tests in two processes;  make test-all: the slow ones too"
 	@echo "make lint | colcon | clean  ruff and mypy | colcon build in ros_ws | remove what was built"
 
 setup:

@@ -10,7 +10,7 @@ import sys
 import time
 
 import pytest
-from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, Ear, end, save_rig_of
+from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, GraphListener, end, save_rig_of
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
@@ -34,10 +34,10 @@ def cameras_possible():
 
 
 @pytest.fixture(scope="module")
-def ear():
-    ear = Ear()
-    yield ear
-    ear.close()
+def listener():
+    listener = GraphListener()
+    yield listener
+    listener.close()
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +46,9 @@ def rig(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def lasting(ear, rig, tmp_path_factory):
+def lasting(listener, rig, tmp_path_factory):
     """A camera PC that goes through one fault after the other without being started again."""
-    pc = CameraPC("cam01", tmp_path_factory.mktemp("cam01"), ear, rig)
+    pc = CameraPC("cam01", tmp_path_factory.mktemp("cam01"), listener, rig)
     pc.start_client()
     yield pc
     pc.close()
@@ -63,14 +63,14 @@ def pc(lasting):
 
 
 @pytest.fixture
-def fresh(ear, rig, tmp_path):
+def fresh(listener, rig, tmp_path):
     """Camera PCs of a test's own."""
     made = []
 
     def make(name, **parameters):
         folder = tmp_path / name
         folder.mkdir()
-        made.append(CameraPC(name, folder, ear, rig, **parameters))
+        made.append(CameraPC(name, folder, listener, rig, **parameters))
         return made[-1]
 
     yield make
@@ -89,10 +89,12 @@ def sum_rule_holds(values):
 
 def outage_of(pc, cut, before):
     """Run ``cut``, wait for the first mask after it; from the camera's return to it, in seconds."""
-    seen = pc.ear.masks(pc.name)
+    seen = pc.listener.masks(pc.name)
     returned_s = cut()
-    pc.ear.until(lambda: pc.ear.masks(pc.name) > seen and pc.ear.heard_s[pc.name] > returned_s, "masks again")
-    first_s = pc.ear.heard_s[pc.name] - returned_s
+    pc.listener.until(
+        lambda: pc.listener.masks(pc.name) > seen and pc.listener.received_s[pc.name] > returned_s, "masks again"
+    )
+    first_s = pc.listener.received_s[pc.name] - returned_s
     pc.until_number("reconnects", before)
     return first_s
 
@@ -102,13 +104,13 @@ def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(fresh
     pc.camera.power_off()
     pc.start_client()
     pc.until_said(ERROR, "no camera: ")
-    assert pc.address in pc.ear.level(pc.node)[1]
+    assert pc.address in pc.listener.level(pc.node)[1]
     pc.camera.power_on()
     on_s = time.monotonic()
     pc.until_streaming()
-    measured("first masks after a late power-on", pc.ear.heard_s["cam02"] - on_s)
+    measured("first masks after a late power-on", pc.listener.received_s["cam02"] - on_s)
     pc.until_well()
-    assert sum_rule_holds(pc.ear.values(pc.node))
+    assert sum_rule_holds(pc.listener.values(pc.node))
 
 
 def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_comes_back(pc):
@@ -121,10 +123,10 @@ def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_c
         pc.until_said(ERROR, "no camera")
         pc.camera.power_on()
         reconnects = pc.until_number("reconnects", reconnects)
-        if pc.ear.number(pc.node, "incomplete") > incomplete:
+        if pc.listener.number(pc.node, "incomplete") > incomplete:
             break
     assert pc.until_number("incomplete", incomplete) > incomplete
-    assert sum_rule_holds(pc.ear.values(pc.node))
+    assert sum_rule_holds(pc.listener.values(pc.node))
 
 
 def test_power_cycle_is_survived_and_timed(pc):
@@ -137,7 +139,7 @@ def test_power_cycle_is_survived_and_timed(pc):
         return time.monotonic()
 
     first_s = outage_of(pc, cut, reconnects)
-    values = pc.ear.values(pc.node)
+    values = pc.listener.values(pc.node)
     measured("from power back to the first mask", first_s)
     measured("noticed after the last frame", float(values["last_outage_noticed_s"]))
     measured("whole outage, last frame to first frame", float(values["last_outage_s"]))
@@ -158,7 +160,7 @@ def test_cable_out_for_a_moment_is_survived(pc):
         return time.monotonic()
 
     measured("from cable back to the first mask", outage_of(pc, cut, reconnects))
-    assert sum_rule_holds(pc.ear.values(pc.node))
+    assert sum_rule_holds(pc.listener.values(pc.node))
 
 
 @pytest.mark.slow
@@ -179,7 +181,7 @@ def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(p
     pc.until_streaming()
     other.send_signal(signal.SIGTERM)
     assert other.wait(PATIENCE_S) == 0
-    assert pc.ear.values(pc.node)["control_losses"] == "0"
+    assert pc.listener.values(pc.node)["control_losses"] == "0"
 
 
 def test_frozen_image_is_noticed(pc):
@@ -192,16 +194,16 @@ def test_stamp_jump_is_counted_and_stamps_stay_true(pc):
     jumps = pc.until_number("stamp_jumps", -1)
     pc.camera.faults.stamp_jump_ns = 3_600_000_000_000
     pc.until_number("stamp_jumps", jumps)
-    seen = pc.ear.masks(pc.name)
+    seen = pc.listener.masks(pc.name)
     pc.until_streaming()
-    off_s = [time.time() - stamp_ns * 1e-9 for stamp_ns in pc.ear.stamps_ns[pc.name][seen:]]
+    off_s = [time.time() - stamp_ns * 1e-9 for stamp_ns in pc.listener.stamps_ns[pc.name][seen:]]
     assert max(map(abs, off_s)) < 5.0  # an hour without the correction
 
 
 def test_lens_cap_is_noticed(pc):
     pc.camera.faults.lens_cap = True
     pc.until_said(WARN, "dark: ")
-    assert "lens cap" in pc.ear.level(pc.node)[1]
+    assert "lens cap" in pc.listener.level(pc.node)[1]
 
 
 def test_lights_that_go_off_or_change_are_noticed(pc):
@@ -218,7 +220,7 @@ def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
     pc.camera.faults.wrong_format = True
     pc.until_number("wrong_format", wrong + FPS)
     pc.until_said(WARN, "lost or incomplete")
-    values = pc.ear.values(pc.node)
+    values = pc.listener.values(pc.node)
     assert sum_rule_holds(values) and int(values.get("failed_frames", 0)) == 0
     pc.until_well()
 
@@ -226,7 +228,7 @@ def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
 @pytest.mark.parametrize("resend", [True, False], ids=["with_resend", "without_resend"])
 @pytest.mark.slow
 def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, resend):
-    before = {key: int(value) for key, value in pc.ear.values(pc.node).items() if value.isdigit()}
+    before = {key: int(value) for key, value in pc.listener.values(pc.node).items() if value.isdigit()}
     sent, sent_again = pc.camera.counters["frames_sent"], pc.camera.counters["packets_resent"]
     pc.camera.faults.no_resend = not resend
     pc.camera.faults.packet_loss = 0.5
@@ -234,7 +236,7 @@ def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, res
     if not resend:  # a calm machine asks again and again until nearly every frame is whole
         pc.until_said(WARN, "lost or incomplete")
     pc.camera.faults.packet_loss = 0.0
-    values = pc.ear.values(pc.node)
+    values = pc.listener.values(pc.node)
     assert sum_rule_holds(values)
     bad = int(values["incomplete"]) + int(values["lost"]) - before["incomplete"] - before["lost"]
     expected = int(values["expected"]) - before["expected"]
@@ -263,10 +265,10 @@ def test_client_killed_by_force_gets_its_camera_back_after_the_heartbeat(fresh):
     pc.until_streaming()
     os.kill(client.pid, signal.SIGKILL)
     client.wait(PATIENCE_S)
-    killed_s, seen = time.monotonic(), pc.ear.masks("cam02")
+    killed_s, seen = time.monotonic(), pc.listener.masks("cam02")
     pc.start_client()
-    pc.ear.until(lambda: pc.ear.masks("cam02") > seen, "masks of the second client")
-    back_s = pc.ear.heard_s["cam02"] - killed_s
+    pc.listener.until(lambda: pc.listener.masks("cam02") > seen, "masks of the second client")
+    back_s = pc.listener.received_s["cam02"] - killed_s
     measured("from kill -9 to masks of the next client", back_s)
     assert client.returncode == -signal.SIGKILL and back_s > 0
 
@@ -286,7 +288,7 @@ def test_client_ends_cleanly_while_its_camera_is_dead(fresh):
 
 @pytest.mark.slow
 def test_services_of_a_client_whose_camera_just_died_answer(pc):
-    client = LifecycleClient(pc.ear.node)
+    client = LifecycleClient(pc.listener.node)
     pc.camera.faults.unplugged = True  # every access to it blocks for seconds from now on
     for what, transition in (("deactivate", Transition.DEACTIVATE), ("cleanup", Transition.CLEANUP)):
         asked_s = time.monotonic()
@@ -297,7 +299,7 @@ def test_services_of_a_client_whose_camera_just_died_answer(pc):
     pc.until_well()
 
 
-def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, fresh, rig, ear, tmp_path):
+def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, fresh, rig, listener, tmp_path):
     others = [fresh("cam02"), fresh("cam03")]
     for other in others:
         other.start_client()
@@ -320,13 +322,13 @@ def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, fresh, ri
     try:
         for one in (pc, *others):
             one.until_well()
-        ear.until(lambda: ear.number(HULL, "sets_complete") > 0, "hulls of all cameras")
+        listener.until(lambda: listener.number(HULL, "sets_complete") > 0, "hulls of all cameras")
         pc.camera.power_off()
         pc.until_said(ERROR, "no camera")
-        counts = [ear.masks(other.name) for other in others]
-        results = ear.number(HULL, "results")
-        ear.until(lambda: ear.number(HULL, "results") > results + 10, "hulls without cam01")
-        assert all(ear.masks(other.name) > count for other, count in zip(others, counts, strict=True))
-        assert "cam01" in ear.level(HULL)[1]
+        counts = [listener.masks(other.name) for other in others]
+        results = listener.number(HULL, "results")
+        listener.until(lambda: listener.number(HULL, "results") > results + 10, "hulls without cam01")
+        assert all(listener.masks(other.name) > count for other, count in zip(others, counts, strict=True))
+        assert "cam01" in listener.level(HULL)[1]
     finally:
         end(hull)

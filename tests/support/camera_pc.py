@@ -1,4 +1,4 @@
-"""Camera PCs for the drills: simulated cameras, camera clients as processes, and an ear on what they publish."""
+"""Camera PCs for the drills: simulated cameras, camera clients as processes, and a listener to what they publish."""
 
 from __future__ import annotations
 
@@ -60,15 +60,15 @@ def rig_of(names: list[str]) -> Rig:
     return Rig(tuple(cameras), Volume(np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.2])))
 
 
-class Ear:
-    """Everything that the nodes say; waits for events."""
+class GraphListener:
+    """Receives diagnostics and silhouettes of all nodes, and waits for events among them."""
 
     def __init__(self) -> None:
-        self._link = RosLink("drill_ear")
+        self._link = RosLink("drill_listener")
         self._changed = threading.Condition()
         self.said: dict[str, DiagnosticStatus] = {}
         self.stamps_ns: dict[str, list[int]] = defaultdict(list)
-        self.heard_s: dict[str, float] = {}
+        self.received_s: dict[str, float] = {}
         self._link.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULT)
 
     def listen(self, camera: str) -> None:
@@ -115,15 +115,15 @@ class Ear:
     def _on_mask(self, camera: str, message: CompressedImage) -> None:
         with self._changed:
             self.stamps_ns[camera].append(to_ns(message.header.stamp))
-            self.heard_s[camera] = time.monotonic()
+            self.received_s[camera] = time.monotonic()
             self._changed.notify_all()
 
 
 class CameraPC:
     """One simulated camera and the camera client that serves it, a process of its own."""
 
-    def __init__(self, name: str, folder: Path, ear: Ear, rig: Path, **parameters: object) -> None:
-        self.name, self.folder, self.ear = name, folder, ear
+    def __init__(self, name: str, folder: Path, listener: GraphListener, rig: Path, **parameters: object) -> None:
+        self.name, self.folder, self.listener = name, folder, listener
         self.node = f"/{name}/camera_client"
         self.address = free_addresses(1)[0]
         self.camera = SimulatedCamera(
@@ -149,7 +149,7 @@ class CameraPC:
             **parameters,
         }
         self._processes: list[subprocess.Popen] = []
-        ear.listen(name)
+        listener.listen(name)
 
     def start_client(self, namespace: str = "") -> subprocess.Popen:
         """Start a camera client; more than one may want the camera."""
@@ -173,29 +173,29 @@ class CameraPC:
 
     def until_streaming(self) -> None:
         """Five more masks, and the client content."""
-        seen = self.ear.masks(self.name)
-        self.ear.until(lambda: self.ear.masks(self.name) >= seen + 5, f"masks of {self.name}")
+        seen = self.listener.masks(self.name)
+        self.listener.until(lambda: self.listener.masks(self.name) >= seen + 5, f"masks of {self.name}")
 
     def until_well(self) -> None:
         """No fault, masks coming, and no other complaint than of frames that a busy machine loses."""
         self.camera.faults.clear()
         self.camera.power_on()
         self.until_streaming()
-        self.ear.until(
-            lambda: self.ear.level(self.node)[0] == OK or "lost or inc" in self.ear.level(self.node)[1],
+        self.listener.until(
+            lambda: self.listener.level(self.node)[0] == OK or "lost or inc" in self.listener.level(self.node)[1],
             f"{self.node} is well",
         )
 
     def until_said(self, level: bytes, text: str, node: str = "") -> None:
         def said() -> bool:
-            got = self.ear.level(node or self.node)
+            got = self.listener.level(node or self.node)
             return got[0] == level and text in got[1]
 
-        self.ear.until(said, f"{level!r} {text!r} of {node or self.node}")
+        self.listener.until(said, f"{level!r} {text!r} of {node or self.node}")
 
     def until_number(self, key: str, above: float) -> float:
-        self.ear.until(lambda: self.ear.number(self.node, key) > above, f"{key} > {above}")
-        return self.ear.number(self.node, key)
+        self.listener.until(lambda: self.listener.number(self.node, key) > above, f"{key} > {above}")
+        return self.listener.number(self.node, key)
 
     def close(self) -> None:
         end(*self._processes)
