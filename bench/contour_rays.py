@@ -107,7 +107,7 @@ def score(name: str, session: Session, every: int, table: Table) -> dict[str, fl
     for row, values in figures.items():
         table.row(name, row, *values.values())
     times = {f"{stage}_ms": float(np.median(ms)) for stage, ms in tracer.ms.items()}
-    print(f"{name:<22} rays {times['contour_rays_ms']:.2f} ms, slice {times['slice_ms']:.2f} ms")
+    print(f"{name:<27} rays {times['contour_rays_ms']:.2f} ms, slice {times['slice_ms']:.2f} ms")
     return figures["all"] | times
 
 
@@ -166,7 +166,7 @@ def main() -> None:
         picture(load_session(arguments.session), arguments.picture, arguments.frame)
         return
     heads = ("rays", "offset px", "spread px", "far %", "covered %")
-    table = Table({"session": "<22", "pixels": "<10", **dict.fromkeys(heads, ">10.2f")})
+    table = Table({"session": "<27", "pixels": "<10", **dict.fromkeys(heads, ">10.2f")})
     result: dict[str, dict[str, float]] = {}
     for name, session in shared_sessions():
         for key, value in score(name, session, 60 if arguments.quick else 15, table).items():

@@ -187,7 +187,7 @@ def score(
 
 
 def picture(session: Session, path: Path, index: int) -> None:
-    """Levels above (orange candidate, white person, green to red attenuated), result below (green removed, red added)."""
+    """Levels above (orange candidate, white person, green to red attenuated), result below (green off, red on)."""
     scorer = Scorer(session.rig)
     frame = next(f for k, f in enumerate(frames(session, 15)) if k == index)
     binary, tiles = scorer.resolve(frame.levels), []
@@ -232,7 +232,7 @@ def main() -> None:
         write_session(Path(folder) / "studio", ring(5), Body.from_stature(1.75), fps=10, seconds=12)
         sessions = {"studio": load_session(Path(folder) / "studio"), **dict(shared_sessions())}
         heads = ("mask IoU", "precision", "recall", "hull IoU", "miss", "extra", "feet IoU", "feet miss", "feet extra")
-        table = Table({"session": "<20", "row": "<22", **dict.fromkeys(heads, ">10.3f")})
+        table = Table({"session": "<27", "row": "<22", **dict.fromkeys(heads, ">10.3f")})
         for name, session in sessions.items():
             every = (24 if name == "studio" else 60) if arguments.quick else (6 if name == "studio" else 15)
             figures, scorer, sizes = score(name, session, every, table)

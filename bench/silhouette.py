@@ -172,7 +172,7 @@ def score_clips(name: str, clips: list[Clip], table: Table) -> dict[str, dict[st
 def quality(studio: Session, quick: bool) -> dict[str, dict[str, float]]:
     figures: dict[str, dict[str, float]] = {}
     table = Table(
-        "clip:<20 | method:<18 | IoU:>6.3f | precision:>9.3f | recall:>7.3f | lowest:>7.3f |  IoU of each camera:<1"
+        "clip:<27 | method:<18 | IoU:>6.3f | precision:>9.3f | recall:>7.3f | lowest:>7.3f |  IoU of each camera:<1"
     )
     sessions = {"studio": studio, **dict(shared_sessions())}
     for name, session in sessions.items():
