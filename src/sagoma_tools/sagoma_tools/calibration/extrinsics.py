@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration, calibrate_rig
 
 from .clicking import OuterCorners, find_from_clicks, read_corners, save_corners
-from .rig_detections import CameraDetections, RigSources, detections_of
+from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of
 from .rig_inputs import (
     RigInputs,
     floor_inputs,
@@ -61,8 +61,8 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
 
 
 def _detect_floor(
-    request: RigRequest, sources: RigSources, cameras: Mapping[str, CameraModel], console: Console
-) -> tuple[dict[str, CameraDetections], frozenset[str]]:
+    request: RigRequest, sources: RigSources, cameras: Cameras, console: Console
+) -> tuple[CamerasDetections, frozenset[str]]:
     """The detections in the pictures of the floor, and the cameras whose corners a person gave."""
     board = request.floor_board
     if board is None:
@@ -88,10 +88,7 @@ def _names(request: RigRequest, sources: RigSources) -> list[str]:
 
 
 def _floor_parts(
-    request: RigRequest,
-    cameras: Mapping[str, CameraModel],
-    floor: Mapping[str, CameraDetections],
-    by_hand: frozenset[str],
+    request: RigRequest, cameras: Cameras, floor: CamerasDetections, by_hand: frozenset[str]
 ) -> Iterator[RigInputs]:
     if request.floor_points is not None:
         yield read_floor_points(request.floor_points, cameras)
@@ -101,10 +98,7 @@ def _floor_parts(
 
 
 def _moving_parts(
-    request: RigRequest,
-    cameras: Mapping[str, CameraModel],
-    moving: Mapping[str, CameraDetections],
-    wands: Mapping[str, CameraDetections],
+    request: RigRequest, cameras: Cameras, moving: CamerasDetections, wands: CamerasDetections
 ) -> Iterator[RigInputs]:
     if any(seen.detections for seen in moving.values()):
         assert request.board is not None
@@ -114,10 +108,7 @@ def _moving_parts(
 
 
 def _footage(
-    request: RigRequest,
-    floor: Mapping[str, CameraDetections],
-    moving: Mapping[str, CameraDetections],
-    wands: Mapping[str, CameraDetections],
+    request: RigRequest, floor: CamerasDetections, moving: CamerasDetections, wands: CamerasDetections
 ) -> dict[str, dict[str, tuple[CameraDetections, Board | None]]]:
     """By kind and camera, the detections and their board (None: a wand), to explain missing ones."""
     kinds = (("floor", floor, request.floor_board), ("moving", moving, request.board), ("wand", wands, None))
@@ -125,11 +116,7 @@ def _footage(
 
 
 def click_missing(
-    request: RigRequest,
-    floor: Mapping[str, CameraDetections],
-    cameras: Mapping[str, CameraModel],
-    board: Board,
-    console: Console,
+    request: RigRequest, floor: CamerasDetections, cameras: Cameras, board: Board, console: Console
 ) -> dict[str, OuterCorners]:
     """Let a person click the corners for the requested cameras, or for all without a detection, and save them.
 
@@ -164,7 +151,7 @@ def _fit(picture: np.ndarray, board: Board, camera: CameraModel, outer_px: np.nd
     return find_from_clicks(picture, board, outer_px, model=camera, frame_index=0, target=FLOOR)
 
 
-def _help_without_display(request: RigRequest, names: list[str], floor: Mapping[str, CameraDetections]) -> InputError:
+def _help_without_display(request: RigRequest, names: list[str], floor: CamerasDetections) -> InputError:
     from .click_window import write_click_help, write_template
 
     folder = request.output.parent

@@ -37,6 +37,9 @@ MAX_BLUR_PX = 2.5
 
 Picture = np.ndarray
 Corners = Mapping[str, OuterCorners]
+Cameras = Mapping[str, CameraModel]
+Step = Callable[[], None]
+"""Counts one picture."""
 
 
 class Footage(Protocol):
@@ -67,13 +70,17 @@ class CameraDetections:
     refused: InputError | None = None
 
 
+CamerasDetections = dict[str, CameraDetections]
+"""By the cameras' names."""
+
+
 def find_floor(
     footage: Mapping[str, Footage],
     board: Board,
-    cameras: Mapping[str, CameraModel],
+    cameras: Cameras,
     corners: Mapping[str, OuterCorners],
-    progress: Callable[[], None] = lambda: None,
-) -> dict[str, CameraDetections]:
+    progress: Step = lambda: None,
+) -> CamerasDetections:
     """Find the board on the floor in each camera's footage, from the given ``corners`` where they name the camera."""
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
@@ -88,9 +95,7 @@ def find_floor(
     return _in_all(footage, find, steps, only, progress)
 
 
-def find_moving(
-    footage: Mapping[str, Footage], board: Board, progress: Callable[[], None] = lambda: None
-) -> dict[str, CameraDetections]:
+def find_moving(footage: Mapping[str, Footage], board: Board, progress: Step = lambda: None) -> CamerasDetections:
     """Find the carried board in all footage, at the same frames of every camera."""
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
@@ -100,11 +105,8 @@ def find_moving(
 
 
 def find_wands(
-    footage: Mapping[str, Footage],
-    marks_m: Sequence[float],
-    cameras: Mapping[str, CameraModel],
-    progress: Callable[[], None] = lambda: None,
-) -> dict[str, CameraDetections]:
+    footage: Mapping[str, Footage], marks_m: Sequence[float], cameras: Cameras, progress: Step = lambda: None
+) -> CamerasDetections:
     """Find the wand's markers in all footage, at the same frames of every camera; static lamps are no markers."""
     empty = {name: _median_picture(clip) for name, clip in footage.items()}
 
@@ -142,9 +144,9 @@ def _in_all(
     find: Callable[[str, int, Picture], TargetDetection | None],
     steps: Mapping[str, int],
     only: Mapping[str, int | None],
-    progress: Callable[[], None],
+    progress: Step,
     refuse_blurred: bool = True,
-) -> dict[str, CameraDetections]:
+) -> CamerasDetections:
     """Search all cameras in parallel, one thread a processor; results in order of the names."""
     names = sorted(footage)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -157,7 +159,7 @@ def _in_one(
     find: Callable[[str, int, Picture], TargetDetection | None],
     step: int,
     only: int | None,
-    progress: Callable[[], None],
+    progress: Step,
     refuse_blurred: bool,
 ) -> CameraDetections:
     detections: list[TargetDetection] = []
@@ -191,7 +193,7 @@ def _frames(footage: Footage, step: int, only: int | None) -> Iterator[tuple[int
     return ((frame_index, image) for frame_index, image in footage if frame_index % step == 0)
 
 
-def detections_of(seen: Mapping[str, CameraDetections]) -> Sequence[TargetDetection]:
+def detections_of(seen: CamerasDetections) -> Sequence[TargetDetection]:
     """The detections of all cameras."""
     return [detection for found in seen.values() for detection in found.detections]
 
@@ -202,17 +204,15 @@ class RigSources(ABC):
     names: tuple[str, ...]
 
     @abstractmethod
-    def detect_floor(
-        self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
-    ) -> dict[str, CameraDetections]:
+    def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
         """The board on the floor, in the pictures of those of ``cameras`` that have any."""
 
     @abstractmethod
-    def detect_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         """The carried board in their pictures."""
 
     @abstractmethod
-    def detect_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         """The carried wand with markers at ``marks_m`` in their pictures."""
 
 
@@ -231,29 +231,27 @@ class FootageSources(RigSources):
         self.names = tuple(sorted(every - set(without)))
         self._console = console
 
-    def detect_floor(
-        self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
-    ) -> dict[str, CameraDetections]:
+    def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
         find = partial(find_floor, board=board, cameras=cameras, corners=corners)
         return self._search("board on the floor", self._floor, cameras, find)
 
-    def detect_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         return self._search("carried board", self._moving, cameras, partial(find_moving, board=board))
 
-    def detect_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         find = partial(find_wands, marks_m=marks_m, cameras=cameras)
         return self._search("wand", self._wand, cameras, find)
 
     def _search(
         self, what: str, clips: Mapping[str, CameraFootage], cameras: Container[str], find: Callable[..., Any]
-    ) -> dict[str, CameraDetections]:
+    ) -> CamerasDetections:
         """Run ``find`` on the footage of ``cameras``; on a terminal, count its pictures."""
         footage = {name: clip for name, clip in clips.items() if name in cameras}
         if not footage:
             return {}
         with Progress(console=self._console, transient=True, disable=not self._console.is_terminal) as bar:
             task = bar.add_task(f"looking for the {what} in {len(footage)} cameras' pictures", total=None)
-            found: dict[str, CameraDetections] = find(footage, progress=lambda: bar.advance(task))
+            found: CamerasDetections = find(footage, progress=lambda: bar.advance(task))
         return found
 
 

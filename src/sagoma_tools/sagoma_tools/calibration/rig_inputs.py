@@ -25,7 +25,7 @@ from rig_calibration.extrinsics.carried_board import FloorAt, choose_frames, fra
 from rig_calibration.extrinsics.floor import StillBoard, average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 
-from .rig_detections import CameraDetections, missing_reason
+from .rig_detections import CameraDetections, Cameras, CamerasDetections, missing_reason
 
 FEWEST_POINTS = 4
 CLICKED_SD_PX = 1.0
@@ -49,9 +49,7 @@ class RigInputs:
     floor_guess: tuple[int, ...] = ()
 
 
-def floor_inputs(
-    floor: Mapping[str, CameraDetections], board: Board, choice: WorldChoice, by_hand: Iterable[str] = ()
-) -> RigInputs:
+def floor_inputs(floor: CamerasDetections, board: Board, choice: WorldChoice, by_hand: Iterable[str] = ()) -> RigInputs:
     """The board on the floor: each camera's frames averaged. Where all cameras' corners were given ``by_hand``, their
     order tells which way round the board lies."""
     stills = {
@@ -66,11 +64,7 @@ def floor_inputs(
 
 
 def moving_inputs(
-    cameras: Mapping[str, CameraModel],
-    moving: Sequence[TargetDetection],
-    board: Board,
-    choice: WorldChoice,
-    floor_at: FloorAt | None,
+    cameras: Cameras, moving: Sequence[TargetDetection], board: Board, choice: WorldChoice, floor_at: FloorAt | None
 ) -> RigInputs:
     """The carried board in chosen frames; with ``floor_at``, what it shows while it lies on the floor becomes the
     floor target."""
@@ -137,7 +131,7 @@ def _moved_frames(stills: Mapping[str, StillBoard]) -> dict[str, tuple[int, int]
     return {name: (len(s.moved_frames), len(s.moved_frames) + len(s.frames)) for name, s in stills.items()}
 
 
-def read_floor_points(path: str | Path, cameras: Mapping[str, CameraModel]) -> RigInputs:
+def read_floor_points(path: str | Path, cameras: Cameras) -> RigInputs:
     """The measured points as the floor target, seen by those of ``cameras`` that the file names. A third number of a
     point is its height. Raises InputError naming file, camera, point and remedy."""
     document = read_mapping(Path(path), FORMAT)
@@ -215,7 +209,7 @@ def read_lens_deviations(path: str | Path, names: Iterable[str]) -> dict[str, li
     return found
 
 
-def require_image_sizes(cameras: Mapping[str, CameraModel], detections: Iterable[TargetDetection]) -> None:
+def require_image_sizes(cameras: Cameras, detections: Iterable[TargetDetection]) -> None:
     """Raises InputError for images of another size than the camera's lens was calibrated for."""
     for detection in detections:
         camera = cameras[detection.camera]

@@ -20,7 +20,6 @@ from rich.panel import Panel
 from rich.table import Table
 from sensor_msgs.msg import Image
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
@@ -33,7 +32,7 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from .rig_detections import MAX_BLUR_PX, CameraDetections, Corners, RigSources, find_floor
+from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
@@ -80,7 +79,7 @@ class MotionRecorder:
         with self._lock:
             return motion_progress(tuple(self._topics), self._detections)
 
-    def seen(self) -> dict[str, CameraDetections]:
+    def seen(self) -> CamerasDetections:
         """The detections of each camera."""
         with self._lock:
             return {
@@ -206,15 +205,13 @@ class LiveSources(RigSources):
         self._node, self._carried, self._console, self._ask, self._stop = node, carried, console, ask, stop
         self._shots: dict[str, Shots] = {}
 
-    def detect_floor(
-        self, board: Board, cameras: Mapping[str, CameraModel], corners: Corners
-    ) -> dict[str, CameraDetections]:
+    def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
         if not self._shots:
             self._ask("Lay the board on the floor, print upwards, and leave it")
             self._shots = grab(self._node, self._topics, FLOOR_SHOTS)
         return find_floor({name: self._shots[name] for name in sorted(cameras)}, board, cameras, corners)
 
-    def detect_moving(self, board: Board, cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         if not self._carried:
             return {}
         self._ask("Carry the board through the room, slowly, its print towards the cameras; Ctrl-C ends it early")
@@ -223,7 +220,7 @@ class LiveSources(RigSources):
             watch_recorder(recorder, self._console, self._stop)
         return recorder.seen()
 
-    def detect_wand(self, marks_m: Sequence[float], cameras: Mapping[str, CameraModel]) -> dict[str, CameraDetections]:
+    def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         return {}
 
 

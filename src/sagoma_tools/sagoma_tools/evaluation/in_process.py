@@ -1,4 +1,4 @@
-"""The graph's cores called one after another in this process: what lockstep gives, without ROS."""
+"""Tracks sessions in this process, without ROS: the same results as lockstep; the rows of an ablation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def track_variants(
     exact_masks: bool = False,
     progress: Callable[[int], None] = lambda frame: None,
 ) -> dict[str, Track]:
-    """The tracks of several configurations over the very same hulls: every frame is segmented and carved once.
+    """Track with several configurations over the same hulls: every frame is segmented and carved once.
 
     Cameras and hull are set as the first one says, from which the others may differ in fit and filter only; it is also
     the one that must find a body (InputError): another's track may be empty.
@@ -111,7 +111,7 @@ def _images(videos: dict[str, Path]) -> Iterator[dict[str, np.ndarray]]:
             yield {name: image[..., 0].copy() if grey[name] else image for name, image in found.items()}
 
 
-# --- What each part of the tracker is worth: from the thesis's method to ours, one part more in every row.
+# ablation: from the thesis's method to ours, one part of the tracker more in every row
 
 SOLVE = "icp_tracker.articulated."
 THESIS = "thesis: hierarchical ICP, identity model"
@@ -119,10 +119,10 @@ THESIS = "thesis: hierarchical ICP, identity model"
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the tracker, and how to do without it.
+    """A part of the tracker, and the settings that switch it off.
 
-    without : settings (NODE.PARAMETER) that switch it off; feedback : False where doing without it means that each fit
-    starts from the fit before instead of the filter's state.
+    without : settings (NODE.PARAMETER) that switch it off; feedback : False where without it each fit starts from
+    the fit before instead of the filter's state.
     """
 
     name: str
@@ -133,8 +133,8 @@ class Part:
 PARTS = (
     Part("all joints at once", {"icp_tracker.method": "hierarchical"}),
     Part("sticks inside the hull", {SOLVE + "volume.inside_weight": 0.0}),
-    Part("the hull's surface on the flesh", {SOLVE + "volume.weight": 0.0}),
-    Part("the silhouettes' rims tangent to the flesh", {SOLVE + "contour.weight": 0.0}),
+    Part("the hull's surface on the body surface", {SOLVE + "volume.weight": 0.0}),
+    Part("contour rays tangent to the body surface", {SOLVE + "contour.weight": 0.0}),
     Part("fits start from the filter's state", feedback=False),
     Part("constant velocity", {"ekf_tracker.motion_model": "identity"}),
 )
