@@ -7,13 +7,14 @@ from pathlib import Path
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
+from mocap_packets.silhouette import Silhouette
 
 from .background.model import BackgroundModel, load_background, read_background
 from .background.watch import BackgroundWatch
 from .frame_source import Frame
 from .movement.detector import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
 from .settings import CameraClientSettings
-from .silhouettes.pipeline import Silhouette, SilhouettePipeline
+from .silhouettes.pipeline import SilhouettePipeline
 from .sources.footage_reader import open_footage
 from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
 

@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
+from mocap_packets.silhouette import Silhouette
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode, run_node
 from sagoma_ros.qos import RESULT
@@ -45,7 +46,6 @@ from .diagnostics import (
 )
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
-from .silhouettes.pipeline import Silhouette
 from .sources.grab_loop import GrabLoop, GrabState
 
 T = TypeVar("T")

@@ -12,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import with_intrinsics
+from mocap_packets.silhouette import Silhouette
 from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
@@ -20,7 +21,7 @@ from .background.model import BackgroundModel
 from .camera_chain import FrameResult
 from .frame_source import Frame
 from .settings import CameraClientSettings
-from .silhouettes.pipeline import Silhouette, outline
+from .silhouettes.pipeline import outline
 
 PREVIEW_PERIOD_S = 0.2
 

@@ -16,10 +16,10 @@ from camera_client.diagnostics import (
     source_values,
 )
 from camera_client.frame_source import Connection, ConnectionState, Frame, FrameStatistics, Outage
-from camera_client.silhouettes.pipeline import Silhouette
 from camera_client.sources.frame_checks import REMEDIES
 from camera_client.sources.grab_loop import GrabState
 from camera_client.sources.supervised_source import Downtime
+from mocap_packets.silhouette import Silhouette
 
 STREAMING = Connection(ConnectionState.STREAMING)
 RUNNING = {"grab": GrabState.RUNNING, "connection": STREAMING}

@@ -7,7 +7,6 @@ outline, mark what may be floor in shadow, undistort.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.rig import Volume
+from mocap_packets.silhouette import Silhouette
 
 from ..background.light_drift import LightDrift
 from ..background.model import BackgroundLimits, BackgroundModel, check_shape, shape_text
@@ -28,28 +28,6 @@ EMPTY, FULL = "empty", "full"
 LEAST_GAIN = 0.005  # shadow tests need it no finer
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
-
-
-@dataclass(frozen=True, eq=False)
-class Silhouette:
-    """What a camera sees of the person.
-
-    ``mask`` (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, up to 127 most likely a shadow, between
-    them person or shadow (see ``capture_rig.mask_levels``); ``image_mask`` (H, W) in the camera's own pixels, of 255, 0
-    and 127 only; ``foreground_fraction`` and ``candidate_fraction`` the shares of the image that are 255 and 127 there;
-    ``flags`` may hold "empty" or "full": such a mask is what was seen, and probably not a person.
-    """
-
-    mask: Mask
-    image_mask: Mask
-    foreground_fraction: float
-    flags: tuple[str, ...]
-    candidate_fraction: float = 0.0
-
-    @property
-    def person(self) -> Mask:
-        """``mask`` with 0 or 255 only: candidates are taken for shadow."""
-        return cv2.threshold(self.mask, SHADOW_CANDIDATE, FOREGROUND, cv2.THRESH_BINARY)[1]
 
 
 class SilhouettePipeline:
@@ -71,7 +49,7 @@ class SilhouettePipeline:
         """``volume``: the capture volume; what may be floor far from it stays the person."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
-        self._settings, self._shape = settings, background.shape
+        self._camera, self._settings, self._shape = camera.name, settings, background.shape
         self._limits = background.limits(background_settings)
         self._drift: LightDrift | None = None
         if background_settings.drift.mode == "slow":
@@ -109,16 +87,16 @@ class SilhouettePipeline:
         if self._drift is not None and stamp_ns is not None:
             self._drift.follow(image, self._locator.buffer, self._locator.dense, stamp_ns)
         if box.empty:
-            return self._silhouette(np.zeros((0, 0), np.uint8), box)
+            return self._silhouette(stamp_ns, np.zeros((0, 0), np.uint8), box)
         image = self._as_learned(image)
         shadow = self._shadow.shadow(image, raw, box)
         person = self._keep_person(cv2.subtract(raw, shadow))
         if self._settings.outline_contrast > 0:
             person = trim_outline(person, image[box.slices], self._mean[box.slices], self._settings.outline_contrast)
         if self._attenuation is None:
-            return self._silhouette(person, box)
+            return self._silhouette(stamp_ns, person, box)
         levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(levels, box, self._attenuation.mark(image, person, shadow, box))
+        return self._silhouette(stamp_ns, levels, box, self._attenuation.mark(image, person, shadow, box))
 
     def _as_learned(self, image: Image) -> Image:
         """As bright as it would be under the light that the background was learned in."""
@@ -154,7 +132,9 @@ class SilhouettePipeline:
         area = height * height
         return keep_person(mask, MIN_AREA * area, s.near * height, s.max_hole * area)
 
-    def _silhouette(self, levels: Mask, box: Box, canvas_levels: Mask | None = None) -> Silhouette:
+    def _silhouette(
+        self, stamp_ns: int | None, levels: Mask, box: Box, canvas_levels: Mask | None = None
+    ) -> Silhouette:
         """Back to the whole image, and onto the canvas, there with ``canvas_levels`` if any."""
         image_mask = np.zeros(self._shape[:2], np.uint8)
         image_mask[box.slices] = levels
@@ -166,7 +146,9 @@ class SilhouettePipeline:
         fraction = person / image_mask.size
         canvas = self._undistorter.undistort(source, box)
         self._levels[box.slices] = 0  # as it was
-        return Silhouette(canvas, image_mask, fraction, self._flags(fraction), (anything - person) / image_mask.size)
+        candidates = (anything - person) / image_mask.size
+        flags = self._flags(fraction)
+        return Silhouette(canvas, image_mask, fraction, flags, candidates, self._camera, stamp_ns)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:
         if fraction < EMPTY_BELOW:
@@ -184,7 +166,7 @@ def outline(image: Image, mask: Mask) -> Image:
     """Draw the outlines of a silhouette into its image.
 
     Gives the image (H, W[, 3]) at half size, BGR, the person's outline green, that of shadow candidates orange.
-    ``mask`` (H, W) is :attr:`Silhouette.image_mask`, of two or three levels.
+    ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`, of two or three levels.
     """
     shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     for level, colour in ((SHADOW_CANDIDATE, CANDIDATE_BGR), (FOREGROUND, PERSON_BGR)):

@@ -1,0 +1,106 @@
+"""Packets: tables there and back, rows of one body, and that what is sent twice is what was sent once."""
+
+import numpy as np
+import pytest
+
+from mocap_packets.fit import ReferencePoints
+from mocap_packets.hull import Centerline, ContourRays, HullProducts, VoxelSamples
+from mocap_packets.state import NoState, Prediction
+from stick_figure.pose import T_POSE_ANGLES, Pose
+
+ROWS = 12
+RNG = np.random.default_rng(0)
+BODY = np.arange(ROWS, dtype=np.int32) % 3 - 1
+
+
+def products():
+    """Rows of bodies 0 and 1, and of none."""
+    points, unit = RNG.normal(size=(3, ROWS, 3)), np.eye(3)[np.arange(ROWS) % 3]
+    line = Centerline(points[0], *RNG.random((1, ROWS)), BODY.astype(np.uint8) % 3, *RNG.random((3, ROWS)), BODY)
+    rays = ContourRays(points[2], unit, np.roll(unit, 1, axis=1), *RNG.random((2, ROWS)), BODY, np.arange(ROWS) % 4)
+    return HullProducts(5, line, VoxelSamples(points[1], RNG.random(ROWS) < 0.5, BODY), rays)
+
+
+def columns(packet):
+    return {name: np.asarray(values) for name, values in vars(packet).items()}
+
+
+def parts(hull):
+    return hull.centerline, hull.voxels, hull.contour_rays
+
+
+def test_sent_packets_are_rounded_once_and_for_all():
+    sent = products().as_sent()
+    for once, twice in zip(parts(sent), parts(sent.as_sent()), strict=True):
+        for name, values in columns(once).items():
+            np.testing.assert_array_equal(columns(twice)[name], values)
+    for exact, rounded in zip(parts(products()), parts(sent), strict=True):
+        assert len(exact) == len(rounded) == ROWS
+        assert np.array_equal(rounded.body, BODY)
+
+
+def test_table_of_a_packet_holds_every_column_in_single_precision():
+    for packet in parts(products()):
+        table = packet.to_table()
+        assert {table.dtype[name] for name in table.dtype.names} == {np.dtype(np.float32)}
+        for name, values in columns(type(packet).from_table(table)).items():
+            np.testing.assert_allclose(values, columns(packet)[name], rtol=1e-6)
+
+
+def test_rows_of_one_body_leave_out_all_others():
+    one = products().of_body(1)
+    assert one.stamp_ns == 5
+    for part in parts(one):
+        assert len(part) == np.count_nonzero(BODY == 1) and (part.body == 1).all()
+
+
+def test_body_is_chosen_by_where_it_is_expected_and_not_by_its_number():
+    here, there = np.zeros((10, 3)), np.full((10, 3), 2.0)
+    line = Centerline.of_points(np.concatenate([here, there]), 0.01, np.repeat([4, 7], 10))
+    hull = HullProducts(0, line)
+    assert set(hull.of_body_at(np.full((15, 3), 0.1)).centerline.body) == {4}
+    assert set(hull.of_body_at(np.full((15, 3), 1.9)).centerline.body) == {7}
+
+
+def test_points_that_are_not_finite_are_dropped_and_counted():
+    points = np.zeros((4, 3))
+    points[1, 2], sigma = np.nan, np.array([0.1, 0.1, np.inf, 0.1])
+    finite, dropped = HullProducts.of_points(0, points, sigma).finite()
+    assert dropped == 2 and len(finite.centerline) == 2
+
+
+def test_voxels_of_bodies_leave_out_those_of_none():
+    by_number = products().voxels_of_bodies()
+    assert sorted(by_number) == [0, 1]
+    assert HullProducts.of_points(0, np.empty((0, 3))).voxels_of_bodies()[0].shape == (0, 3)
+
+
+def test_sent_reference_points_differ_by_no_more_than_single_precision():
+    root = RNG.normal(size=(15, 3, 3))
+    points = ReferencePoints(RNG.normal(size=(15, 3)), root @ root.transpose(0, 2, 1), np.arange(15) % 2 == 0)
+    sent = points.as_sent()
+    np.testing.assert_allclose(sent.points_world, points.points_world, rtol=1e-6)
+    np.testing.assert_allclose(sent.covariance, points.covariance, rtol=1e-6)
+    for a, b in zip(sent, sent.as_sent(), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_sent_prediction_is_the_same_pose_and_velocity():
+    pose = Pose.from_angles(np.array([0.1, 0.2, 1.0]), np.eye(3), T_POSE_ANGLES + 0.1)
+    prediction = Prediction(7, pose, np.arange(24.0))
+    sent = prediction.as_sent()
+    assert sent.stamp_ns == 7 and np.abs(sent.pose.minus(pose)).max() < 1e-12
+    np.testing.assert_array_equal(sent.velocity, prediction.velocity)
+
+
+def test_without_a_state_there_is_a_prediction_without_a_pose():
+    prediction = NoState(9, "waiting").prediction
+    assert prediction.stamp_ns == 9 and prediction.pose is None and prediction.as_sent() is prediction
+
+
+@pytest.mark.parametrize("count", [0, 5, 100])
+def test_thinned_rays_are_evenly_spread_and_never_more_than_asked_for(count):
+    rays = products().contour_rays
+    thin = rays.thinned(count)
+    assert len(thin) == min(count, ROWS)
+    assert set(thin.sigma) <= set(rays.sigma)
