@@ -241,7 +241,7 @@ def test_session_studio_serves_its_footage(aravis, shared_data, tmp_path):
     folder = shared_data("sessions", "zombie_he3")
     address = first_of_free(3)
     with Studio(StudioSettings(session=str(folder), address=address, memory_mb=30.0)) as studio:
-        assert "first" in studio.notes[0]
+        assert "first" in studio.scene.notes[0]
         with AravisClient(aravis, address) as client:
             picture = client.start().bytes().reshape(480, 640)
         frames = studio.cameras["cam01"].scene.frames

@@ -162,7 +162,7 @@ def _announce(studio: Studio, args: argparse.Namespace) -> None:
         height, width = camera.scene.shape[:2]
         kind = "colour" if len(camera.scene.shape) == 3 else "mono"
         print(f"  {name}  {camera.address:<12} serial {camera.settings.serial}  {width} x {height} {kind}")
-    for note in studio.notes:
+    for note in studio.scene.notes:
         print(f"note: {note}")
     first = next(iter(studio.cameras.values())).address
     print(f"look at one:  arv-tool-0.8 -a {first} control Width Height PixelFormat   |   arv-viewer-0.8 {first}")

@@ -100,53 +100,44 @@ def _rendered(scene: LiveScene, rig: Rig, settings: StudioSettings) -> StudioSce
 class Studio:
     """Runs N simulated cameras in one process and one thread; start() and close(), or a context manager.
 
-    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``playback`` what they see.
+    ``cameras`` by name, in the rig's order; ``wire`` is the cable to their trigger inputs, ``scene`` what they see.
     Raises InputError for a session that cannot be read, or an address that is taken.
     """
 
     def __init__(self, settings: StudioSettings | None = None, control: str | Path | None = None) -> None:
         self.settings = settings or StudioSettings()
-        self._scene = make_studio_scene(self.settings)
+        self.scene = make_studio_scene(self.settings)
         self._control_path = Path(control) if control else None
         self._control: ControlServer | None = None
         self.loop = EventLoop("studio")
         self.wire = TriggerWire(self.loop)
-        names = self._scene.rig.names
+        names = self.scene.rig.names
         addresses = consecutive_addresses(self.settings.address, len(names))
         self.cameras = {
             name: SimulatedCamera(
-                address, self._scene.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
+                address, self.scene.views[name], self._camera_settings(number, name), loop=self.loop, wire=self.wire
             )
             for number, (name, address) in enumerate(zip(names, addresses, strict=True), start=1)
         }
 
     @property
     def rig(self) -> Rig:
-        return self._scene.rig
+        return self.scene.rig
 
     @property
     def playback(self) -> Playback | None:
         """The playback, which can be emptied and played from the start; None for the test pattern."""
-        return self._scene.playback
-
-    @property
-    def can_be_empty(self) -> bool:
-        return self._scene.can_be_empty
+        return self.scene.playback
 
     @property
     def is_calibrated(self) -> bool:
         """False for a set-up: its cameras are still to be calibrated."""
-        return self._scene.phases is None
+        return self.scene.phases is None
 
     @property
     def boards(self) -> tuple[Board, Board]:
         """Boards of a set-up: the one waved before the cameras, and the one on the floor."""
         return read_board(self.settings.hand_board), read_board(self.settings.floor_board)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Limits of what is shown, for the user."""
-        return self._scene.notes
 
     @property
     def frame_rate(self) -> float:
@@ -159,7 +150,7 @@ class Studio:
         """Switches every camera on, or none."""
         self.loop.start()
         try:
-            self._scene.start()
+            self.scene.start()
             for camera in self.cameras.values():
                 camera.start()
             if self._control_path is not None:
@@ -176,7 +167,7 @@ class Studio:
             self._control = None
         for camera in self.cameras.values():
             camera.close()
-        self._scene.close()
+        self.scene.close()
         self.loop.stop()
 
     def handle(self, request: Request) -> Request:
@@ -231,9 +222,9 @@ class Studio:
         if self.playback is not None:
             keys = ("occupied", "epoch_ns", "frames", "fps", "loop")
             state["playback"] = {key: getattr(self.playback, key) for key in keys}
-        if self._scene.phases is not None:
-            state["shows"] = self._scene.phases.phase
-        return state | ({"room": dict(self._scene.counters)} if self._scene.counters is not None else {})
+        if self.scene.phases is not None:
+            state["shows"] = self.scene.phases.phase
+        return state | ({"room": dict(self.scene.counters)} if self.scene.counters is not None else {})
 
     def _set(self, request: Request) -> Request:
         changes = request.get("faults")
@@ -258,7 +249,7 @@ class Studio:
         if state not in ("empty", "occupied"):
             raise InputError(f"the room cannot be {state!r}", where="studio", remedy="It can be empty or occupied.")
         occupied = state == "occupied"
-        if not occupied and not self.can_be_empty:
+        if not occupied and not self.scene.can_be_empty:
             remedy = "Use a session with a background for every camera."
             raise InputError("the session has no pictures of the empty room", where="studio", remedy=remedy)
         self._required_playback().occupy(occupied)
@@ -266,17 +257,17 @@ class Studio:
 
     def _play(self, request: Request) -> Request:
         playback = self._required_playback()
-        if self._scene.phases is not None:
-            self._scene.phases.show(PERSON)
+        if self.scene.phases is not None:
+            self.scene.phases.show(PERSON)
         epoch_ns = playback.play(request.get("at_ns"), bool(request.get("loop", True)))
         if not playback.occupied:
             playback.occupy(True)
         return {"epoch_ns": epoch_ns, "frames": playback.frames, "fps": playback.fps}
 
     def _switch(self, request: Request) -> Request:
-        if self._scene.phases is None:
+        if self.scene.phases is None:
             raise InputError("it shows no set-up", where="studio", remedy="Start one: sagoma studio --scene setup.")
-        return {"shows": self._scene.phases.show(str(request.get("phase")))}
+        return {"shows": self.scene.phases.show(str(request.get("phase")))}
 
     def _hold(self, request: Request) -> Request:
         self._required_playback().hold()

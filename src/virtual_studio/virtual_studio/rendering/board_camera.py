@@ -155,7 +155,7 @@ def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: fl
 
 
 def ideal_corners(camera: CameraModel) -> Array:
-    """Returns normalised undistorted coordinates (h + 1, w + 1, 2) of the pixels' corners; NaN beyond the lens model."""
+    """Returns normalised undistorted coordinates (h + 1, w + 1, 2) of pixel corners; NaN beyond the lens model."""
     y, x = np.mgrid[: camera.height + 1, : camera.width + 1] - 0.5
     rays = camera.rays_world(np.column_stack([x.ravel(), y.ravel()])) @ camera.R_camera_world.T
     return np.ascontiguousarray((rays[:, :2] / rays[:, 2:]).reshape(camera.height + 1, camera.width + 1, 2))

@@ -46,7 +46,7 @@ class Feature:
     entries : an enumeration's names and values.
     bits : (first, last), counted from the lowest: this feature is only a part of the register at its address, which
     another row describes.
-    locked : cannot be written while frames are being taken. volatile : changes by itself, clients must not cache it.
+    volatile : changes by itself, clients must not cache it.
     chunk : this is no register but the content of a chunk with this id.
     """
 
@@ -67,10 +67,8 @@ class Feature:
     unit: str = ""
     category: str = ""
     help: str = ""
-    locked: bool = False
     volatile: bool = False
     chunk: int = 0
-    selector: str = ""
 
     @property
     def has_register(self) -> bool:
@@ -167,9 +165,6 @@ class Registers:
 
     def __setitem__(self, key: str, value: Value) -> None:
         self._values[key] = value
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._features
 
     def integer(self, key: str) -> int:
         return int(self._values[key])

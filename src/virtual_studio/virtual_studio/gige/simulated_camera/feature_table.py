@@ -153,8 +153,8 @@ def _image(s: CameraSettings, width: int, height: int, colour: bool) -> list[Fea
         integer("SensorHeight", where, height, writable=False),
         integer("WidthMax", where, width, writable=False, volatile=True),
         integer("HeightMax", where, height, writable=False, volatile=True),
-        integer("Width", where, width, low=16, high_key="WidthLimit", step=4, locked=True),
-        integer("Height", where, height, low=16, high_key="HeightLimit", step=2, locked=True),
+        integer("Width", where, width, low=16, high_key="WidthLimit", step=4),
+        integer("Height", where, height, low=16, high_key="HeightLimit", step=2),
         integer("OffsetX", where, 0, low=0, high_key="OffsetXLimit", step=4),
         integer("OffsetY", where, 0, low=0, high_key="OffsetYLimit", step=2),
         *(
@@ -166,9 +166,9 @@ def _image(s: CameraSettings, width: int, height: int, colour: bool) -> list[Fea
                 ("OffsetYLimit", 0),
             )
         ),
-        integer("BinningHorizontal", where, 1, low=1, high=MAX_BINNING, locked=True),
-        integer("BinningVertical", where, 1, low=1, high=MAX_BINNING, locked=True),
-        choice("PixelFormat", where, formats, default, locked=True),
+        integer("BinningHorizontal", where, 1, low=1, high=MAX_BINNING),
+        integer("BinningVertical", where, 1, low=1, high=MAX_BINNING),
+        choice("PixelFormat", where, formats, default),
     ]
 
 
@@ -253,9 +253,9 @@ def _actions() -> list[Feature]:
 def _chunks() -> list[Feature]:
     where = "ChunkDataControl"
     return [
-        boolean("ChunkModeActive", where, locked=True),
+        boolean("ChunkModeActive", where),
         choice("ChunkSelector", where, {name: number for number, name in enumerate(CHUNKS)}),
-        boolean("ChunkEnable", where, locked=True, volatile=True, selector="ChunkSelector"),
+        boolean("ChunkEnable", where, volatile=True),
         integer("ChunkTimestamp", where, length=8, writable=False, chunk=CHUNKS["Timestamp"], unit="ns"),
         real("ChunkExposureTime", where, writable=False, chunk=CHUNKS["ExposureTime"], unit="us"),
         integer("ChunkFrameID", where, length=8, writable=False, chunk=CHUNKS["FrameID"]),
