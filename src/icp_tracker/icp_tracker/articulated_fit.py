@@ -31,7 +31,7 @@ from stick_figure.least_squares.placed_figure import STICKS, Figure, State, plac
 from stick_figure.least_squares.point_factor import GEMAN_MCCLURE, SIGMA_FLOOR_M, X84, summarise
 from stick_figure.pose import Pose
 
-# of the articulated fit; chosen on the sessions of bench/tracking_ablation.py, in steps of about a half
+# of the fit; checked by bench/tracking_ablation.py on rendered and real sessions
 GATE_SIGMAS = 3.0  # the gate of a point is wider by so many of its own standard deviations
 HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step
@@ -42,13 +42,16 @@ INSIDE_SLACK_M = 0.045  # distance from them that still counts as inside: the sp
 INSIDE_GATE_M = 0.2  # distance at which the weight of a point outside has fallen to 1/4
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
-# of the result's covariance and visibility; chosen on bench/covariance_coverage.py
+# of its covariance and visibility; checked by bench/covariance_coverage.py
 COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
 # sticks that meet at each reference point: torso centre, head tip, neck, shoulders, hips, elbows, knees, hands, feet
-SUPPORTING_STICKS = ((0,), (1,), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5), (2, 6), (3, 7), (4, 8), (5, 9), (6,), (7,), (8,), (9,))  # fmt: skip
+SUPPORTING_STICKS = (
+    *((0,), (1,), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5)),
+    *((2, 6), (3, 7), (4, 8), (5, 9), (6,), (7,), (8,), (9,)),
+)
 
 
 @dataclass(frozen=True)

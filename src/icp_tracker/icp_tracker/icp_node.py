@@ -1,4 +1,4 @@
-"""The node: hull/centerline, hull/voxels and hull/contour_rays in; icp/reference_points and icp/fit out, one for every set."""
+"""The node: centerline, voxels and contour rays of the hull in; reference points and fit out, one for every set."""
 
 from __future__ import annotations
 

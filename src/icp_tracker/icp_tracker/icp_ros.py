@@ -1,4 +1,4 @@
-"""The service that saves the body being followed, so that it can be started without a T-pose the next time."""
+"""What the node has besides the tracker: the service that saves the body, and the filter's awaited answer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .settings import SaveBodySettings
 
 @dataclass(frozen=True, eq=False)
 class SavedBody:
-    """What is worth keeping of a body: its sizes and, where they were measured, its limbs' thickness."""
+    """What is kept of a body: its sizes and, where they were measured, its limbs' thickness."""
 
     stamp_ns: int
     body: Body
@@ -59,8 +59,6 @@ class SaveBodyService:
         self._node.get_logger().info(f"save_body: {response.message}")
         return response
 
-
-# --- The filter's answer to the previous frame set, awaited for a bounded time.
 
 KEPT = 64
 

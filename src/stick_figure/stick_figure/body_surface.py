@@ -1,4 +1,4 @@
-"""The flesh around the sticks: tapered capsules fixed to them, which silhouettes and hulls can be compared with.
+"""The body's surface: tapered capsules fixed to the sticks, which silhouettes and hulls are compared with.
 
 Radii and offsets are round fractions of an average adult's stature; on a rendered body most of them meet the surface
 within a centimetre. They follow anatomy where it matters: the trunk is wider than deep and lies in front of the line
@@ -58,7 +58,7 @@ class BodySurface(NamedTuple):
 
     @staticmethod
     def of(body: Body) -> BodySurface:
-        """The flesh of a body of average build."""
+        """Return the surface of a body of average build."""
         capsules = [*_torso(body), *_girdle(body), _head(body), *_limbs(body), *_feet(body)]
         stick, start, end, radii = zip(*capsules, strict=True)
         return BodySurface(

@@ -16,8 +16,6 @@ from .pose import Pose
 from .rotations import Array, ball_rates, ball_rotation, euler_axes, excess_over_range, wrap_into_range
 from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, POINT_STICK, T_POSE_ANGLES, TORSO_POINTS
 
-# --- Inverse kinematics: the pose that explains 15 reference points (thesis Table 5.4, corrected).
-
 STRAIGHT_SINE = 1e-7
 """Below this bend the twist of the upper limb cannot be seen in the points."""
 _LIMB_POINTS = np.array([[3, 7, 11], [4, 8, 12], [5, 9, 13], [6, 10, 14]])

@@ -1,6 +1,6 @@
-"""Euler angles of the ball joints (thesis Tables 5.1 and 5.4, corrected): composition, its exact inverse, rates.
+"""Rotation vectors, and the Euler angles of the ball joints: composition, its exact inverse, rates.
 
-A ball joint is R = R_x(a) R_j(b) R_k(c). The same rotation is also (a + pi, pi - b, c + pi), and a hinge h bent
+Thesis Tables 5.1 and 5.4, corrected. A ball joint is R = R_x(a) R_j(b) R_k(c). The same rotation is also (a + pi, pi - b, c + pi), and a hinge h bent
 the wrong way equals -h with the upper limb turned by pi about itself. Of these equal descriptions the one inside
 the joint ranges is the answer; where several or none are inside, the one nearest the previous angles.
 """
@@ -14,8 +14,6 @@ from numba import njit
 
 from . import kernels
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES, T_POSE_ANGLES
-
-# --- Rotation matrices and rotation vectors in plain numpy calls (the work is done by the compiled kernels).
 
 Array = np.ndarray
 

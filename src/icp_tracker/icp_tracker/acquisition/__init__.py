@@ -1,1 +1,1 @@
-"""How tracking begins: whose hull, which body, which first pose."""
+"""The first pose and the body's sizes: from a T-pose, a known body, a file or a session."""

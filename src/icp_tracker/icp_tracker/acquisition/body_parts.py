@@ -1,4 +1,4 @@
-"""The stretched arms of an upright body: which way each points, how far it reaches, how thick it is."""
+"""Arms, legs and heading of an upright body: where each limb points, how far it reaches, which way front is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from .upright import FEET_TO, FEWEST_OF_A_PART, SHINS, PoseRejected, Upright
 
-# --- A straight line through points of which some are phantoms.
+# --- lines
 
 
 def line_through(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
@@ -66,7 +66,7 @@ class Arm:
 
 
 def find_arms(body: Upright) -> tuple[Arm, Arm]:
-    """Left and right arm (of the body as it is turned). Raises PoseRejected where an arm is not straight and sideways."""
+    """Find left and right arm (of the body as it is turned). Raises PoseRejected unless both are straight, sideways."""
     parts = [_beside(body, side) for side in (1.0, -1.0)]
     stretched = [len(p) >= FEWEST_OF_A_PART and _tip(p, body) > SHORTEST * body.stature for p in parts]
     if not any(stretched):
@@ -133,7 +133,7 @@ def _cut(arm: np.ndarray, step: float) -> list[np.ndarray]:
     return [piece for piece in pieces if len(piece) >= FEWEST_OF_A_PIECE]
 
 
-# --- The legs of an upright body: straight, side by side, how far apart.
+# --- legs
 
 LEGS_FROM, LEGS_TO, SLICE = (
     0.10,
@@ -196,7 +196,7 @@ def _lines(body: Upright) -> Legs:
     return Legs(apart, float(-np.arctan(slope)), table[:, [0, 2]])
 
 
-# --- Which of the two directions across the arms' axis is forward.
+# --- which of the two directions across the arms' axis is forward
 #
 # Toes lie ahead of the ankles, and the head lies ahead of the shoulders. Each lead is an observation with a mean and a
 # spread among people; their log-likelihood ratios for "forward" against "backward" add up.

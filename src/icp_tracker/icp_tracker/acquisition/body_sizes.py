@@ -1,11 +1,16 @@
-"""What is known of a person's sizes before measuring them: segment lengths over the stature, and how people differ.
+"""The sizes of a person: what is known of people, and what the hull of a T-pose adds to it.
 
-Means lie between Drillis & Contini 1966 (in Winter, fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870,
-shoulder .818; upper arm .186, forearm and hand .254) and the joint centres of de Leva 1996 (men, women: vertex to
-cervicale .140, .140; cervicale to mid-hips .347, .354; upper arm .162, .159; forearm and hand .264, .251; thigh .243,
-.212; shank .253, .253). Shoulder joints lie medial of the acromia (biacromial breadth .259 by Drillis & Contini,
-about .23 in recent surveys) and hip joints 14 % of the pelvic breadth medial of its ends (Bell et al. 1990), of which
-the surveys' values are smaller too. The spreads hold what people differ by and what those sources do.
+The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. How a sum splits at
+a joint inside a straight limb (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so the estimate
+is one linear update of the prior and comes with its covariance.
+
+Prior: segment lengths over the stature, and how people differ. Means lie between Drillis & Contini 1966 (in Winter,
+fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870, shoulder .818; upper arm .186, forearm and hand .254)
+and the joint centres of de Leva 1996 (men, women: vertex to cervicale .140, .140; cervicale to mid-hips .347, .354;
+upper arm .162, .159; forearm and hand .264, .251; thigh .243, .212; shank .253, .253). Shoulder joints lie medial of
+the acromia (biacromial breadth .259 by Drillis & Contini, about .23 in recent surveys) and hip joints 14 % of the
+pelvic breadth medial of its ends (Bell et al. 1990), of which the surveys' values are smaller too. The spreads hold
+what people differ by and what those sources do.
 """
 
 from __future__ import annotations
@@ -81,11 +86,7 @@ def sizes_of_body(body: Body) -> np.ndarray:
     return sizes
 
 
-# --- The sizes of a body from the hull of its T-pose: what the hull shows, joined with what is known of people.
-#
-# The hull shows sums of lengths: from floor to crown, from hand to hand, from the floor to the arms. How a sum splits at
-# a joint inside straight flesh (elbow, knee, neck, hip) only proportions tell. Both are Gaussian here, so the estimate is
-# one linear update of the prior and comes with its covariance.
+# --- sizes: what the hull of a T-pose shows, joined with what is known of people
 
 HIP_HEIGHT = float(MEAN_OVER_STATURE[[THIGH, CALF, ANKLE]].sum())
 FINGERS_LOST_M = 0.015  # fingers are thinner than a voxel: a hull's arms end before the tips
@@ -177,10 +178,10 @@ def _update(estimate: BodyEstimate, row: np.ndarray, value: float, sd: float) ->
     )
 
 
-# --- How thick a person's limbs are, measured on the hull of the T-pose: factors on the flesh of an average build.
+# --- girths: how thick the limbs are, as factors on an average build
 #
-# Arms are measured by their vertical thickness and legs by their width, which cameras around the body see from the side;
-# a hull's depth is not believed. A factor that no person has is refused, limb by limb.
+# Arms are measured by their vertical thickness and legs by their width, which cameras around the body see from the
+# side; a hull's depth is not used. A factor that no person has is dropped, limb by limb.
 
 THINNEST, THICKEST = 0.65, 1.6  # factors beyond these are nobody's
 FEWEST_PIECES = 2
@@ -210,7 +211,7 @@ class LimbGirths:
         return cls(**thickness, measured=tuple(thickness))
 
     def on(self, capsules: BodySurface) -> BodySurface:
-        """The flesh with these thicknesses; the trunk grows to the sides too."""
+        """Return the surface with these girths; the trunk grows to the sides too."""
         factor = np.ones(10)
         factor[[L_UPPER_ARM, R_UPPER_ARM]], factor[[L_FOREARM, R_FOREARM]] = self.upper_arm, self.forearm
         factor[[L_THIGH, R_THIGH]], factor[[L_CALF, R_CALF]] = self.thigh, self.calf
@@ -256,7 +257,7 @@ def _factor(
     capsules: BodySurface,
     limb: tuple[int, float],
 ) -> float:
-    """A quantile of the thickness of pieces (k, 2) over the flesh's, NaN with too few of them.
+    """A quantile of the thickness of pieces (k, 2) over the surface's, NaN with too few of them.
 
     start : where the stick starts on the pieces' scale, metres. part : of the stick, which of them count. limb : the
     stick and the quantile, per cent.
@@ -270,7 +271,7 @@ def _factor(
 
 
 def _radii_along(capsules: BodySurface, stick: int, places: np.ndarray) -> np.ndarray:
-    """Radius (k,) of the flesh at places (k,) along a stick, metres: between the ends of its capsules, linear."""
+    """Radius (k,) of the surface at places (k,) along a stick, metres: between the ends of its capsules, linear."""
     mine, axis = capsules.stick == stick, STICK_AXIS[stick]
     ends = np.abs(np.concatenate([capsules.start[mine, axis], capsules.end[mine, axis]]))
     order = np.argsort(ends)
@@ -278,5 +279,5 @@ def _radii_along(capsules: BodySurface, stick: int, places: np.ndarray) -> np.nd
 
 
 def _trunk(measured: list[TPose], capsules: BodySurface) -> float:
-    """The chest's width below the armpits over the flesh's; NaN where it was not seen."""
+    """The chest's width below the armpits over the surface's; NaN where it was not seen."""
     return float(np.median([m.chest_half_width for m in measured])) / (capsules.start[0, 1] + capsules.radii[0, 0])

@@ -31,7 +31,7 @@ NEIGHBOUR_FRAMES = 5
 class InitialPose:
     """A first pose with the body it is meant for, or the reason why there is none yet.
 
-    estimate : how sure the sizes of ``body`` are, where they were measured; flesh : how thick its limbs are, likewise.
+    estimate : how sure the sizes of ``body`` are, where they were measured; girths : how thick its limbs are, likewise.
     """
 
     pose: Pose | None = None

@@ -1,7 +1,7 @@
 """The first pose of a body whose sizes are known: from anything near a T-pose, nothing need be held for long.
 
 Many rough poses (both headings, arms up to 45 degrees up or down, legs together or apart) are compared with the hull,
-the best is fitted for either heading, and the fit is believed when the flesh explains the hull's surface, the hull
+the best is fitted for either heading, and the fit is taken when the body explains the hull's surface, the hull
 holds the figure, and feet and head say where front is.
 """
 
@@ -28,17 +28,18 @@ from .initial_pose import InitialPose
 from .t_pose_measures import TPoseSettings
 from .upright import FEWEST_VOXELS, PoseRejected, Upright, reasons_of_bodies, stand_known
 
-# --- How well a pose's flesh and a hull agree, both ways.
-
-NEAR_M = 0.06  # flesh and hull surface this near to each other agree
+NEAR_M = 0.06  # body and hull surface this near to each other agree
 FAR_M = 0.15  # farther is no worse
 AXIS_SAMPLES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 
 
 @dataclass(frozen=True)
 class SurfaceMatch:
-    """explained : share of the hull's surface that lies on the flesh. held : share of the flesh's axes that lie in the
-    hull. cost : m, mean distance of surface to flesh and of axes to hull, cut off where it stops to matter."""
+    """How well a pose and a hull agree.
+
+    explained : share of the hull's surface that lies on the body's. held : share of the capsules' axes that lie in the
+    hull. cost : m, mean distance between the surfaces and of axes to hull, cut off where it stops to matter.
+    """
 
     explained: float
     held: float
@@ -64,7 +65,7 @@ FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0
 ITERATIONS, SAMPLES = 40, 400
 SETS = 3  # in a row that must show the same heading
 EXPLAINED, HELD = 0.65, 0.90
-"""Least share of the hull's surface that lies on the flesh, and of the figure's axes that lie in the hull."""
+"""Least share of the hull's surface that lies on the body's, and of the figure's axes that lie in the hull."""
 ARM_OFF_DEG, THIGH_OFF_DEG = 60.0, 40.0
 LEFT_FOOT, RIGHT_FOOT = 13, 14
 
@@ -109,7 +110,7 @@ class KnownBodySource:
         return self._agree(found[0])
 
     def _agree(self, fitted: Fitted) -> InitialPose:
-        """Believe a pose once the sets before it showed the same heading."""
+        """Return a pose once the sets before it showed the same heading."""
         ahead = fitted.pose.R_world_torso[:, 0]
         self._agreed = [other for other in self._agreed if other @ ahead > 0.7] + [ahead]
         if len(self._agreed) < SETS:
@@ -118,7 +119,7 @@ class KnownBodySource:
         return InitialPose(fitted.pose, self._body, girths=self._girths)
 
     def _fit(self, seen: HullProducts) -> Fitted:
-        """The best fit to one body. Raises PoseRejected when it is not believed."""
+        """Return the best fit to one body. Raises PoseRejected when it is not good enough."""
         voxels = seen.voxels
         if len(voxels) < FEWEST_VOXELS:
             raise PoseRejected("no hull" if len(voxels) == 0 else "the hull is too small")

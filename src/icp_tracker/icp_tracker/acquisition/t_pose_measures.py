@@ -76,8 +76,9 @@ def measure_t_pose(
 ) -> TPose:
     """Measure a T-pose on the hull voxels (m, 3) of one body, metres, z up.
 
-    volume : where a hull ends because the cameras' common view does; None: not known. Raises PoseRejected, with the reason,
-    for what is no T-pose. Which way the body faces is a likelihood: whether it is enough is for the caller to say.
+    volume : where a hull ends because the cameras' common view does; None: not known. Raises PoseRejected, with
+    the reason, for what is no T-pose. Which way the body faces is a likelihood: whether it is enough is for the caller
+    to say.
     """
     settings = settings or TPoseSettings()
     if voxels_world is None or len(voxels_world) == 0:

@@ -112,7 +112,7 @@ def _angles(elevation: float, sweep: float, spread: float) -> np.ndarray:
 def _trunk_middle(measured: TPose) -> np.ndarray:
     """Where the trunk's axis stands (2,), world, metres.
 
-    The flesh of the trunk lies ahead of its joints, that of the shins behind theirs: halfway between is the axis.
+    The trunk's surface lies ahead of its joints, that of the shins behind theirs: halfway between is the axis.
     """
     body = measured.body
     trunk = body.between(*TRUNK)

@@ -11,8 +11,6 @@ import numpy as np
 
 from capture_rig.rig import Volume
 
-# --- Why a hull shows no pose to start from, in words for the person in front of the cameras.
-
 
 class PoseRejected(Exception):
     """Raised inside a measurement as soon as it is clear that there is nothing to measure; ``reason`` says why."""

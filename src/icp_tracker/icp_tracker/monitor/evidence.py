@@ -1,8 +1,8 @@
-"""How well a pose explains what the cameras saw, counted in rays of the silhouettes' rims.
+"""How well a pose explains what the cameras saw, counted in contour rays.
 
-A ray along a rim grazes the body somewhere. One that passes the flesh of a pose at a distance says that something is
-elsewhere; the cost of a pose is how many such rays there are (Geman-McClure: a ray far off counts 1, one on the flesh
-0), and of stick points that stick out of the hull. It compares poses with each other far better than the number of
+A contour ray touches the body somewhere. One that passes the surface of a pose at a distance says that something is
+elsewhere; the cost of a pose is how many such rays there are (Geman-McClure: a ray far off counts 1, one on the surface
+0), and stick points that lie outside the hull. It compares poses with each other far better than the number of
 explained rays alone: a body that faces backward explains most of the outline too.
 """
 
@@ -28,8 +28,8 @@ PART_POINTS = ((0, 1, 2, 3, 4, 5, 6), (7, 11), (8, 12), (9, 13), (10, 14))
 """Reference points that only this part holds."""
 
 GATE_M = 0.06  # a ray this far off costs a half
-EXPLAINED_M = 0.04  # a ray this near to the flesh is explained
-SLACK_M = 0.05  # the flesh may touch a ray this far from the stretch where the ray touches the hull
+EXPLAINED_M = 0.04  # a ray this near to the surface is explained
+SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 SAMPLES = 3  # points along each stick that must lie in the hull
 OUTSIDE_SLACK_M, OUTSIDE_MOST_M = 0.045, 0.2  # spacing of the hull's samples; farther out is no worse
 RAYS_PER_OUTSIDE_M = 30.0  # a hand 0.1 m outside the hull weighs as much as three rays

@@ -1,4 +1,4 @@
-"""Other poses of the whole body: turned round, sides exchanged, or found anew from the hull's place."""
+"""Poses to try: of the whole body (turned round, sides exchanged, stances in the hull), and of one limb."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _angles(left: dict[str, float]) -> np.ndarray:
 STANCE_ANGLES = tuple(_angles(left) for left in STANCES.values())
 
 
-# --- Where arms and legs can be: directions of the upper limb times flexions of the hinge, within the joints' ranges.
+# --- limbs: directions of the upper limb times flexions of the hinge, within the joints' ranges
 
 ARM_DIRECTIONS, LEG_DIRECTIONS = 72, 60  # evenly over the sphere, before those out of range are dropped
 ARM_FLEXIONS, LEG_FLEXIONS = (0.2, 1.1, 2.0), (0.2, 1.0, 1.8)  # rad

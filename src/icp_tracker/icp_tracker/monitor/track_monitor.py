@@ -1,10 +1,10 @@
-"""The watch over a track: judges every fitted pose, looks for better ones, and says when to change over.
+"""Monitors a track: judges every fitted pose, tries better ones, and says when to change over.
 
-A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a fat hull, a body
+A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a wide hull, a body
 that faces backward, both are local optima that no prior leaves. So other poses are tried, a few every frame set: places
 of one limb, the body turned round, and when all is lost, stances anywhere in the hull. A pose that explains the
-silhouettes' outlines better becomes the challenger, is followed beside the first for some frame sets, and takes over
-once its lead is clear: a single set is not enough, chance leads do not last.
+silhouettes' outlines better becomes the hypothesis, is followed beside the first for some frame sets, and takes over
+once its margin is clear: a single set is not enough, chance margins do not last.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class RecoverySettings:
     margin_sets: int = setting(6, "frame sets that it must be compared in", low=1, high=1000)
 
 
-# chosen on the drills of bench/recovery.py
+# checked by the drills of bench/recovery.py
 CLEAR_RAYS = 20.0  # margin with which two frame sets are enough
 PATIENT_SETS = 30  # frame sets after which a hypothesis without the margin is dropped
 LIMB_PARTS = 4  # a limb's library is searched in so many parts, one a frame set (a doubtful limb's at once)
@@ -77,7 +77,7 @@ class Examination:
 
 @dataclass(frozen=True, eq=False)
 class ObservedSet:
-    """One frame set as the watch looks at it."""
+    """One frame set as the monitor examines it."""
 
     body: Body
     data: Data
@@ -105,7 +105,7 @@ class TrackMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what is usual for the body, and the challenger."""
+        """Forget the body's baseline, and the hypothesis."""
         self._baseline = Baseline()
         self._hypothesis: Hypothesis | None = None
         self._sets = self._looks = self._limb_looks = 0
@@ -128,10 +128,10 @@ class TrackMonitor:
         self._look_for_another(observed, pose, evidence, quality)
         return self._decide(observed, pose, quality)
 
-    # --- the challenger ----------------------------------------------------------------------------------------------
+    # --- the hypothesis ----------------------------------------------------------------------------------------------
 
     def _follow(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> None:
-        """Fit the challenger to this set too, and compare."""
+        """Fit the hypothesis to this set too, and compare."""
         hypothesis = self._hypothesis
         if hypothesis is None:
             return
@@ -159,7 +159,7 @@ class TrackMonitor:
         return Examination(contested(quality, hypothesis, s.margin_rays), hypothesis=hypothesis.pose)
 
     def _look_for_another(self, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality) -> None:
-        """Try one other pose; if it explains more than pose and challenger, it is the challenger."""
+        """Try one other pose; it becomes the hypothesis if it explains more than the pose and the hypothesis so far."""
         if self._hypothesis is not None and quality.state != LOST and self._sets % 2:
             return  # following one takes as long as trying one
         guess = self._guess(observed, pose, quality)

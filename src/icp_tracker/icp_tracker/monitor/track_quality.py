@@ -11,7 +11,7 @@ from stick_figure.pose import Pose
 
 from .evidence import LEFT_ARM, PART_NAMES, PART_POINTS, TRUNK, Evidence
 
-# --- A second opinion about the pose, followed beside the first until the evidence of several frame sets decides.
+# --- hypotheses: other poses, followed beside the first until the evidence of several frame sets decides
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +102,10 @@ def _parts(evidence: Evidence) -> tuple[list[str], list[str]]:
     return parts, reasons
 
 
-# --- Doubts about a pose as covariance of its points, so that whoever filters them is not misled.
+# --- what is doubtful, as covariance
 
 OUTSIDE_SD_M = 0.15  # a limb that leaves the hull may be anywhere about its place
-EVEN_RAYS = 3.0  # lead at which the other pose is believed about three times as much
+EVEN_RAYS = 3.0  # margin at which the other pose is about three times as likely
 
 
 def widened_covariance(

@@ -1,1 +1,1 @@
-"""A body's sizes from the silhouettes' rims of many poses, while it is being tracked."""
+"""A body's sizes from contour rays in many poses, while it is tracked."""

@@ -1,9 +1,9 @@
-"""Refines a body's sizes while it is tracked, from the silhouettes' rims in many different poses.
+"""Refines a body's sizes while it is tracked, from contour rays in many different poses.
 
-A T-pose shows sums of lengths; where an elbow, a hip or a shoulder divides them only movement tells: the flesh of two
-limbs turns about the joint between them. The unknown sizes and thicknesses are solved for together with the poses, as
-in the kinematic fits of Cheung, Baker & Kanade (CVPR 2003) and Mikic et al. (IJCV 2003), from rays that touch the
-flesh. A few different poses are kept; with every set one of them is looked at anew, so the work a set is bounded.
+A T-pose shows sums of lengths; where an elbow, a hip or a shoulder divides them only movement tells: the surfaces of
+two limbs turn about the joint between them. The unknown sizes and thicknesses are solved for together with the poses,
+as in the kinematic fits of Cheung, Baker & Kanade (CVPR 2003) and Mikic et al. (IJCV 2003), from rays that touch the
+body. A few different poses are kept; with every set one of them is looked at anew, so the work a set is bounded.
 """
 
 from __future__ import annotations
@@ -24,8 +24,6 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from ..acquisition.body_sizes import BodyEstimate, LimbGirths, prior_sizes
 from ..articulated_fit import PriorSettings
 from .shape import SIZE, UNKNOWNS, ShapeModel, ShapePrior, body_of, contour_system, girths_of
-
-# --- How a body's sizes are refined while it moves, as settings.
 
 
 @dataclass(frozen=True)
@@ -61,20 +59,20 @@ class RefinementSettings:
     pause_s: float = setting(1.0, "and not more often than this", unit="s", low=0.0)
 
 
-# chosen on the studio's bodies and rendered sessions of the package's README
+# checked by the studio's bodies and rendered sessions of the package's README
 RAYS = 400  # of a kept pose that are used
 GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
-# --- One kept pose with its rims, and what it says about the body's shape whatever the pose was exactly.
-
 LARGEST_STEP = 0.3  # m, rad
 
 
 class Keyframe:
-    """Pose and shape share the rims: the pose is eliminated, and follows when the shape changes.
+    """One kept pose with its contour rays, and what they say about the body's shape whatever the pose was exactly.
+
+    Pose and shape share the rays: the pose is eliminated, and follows when the shape changes.
 
     ``information`` (UNKNOWNS, UNKNOWNS) and ``target`` (UNKNOWNS,) are its part of normal equations for the shape's
-    values themselves: (sum of information) values = sum of target. Zero until the first :meth:`look`, and while the
-    flesh explains too few of its rays.
+    values themselves: (sum of information) values = sum of target. Zero until the first :meth:`linearise`, and while the
+    surface explains too few of its rays.
     """
 
     def __init__(self, pose: Pose, contour_rays: RayArrays, settings: RefinementSettings, prior: PriorSettings) -> None:
@@ -111,7 +109,7 @@ class Keyframe:
         self.target = g[shape] - H[shape, pose] @ self._through[:, -1] + self.information @ values
 
     def _with_prior(self, state: State, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The pose's normal equations with what holds it where rims do not: scatter, the neck's rest, limits."""
+        """Return the pose's normal equations with what holds it where rays do not: scatter, the neck's rest, limits."""
         own, pull = np.zeros((TANGENT, TANGENT)), g[:TANGENT].copy()
         if self._prior.neck_sd > 0.0:
             add_neck_rest(state.RJ[0], self._prior.neck_pitch, self._prior.neck_sd**-2, own, pull)
@@ -126,7 +124,7 @@ class Keyframe:
 
 
 def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> RayArrays:
-    """At most so many rays, evenly spread, together worth the independent ones."""
+    """Return at most RAYS rays, evenly spread, together of the information of the independent ones."""
     count = len(contour_rays.information)
     rows = np.arange(count) if count <= RAYS else np.arange(RAYS) * count // RAYS
     information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
@@ -165,7 +163,7 @@ class BodyRefiner:
         return full and self._looks >= LOOKS_TO_SETTLE * self._settings.keyframes
 
     def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays) -> Body | None:
-        """Take a well fitted pose and its rims; a body to go on with when its sizes have changed enough."""
+        """Take a well fitted pose and its rays; return a body to go on with when its sizes have changed enough."""
         if self.done or len(contour_rays.information) == 0:
             return None
         if self._given_ns < 0:
@@ -184,7 +182,7 @@ class BodyRefiner:
         return RefinedBody(estimate, girths_of(self._values), len(self._kept))
 
     def _keep(self, pose: Pose, contour_rays: RayArrays) -> bool:
-        """Whether the pose is a new one that the flesh explains; then it is kept."""
+        """Keep the pose if it is a new one that the surface explains; return whether it is kept."""
         if len(self._kept) >= self._settings.keyframes:
             return False
         if not all(kept.differs(pose, self._settings.turn) for kept in reversed(self._kept)):
@@ -207,7 +205,7 @@ class BodyRefiner:
         self._values = self._prior.clipped(values, self._settings.farthest_sd)
 
     def _due(self, stamp_ns: int) -> Body | None:
-        """The body, when it is worth the tracker's while."""
+        """Return the refined body, or None if no size changed by least_change_m or the last one is too recent."""
         changed = np.abs(self._values - self._given)[SIZE].max() >= self._settings.least_change_m
         if not changed or stamp_ns - self._given_ns < self._settings.pause_s * NS_PER_S:
             return None
@@ -216,7 +214,7 @@ class BodyRefiner:
 
 
 def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> None:
-    """One step on a made-up ray, so that compiled code is loaded before it is needed."""
+    """Run one step on a made-up ray, so that compiled code is loaded before it is needed."""
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     x, y = np.eye(3)[:2, None]
     ray = RayArrays.of(x, y, x, np.ones(1), np.ones(1))

@@ -33,7 +33,7 @@ STEP = 1e-4  # of the differences that stand for derivatives, m and per unit
 
 
 class ShapeDerivatives(NamedTuple):
-    """How figure and flesh change with the unknowns.
+    """How the figure changes with the unknowns.
 
     capsules (k, 8, UNKNOWNS) : start (3), end (3) in the stick's frame and both radii. origins (10, 3, UNKNOWNS) and
     lengths (10, UNKNOWNS) : the sticks'.
@@ -45,7 +45,7 @@ class ShapeDerivatives(NamedTuple):
 
 
 class ShapeModel:
-    """Figure and flesh as functions of the unknowns (UNKNOWNS,): sizes in metres, thickness over the average.
+    """The figure as a function of the unknowns (UNKNOWNS,): sizes in metres, thickness over the average.
 
     Linear about ``centre``. Sizes alone enter linearly; a thickness times a size is taken at the centre, which costs
     half a per cent of a radius where both are far off.
@@ -108,7 +108,7 @@ class ShapePrior:
         return np.clip(values, self.mean - reach, self.mean + reach)
 
 
-# --- What the contour rays of one pose say about the pose and the body's shape at once.
+# --- what the contour rays of one pose say about the pose and the body's shape at once
 
 _AXIS = np.array(STICK_AXIS, dtype=np.int64)
 _SIGN = np.array(STICK_SIGN, dtype=np.float64)

@@ -1,7 +1,7 @@
 """The compiled core of the all-joints fit: one robust Gauss-Newton over everything that speaks about the pose.
 
-Every term is a kernel ``add_<term>(data, placed, weights, H, g)`` in a room of its own; a new term is such a kernel, its
-data in :class:`Data`, its weight in :class:`Weights`, and a line in :func:`linearise` or :func:`regularise`.
+Every term is a kernel ``add_<term>(data, placed, weights, H, g)`` in a room of its own; a new term is such a kernel,
+its data in :class:`Data`, its weight in :class:`Weights`, and a line in :func:`linearise` or :func:`regularise`.
 """
 
 from __future__ import annotations

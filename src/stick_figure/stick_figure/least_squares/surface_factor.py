@@ -4,7 +4,7 @@ The centerline cannot see which way a torso faces, nor an arm that hangs against
 merge. The hull's surface can: every voxel of it should lie on the body's. A small Geman-McClure gate ignores phantom
 volumes, whose surface is far from the body (their interior would not be: it stays out). And whatever a visual hull adds
 to the body, it holds all of it: points of head and limbs that lie farther from every voxel than the samples' spacing
-are pulled to the nearest one. Unlike the surface, this holds for the wide hull of few cameras as well as for a tight one.
+are pulled to the nearest one. Unlike the surface, this holds for the wide hull of few cameras as well.
 """
 
 from __future__ import annotations
