@@ -1,4 +1,4 @@
-"""Compiles every numerical kernel into the cache, by doing the whole job once on a tiny made-up session.
+"""Compiles every numerical kernel into the cache by running the whole pipeline once on a tiny synthetic session.
 
 Run by the set-up: without it the first start of each node would take a minute.
 """
@@ -40,13 +40,13 @@ def main() -> int:
 
 
 def calibrate_and_filter() -> None:
-    """What the capture does not need at once."""
+    """Compile the kernels of calibration and filter, which the capture does not need at once."""
     calibrate(ring(1, False).cameras[0])
     warm_up()
 
 
 def calibrate(camera: CameraModel) -> None:
-    """Find a board, and find a lens from what it shows of one."""
+    """Detect a board, and calibrate a lens from five synthetic views."""
     board = Checkerboard(9, 6, (0.025, 0.025))
     find_board(draw_board(board, pixels_per_m=1500.0).image, board)
     corners = board.corners_board - board.corners_board.mean(axis=0)
@@ -61,7 +61,7 @@ def calibrate(camera: CameraModel) -> None:
 
 
 def capture() -> None:
-    """Follow somebody through a tiny session."""
+    """Track a person through a tiny session."""
     with tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder:
         path = write_session(
             Path(folder) / "session", ring(4, True), Body.from_stature(1.75), "t_pose_only", FPS, FRAMES / FPS

@@ -113,7 +113,7 @@ def test_domains_are_told_from_well_known_ports():
 @pytest.mark.parametrize(
     "answer, error_us, expected",
     [
-        (5, 16_000_000, ClockFacts("nobody, says the kernel", False)),
+        (5, 16_000_000, ClockFacts("no service, by the kernel's account", False)),
         (0, 250, ClockFacts("a service that the kernel knows of", True, 250e-6)),
         (0, 16_000_000, ClockFacts("a service that the kernel knows of", True)),
     ],

@@ -72,7 +72,7 @@ C1 = GOOD.cameras[0]
         ({"K": K_of(C1, fy=490.0)}, "warning", "lens.unequal_focal", "490 px"),
         ({"K": K_of(C1, fx=120.0, fy=120.0)}, "warning", "lens.field_of_view", "degrees"),
         ({"D": np.array([-0.9, 0.0, 0.0, 0.0, 0.0])}, "warning", "lens.border", ""),
-        ({"T_camera_world": np.diag([-1.0, 1.0, -1.0, 1.0]) @ C1.T_camera_world}, "error", "view.nobody", ""),
+        ({"T_camera_world": np.diag([-1.0, 1.0, -1.0, 1.0]) @ C1.T_camera_world}, "error", "view.empty", ""),
     ],
 )
 def test_spoilt_camera_is_named_with_what_is_wrong(examined, changes, severity, code, value):

@@ -254,7 +254,7 @@ def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEO
         time.sleep(POLL_S)  # the graph offers no event to wait for
     missing = ", ".join(sorted(set(wanted) - set(seen)))
     raise InputError(
-        f"nobody publishes /{missing or 'NAME'}/{TOPIC}",
+        f"no node publishes /{missing or 'NAME'}/{TOPIC}",
         remedy="Start the camera clients with publish_raw (or without a rig), check ROS_DOMAIN_ID. "
         f"Published: {', '.join(sorted(seen)) or 'none'}.",
     )

@@ -104,7 +104,8 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     """Print the figures of cameras and rig, detections left out, the verdict, and what to measure with a tape."""
     figures = calibrated.figures
     console.print(_table(figures))
-    console.print(f"rms of all corners {figures.rms_px:.2f} px; between neighbours {_gaps(figures)} degrees")
+    gaps = ", ".join(f"{one}-{other} {gap:.0f}" for (one, other), gap in figures.gaps_deg.items())
+    console.print(f"rms of all corners {figures.rms_px:.2f} px; between neighbours {gaps or 'none'} degrees")
     size = calibrated.placed.rig.volume.high - calibrated.placed.rig.volume.low
     enough = calibrated.placed.common.enough
     console.print(
@@ -166,10 +167,6 @@ def _table(figures: RigFigures) -> Table:
         values = [(getattr(camera, name), form) for _, name, form in CAMERA_FIGURES]
         table.add_row(camera.name, *("never" if value is None else f"{value:{form}}" for value, form in values))
     return table
-
-
-def _gaps(figures: RigFigures) -> str:
-    return ", ".join(f"{one}-{other} {gap:.0f}" for (one, other), gap in figures.gaps_deg.items()) or "none"
 
 
 def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:

@@ -64,7 +64,10 @@ def run(args: argparse.Namespace) -> int:
         for path in pictures(folder, evaluated, args.video, counter("drawing")):
             console.print(f"picture: {path}")
     if rows:
-        figures["ablation"] = {name: _brief(found) for name, found in rows.items()}
+        figures["ablation"] = {
+            name: scores and {key: round(float(getattr(scores, key)), 4) for key in IN_JSON}
+            for name, scores in rows.items()
+        }
     print(json.dumps(figures))
     return 0
 
@@ -133,10 +136,6 @@ def counter(verb: str) -> Callable[[int], None]:
             console.print(f"{verb} frame {frame}", end="\r")
 
     return show
-
-
-def _brief(scores: Scores | None) -> dict[str, float] | None:
-    return None if scores is None else {key: round(float(getattr(scores, key)), 4) for key in IN_JSON}
 
 
 def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:

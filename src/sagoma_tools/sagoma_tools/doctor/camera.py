@@ -13,7 +13,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
 from gige_vision.pixel_formats import PixelFormat
-from sagoma_bringup.graph import NodeSpec, camera_from_file
+from sagoma_bringup.graph import camera_from_file
 
 from .camera_network import ask_camera, check_bandwidth, check_device, check_interface, check_receive_buffer
 from .collect import collect_background, collect_host, collect_interface
@@ -148,7 +148,7 @@ def read_file(path: Path) -> CameraFile:
     spec = camera_from_file(path)
     values = {key: value for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
     settings = build_settings(CameraClientSettings, values, str(path))
-    return CameraFile(path, _key_name(spec), settings)
+    return CameraFile(path, spec.namespace.strip("/"), settings)
 
 
 def siblings(file: CameraFile, interface: InterfaceFacts) -> list[CameraFile]:
@@ -225,7 +225,3 @@ def _camera_info(settings: CameraClientSettings) -> Iterator[Finding]:
         yield note("camera_info.missing", f"{path} does not exist yet: the rig's intrinsics are in use", remedy)
     elif path:
         yield ok("camera_info", f"intrinsics of {path}")
-
-
-def _key_name(spec: NodeSpec) -> str:
-    return spec.namespace.strip("/")

@@ -22,7 +22,7 @@ from capture_rig.errors import InputError
 from .facts import BackgroundFacts, ClockFacts, HostFacts, InterfaceFacts
 
 TIME_ERROR = 5  # adjtimex: the clock is not synchronised
-KNOWN_US = 10_000_000  # an estimated error this large is the kernel's way to say that nobody told it
+KNOWN_US = 10_000_000  # with an estimated error this large the kernel marks an unknown one
 KEEPER = "a service that the kernel knows of"
 
 _long, _int = ctypes.c_long, ctypes.c_int
@@ -54,7 +54,7 @@ def kernel_clock() -> ClockFacts:
 def judge_kernel_clock(answer: int, estimated_error_us: int) -> ClockFacts:
     """From what adjtimex returns and ``esterror``."""
     if answer == TIME_ERROR:
-        return ClockFacts("nobody, says the kernel", False)
+        return ClockFacts("no service, by the kernel's account", False)
     known = 0 < estimated_error_us < KNOWN_US
     return ClockFacts(KEEPER, True, 1e-6 * estimated_error_us if known else None)
 
@@ -97,9 +97,12 @@ def collect_interface(address: str) -> InterfaceFacts | None:
         except OSError:
             return None
         ours = way.getsockname()[0]
+    loopback = ours.startswith("127.")
     for name, addresses in psutil.net_if_addrs().items():
         for entry in addresses:
-            if entry.family == socket.AF_INET and _belongs(entry.address, ours):
+            if entry.family == socket.AF_INET and (
+                entry.address == ours or (loopback and entry.address.startswith("127."))
+            ):
                 state = psutil.net_if_stats()[name]
                 return InterfaceFacts(
                     name,
@@ -108,7 +111,7 @@ def collect_interface(address: str) -> InterfaceFacts | None:
                     state.mtu,
                     state.speed,
                     state.isup,
-                    loopback=ours.startswith("127."),
+                    loopback=loopback,
                 )
     return None
 
@@ -165,10 +168,6 @@ def _read(path: str, shape: tuple[int, int], settings: CameraClientSettings) -> 
     if seen[:2] != shape:
         raise InputError(f"is {seen[1]} x {seen[0]}, the camera {shape[1]} x {shape[0]} pixels", where=path)
     return read_background(path, tuple(np.asarray(seen).tolist()), settings.background_model)
-
-
-def _belongs(address: str, ours: str) -> bool:
-    return address == ours or (ours.startswith("127.") and address.startswith("127."))
 
 
 def _aravis_error() -> str:

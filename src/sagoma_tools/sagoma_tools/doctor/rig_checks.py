@@ -208,7 +208,7 @@ def _check_place(camera: CameraGeometry) -> Iterator[Finding]:
         yield note("place.low", f"it stands {height:.2f} m above the floor: feet and limbs hide each other", remedy)
     if camera.sees < SEES_NOTHING:
         remedy = f"Turn it, move it back, or {CALIBRATE}, if the rig file is of another set-up."
-        yield error("view.nobody", "it sees no person in the volume from soles to head", remedy)
+        yield error("view.empty", "it sees no person in the volume from soles to head", remedy)
     elif camera.mm_per_px > COARSE_MM_PER_PX:
         text = f"a pixel is {camera.mm_per_px:.0f} mm at the volume's centre, {camera.distance_m:.1f} m away"
         yield warning("view.coarse", text, "Use a longer lens, more pixels, or move it nearer.")

@@ -42,7 +42,7 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
     frames = np.arange(first, last + 1)
     points = track.at(frames).points_world
     half = max(1, round(0.5 * WINDOW_S * fps))
-    smooth = _moving_average(points, half)
+    smooth = _windows(points, half).mean(-1)
     reference = smooth if truth is None else _aligned(truth, frames)
     counts = _rests(reference, half) & np.isfinite(smooth).all(-1)
     squared = np.where(counts, ((points - smooth) ** 2).sum(-1), 0.0)
@@ -67,10 +67,6 @@ def _windows(points: np.ndarray, half: int) -> np.ndarray:
     """(F, 15, 3, 2 half + 1) the frames around each frame; NaN beyond the ends."""
     padded = np.pad(points, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-
-
-def _moving_average(points: np.ndarray, half: int) -> np.ndarray:
-    return _windows(points, half).mean(-1)
 
 
 def _rests(points: np.ndarray, half: int) -> np.ndarray:

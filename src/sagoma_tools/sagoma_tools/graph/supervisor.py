@@ -122,7 +122,7 @@ class Supervisor:
         return self.exit_statuses
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
-        """Connect every node; GraphError when one of the server fails, or every camera (or any, as told).
+        """Connect every node. Raises GraphError when one of the server fails, or every camera (any, if not tolerated).
 
         GraphError, too, when nodes of the same names run already: two graphs would mix their messages.
         """

@@ -71,7 +71,7 @@ class InputPublishers:
             if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
                 missing = ", ".join(name for name in names if not self._subscribers[name])
                 raise InputError(
-                    f"nobody subscribed within {timeout_s:g} s",
+                    f"no subscriber within {timeout_s:g} s",
                     where=missing,
                     remedy="Start the hull server (`sagoma up --rig ... --server`), or check "
                     "ROS_DOMAIN_ID and the camera names of its rig.",

@@ -23,7 +23,7 @@ from .node_checks import (
     check_standing,
     check_watch,
 )
-from .silhouette_checks import check_canvas_agrees, check_silhouettes, sees_nobody, sees_somebody
+from .silhouette_checks import check_canvas_agrees, check_silhouettes, is_nearly_blank, sees_person
 
 SERVER_NODES = ("/hull_server", "/icp_tracker", "/ekf_tracker")
 MANY_MACHINES, ENOUGH_CAMERAS = 2, 3
@@ -134,7 +134,7 @@ def _check_hull(sets: FrameSetFacts, seen: int) -> Iterator[Finding]:
         remedy = "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live"
         yield error("centerline.empty", f"{seen} cameras see a person, but the hull is empty", remedy)
     else:
-        yield note("centerline.nobody", "the hull is empty: probably the room is, too")
+        yield note("centerline.room_empty", "the hull is empty: probably the room is, too")
 
 
 def _no_node_heard(facts: GraphFacts) -> Finding:
@@ -207,12 +207,12 @@ def graph_findings(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
     canvases = {camera.name: canvas_of(camera.undistorted_view().camera) for camera in rig.cameras} if rig else {}
     yield from on(SUBJECT, check_graph(facts, names))
     yield from on(SUBJECT, check_alike(facts))
-    seeing = [camera.camera for camera in facts.cameras if sees_somebody(camera)]
-    nobody = all(sees_nobody(camera) for camera in facts.cameras if camera.masks)
+    seeing = [camera.camera for camera in facts.cameras if sees_person(camera)]
+    room_empty = all(is_nearly_blank(camera) for camera in facts.cameras if camera.masks)
     yield from on(SUBJECT, check_frame_sets(facts.frame_sets, facts.node(HULL), len(seeing)))
     for node in facts.nodes:
         if not camera_of(node.name):
-            yield from on(node.name.strip("/"), _check_node(node, facts, nobody))
+            yield from on(node.name.strip("/"), _check_node(node, facts, room_empty))
     yield from on(HULL.strip("/"), _check_refusals(facts, canvases))
     published, hull = {camera.camera: camera for camera in facts.cameras}, facts.node(HULL)
     clients = {camera_of(node.name) for node in facts.nodes} - {""}
@@ -221,7 +221,7 @@ def graph_findings(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
         if name in names:
             yield from on(subject, check_camera_is_there(name, facts))
         if client is not None:
-            yield from on(subject, _check_node(client, facts, nobody))
+            yield from on(subject, _check_node(client, facts, room_empty))
         if name in published:
             others = [camera for camera in seeing if camera != name]
             rig_file = facts.rig_files.get(camera_node(name), "")
@@ -237,8 +237,8 @@ def canvas_of(camera: CameraModel) -> Canvas:
     return Canvas(camera.width, camera.height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
 
 
-def _check_node(node: NodeFacts, facts: GraphFacts, nobody: bool) -> Iterator[Finding]:
-    yield from check_node(node, nobody)
+def _check_node(node: NodeFacts, facts: GraphFacts, room_empty: bool) -> Iterator[Finding]:
+    yield from check_node(node, room_empty)
     yield from check_watch(node)
     if not facts.simulated_time:
         rate_hz = facts.frame_sets.rate_hz if facts.frame_sets else 0.0

@@ -41,8 +41,8 @@ def camera_of(node: str) -> str:
     return space.strip("/") if name == CAMERA_NODE else ""
 
 
-def check_node(node: NodeFacts, nobody: bool = False) -> Iterator[Finding]:
-    """Check that it answers, reports, and is active and well. ``nobody``: no camera sees a person: masks are empty."""
+def check_node(node: NodeFacts, room_empty: bool = False) -> Iterator[Finding]:
+    """Check that it answers, reports, is active and well; ``room_empty``: no camera sees a person, masks are empty."""
     if node.copies > 1:
         remedy = "Stop all but one: the same camera or server was started twice."
         yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
@@ -59,7 +59,7 @@ def check_node(node: NodeFacts, nobody: bool = False) -> Iterator[Finding]:
     if node.state not in (None, ACTIVE):
         yield warning("state.inactive", f"it is {node.state}", START)
     if node.reports:
-        yield _message_finding(node, nobody)
+        yield _message_finding(node, room_empty)
         yield from _check_work(node)
 
 
@@ -86,15 +86,15 @@ def check_clock(node: NodeFacts, here: str, period_s: float | None) -> Iterator[
         yield ok("clock", f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms from this machine's")
 
 
-def _message_finding(node: NodeFacts, nobody: bool) -> Finding:
+def _message_finding(node: NodeFacts, room_empty: bool) -> Finding:
     if node.level >= ERROR:
         return error("says.error", node.message, _remedy(node))
     if node.level < WARN:
         return ok("says", node.message)
     if node.message.startswith(ACQUIRING):
-        return note("says.acquiring", node.message, "" if nobody else "Stand in the T-pose: docs/acquisition.md.")
-    if nobody and any(words in node.message for words in EMPTY):
-        return note("says.nobody", f"{node.message} (the room is empty)")
+        return note("says.acquiring", node.message, "" if room_empty else "Stand in the T-pose: docs/acquisition.md.")
+    if room_empty and any(words in node.message for words in EMPTY):
+        return note("says.room_empty", f"{node.message} (the room is empty)")
     return warning("says.warning", node.message, _remedy(node))
 
 
@@ -132,7 +132,7 @@ def check_watch(node: NodeFacts) -> Iterator[Finding]:
         yield warning("background.old", f"it is {age_h:.0f} h old: the light has changed since", LEARN)
     elif age_h is not None:
         yield ok("background", f"it is {age_h:.1f} h old")
-    yield from _check_lesson(node)
+    yield from _check_training(node)
     shift_px, turn_deg = _figure(node, "camera_shift_px"), _figure(node, "camera_turn_deg")
     if shift_px is None or turn_deg is None:
         return
@@ -143,11 +143,11 @@ def check_watch(node: NodeFacts) -> Iterator[Finding]:
         yield ok("moved", text)
 
 
-def _check_lesson(node: NodeFacts) -> Iterator[Finding]:
+def _check_training(node: NodeFacts) -> Iterator[Finding]:
     """Report the verdict of the last background training since the node's start."""
     try:
-        lesson = json.loads(node.values["background_training"])
-        grade, findings = lesson["grade"], lesson["findings"]
+        training = json.loads(node.values["background_training"])
+        grade, findings = training["grade"], training["findings"]
         why = "; ".join(f"{finding['what']} ({finding['remedy']})" for finding in findings)
     except (KeyError, TypeError, ValueError):  # none was learned, or not by this version
         return

@@ -20,12 +20,12 @@ PACKET_BYTES = 1400
 BACKGROUND = "Learn the background of the empty room again: sagoma background --cameras {}"
 
 
-def sees_somebody(facts: SilhouetteFacts) -> bool:
+def sees_person(facts: SilhouetteFacts) -> bool:
     """Whether most of its masks have a plausible share of foreground."""
     return bool(facts.shares) and SOMEBODY <= median(facts.shares) < FLOODED
 
 
-def sees_nobody(facts: SilhouetteFacts) -> bool:
+def is_nearly_blank(facts: SilhouetteFacts) -> bool:
     """Whether its masks are as good as empty."""
     return bool(facts.shares) and median(facts.shares) < SOMEBODY
 

@@ -27,7 +27,7 @@ def collect_graphics() -> GraphicsFacts:
     except subprocess.TimeoutExpired:
         return GraphicsFacts(f"the graphics driver did not answer within {ANSWER_S:g} s")
     if answer.returncode:
-        last = (answer.stderr.strip().splitlines() or ["nothing was said"])[-1]
+        last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
         return GraphicsFacts(f"the graphics driver ended the process (status {answer.returncode}: {last})")
     return GraphicsFacts(**json.loads(answer.stdout.splitlines()[-1]))
 

@@ -112,10 +112,10 @@ def _middleware() -> tuple[str, str]:
 
 def _fresh(packages: Path) -> bool | None:
     """Whether the sources are those that the set-up compiled: numba itself does not notice a changed callee."""
-    said = Path(sys.prefix) / FINGERPRINT
-    if packages.name != "src" or not said.is_file():
+    recorded = Path(sys.prefix) / FINGERPRINT
+    if packages.name != "src" or not recorded.is_file():
         return None
-    return said.read_text().split()[:1] == [fingerprint_of(packages)]
+    return recorded.read_text().split()[:1] == [fingerprint_of(packages)]
 
 
 def fingerprint_of(packages: Path) -> str:
