@@ -1,8 +1,9 @@
 """Rotation vectors, and the Euler angles of the ball joints: composition, its exact inverse, rates.
 
-Thesis Tables 5.1 and 5.4, corrected. A ball joint is R = R_x(a) R_j(b) R_k(c). The same rotation is also (a + pi, pi - b, c + pi), and a hinge h bent
-the wrong way equals -h with the upper limb turned by pi about itself. Of these equal descriptions the one inside
-the joint ranges is the answer; where several or none are inside, the one nearest the previous angles.
+Thesis Tables 5.1 and 5.4, corrected. A ball joint is R = R_x(a) R_j(b) R_k(c). The same rotation is also (a + pi,
+pi - b, c + pi), and a hinge h bent the wrong way equals -h with the upper limb turned by pi about itself. Of these
+equal descriptions the one inside the joint ranges is the answer; where several or none are inside, the one nearest the
+previous angles.
 """
 
 from __future__ import annotations

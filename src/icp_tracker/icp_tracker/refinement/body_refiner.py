@@ -71,8 +71,8 @@ class Keyframe:
     Pose and shape share the rays: the pose is eliminated, and follows when the shape changes.
 
     ``information`` (UNKNOWNS, UNKNOWNS) and ``target`` (UNKNOWNS,) are its part of normal equations for the shape's
-    values themselves: (sum of information) values = sum of target. Zero until the first :meth:`linearise`, and while the
-    surface explains too few of its rays.
+    values themselves: (sum of information) values = sum of target. Zero until the first :meth:`linearise`, and while
+    the surface explains too few of its rays.
     """
 
     def __init__(self, pose: Pose, contour_rays: RayArrays, settings: RefinementSettings, prior: PriorSettings) -> None:
