@@ -39,6 +39,7 @@ from .state_ros import skeleton_markers, state_message, torso_message
 
 POINTS_TOPIC, BODY_TOPIC = "icp/reference_points", "icp/body"
 NS_PER_S = 1_000_000_000
+RESTART_AFTER_SETS = 10  # with stamps of the past, in a row: the clock was set back
 HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}
 
 
@@ -68,7 +69,7 @@ class EkfNode(SagomaNode):
             self._keep("subscription", self.create_subscription(String, BODY_TOPIC, self._on_body, LATCHED))
         self._keep("subscription", self.create_subscription(PointCloud2, POINTS_TOPIC, self._on_points, RESULT))
         self._keep("service", self.create_service(Trigger, "~/reset", self._on_reset))
-        wall_time = Clock(clock_type=ClockType.STEADY_TIME)  # people wait in it, whatever time the sets are of
+        wall_time = Clock(clock_type=ClockType.STEADY_TIME)  # a person waits, whatever time the sets are of
         wait_s = max(self.settings.body_wait_s, 1e-3)
         self._body_timeout = self.create_timer(wait_s, self._answer_waiting, clock=wall_time, autostart=False)
         self._keep("timer", self._body_timeout)
@@ -175,7 +176,7 @@ class EkfNode(SagomaNode):
         self._backwards += 1
         remedy = "Send each frame set once, in stamp order."
         self._drop("stamp_back", InputError(f"stamp {stamp_ns} ns is of the past", where=POINTS_TOPIC, remedy=remedy))
-        if self._backwards >= self.settings.restart_after_sets:
+        if self._backwards >= RESTART_AFTER_SETS:
             self.get_logger().warning(f"{self._backwards} sets in a row are of the past: starting anew")
             self._start_anew()
         return NoState(stamp_ns, "stamp is not later than the last set's")

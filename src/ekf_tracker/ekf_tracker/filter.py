@@ -29,6 +29,14 @@ from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, per_slot
 
 NS = 1e-9
+POINT_SD_FLOOR_M = 0.001
+"""Least standard deviation of a measured point: a fit to a perfect cloud would claim less."""
+JOINT_SD_CAP_RAD = 1.0
+"""Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing."""
+MAX_ITERATIONS = 2
+"""Relinearisations of one update at most."""
+READMIT_AFTER_SETS = 5
+"""Sets in a row after which a point that is still left out is accepted, and its limb looked for anew."""
 NO_BODY = "waiting for the body"
 SAME_PERSON_M = 0.06
 """Statures of one person, measured twice, differ by less."""
@@ -91,7 +99,7 @@ class ArticulatedEkf:
         """
         if self.body is None:
             return NoState(stamp_ns, NO_BODY)
-        z = Measurement.checked(points_world, covariance, visible, self.settings.point_sd_floor_m)
+        z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
         return self._update(self.predict(stamp_ns), z)
 
     def is_past(self, stamp_ns: int) -> bool:
@@ -118,7 +126,7 @@ class ArticulatedEkf:
         """
         if self._stamp_ns is None:
             raise ValueError("update before the first predict")
-        z = Measurement.checked(points_world, covariance, visible, self.settings.point_sd_floor_m)
+        z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
         return self._update(self._stamp_ns, z)
 
     def _update(self, stamp_ns: int, z: Measurement) -> BodyState | NoState:
@@ -149,12 +157,12 @@ class Track:
         self.body, self.settings = body, settings
         self.repairs = 0
         self._motion = motion_model(settings)
-        self._gate = InnovationGate(settings.gate_chi2, settings.readmit_after_sets)
-        self._update_options = UpdateOptions(settings.iterations, limit_weight(settings), settings.hinge_margin_rad)
+        self._gate = InnovationGate(settings.gate_chi2, READMIT_AFTER_SETS)
+        self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight(settings))
         self._bias = MeasurementBias(settings.measurement_bias)
         self._angles: np.ndarray | None = None
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
-        self._estimate = first_estimate(body, z, self._motion, settings.joint_sd_cap_rad, self._update_options)
+        self._estimate = first_estimate(body, z, self._motion, JOINT_SD_CAP_RAD, self._update_options)
         self._note_measured(z, z.visible)
         self.first_state = self._state(z.visible, NONE_REJECTED, np.zeros(15))
 
@@ -221,7 +229,7 @@ class Track:
         dt = (stamp_ns - self._stamp_ns) * NS
         if dt <= 0.0:
             return
-        self._estimate = predict_estimate(self._estimate, self._motion.transition(dt), self.settings.joint_sd_cap_rad)
+        self._estimate = predict_estimate(self._estimate, self._motion.transition(dt), JOINT_SD_CAP_RAD)
         self._stamp_ns, self._last_dt = stamp_ns, dt
 
     def _forget_velocity(self) -> None:
@@ -238,7 +246,7 @@ class Track:
             moves[at.slots[point, 6 : at.columns[point]]] = True
         moves[:6] = readmitted[TORSO_POINTS].any()
         slots = np.flatnonzero(moves)
-        cap = self.settings.joint_sd_cap_rad
+        cap = JOINT_SD_CAP_RAD
         pose_variance = per_slot(RELEASED_TORSO_SD_M, cap, cap, cap)[slots] ** 2
         velocity = np.where(moves, 0.0, prior.velocity)
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
@@ -253,7 +261,7 @@ class Track:
             x.covariance,
             Sizes.of(self.body),
             self._bias.covariance,
-            self.settings.joint_sd_cap_rad**-2,
+            JOINT_SD_CAP_RAD**-2,
             self._angles,
         )
         tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)

@@ -1,4 +1,4 @@
-"""Settings of the filter, with their defaults and units."""
+"""Settings of the filter and of its node, with their defaults and units."""
 
 from __future__ import annotations
 
@@ -21,10 +21,7 @@ class DampedVelocitySettings:
     torso_rad_s2: float = setting(30.0, "acceleration of the torso's rotation", unit="rad/s^2", low=0.01)
     ball_joints_rad_s2: float = setting(60.0, "acceleration of neck, shoulders and hips", unit="rad/s^2", low=0.01)
     hinges_rad_s2: float = setting(80.0, "acceleration of elbows and knees", unit="rad/s^2", low=0.01)
-    kept: float = setting(0.9, "share of the velocity that is left after one reference period", low=0.01, high=0.999)
-    reference_period_s: float = setting(
-        0.025, "period for which `kept` holds, and for which one acceleration lasts", unit="s", low=0.001, high=1.0
-    )
+    kept: float = setting(0.9, "share of the velocity that is left after 25 ms", low=0.01, high=0.999)
 
 
 @dataclass(frozen=True)
@@ -39,13 +36,17 @@ class IdentitySettings:
 
 @dataclass(frozen=True)
 class MeasurementBiasSettings:
-    """What of the measured points' errors lasts for many sets; see `lasting_errors`.
+    """Time-correlated bias of the measured points; see `bias`.
 
-    The standard deviations say how far, in each direction, a joint of the best figure lies from the body's.
+    The standard deviations say how far, in each direction, a joint of the best figure lies from the body's;
+    ``bench/covariance_coverage.py`` shows by how much each is too small or too large.
     """
 
     share: float = setting(
-        1.0, "share of a measured point's covariance that lasts (0: every set errs anew)", low=0.0, high=1.0
+        1.0,
+        "share of a measured point's covariance that is bias (0: independent noise in every set)",
+        low=0.0,
+        high=1.0,
     )
     torso_m: float = setting(0.015, "centre of the torso, besides", unit="m", low=0.0, high=1.0)
     head_m: float = setting(0.020, "tip of the head", unit="m", low=0.0, high=1.0)
@@ -73,19 +74,8 @@ class EkfSettings:
     constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
     identity: IdentitySettings = field(default_factory=IdentitySettings)
     measurement_bias: MeasurementBiasSettings = field(default_factory=MeasurementBiasSettings)
-    iterations: int = setting(2, "relinearisations of one update at most", low=1, high=20)
     gate_chi2: float = setting(
         30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0
-    )
-    readmit_after_sets: int = setting(
-        5, "sets in a row after which a point that is still left out is believed, and its limb found anew", low=1
-    )
-    point_sd_floor_m: float = setting(0.001, "least standard deviation of a measured point", unit="m", low=1e-5)
-    joint_sd_cap_rad: float = setting(
-        1.0, "predicted standard deviation of a joint at most: an unobserved twist stays bounded", unit="rad", low=0.05
-    )
-    hinge_margin_rad: float = setting(
-        0.15, "an elbow or knee bent further than this past straight is turned round", unit="rad", low=0.0, high=1.0
     )
     limit_sd_rad: float = setting(
         0.05,
@@ -116,14 +106,20 @@ class EkfNodeSettings:
     frame_id: str = setting("map", "frame of the points that come in and of all that goes out")
     skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
     skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
-    restart_after_sets: int = setting(
-        10, "sets in a row with stamps of the past, after which the filter starts anew (the clock was set back)", low=1
-    )
     publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
     body_id: str = setting("b0001", "REP-155 id of the person")
     filter: EkfSettings = field(default_factory=EkfSettings)
 
     renamed: ClassVar[Mapping[str, str]] = {"filter.lasting_errors": "filter.measurement_bias"}
+    removed: ClassVar[Mapping[str, str]] = {
+        "filter.iterations": "it is MAX_ITERATIONS in ekf_tracker/filter.py",
+        "filter.readmit_after_sets": "it is READMIT_AFTER_SETS in ekf_tracker/filter.py",
+        "filter.point_sd_floor_m": "it is POINT_SD_FLOOR_M in ekf_tracker/filter.py",
+        "filter.joint_sd_cap_rad": "it is JOINT_SD_CAP_RAD in ekf_tracker/filter.py",
+        "filter.hinge_margin_rad": "it is HINGE_MARGIN_RAD in stick_figure/pose.py",
+        "filter.constant_velocity.reference_period_s": "it is 25 ms",
+        "restart_after_sets": "it is RESTART_AFTER_SETS in ekf_tracker/ekf_node.py",
+    }
 
 
 def limit_weight(settings: EkfSettings) -> float:
@@ -137,4 +133,4 @@ def motion_model(settings: EkfSettings) -> MotionModel:
     if settings.motion_model == "identity":
         return Identity((i.torso_m_s, i.torso_rad_s, i.ball_joints_rad_s, i.hinges_rad_s))
     accelerations = (s.torso_m_s2, s.torso_rad_s2, s.ball_joints_rad_s2, s.hinges_rad_s2)
-    return DampedVelocity(accelerations, s.kept, s.reference_period_s)
+    return DampedVelocity(accelerations, s.kept)

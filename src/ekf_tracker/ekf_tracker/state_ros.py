@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from mocap_packets.state import BodyState, NoState, Tracking
-from sagoma_ros.messages import to_stamp
+from sagoma_ros.messages import key_values, to_stamp
 from stick_figure.body import Body
 from stick_figure.kernels import rotation_log
 from stick_figure.kinematics import sticks
@@ -51,10 +51,7 @@ def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatu
         values["points_left_out"] = str(int(state.gated.sum()))
         values["normalised_innovation"] = f"{state.normalised_innovation:.3f}"
     return DiagnosticStatus(
-        level=LEVELS[state.tracking],
-        name=node_name,
-        message=str(state.tracking),
-        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        level=LEVELS[state.tracking], name=node_name, message=str(state.tracking), values=key_values(values)
     )
 
 

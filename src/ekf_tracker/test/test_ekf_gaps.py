@@ -80,7 +80,7 @@ def test_limbs_that_change_places_for_a_few_sets_are_left_out_and_taken_back_at_
 
 def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_of_sets(body, person):
     exchange, points = swap(LEGS, range(60, 90)), [*LEGS[0], *LEGS[1]]
-    states, truth = run(ArticulatedEkf(body, EkfSettings(readmit_after_sets=5)), person, 90, spoil=exchange)
+    states, truth = run(ArticulatedEkf(body, EkfSettings()), person, 90, spoil=exchange)
     for k in range(60, 90):
         exchange(k, truth[k])
     assert states[61].gated[points].all()

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import rclpy.task
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import Trigger
 
 from capture_rig import InputError
 from capture_rig.camera import CameraModel
-from sagoma_ros.messages import to_stamp
+from sagoma_ros.messages import key_values, to_stamp
 
 from .hull_pipeline import HullResult
 from .settings import MeshSettings
@@ -45,7 +45,7 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
     texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
     level, message = summarise(result)
     status = DiagnosticStatus(level=level, name="hull/frame_set", message=message, hardware_id="hull_server")
-    status.values = [KeyValue(key=key, value=value) for key, value in texts.items()]
+    status.values = key_values(texts)
     array = DiagnosticArray(status=[status])
     array.header.stamp = to_stamp(result.stamp_ns)
     return array

@@ -8,7 +8,7 @@ import time
 from typing import TypeVar
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -17,7 +17,7 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import Fit
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
 from sagoma_ros.health import OK, WARN
-from sagoma_ros.messages import to_ns, to_stamp
+from sagoma_ros.messages import key_values, to_ns, to_stamp
 from sagoma_ros.node import SagomaNode, run_node
 from sagoma_ros.packets import packet_cloud, read_finite, read_prediction
 from sagoma_ros.qos import LATCHED, RESULT
@@ -244,7 +244,7 @@ def fit_message(result: Fit, method: str) -> DiagnosticArray:
         level=DiagnosticStatus.OK if trusted else DiagnosticStatus.WARN,
         name="icp_tracker: fit",
         message=result.reason or "fitted",
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        values=key_values(values),
     )
     message = DiagnosticArray(status=[status])
     message.header.stamp = to_stamp(result.stamp_ns)

@@ -1,7 +1,7 @@
-"""The node graph as data: which nodes run, under which names, with which parameters. No ROS in here.
+"""The node graph as data: which nodes run, under which names, with which parameters. It does not import ROS.
 
 Launch files turn it into launch_ros actions, the supervisor of sagoma_tools into processes. Nodes start unconfigured;
-whoever starts them drives their lifecycle (or sets ``autostart``).
+the program that starts them drives their lifecycle (or sets ``autostart``).
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
 from capture_rig.settings import read_mapping
-
-# --- One node of the graph as plain data: enough to start it by hand, from a launch file or from the supervisor.
 
 
 class Role(Enum):
@@ -135,12 +133,12 @@ def session_graph(
 ) -> list[NodeSpec]:
     """The whole graph on recorded footage."""
     rig_file = (session.folder / "rig.yaml").resolve()
-    unlearned = [name for name in session.rig.names if name not in session.backgrounds]
-    if unlearned:
+    without_background = [name for name in session.rig.names if name not in session.backgrounds]
+    if without_background:
         raise InputError(
-            f"there is no background for {', '.join(unlearned)}",
+            f"there is no background for {', '.join(without_background)}",
             where=str(session.folder),
-            remedy=f"Add {unlearned[0]}_background.mp4 or .png: the empty scene.",
+            remedy=f"Add {without_background[0]}_background.mp4 or .png: the empty scene.",
         )
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
     cameras = [
@@ -157,10 +155,10 @@ def session_graph(
         for name in session.rig.names
     ]
     graph = server_graph(rig_file, body=body) + cameras
-    patience = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
+    waits = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
     if rate == 0:
-        patience = {**LOSSLESS_SETTINGS, f"{ALL_CAMERAS}.footage.pace_timeout_s": 20.0}
-    return apply_settings(graph, {"hull_server.tolerance_s": 0.5 / session.fps, **patience})
+        waits = {**LOSSLESS_SETTINGS, f"{ALL_CAMERAS}.footage.pace_timeout_s": 20.0}
+    return apply_settings(graph, {"hull_server.tolerance_s": 0.5 / session.fps, **waits})
 
 
 def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[NodeSpec]:
@@ -190,10 +188,10 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
     """One camera node for each camera of the rig, from the parameter files in ``cameras``."""
     names = load_rig(rig).names
     nodes = {node.label: node for node in cameras_from_files(cameras)}
-    strangers, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
-    if strangers:
+    unknown, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
+    if unknown:
         raise InputError(
-            f"the rig {rig} has no camera {', '.join(strangers)}",
+            f"the rig {rig} has no camera {', '.join(unknown)}",
             where=str(cameras),
             remedy=f"Known cameras: {', '.join(names)}.",
         )

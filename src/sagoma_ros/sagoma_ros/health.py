@@ -7,10 +7,11 @@ import threading
 import time
 from collections import Counter, deque
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from .messages import key_values
 from .qos import RESULT
 
 PERIOD_S = 1.0
@@ -97,7 +98,7 @@ class NodeHealth:
             name=self._node.get_fully_qualified_name(),
             message=text,
             hardware_id=self._hardware_id,
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            values=key_values(values),
         )
 
 

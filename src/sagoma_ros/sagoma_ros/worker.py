@@ -87,13 +87,8 @@ class Worker(Generic[T]):
                 self._on_error(error)
 
 
-# --- Messages by capture stamp, put by one thread and awaited by another for a bounded time.
-
-T = TypeVar("T")
-
-
 class Mailbox(Generic[T]):
-    """Keeps the last ``keep`` items by stamp; whoever asks for one that is not there waits up to ``wait_s``.
+    """Keeps the last ``keep`` items by stamp; a thread that asks for one that is not there waits up to ``wait_s``.
 
     A sender that did not deliver in time is not waited for again until it delivers something: a missing sender costs
     one wait, not one for every item. ``timeouts`` counts the waits in vain.
@@ -136,7 +131,7 @@ class Mailbox(Generic[T]):
             return self._items[max(self._items)] if self._items else None
 
     def close(self) -> None:
-        """Release whoever waits."""
+        """Release the threads that wait."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
