@@ -105,7 +105,7 @@ def test_relative_pose_survives_ambiguous_and_turned_views():
     assert np.linalg.norm(found[:3, 3] - expected[:3, 3]) < 0.1
 
 
-def test_groups_and_common_moments_are_counted():
+def test_groups_and_common_frames_are_counted():
     cameras = ring(4)
     found = detections_of(cameras, carried(np.random.default_rng(2), 30), "moving", np.random.default_rng(0))
     counted = common_frames(found)

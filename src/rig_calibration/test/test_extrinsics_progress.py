@@ -29,13 +29,13 @@ def test_pair_that_shares_too_little_is_told_how_much_is_missing() -> None:
     assert progress.advice == f"cam02 and cam03 share 3 of {ENOUGH_SHARED} frames: carry the board where both see it"
 
 
-def test_nothing_is_missing_when_all_cameras_share_many_moments_all_over_their_images() -> None:
+def test_nothing_is_missing_when_all_cameras_share_many_frames_all_over_their_images() -> None:
     progress = motion_progress(tuple(CAMERAS), DETECTIONS)
     assert progress.shared_frames >= ENOUGH_FRAMES and min(progress.cells.values()) >= ENOUGH_CELLS
     assert len(progress.groups) == 1 and progress.advice == ""
 
 
-def test_few_moments_are_not_enough_even_when_every_pair_shares_some() -> None:
+def test_few_frames_are_not_enough_even_when_every_pair_shares_some() -> None:
     pairs = [("cam01", "cam02"), ("cam02", "cam03"), ("cam01", "cam03")]
     some = {(s.camera, s.frame_index): s for pair in pairs for s in pair_only(*pair, ENOUGH_SHARED)}
     progress = motion_progress(tuple(CAMERAS), list(some.values()))

@@ -111,7 +111,7 @@ def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
         resting_around(detections, 77)
 
 
-def test_chosen_moments_are_shared_spread_and_independent_of_order() -> None:
+def test_chosen_frames_are_shared_spread_and_independent_of_order() -> None:
     cameras = circle(4)
     detections = see_all(cameras, CARRIED_BOARD, carried_poses(200), "moving")
     chosen = choose_frames(detections, most=30)
@@ -128,7 +128,7 @@ def test_chosen_moments_are_shared_spread_and_independent_of_order() -> None:
     assert pairs == available, "every pair of cameras that shares a view shares a chosen one"
 
 
-def test_moments_of_a_board_at_rest_are_preferred_to_those_of_one_that_is_swung() -> None:
+def test_frames_of_a_board_at_rest_are_preferred_to_those_of_one_that_is_swung() -> None:
     cameras = circle(3)
     slow = [on_floor(CARRIED_BOARD, 0.0, 0.002 * step) for step in range(20)]
     fast = [on_floor(CARRIED_BOARD, 0.0, 0.5 - 0.05 * step) for step in range(20)]

@@ -22,14 +22,14 @@ CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
 
 
 def steps(pixels: Array) -> tuple[Array, Array]:
-    """From each corner to the next in its row, and to the same one of the next row, both (rows, columns, 2); mean of
-    the steps on both sides where both are known, NaN where none is."""
+    """Find the steps from each corner to the next in its row, and to the same one of the next row, both (rows, columns,
+    2); mean of the steps on both sides where both are known, NaN where none is."""
     return _step(pixels, axis=1), _step(pixels, axis=0)
 
 
 def predict(pixels: Array) -> Array:
-    """The unknown corners from the known ones in the same row and column, (rows, columns, 2): the mean between two
-    neighbours where both are known, else extrapolated from up to three on one side; NaN where nothing tells."""
+    """Predict the unknown corners from the known ones in the same row and column, (rows, columns, 2): the mean between
+    two neighbours where both are known, else extrapolated from up to three on one side; NaN where nothing tells."""
     guesses = []
     for axis in (0, 1):
         before = [_shifted(pixels, k, axis) for k in (1, 2, 3)]
@@ -41,19 +41,19 @@ def predict(pixels: Array) -> Array:
 
 
 def mean_of_known(arrays: list[Array]) -> Array:
-    """Element by element, the mean of what is not NaN; NaN where all are."""
+    """Average element by element what is not NaN; NaN where all are."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # mean of nothing
         return np.nanmean(np.stack(arrays), axis=0)
 
 
 def padded(pixels: Array) -> Array:
-    """The grid with a rim of unknown corners all around."""
+    """Surround the grid with a rim of unknown corners all around."""
     return np.pad(pixels, [(1, 1), (1, 1), (0, 0)][: pixels.ndim], constant_values=np.nan)
 
 
 def trimmed(pixels: Array, fewest: float) -> Array:
-    """The grid without outer lines on which less than the share ``fewest`` of the corners, or only one, is known."""
+    """Cut off outer lines on which less than the share ``fewest`` of the corners, or only one, is known."""
     known = np.isfinite(pixels[:, :, 0])
     while known.size and known.any():
         lines = [known[0], known[-1], known[:, 0], known[:, -1]]
@@ -76,7 +76,7 @@ def parity(shape: tuple[int, ...]) -> Array:
 
 
 def discontinuities(pixels: Array) -> npt.NDArray[np.bool_]:
-    """(rows, columns): corners at which a row or column bends by more than ``MAX_BEND`` of a field, or changes its
+    """Mark (rows, columns) corners at which a row or column bends by more than ``MAX_BEND`` of a field, or changes its
     step by as much: neither lens nor perspective do that, but a line that slipped to the next one does."""
     along, down = steps(pixels)
     area = along[:, :, 0] * down[:, :, 1] - along[:, :, 1] * down[:, :, 0]
@@ -111,8 +111,9 @@ def _extrapolated(first: Array, second: Array, third: Array) -> Array:
 
 
 def scatter_px(pixels: Array) -> float:
-    """Standard deviation of a coordinate about smooth lines: the fourth differences along rows and columns, which
-    perspective and lens hardly reach (their variance is 70 times a coordinate's); 0 for lines too short to tell."""
+    """Estimate the standard deviation of a coordinate about smooth lines: the fourth differences along rows and
+    columns, which perspective and lens hardly reach (their variance is 70 times a coordinate's); 0 for lines too short
+    to tell."""
     differences = []
     for axis in (0, 1):
         if pixels.shape[axis] > 4:
@@ -158,12 +159,13 @@ class CornerGrid:
 
 
 def empty_grid(rows: int, columns: int) -> CornerGrid:
-    """No corner known yet."""
+    """Make a grid of which no corner is known yet."""
     return _split(np.full((rows, columns, 6), np.nan))
 
 
 def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, marker_margin: float = 1.0) -> CornerGrid:
-    """``known`` with those of the ``expected`` corners (rows, columns, 2) that it lacks and that the image shows."""
+    """Fit and add to ``known`` those of the ``expected`` corners (rows, columns, 2) that it lacks and that the image
+    shows."""
     along, down = steps(expected)
     wanted = ~known.found & np.all(np.isfinite(np.dstack([expected, along, down])), axis=2)
     corners = fit_x_corners(image, expected[wanted], along[wanted], down[wanted], marker_margin=marker_margin)
@@ -177,18 +179,18 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
 
 
 def grown(image: npt.NDArray[np.uint8], grid: CornerGrid, marker_margin: float = 1.0) -> CornerGrid:
-    """The grid with one more line on each side where the image shows one, and holes filled."""
+    """Grow the grid by one more line on each side where the image shows one, and fill its holes."""
     wider = _split(padded(_joined(grid)))
     return without_ragged_rim(fitted(image, predict(wider.pixels), wider, marker_margin))
 
 
 def without_ragged_rim(grid: CornerGrid) -> CornerGrid:
-    """Outer lines of which little was found are chance finds; without them."""
+    """Cut off outer lines of which little was found: chance finds."""
     return _split(trimmed(_joined(grid), MIN_OF_OUTER_LINE))
 
 
 def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:
-    """The grid without the outer lines that it has too many: a thumb at the board's edge looks like some more fields.
+    """Cut off the outer lines that a grid has too many: a thumb at the board's edge looks like some more fields.
 
     None when it is smaller than ``rows`` x ``columns``, or when the lines too many are nearly complete.
     """
@@ -203,7 +205,7 @@ def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:
 
 
 def turned(grid: CornerGrid, quarter_turns: int) -> CornerGrid:
-    """The same corners read from another of the four sides; a quarter turn swaps the colours' places, and rows and
+    """Read the same corners from another of the four sides; a quarter turn swaps the colours' places, and rows and
     columns."""
     everything = np.rot90(_joined(grid), quarter_turns).copy()
     if quarter_turns % 2:
@@ -213,7 +215,7 @@ def turned(grid: CornerGrid, quarter_turns: int) -> CornerGrid:
 
 
 def is_black_first(grid: CornerGrid) -> bool:
-    """Is the field up-left of the first corner black?"""
+    """Tell whether the field up-left of the first corner is black."""
     return float(np.nansum(grid.contrast * parity(grid.contrast.shape))) < 0
 
 

@@ -39,7 +39,8 @@ GROWTH_ROUNDS = 30
 def find_checkerboard(
     image: npt.NDArray[np.uint8], board: Checkerboard, variants: tuple[Variant, ...], marker_margin: float = 1.0
 ) -> CornerGrid | None:
-    """The board's corners in its own order, or None. ``image`` (H, W) grey; ``marker_margin``: see fit_x_corners."""
+    """Find the board's corners in its own order, or None. ``image`` (H, W) grey; ``marker_margin``: see
+    fit_x_corners."""
     limit = max(board.columns, board.rows)
     for grid in checkerboard_patterns(image, variants, limit, marker_margin):
         ordered = in_board_order(grid, board)
@@ -51,8 +52,8 @@ def find_checkerboard(
 def checkerboard_patterns(
     image: npt.NDArray[np.uint8], variants: tuple[Variant, ...], limit: int = 60, marker_margin: float = 1.0
 ) -> Iterator[CornerGrid]:
-    """Every checkerboard pattern of any size, the one that covers most of the image first; a pattern may come again
-    from another variant of the image. None grows far beyond ``limit`` corners in both directions."""
+    """Find every checkerboard pattern of any size, the one that covers most of the image first; a pattern may come
+    again from another variant of the image. None grows far beyond ``limit`` corners in both directions."""
     for variant in variants:
         for lattice in find_lattices(variant.make(image), variant.smoothing_px):
             grid = complete(image, variant.to_raw(lattice.pixels), limit, marker_margin)
@@ -80,7 +81,7 @@ def complete(
 
 
 def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:
-    """The grid as (board.rows, board.columns) with the first corner first; None when its size is another.
+    """Read the grid as (board.rows, board.columns) with the first corner first; None when its size is another.
 
     A board whose half turn is visible is laid so that the field up-left of the first corner is black; the others so
     that their rows run to the right in the image (which half turn is meant, one view does not tell).
@@ -89,7 +90,7 @@ def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:
 
 
 def possible_orders(grid: CornerGrid, board: Checkerboard) -> list[CornerGrid]:
-    """The grid read from those of its four sides that give the board's size and, where they tell, its colours."""
+    """Read the grid from those of its four sides that give the board's size and, where they tell, its colours."""
     cut = (cut_to(turned(grid, turn), board.rows, board.columns) for turn in range(4))
     choices = [choice for choice in cut if choice is not None]
     if board.half_turn_is_visible or board.rows == board.columns:
@@ -113,7 +114,8 @@ SMALLEST_MARKER = 0.01  # perimeter over the image's longer side
 
 
 def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
-    """The board's corners as a grid (rows - 1, columns - 1), NaN where none was seen; None when there is no board."""
+    """Find the board's corners as a grid (rows - 1, columns - 1), NaN where none was seen; None when there is no
+    board."""
     detector = charuco_detector(board)
     for variant in variants:
         corners, ids, *_ = detector.detectBoard(variant.make(image))
@@ -139,7 +141,7 @@ def _starts_black(board: CharucoBoard) -> bool:
 
 
 def charuco_detector(board: CharucoBoard) -> cv2.aruco.CharucoDetector:
-    """OpenCV's detector, for small markers too."""
+    """Make OpenCV's detector, for small markers too."""
     charuco, marker = cv2.aruco.CharucoParameters(), cv2.aruco.DetectorParameters()
     marker.minMarkerPerimeterRate = SMALLEST_MARKER
     return cv2.aruco.CharucoDetector(opencv_board(board), charuco, marker)
@@ -197,7 +199,7 @@ def find_board(
     target: str = "",
     thorough: bool = False,
 ) -> TargetDetection | None:
-    """The board's corners in an image (H, W) or (H, W, 3) BGR uint8; None when they are not found.
+    """Find the board's corners in an image (H, W) or (H, W, 3) BGR uint8; None when they are not found.
 
     Of a checkerboard the whole width and height must be seen (a hand may cover some corners); of a ChArUco board any
     part. ``thorough`` looks longer: for small, dim and blurred boards, and for boards on the floor at a grazing angle.
@@ -216,14 +218,14 @@ def find_board(
 
 
 def as_grey(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """(H, W) uint8 of a grey or BGR image."""
+    """Make (H, W) uint8 of a grey or BGR image."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
 
 
 def detection_of(
     grid: CornerGrid, shape: tuple[int, ...], *, camera: str, frame_index: int, target: str
 ) -> TargetDetection:
-    """The grid, which is in the board's order, as a detection."""
+    """Make a detection of the grid, which is in the board's order."""
     found = grid.found.ravel()
     return TargetDetection(
         camera=camera,
@@ -244,8 +246,8 @@ LITTLE_CONTRAST, DARK, BRIGHT = 25, 25, 230  # grey levels
 
 
 def diagnose_board(image: npt.NDArray[np.uint8], board: Board) -> str | None:
-    """One clause about what an image (H, W[, 3]) shows instead of the board: one of another size or kind, a part of it,
-    markers of another dictionary, too little light; None when the board is found, or there is nothing to say."""
+    """Say in one clause what an image (H, W[, 3]) shows instead of the board: one of another size or kind, a part of
+    it, markers of another dictionary, too little light; None when the board is found, or there is nothing to say."""
     grey = as_grey(image)
     variants = variants_for(grey.shape, thorough=False)
     if isinstance(board, CharucoBoard):

@@ -55,7 +55,7 @@ def black_rectangles(board: Board) -> list[Rectangle]:
 
 
 def draw_board(board: Board, pixels_per_m: float, margin_m: float | None = None) -> BoardPicture:
-    """The board as an image, antialiased where fields end between pixels. ``margin_m``: default one field."""
+    """Draw the board as an image, antialiased where fields end between pixels. ``margin_m``: default one field."""
     columns, rows, width, height = outer_fields(board)
     margin = max(width, height) if margin_m is None else margin_m
     size = [round((n * side + 2 * margin) * pixels_per_m) for n, side in ((columns, width), (rows, height))]

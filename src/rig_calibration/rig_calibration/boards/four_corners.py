@@ -69,8 +69,8 @@ def find_from_outer_corners(
     target: str = "",
     model: CameraModel | None = None,
 ) -> TargetDetection:
-    """The board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order: first,
-    end of the first row, last, start of the last row; up to 6 pixels or half a field off.
+    """Find the board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order:
+    first, end of the first row, last, start of the last row; up to 6 pixels or half a field off.
 
     ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
     the right places then. The detection holds the corners that the image shows, to a part of a pixel; where the

@@ -18,8 +18,9 @@ CLEAR_OF_MARKERS = 0.12  # of a white field's side: a detection does not say whe
 
 
 def blur_px(image: npt.NDArray[np.uint8], detection: TargetDetection) -> float:
-    """Standard deviation of the blur across the board's edges, px: median over the corners, the worse of the two
-    directions (motion blurs the edges that it crosses). About 0.3 for a sharp image; NaN when no corner can be fitted.
+    """Measure the standard deviation of the blur across the board's edges, px: median over the corners, the worse of
+    the two directions (motion blurs the edges that it crosses). About 0.3 for a sharp image; NaN when no corner can be
+    fitted.
 
     ``image`` (H, W) or (H, W, 3): the one in which the detection was made.
     """
@@ -32,7 +33,7 @@ def blur_px(image: npt.NDArray[np.uint8], detection: TargetDetection) -> float:
 
 
 def neighbour_steps(detection: TargetDetection) -> tuple[Array, Array]:
-    """For each corner of a detection the way to the next in its row and to the next row, (n, 2) each, NaN where no
+    """Find for each corner of a detection the way to the next in its row and to the next row, (n, 2) each, NaN where no
     neighbour was seen."""
     columns = _columns(detection)
     row, column = np.divmod(detection.ids, columns)
@@ -62,7 +63,7 @@ TRACKED_SHARE = 0.5
 
 
 def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
-    """Median distance that the corners ``pixels`` (n, 2) of ``image`` travel to the ``neighbour``, px.
+    """Measure the median distance that the corners ``pixels`` (n, 2) of ``image`` travel to the ``neighbour``, px.
 
     By optical flow (Lucas & Kanade 1981, pyramids); infinite when half of the corners cannot be found again.
     """

@@ -62,8 +62,9 @@ class Lattice:
 
 
 def find_lattices(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]) -> list[Lattice]:
-    """All lattices of at least ``MIN_CORNERS`` corners in a grey image (H, W), the one that covers most of it first (a
-    photograph may show a screen that shows the board). ``smoothing_px``: Gaussian to smooth with, in x and y."""
+    """Find all lattices of at least ``MIN_CORNERS`` corners in a grey image (H, W), the one that covers most of it
+    first (a photograph may show a screen that shows the board). ``smoothing_px``: Gaussian to smooth with, in x and
+    y."""
     saddles = find_saddles(image, smoothing_px)
     if len(saddles.pixels) < MIN_CORNERS:
         return []
@@ -73,7 +74,7 @@ def find_lattices(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float
 
 
 def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]) -> Saddles:
-    """The image's saddle points, strongest first."""
+    """Find the image's saddle points, strongest first."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), smoothing_px[0], sigmaY=smoothing_px[1])
     xx = cv2.Sobel(smooth, cv2.CV_32F, 2, 0, ksize=3, scale=0.25)
     yy = cv2.Sobel(smooth, cv2.CV_32F, 0, 2, ksize=3, scale=0.25)
@@ -303,8 +304,9 @@ class Variant:
 
 
 def variants_for(shape: tuple[int, ...], thorough: bool) -> tuple[Variant, ...]:
-    """What to look at, in order: large images made smaller first; ``thorough`` adds enlarged and stretched ones, in
-    which small boards and boards at a grazing angle look like ordinary ones. All of them stay below ``MAX_PIXELS``."""
+    """Choose the variants to search, in order: large images made smaller first; ``thorough`` adds enlarged and
+    stretched ones, in which small boards and boards at a grazing angle look like ordinary ones. All of them stay below
+    ``MAX_PIXELS``."""
     long_side = max(shape[:2])
     scale = COMFORTABLE_PX / long_side if long_side > 1.2 * COMFORTABLE_PX else 1.0
     variants = [Variant(scale, scale), Variant()] if scale < 1 else [Variant()]

@@ -41,8 +41,8 @@ class Page:
 
 
 def lay_out(black_m: Sequence[Rectangle], size_m: tuple[float, float], title: str, paper: str = "A4") -> list[Page]:
-    """Pages with the black rectangles of a board of ``size_m`` (metres from its upper left corner): one page, upright
-    or across, or the fewest that can be cut along their marks and glued. InputError for unknown paper."""
+    """Lay out pages with the black rectangles of a board of ``size_m`` (metres from its upper left corner): one page,
+    upright or across, or the fewest that can be cut along their marks and glued. InputError for unknown paper."""
     if paper not in PAPER_MM:
         raise InputError(f"paper '{paper}' is not known", remedy=f"Give one of {', '.join(PAPER_MM)}.")
     black = [(left * 1e3, top * 1e3, wide * 1e3, high * 1e3) for left, top, wide, high in black_m]
@@ -145,7 +145,7 @@ def save_pages(pages: Sequence[Page], path: Path) -> list[Path]:
 
 
 def svg(page: Page) -> str:
-    """One page; a unit of the drawing is a millimetre."""
+    """Write one page as SVG; a unit of the drawing is a millimetre."""
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{page.width_mm:g}mm" height="{page.height_mm:g}mm" '
         f'viewBox="0 0 {page.width_mm:g} {page.height_mm:g}" shape-rendering="crispEdges">',
@@ -164,7 +164,7 @@ def svg(page: Page) -> str:
 
 
 def pdf(pages: Sequence[Page]) -> bytes:
-    """All pages in one document of PDF 1.4."""
+    """Write all pages as one document of PDF 1.4."""
     kids = " ".join(f"{4 + 2 * k} 0 R" for k in range(len(pages)))
     objects = [
         b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",

@@ -34,7 +34,7 @@ _CHARUCO = re.compile(rf"charuco\s+{_SIZE}\s+{_NUMBER}{_UNIT}\s+{_NUMBER}{_UNIT}
 
 
 def read_board(text: str) -> Board:
-    """The board that ``text`` names (a YAML file) or describes; InputError otherwise.
+    """Read the board that ``text`` names (a YAML file) or describes; InputError otherwise.
 
     YAML keys: type (checkerboard: columns, rows of inner corners, field_m: side or [width, height]; charuco: columns,
     rows of fields, square_m, marker_m, dictionary, legacy).
@@ -63,7 +63,7 @@ def read_board(text: str) -> Board:
 
 
 def board_text(board: Board) -> str:
-    """One line that :func:`read_board` reads back as the same board."""
+    """Describe the board in one line that :func:`read_board` reads back as the same board."""
     if isinstance(board, CharucoBoard):
         tail = " legacy" if board.legacy else ""
         sizes = f"{_mm(board.square_m)}mm {_mm(board.marker_m)}mm"

@@ -102,7 +102,7 @@ def quadrant_means(pixels, count, margin):
 
 @njit(cache=True, fastmath=True)
 def normal_equations(pixels, count, p, normal, gradient):
-    """Sum of squares of model minus image; fills J^T J (lower half) and -J^T r."""
+    """Sum the squares of model minus image; fill J^T J (lower half) and -J^T r."""
     normal[:], gradient[:] = 0.0, 0.0
     ca, sa, cb, sb = math.cos(p[2]), math.sin(p[2]), math.cos(p[3]), math.sin(p[3])
     blur_u, blur_v = math.exp(p[4]), math.exp(p[5])
@@ -131,8 +131,8 @@ def normal_equations(pixels, count, p, normal, gradient):
 
 @njit(cache=True)
 def fit_corner(pixels, count, p):
-    """Levenberg-Marquardt from ``p`` (10,), changed in place: residual variance, grey levels squared, and the variance
-    of the corner's coordinates, px^2 (mean of the two)."""
+    """Fit by Levenberg-Marquardt from ``p`` (10,), changed in place: residual variance, grey levels squared, and the
+    variance of the corner's coordinates, px^2 (mean of the two)."""
     start = p.copy()
     normal, gradient = np.empty((SIZE, SIZE)), np.empty(SIZE)
     trial_normal, trial_gradient = np.empty((SIZE, SIZE)), np.empty(SIZE)

@@ -83,21 +83,21 @@ def adjust(
 
 
 def noise_scale(state: State, seen: Observations) -> float:
-    """The residuals' standard deviation over the one given, by the median: outliers do not count."""
+    """Estimate the residuals' standard deviation over the one given, by the median: outliers do not count."""
     corners = seen.weight > 0
     floor = MIN_SCALE_PX * float(np.median(seen.weight[corners]))
     return max(float(np.median(normalised_lengths(state, seen)[corners])) / RAYLEIGH_MEDIAN, floor)
 
 
 def normalised_lengths(state: State, seen: Observations) -> Array:
-    """(s, n) lengths of the residuals in standard deviations; 0 where there is no corner."""
+    """Compute the (s, n) lengths of the residuals in standard deviations; 0 where there is no corner."""
     with np.errstate(invalid="ignore"):
         lengths = np.linalg.norm(residuals_px(state, seen), axis=2) * seen.weight
     return np.where(seen.weight > 0, lengths, 0.0)
 
 
 def robust_rows(state: State, seen: Observations, with_lens: bool) -> Linearised:
-    """The linearised residuals, corners beyond Huber's limit weighed down so that least squares is his estimate."""
+    """Linearise the residuals, corners beyond Huber's limit weighed down so that least squares gives his estimate."""
     linear = linearise(state, seen, with_lens)
     lengths = np.linalg.norm(linear.residual.reshape(len(linear.residual), -1, 2), axis=2)
     root = np.repeat(np.sqrt(np.minimum(1.0, HUBER / np.maximum(lengths, 1e-300))), 2, axis=1)
@@ -163,7 +163,7 @@ class Reduced:
 
 
 def normal_equations(linear: Linearised, seen: Observations, layout: Layout, poses: int) -> NormalEquations:
-    """Sums over all detections; a camera sees each pose of a target once."""
+    """Sum the normal equations of all detections; a camera sees each pose of a target once."""
     products = _products(linear)
     size, k = layout.size, layout.width + layout.target_width
     U, W, V = np.zeros((size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
@@ -182,7 +182,7 @@ def normal_equations(linear: Linearised, seen: Observations, layout: Layout, pos
 
 
 def with_prior(equations: NormalEquations, prior: Prior | None, state: State, layout: Layout) -> NormalEquations:
-    """What is known of the shared unknowns beforehand, added."""
+    """Add what is known of the shared unknowns beforehand."""
     if prior is None:
         return equations
     g = equations.g_shared + prior.information @ (prior.mean - _shared(state, layout))
@@ -201,7 +201,7 @@ def reduce(equations: NormalEquations, free: FreeUnknowns, damping: float = 0.0)
 
 
 def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tuple[Array, Array]:
-    """The damped Gauss-Newton step: shared (d,), poses (m, 6)."""
+    """Solve for the damped Gauss-Newton step: shared (d,), poses (m, 6)."""
     reduced = reduce(equations, free, damping)
     shared = np.zeros(len(free.shared))
     shared[free.shared] = np.linalg.lstsq(reduced.S, reduced.b, rcond=None)[0]
@@ -210,7 +210,7 @@ def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tupl
 
 
 def information_of_each(linear: Linearised) -> tuple[Array, Array]:
-    """What each detection says of its shared unknowns once its own pose has been paid for: information (s, k, k) and
+    """Compute what each detection says of its shared unknowns, its own pose eliminated: information (s, k, k) and
     gradient (s, k), in the columns of ``by_shared``. Their sums are S and b where no pose is seen by two cameras."""
     products = _products(linear)
     k = products.shape[1] - POSE - 1

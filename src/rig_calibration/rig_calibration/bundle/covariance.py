@@ -49,7 +49,8 @@ def covariance(
     sync_error: Array,
     prior: Prior | None = None,
 ) -> Covariance:
-    """Covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were refined).
+    """Compute the covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were
+    refined).
 
     ``lens_covariance``: by row of the camera, (12, 12) of its lens parameters, where these were held fixed;
     ``sync_error`` (s,): how far the target may have moved between exposures, sd, m.
@@ -78,7 +79,8 @@ def covariance(
 
 
 def variance_factor(lengths: Array, unknowns: int) -> float:
-    """Huber's estimate: squared clipped residuals over the degrees of freedom, by the square of the share inside."""
+    """Estimate the variance factor as Huber does: squared clipped residuals over the degrees of freedom, by the square
+    of the share inside."""
     dof = max(2 * len(lengths) - unknowns, 1)
     inside = max(float(np.mean(lengths <= HUBER)), 0.5)
     return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / dof / inside**2

@@ -52,12 +52,12 @@ class DetectionPoses:
 
 
 def detection_poses(detection: TargetDetection, camera: CameraModel, shape: TargetShape) -> DetectionPoses | None:
-    """All poses that one detection allows; None when its corners are too few, or lie on a line, or fit no pose."""
+    """Find all poses that one detection allows; None when its corners are too few, or lie on a line, or fit no pose."""
     return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
 
 
 def all_undistorted(detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel]) -> list[Array]:
-    """:func:`undistorted` corners of many detections; all of a camera go through its lens at once."""
+    """Undistort the corners of many detections; all of a camera go through its lens at once."""
     found: list[Array] = [np.empty((0, 2))] * len(detections)
     for name, camera in cameras.items():
         rows = [row for row, detection in enumerate(detections) if detection.camera == name]
@@ -71,7 +71,7 @@ def all_undistorted(detections: Sequence[TargetDetection], cameras: Mapping[str,
 def poses_of(
     ids: npt.NDArray[np.int64], ideal: Array, camera: CameraModel, shape: TargetShape
 ) -> DetectionPoses | None:
-    """The same from corners without distortion (n, 2)."""
+    """Find the same from corners without distortion (n, 2)."""
     reached = np.isfinite(ideal).all(axis=1)
     points, ideal = shape.points[ids[reached]], ideal[reached]
     if shape.dimension == LINE or len(points) < MIN_CORNERS or _on_a_line(points):
@@ -174,7 +174,7 @@ class View:
 def views_of(
     detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
 ) -> list[View]:
-    """The views of all detections, in their order."""
+    """Make the views of all detections, in their order."""
     views = []
     for detection, ideal in zip(detections, all_undistorted(detections, cameras), strict=True):
         shape = shapes[detection.target]

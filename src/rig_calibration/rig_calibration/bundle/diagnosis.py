@@ -18,12 +18,12 @@ LEFT_OUT_SHARE = 0.3
 
 
 def diagnose(solution: RigSolution) -> tuple[Finding, ...]:
-    """Findings about synchrony, intrinsics and ties; sizes and left-out views speak for themselves in the solution."""
+    """Find what is wrong with synchrony, intrinsics and ties; sizes and left-out views stand in the solution."""
     return (*_of_synchrony(solution), *_of_lenses(solution), *_of_ties(solution), *_of_footage(solution))
 
 
 def common_pose_counts(solution: RigSolution) -> dict[str, int]:
-    """By camera, how many poses of targets it saw together with another camera."""
+    """Count by camera how many poses of targets it saw together with another camera."""
     seen: dict[tuple[str, int], set[str]] = {}
     for detection in solution.detections:
         seen.setdefault((detection.target, detection.frame_index), set()).add(detection.camera)

@@ -34,7 +34,7 @@ class InitialPoses:
 
 
 def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> InitialPoses:
-    """Poses good enough to start the adjustment from; InputError when the pairs leave a camera untied."""
+    """Find poses good enough to start the adjustment from; InputError when the pairs leave a camera untied."""
     pairs = relative_poses(cameras, views)
     root, T_camera_root = poses_along_spanning_tree(sorted(cameras), pairs)
     T_root_target: dict[PoseKey, Array] = {}
@@ -49,7 +49,8 @@ def initial_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> 
 
 
 def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) -> dict[tuple[str, str], RelativePose]:
-    """The relative pose of each pair of cameras (a < b) with common frames, by boards or, where better, by wands."""
+    """Find the relative pose of each pair of cameras (a < b) with common frames, by boards or, where better, by
+    wands."""
     by_camera: dict[str, dict[PoseKey, View]] = {name: {} for name in sorted(cameras)}
     for view in views:
         by_camera[view.detection.camera][view.key] = view
@@ -69,7 +70,7 @@ def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) ->
 def poses_along_spanning_tree(
     names: Sequence[str], pairs: Mapping[tuple[str, str], RelativePose]
 ) -> tuple[str, dict[str, Array]]:
-    """The best supported camera and the poses of all cameras in its frame, along the maximum spanning tree."""
+    """Find the best supported camera and the poses of all cameras in its frame, along the maximum spanning tree."""
     support = {name: sum(pose.support for pair, pose in pairs.items() if name in pair) for name in names}
     root = max(names, key=lambda name: support[name])
     T_camera_root = {root: np.eye(4)}
@@ -92,7 +93,7 @@ def poses_along_spanning_tree(
 
 
 def with_symmetry(view: View, symmetry: int) -> TargetDetection:
-    """The detection with the ids that its turn calls for."""
+    """Renumber the detection with the ids that its turn calls for."""
     return replace(view.detection, ids=view.shape.symmetries[symmetry].permutation[view.detection.ids])
 
 

@@ -60,13 +60,13 @@ class LeftOut:
 
 
 def misfits(fit: Adjusted, seen: Observations) -> Array:
-    """(s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
+    """Compute (s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
     lengths = normalised_lengths(fit.state, seen) / fit.scale
     return np.nanmedian(np.where(seen.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
 
 
 def bad_corners(fit: Adjusted, seen: Observations, limits: Limits) -> Bools:
-    """(s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
+    """Mark (s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
     lengths, misfit = normalised_lengths(fit.state, seen), misfits(fit, seen)[:, None]
     off = (lengths > limits.corner * fit.scale * np.maximum(misfit, 1.0)) & (lengths > limits.corner_px * seen.weight)
     return off & (misfit < limits.detection)
@@ -79,7 +79,7 @@ def contradictions(
     shapes: Mapping[str, TargetShape],
     limits: Limits,
 ) -> list[tuple[int, str]]:
-    """The rows of detections to leave out, with the reason; of one frame, no more than needs be."""
+    """Find the rows of detections to leave out, with the reason; of one frame, no more than needs be."""
     misfit = misfits(fit, seen)
     found: list[tuple[int, str]] = []
     disputed: list[Ints] = []
@@ -101,7 +101,8 @@ def contradictions(
 
 
 def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
-    """Rows of detections (of all in ``seen``, ``rows`` of which take part) that fit after all, now that others left."""
+    """Find rows of detections (of all in ``seen``, ``rows`` of which take part) that fit after all, now that others
+    are out."""
     finite = (np.isfinite(normalised_lengths(fit.state, seen))).all(axis=1)  # a pose that nothing tells is no start
     out = np.setdiff1d(np.flatnonzero(finite), rows)
     cases = []

@@ -48,7 +48,8 @@ def check_problem(
     symmetry_orders: Mapping[str, int],
     intrinsics_covariance: Mapping[str, npt.ArrayLike],
 ) -> Problem:
-    """The problem in an order that does not depend on the order given; InputError for what does not fit together."""
+    """Check the input and put it in an order that does not depend on the order given; InputError for what does not fit
+    together."""
     models = {name: cameras[name] for name in sorted(cameras)}
     if not models:
         raise InputError("there is no camera to place", remedy="Give the intrinsics of at least one camera.")
@@ -166,7 +167,7 @@ class TargetShape:
 
 
 def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 1) -> TargetShape:
-    """The shape of a target with points (n, 3) that looks alike after 1/``symmetry_order`` of a turn.
+    """Describe the shape of a target with points (n, 3) that looks alike after 1/``symmetry_order`` of a turn.
 
     Raises InputError for fewer than two points, and when the points do not look alike after that turn.
     """
@@ -190,7 +191,7 @@ def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 
 
 
 def symmetry_order_of(board: Board) -> int:
-    """How many ways round a board may lie without a picture showing it: 1 (its corners are told apart), 2 or 4."""
+    """Tell how many ways round a board may lie without a picture showing it: 1 (its corners are told apart), 2 or 4."""
     if board.half_turn_is_visible or not isinstance(board, Checkerboard):
         return 1
     square = board.columns == board.rows and board.field_m[0] == board.field_m[1]
@@ -198,7 +199,7 @@ def symmetry_order_of(board: Board) -> int:
 
 
 def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str, int]) -> dict[str, TargetShape]:
-    """The shapes of all targets, in name order."""
+    """Describe the shapes of all targets, in name order."""
     return {name: target_shape(name, targets[name], symmetry_orders.get(name, 1)) for name in sorted(targets)}
 
 

@@ -25,7 +25,7 @@ class Linearised:
 
 
 def residuals_px(state: State, seen: Observations) -> Array:
-    """(s, n, 2) seen minus predicted pixels; infinite for a corner behind its camera."""
+    """Compute (s, n, 2) seen minus predicted pixels; infinite for a corner behind its camera."""
     x = _in_camera(state, seen, _arm(state, seen))
     lens = state.lens[seen.camera][:, None]
     with np.errstate(all="ignore"):
@@ -34,7 +34,8 @@ def residuals_px(state: State, seen: Observations) -> Array:
 
 
 def linearise(state: State, seen: Observations, with_lens: bool = False) -> Linearised:
-    """The residuals and their analytic derivatives, at a state in which all corners lie in front of their cameras.
+    """Compute the residuals and their analytic derivatives, at a state in which all corners lie in front of their
+    cameras.
 
     x_camera = R_camera (x - centre),  x = arm + position,  arm = scale R_pose (x_target + bend bow e_z); with q a row
     of d(pixel)/d(x):  by the camera's rotation x_camera x (row by x_camera), by its centre -q, by the target's rotation

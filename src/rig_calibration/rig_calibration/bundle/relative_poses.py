@@ -53,7 +53,7 @@ class _Hypotheses(NamedTuple):
 
 
 def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
-    """The pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
+    """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
     hypotheses = _hypotheses(common)
     voting = np.isin(hypotheses.frame_index, _evenly_spaced(len(common), VOTING_FRAMES))
     candidates = np.flatnonzero(np.isin(hypotheses.frame_index, _evenly_spaced(len(common), CANDIDATE_FRAMES)))
@@ -69,7 +69,7 @@ def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> Re
 
 
 def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
-    """How well two poses agree, 1 to 0, that differ by an angle (rad) and by a share of the distance."""
+    """Weigh how well two poses agree, 1 to 0, that differ by an angle (rad) and by a share of the distance."""
     return 1 / (1 + (angle / ANGLE_TOLERANCE) ** 2 + (distance_ratio / DISTANCE_TOLERANCE) ** 2) ** 2
 
 
@@ -121,7 +121,7 @@ Pair = tuple[Array, Array, Array]  # the same markers of a frame: ideal points (
 
 
 def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b: CameraModel) -> RelativePose | None:
-    """The pose of camera b relative to a from wands that both saw in the same frames; None when there are too few.
+    """Find the pose of camera b relative to a from wands that both saw in the same frames; None when there are too few.
 
     Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
     """
@@ -144,7 +144,7 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
 
 
 def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
-    """The pose of a wand in one frame by triangulation, and the way round that each view needs.
+    """Find the pose of a wand in one frame by triangulation, and the way round that each view needs.
 
     ``seen``: its views, each with the pose T_camera_root of its camera. None when fewer than two views tell it.
     """

@@ -116,7 +116,7 @@ class Fit:
 
 
 def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
-    """The first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
+    """Make the first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
     keys, names, targets = problem.keys, list(problem.cameras), len(problem.shapes)
     detections = tuple(with_symmetry(view, symmetry) for view, symmetry in zip(views, initial.symmetries, strict=True))
     seen = observe(detections, names, keys, problem.shapes)
@@ -146,7 +146,7 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
 
 
 def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
-    """Adjusted, without contradictions, noisy detections weighed down."""
+    """Adjust, leave contradictions out, weigh noisy detections down."""
     # Sizes first: a target whose size is given wrongly would contradict everything else.
     base = most_seen(fit.detections, list(fit.problem.shapes))
     comparable = comparable_targets(fit.detections, list(fit.problem.shapes), base)
@@ -155,7 +155,7 @@ def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
 
 
 def settled(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
-    """Adjusted with everything: contradictions left out, detections weighed; what fits after all is taken back."""
+    """Adjust with everything: contradictions left out, detections reweighted, what fits after all taken back."""
     for _ in range(RETURNS):
         fit = _estimate_sync_error(_reweighted(without_contradictions(fit, limits)))
         back = _taken_back(fit)
@@ -166,14 +166,14 @@ def settled(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
 
 
 def without_contradictions(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
-    """Adjusted, without what contradicts the rest, before anything is reweighted."""
+    """Adjust and leave out what contradicts the rest, before anything is reweighted."""
     fit = _narrowed(replace(fit, reweighting=np.ones(len(fit.reweighting))), limits)
     back = _taken_back(fit)
     return fit if back is fit else _narrowed(back, limits)
 
 
 def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
-    """Adjusted with all detections that take part."""
+    """Adjust with all detections that take part."""
     if len(fit.rows) == 0:
         return fit
     layout = fit.layout

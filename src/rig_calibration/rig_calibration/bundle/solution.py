@@ -70,7 +70,8 @@ class RigSolution:
 
 
 def choose_reference(problem: Problem, reference: str | PoseKey | None, root: str) -> str | PoseKey:
-    """A camera's name or (target, frame); InputError when ``reference`` names neither, or a target that moved."""
+    """Choose a camera's name or (target, frame); InputError when ``reference`` names neither, or a target that
+    moved."""
     if reference is None:
         return root
     if isinstance(reference, str):
@@ -92,7 +93,7 @@ def choose_reference(problem: Problem, reference: str | PoseKey | None, root: st
 
 
 def in_gauge(fit: Fit, reference: str | PoseKey) -> Fit:
-    """The same solution in the frame of the reference."""
+    """Transform the solution into the frame of the reference."""
     state, problem = fit.adjusted.state, fit.problem
     if isinstance(reference, str):
         row = list(problem.cameras).index(reference)
@@ -133,7 +134,8 @@ PINHOLE = 4
 
 
 def focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
-    """By camera, the focal length that all views together ask for over the one given, and its standard deviation."""
+    """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
+    standard deviation."""
     state, names = fit.adjusted.state, list(fit.problem.cameras)
     layout = replace(fit.layout, with_lens=True)
     linear = whitened(fit.rows_at_solution(with_lens=True), fit.sync_error[fit.rows])
@@ -159,7 +161,7 @@ def focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
 
 
 def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> RigSolution:
-    """The solution: poses, residuals, covariance relative to the reference, what was left out and why."""
+    """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
     problem, state, used = fit.problem, fit.adjusted.state, fit.used
     names = list(problem.cameras)
     T_camera = {

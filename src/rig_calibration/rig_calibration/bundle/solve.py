@@ -30,7 +30,8 @@ def solve_rig(
     intrinsics_covariance: Mapping[str, npt.ArrayLike] | None = None,
     refine_intrinsics: bool = False,
 ) -> RigSolution:
-    """Poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of known size.
+    """Solve for the poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of
+    known size.
 
     targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target in the same frame
     is in one place. reference : whose frame the poses are in: a camera, a target that was seen in one frame only, or

@@ -139,7 +139,7 @@ def observe(
     keys: Sequence[PoseKey],
     shapes: Mapping[str, TargetShape],
 ) -> Observations:
-    """Detections as observations of the poses ``keys`` by ``cameras``."""
+    """Arrange detections as observations of the poses ``keys`` by ``cameras``."""
     camera_row = {name: row for row, name in enumerate(cameras)}
     pose_row = {key: row for row, key in enumerate(keys)}
     target_row = {name: row for row, name in enumerate(shapes)}
@@ -167,6 +167,6 @@ def lens_of(camera: CameraModel) -> Array:
 
 
 def camera_with(camera: CameraModel, lens: Array, T_camera_world: Array) -> CameraModel:
-    """The camera with another lens (12,) and pose."""
+    """Make the camera with another lens (12,) and pose."""
     K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     return replace(camera, K=K, D=lens[4 : 4 + len(camera.D)], T_camera_world=T_camera_world)

@@ -51,7 +51,7 @@ class PoseMisfit:
 
 
 def pose_misfit(linear: Linearised) -> PoseMisfit:
-    """The pose-like part of the residuals of each detection."""
+    """Find the pose-like part of the residuals of each detection."""
     V = np.swapaxes(linear.by_pose, 1, 2) @ linear.by_pose
     g = (np.swapaxes(linear.by_pose, 1, 2) @ linear.residual[..., None])[..., 0]
     values, vectors = np.linalg.eigh(V)
@@ -62,14 +62,14 @@ def pose_misfit(linear: Linearised) -> PoseMisfit:
 
 
 def pose_dof(poses: Ints, dof: Ints) -> int:
-    """How many numbers the poses that were seen have: six each, five for a wand."""
+    """Count how many numbers the poses that were seen have: six each, five for a wand."""
     most = np.zeros(int(poses.max(initial=-1)) + 1, np.int64)
     np.maximum.at(most, poses, dof)
     return int(most.sum())
 
 
 def whitened(linear: Linearised, tau: Array) -> Linearised:
-    """The same rows after which the residuals are independent again; tau (s,), m."""
+    """Transform the rows so that the residuals are independent again; tau (s,), m."""
     A = linear.by_pose[:, :, POSITION]
     values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
     values = np.maximum(values, 1e-12 * values[:, -1:] + 1e-300)
@@ -83,7 +83,8 @@ def whitened(linear: Linearised, tau: Array) -> Linearised:
 
 
 def first_tau(linear: Linearised, misfit: PoseMisfit, dof: int) -> float:
-    """The displacement (m) that makes the residuals' part along it as large as it is, the same for all detections."""
+    """Estimate the displacement (m) that makes the residuals' part along it as large as it is, the same for all
+    detections."""
     A = linear.by_pose[:, :, POSITION]
     information = np.swapaxes(A, 1, 2) @ A
     pull = np.swapaxes(A, 1, 2) @ linear.residual[..., None]
@@ -94,7 +95,7 @@ def first_tau(linear: Linearised, misfit: PoseMisfit, dof: int) -> float:
 
 
 def next_tau(tau: Array, linear: Linearised, poses: Ints) -> Array:
-    """Better displacements (s,), pose by pose, from what contradiction is left in whitened residuals."""
+    """Improve the displacements (s,), pose by pose, from what contradiction is left in whitened residuals."""
     misfit = pose_misfit(linear)
     squares, total = np.bincount(poses, misfit.squares), np.bincount(poses, misfit.dof)
     own = np.zeros(len(total))

@@ -15,7 +15,7 @@ PoseKey = tuple[str, int]  # (target, frame): one pose of one target
 
 
 def groups_of(cameras: Iterable[str], detections: Sequence[TargetDetection]) -> list[tuple[str, ...]]:
-    """The groups of cameras that are linked by common views, largest first, names in order within each."""
+    """Find the groups of cameras that are linked by common views, largest first, names in order within each."""
     parent = {name: name for name in cameras}
 
     def root(name: str) -> str:
@@ -35,7 +35,8 @@ def groups_of(cameras: Iterable[str], detections: Sequence[TargetDetection]) -> 
 
 
 def common_frames(detections: Sequence[TargetDetection]) -> dict[tuple[str, str], int]:
-    """How many poses of targets each pair of cameras (in name order) shares; pairs that share none are left out."""
+    """Count how many poses of targets each pair of cameras (in name order) shares; pairs that share none are left
+    out."""
     seen: dict[PoseKey, list[str]] = {}
     for detection in detections:
         seen.setdefault((detection.target, detection.frame_index), []).append(detection.camera)
@@ -51,7 +52,7 @@ def common_frames(detections: Sequence[TargetDetection]) -> dict[tuple[str, str]
 def require_connected(
     cameras: Iterable[str], detections: Sequence[TargetDetection], lost: Mapping[str, str] | None = None
 ) -> None:
-    """Raises InputError naming cameras that see no target, or the groups of cameras that share no view.
+    """Raise InputError naming cameras that see no target, or the groups of cameras that share no view.
 
     ``lost`` tells, by camera, why detections that would have linked it were left out.
     """
@@ -73,7 +74,7 @@ def require_connected(
 
 
 def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> str:
-    """The target with the most detections: the one that the others' sizes are compared with."""
+    """Find the target with the most detections: the one that the others' sizes are compared with."""
     counts = {name: sum(detection.target == name for detection in detections) for name in targets}
     return max(sorted(counts), key=lambda name: counts[name])
 
@@ -81,7 +82,7 @@ def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> 
 def comparable_targets(
     detections: Sequence[TargetDetection], targets: Sequence[str], base: str
 ) -> npt.NDArray[np.bool_]:
-    """(k,) the targets whose size the views tell beside that of ``base``, which is not among them.
+    """Mark (k,) the targets whose size the views tell beside that of ``base``, which is not among them.
 
     So it is when two cameras that are linked by targets of known size saw the target in the same frame.
     """

@@ -122,7 +122,7 @@ def calibrate_rig(
 
 
 def require_way_round(detections: Iterable[TargetDetection], targets: Mapping[str, Target]) -> None:
-    """Raises InputError when only the floor target ties the cameras together and no picture tells which way round it
+    """Raise InputError when only the floor target ties the cameras together and no picture tells which way round it
     lies: each camera might as well stand on the other side of it."""
     seen = {(detection.target, detection.camera) for detection in detections}
     on_floor = sorted(camera for target, camera in seen if target == FLOOR)

@@ -33,7 +33,7 @@ PAIR_WEIGHT = 2.0  # what two cameras share ties them together; where in the ima
 
 
 def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[TargetDetection]]:
-    """Detections by frame, ascending; in each, by camera's name."""
+    """Group detections by frame, ascending; in each, by camera's name."""
     groups: dict[int, list[TargetDetection]] = {}
     for detection in sorted(detections, key=lambda detection: (detection.frame_index, detection.camera)):
         groups.setdefault(detection.frame_index, []).append(detection)
@@ -41,7 +41,7 @@ def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[Targ
 
 
 def choose_frames(detections: Sequence[TargetDetection], most: int = MAX_FRAMES) -> tuple[int, ...]:
-    """At most ``most`` of the frames that two or more cameras see, ascending.
+    """Choose at most ``most`` of the frames that two or more cameras see, ascending.
 
     Greedily the one that adds most: pairs of cameras and cells of their images that few of the chosen have, each worth
     less the more often it is there. A board that moved fast counts less (exposure and synchronisation smear it). Of
@@ -65,8 +65,8 @@ def choose_frames(detections: Sequence[TargetDetection], most: int = MAX_FRAMES)
 
 
 def speeds_px(detections: Iterable[TargetDetection]) -> dict[tuple[str, int], float]:
-    """How far the board moves a frame (median over its corners, px), by camera and frame: the slower of the way from
-    the frame before and to the frame after. Missing where a camera saw the board only once."""
+    """Measure how far the board moves a frame (median over its corners, px), by camera and frame: the slower of the way
+    from the frame before and to the frame after. Missing where a camera saw the board only once."""
     by_camera: dict[str, list[TargetDetection]] = {}
     for detection in sorted(detections, key=lambda detection: (detection.camera, detection.frame_index)):
         by_camera.setdefault(detection.camera, []).append(detection)
@@ -80,7 +80,7 @@ def speeds_px(detections: Iterable[TargetDetection]) -> dict[tuple[str, int], fl
 
 
 def shift_px(one: TargetDetection, two: TargetDetection) -> float:
-    """How far the board moved between two detections of one camera: median over the corners both show, px."""
+    """Measure how far the board moved between two detections of one camera: median over the corners both show, px."""
     _, here, there = np.intersect1d(one.ids, two.ids, return_indices=True)
     way = np.linalg.norm(one.pixels[here] - two.pixels[there], axis=1)
     return float(np.median(way)) if len(way) else float("inf")
@@ -130,7 +130,7 @@ RESTS_PX = 0.5  # a board whose corners stay within this (median, in every camer
 def frames_on_floor(
     cameras: Mapping[str, CameraModel], moving: Sequence[TargetDetection], board: Board, when: FloorAt
 ) -> tuple[int, ...]:
-    """The frames in which the carried ``board`` lies on the floor, at one place.
+    """Find the frames in which the carried ``board`` lies on the floor, at one place.
 
     ``when``: a frame, the first or last one that shows the board, or "lowest": found by solving for the rig without a
     floor. Raises InputError when there is no such frame.
@@ -159,7 +159,7 @@ def frames_on_floor(
 
 
 def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> tuple[int, ...]:
-    """``frame`` and those right before and after it at which the board rests, as far as the cameras saw it.
+    """Find ``frame_index`` and those right before and after it at which the board rests, as far as the cameras saw it.
 
     Raises InputError when no camera saw the board at ``frame``.
     """
@@ -182,7 +182,7 @@ def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> t
 def find_resting_frames(
     T_reference_board: Mapping[int, Array], corners_board: Array, centres_reference: Sequence[Array]
 ) -> tuple[int, ...]:
-    """The frames, ascending, at which the board lies on the floor, at one place.
+    """Find the frames, ascending, in which the board lies on the floor, at one place.
 
     A frame counts when no corner of any other frame, and no camera, lies below the board's plane. Of the places where
     it does, the one where the board rested longest, of equal ones the last. ``corners_board`` (n, 3); centres (3,).
@@ -269,7 +269,7 @@ class MotionProgress:
 
 
 def motion_progress(cameras: Sequence[str], detections: Sequence[TargetDetection]) -> MotionProgress:
-    """How far the detections of the carried board tie ``cameras`` together."""
+    """Measure how far the detections of the carried board tie ``cameras`` together."""
     shared = common_frames(detections)
     strong = {pair for pair, count in shared.items() if count >= ENOUGH_SHARED}
     links = [TargetDetection(name, index, *_NOTHING) for index, pair in enumerate(sorted(strong)) for name in pair]

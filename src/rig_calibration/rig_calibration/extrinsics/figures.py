@@ -62,7 +62,7 @@ class RigFigures:
 
 
 def rig_figures(placed: PlacedRig, solution: RigSolution, floor: Mapping[str, FloorView]) -> RigFigures:
-    """All figures of the rig; ``floor`` for those that see the floor board."""
+    """Compute all figures of the rig; ``floor`` for those that see the floor board."""
     centre, cameras = centre_of(placed.rig.volume), placed.rig.cameras
     counts = Counter(detection.camera for detection in solution.detections)
     weights = np.array([counts[camera.name] for camera in cameras], float)

@@ -55,7 +55,7 @@ class FloorView:
 
 
 def floor_view(detection: TargetDetection, corners_board: Array, camera: CameraModel) -> FloorView:
-    """The camera's pose before the board that ``detection`` shows. Only the intrinsics of ``camera`` are used.
+    """Find the camera's pose before the board that ``detection`` shows. Only the intrinsics of ``camera`` are used.
 
     ``corners_board`` (n, 3) metres. Raises InputError for too few corners, and for a board seen from below.
     """
@@ -173,7 +173,7 @@ class StillBoard:
 def average_still_board(
     detections: Sequence[TargetDetection], board: Board, *, target: str, frame_index: int = 0
 ) -> StillBoard:
-    """The average of one camera's ``detections`` of a board that lies still, as a detection of ``target``.
+    """Average one camera's ``detections`` of a board that lies still, as a detection of ``target``.
 
     The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
     corner's frames that stray from the median (a hand at its edge) are left out. Needs one detection or more.

@@ -98,7 +98,7 @@ TAPE_ERROR_M = 0.02  # a tape held against a lens errs by so much
 
 
 def rig_verdict(evidence: RigEvidence) -> Verdict:
-    """GOOD, USABLE or REDO, with every finding and its remedy: the rig's first, then each camera's."""
+    """Judge the rig GOOD, USABLE or REDO, with every finding and its remedy: the rig's first, then each camera's."""
     cameras = (camera_findings(camera, evidence) for camera in evidence.figures.cameras)
     rig = (_of_floor(evidence), _of_guess(evidence), _of_sides(evidence), _of_scale(evidence), _of_layout(evidence))
     return judge(chain.from_iterable([*rig, *cameras]))
@@ -210,7 +210,7 @@ MOVED_SHARE = 0.2
 
 
 def camera_findings(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    """All that is wrong with one camera, the worst causes first."""
+    """Find all that is wrong with one camera, the worst causes first."""
     yield from _of_view(camera, evidence)
     yield from _of_precision(camera, evidence)
     yield from _of_height(camera, evidence)

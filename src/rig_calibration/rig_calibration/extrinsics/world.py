@@ -78,7 +78,7 @@ class PlacedRig:
 def place_rig(
     cameras: Mapping[str, CameraModel], T_camera_reference: Mapping[str, Array], T_world_reference: Array
 ) -> PlacedRig:
-    """The cameras whose poses are known, placed in the world; their intrinsics are those of ``cameras``."""
+    """Place the cameras whose poses are known in the world; their intrinsics are those of ``cameras``."""
     T_reference_world = inverse(T_world_reference)
     placed = tuple(
         replace(cameras[name], T_camera_world=T_camera_reference[name] @ T_reference_world)
@@ -124,7 +124,8 @@ class CommonVolume:
 
 
 def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
-    """Where at least three cameras see (all, of fewer), on a grid of 0.1 m around the point that their axes meet."""
+    """Find where at least three cameras see (all, of fewer), on a grid of 0.1 m around the point that their axes
+    meet."""
     enough = min(ENOUGH_CAMERAS, len(cameras))
     x, y = _floor_grid(cameras)
     seeing = _cameras_seeing(cameras, x, y)  # (levels, nx, ny)

@@ -36,7 +36,7 @@ class BoardPlacement:
 
 
 def placement_of(T_camera_board: Array, detection: TargetDetection) -> BoardPlacement:
-    """What a pose of the board means to the person who holds it; its origin may lie anywhere on the board."""
+    """Tell what a pose of the board means to the person who holds it; its origin may lie anywhere on the board."""
     normal, t = T_camera_board[:3, 2], T_camera_board[:3, 3]
     x, y, z = normal if normal @ t < 0 else -normal  # towards the camera
     angle = np.arctan2(np.hypot(x, y), -z)
@@ -96,7 +96,7 @@ class Coverage:
 
 
 def coverage_of(pixels: Sequence[Array], placements: Sequence[BoardPlacement], image_size: tuple[int, int]) -> Coverage:
-    """Of the corners (n, 2) of each view, and how each shows the board."""
+    """Summarise the corners (n, 2) of each view, and how each shows the board."""
     width, height = image_size
     cells = np.zeros((max(round(CELLS_ACROSS * height / width), 2), CELLS_ACROSS), bool)
     for corners in pixels:
@@ -114,7 +114,7 @@ def coverage_of(pixels: Sequence[Array], placements: Sequence[BoardPlacement], i
 
 
 def covered_cells(pixels: Array, image_size: tuple[int, int], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    """(rows, columns) the cells that hold a corner, or whose middle lies among the corners."""
+    """Mark (rows, columns) the cells that hold a corner, or whose middle lies among the corners."""
     cell = np.array(image_size) / (shape[1], shape[0])
     column, row = np.clip(((pixels + 0.5) / cell).astype(int), 0, (shape[1] - 1, shape[0] - 1)).T
     cells = np.zeros(shape, bool)

@@ -113,8 +113,8 @@ def fit_lens(
 def lens_information(
     camera: CameraModel, detections: Sequence[TargetDetection], poses: Sequence[Array], board: Board
 ) -> Array:
-    """(V, p, p): what each view says about the lens of ``camera`` and the board's bow once its own pose has been paid
-    for. ``poses`` (4, 4) : as :func:`board_pose` finds them."""
+    """Compute (V, p, p) what each view says about the lens of ``camera`` and the board's bow once its own pose has been
+    paid for. ``poses`` (4, 4) : as :func:`board_pose` finds them."""
     columns = LensModel(camera.distortion_model).columns
     target = detections[0].target
     problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
@@ -130,15 +130,16 @@ def lens_information(
 
 
 def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
-    """(4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the one
-    that fits better; None when the corners determine none."""
+    """Find (4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the
+    one that fits better; None when the corners determine none."""
     shape = shapes_of({"": board.corners_board}, {})[""]
     poses = detection_poses(detection, camera, shape)
     return None if poses is None else transform(poses.R[0], poses.t[0])
 
 
 def held_out_squares(lens: LensFit, detections: Sequence[TargetDetection], board: Board) -> dict[int, float]:
-    """By frame, the mean squared residual, px^2, of views that the lens was not fitted to, their poses fitted."""
+    """Compute, by frame, the mean squared residual, px^2, of views that the lens was not fitted to, their poses
+    fitted."""
     fit = _fit_from(lens.camera, detections, board, lens.model)
     state = replace(fit.adjusted.state, bow=lens.fit.adjusted.state.bow)
     fit = adjusted(replace(fit, prior=None, adjusted=replace(fit.adjusted, state=state)))
@@ -216,7 +217,7 @@ def _left_out(fit: Fit, sigma_px: float) -> tuple[LeftOut, ...]:
 def usable_detections(
     detections: Sequence[TargetDetection], board: Board
 ) -> tuple[list[TargetDetection], list[LeftOut]]:
-    """The detections worth adjusting, ordered by frame, and those that show too little, with the reason.
+    """Select the detections worth adjusting, ordered by frame; those that show too little, with the reason.
 
     Raises InputError for what cannot belong together: images of several sizes or cameras, corners that the board does
     not have, fewer than three views.
@@ -235,7 +236,7 @@ def usable_detections(
 
 
 def why_useless(detection: TargetDetection, board: Board) -> str:
-    """Why a detection is too little to fix the board's pose, "" when it is not.
+    """Say why a detection is too little to fix the board's pose, "" when it is not.
 
     Raises InputError for corners that the board does not have.
     """

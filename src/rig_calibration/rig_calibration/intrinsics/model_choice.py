@@ -31,7 +31,8 @@ class ModelChoice:
 
 
 def choose_model(views: Sequence[TargetDetection], board: Board) -> ModelChoice:
-    """By cross-validation in five folds over the views: each is predicted (but for its pose) by a fit to the others."""
+    """Choose by cross-validation in five folds over the views: each is predicted (but for its pose) by a fit to the
+    others."""
     squares = {name: _held_out(views, board, LensModel(name)) for name in (SIMPLE, RICH)}
     rms = {name: float(np.sqrt(np.mean(value))) for name, value in squares.items()}
     gain = np.log(squares[SIMPLE]) - np.log(squares[RICH])  # of every view; logarithms: no view outweighs the others

@@ -16,7 +16,7 @@ PERCENTILE = 90
 
 
 def draw(result: Intrinsics) -> Figure:
-    """Residuals over the image, coverage, residual of each view, distortion over the radius."""
+    """Draw residuals over the image, coverage, residual of each view, distortion over the radius."""
     figure = Figure(figsize=(13, 9.5), constrained_layout=True)
     (over_image, covered), (by_view, over_radius) = figure.subplots(2, 2)
     _residuals(over_image, result)

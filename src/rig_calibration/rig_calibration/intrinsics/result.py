@@ -73,7 +73,7 @@ class Intrinsics:
 
 
 def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain data for YAML; ``about`` (board, sources, versions, date) comes first."""
+    """Make plain data for YAML; ``about`` (board, sources, versions, date) comes first."""
     return {
         **about,
         "camera": result.camera.name,

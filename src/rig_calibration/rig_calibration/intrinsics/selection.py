@@ -223,8 +223,8 @@ class ViewCollector:
 
 
 def d_optimal_views(information: Array, precision: Array, wanted: int) -> list[int]:
-    """Indices of ``wanted`` of the views (V, p, p), chosen one by one so that the determinant of the normal matrix,
-    which begins as ``precision`` (p, p), grows most (D-optimal design)."""
+    """Choose the indices of ``wanted`` of the views (V, p, p), chosen one by one so that the determinant of the normal
+    matrix, which begins as ``precision`` (p, p), grows most (D-optimal design)."""
     chosen: list[int] = []
     left = list(range(len(information)))
     while left and len(chosen) < wanted:

@@ -31,7 +31,7 @@ REFERENCE_WIDTH_PX = 640
 
 
 def lens_findings(result: Intrinsics) -> Iterator[Finding]:
-    """What is wrong with a calibration, worst causes first."""
+    """Find what is wrong with a calibration, worst causes first."""
     yield from _views(result)
     yield from _tilt(result)
     yield from _accuracy(result)
