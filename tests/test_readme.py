@@ -1,0 +1,41 @@
+"""The README's page of code is the pipeline's own, and the files it names are there."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
+FILE = re.compile(r"\b([a-z_]+)/((?:[a-z_]+/)*)([a-z_]+\.py)?")
+
+
+def page_of_code() -> list[str]:
+    """Lines of the README's Python block."""
+    block = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert block is not None
+    return block.group(1).splitlines()
+
+
+def test_every_statement_of_the_readme_s_page_stands_in_the_pipeline_in_the_same_order():
+    pipeline = (ROOT / PAGE).read_text(encoding="utf-8")
+    statements = [line.split("  #")[0].strip() for line in page_of_code() if not line.startswith("#")]
+    places = [pipeline.find(statement) for statement in statements]
+    assert len(statements) >= 7
+    assert -1 not in places and places == sorted(places)
+
+
+def test_every_file_and_folder_that_the_page_names_exists():
+    named = [match.group(0) for line in page_of_code() for match in FILE.finditer(line)]
+    assert len(named) >= 15
+    missing = [name for name in named if not (ROOT / "src" / name.split("/")[0] / name).exists()]
+    assert not missing
+
+
+def test_every_link_of_the_documentation_leads_to_a_file():
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
+    dead = [
+        f"{page.relative_to(ROOT)}: {target}"
+        for page in pages
+        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+        if not target.startswith(("http:", "https:")) and not (page.parent / target).exists()
+    ]
+    assert not dead
