@@ -6,7 +6,7 @@ form of Baker and Matthews, IJCV 2004), with robust weights against what does no
 a chair that was moved. A camera that was pushed aside is found, too: what is nearer moves more, but all moves.
 
 cv2.findTransformECC on the same pictures has no robust weights: with people in view it errs by 0.2 to 1.5 px where the
-camera has not moved (here 0.01 to 0.04 px), on recorded and rendered sessions, and takes as long or longer.
+camera has not moved (here 0.01 to 0.04 px), on recorded and rendered sessions.
 """
 
 from __future__ import annotations
