@@ -156,7 +156,7 @@ class IcpNode(SagomaNode):
         self._publish(result, message.header.frame_id)
 
     def _voxels_of(self, stamp_ns: int) -> VoxelSamples:
-        """The set's voxels, if they are wanted and there."""
+        """Return the set's voxels, if they are wanted and there."""
         if self._tracker is None or not self._tracker.needs_voxels:
             return NO_VOXELS
         message = self._voxels.take(stamp_ns)
@@ -166,7 +166,7 @@ class IcpNode(SagomaNode):
         return self._read(message, VoxelSamples, "voxels")
 
     def _contour_rays_of(self, stamp_ns: int) -> ContourRays:
-        """The set's contour rays, if they are wanted and there."""
+        """Return the set's contour rays, if they are wanted and there."""
         if self._tracker is None or not self._tracker.needs_contour_rays:
             return NO_CONTOUR_RAYS
         message = self._contour_rays.take(stamp_ns)
@@ -222,7 +222,7 @@ class IcpNode(SagomaNode):
 
 
 def fit_message(result: Fit, method: str) -> DiagnosticArray:
-    """How the fit of one set went, for icp/fit. Holds no clock times, so equal inputs give equal bytes."""
+    """Return how the fit of one set went, for icp/fit. Holds no clock times, so equal inputs give equal bytes."""
     values: dict[str, object] = {"state": result.state, "method": method, "started_from": result.started_from}
     if result.solution is not None:
         values |= {

@@ -71,15 +71,15 @@ class FilterFeedback:
         self._asked_ns: int | None = None
 
     def put(self, prediction: Prediction) -> None:
-        """A state arrived (any thread)."""
+        """Take a state that arrived (any thread)."""
         self.mailbox.put(prediction.stamp_ns, prediction)
 
     def asked(self, stamp_ns: int) -> None:
-        """The reference points of this set went out: the filter will answer with its stamp."""
+        """Remember the set whose reference points went out: the filter will answer with its stamp."""
         self._asked_ns = stamp_ns
 
     def after_previous_set(self) -> Prediction | None:
-        """The state after the set last asked for, or the newest one when it did not come in time, or None."""
+        """Return the state after the set last asked for, or the newest one when it did not come in time, or None."""
         if self._asked_ns is None:
             return None
         return self.mailbox.take(self._asked_ns) or self.mailbox.newest()

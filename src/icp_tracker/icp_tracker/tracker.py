@@ -191,7 +191,7 @@ class IcpTracker:
 
 
 def make_tracker(settings: IcpNodeSettings, volume: Volume | None = None) -> IcpTracker:
-    """A tracker whose first pose comes from where the settings say; ``volume`` : where hulls end, unless they say so.
+    """Make a tracker whose first pose comes from where the settings say; ``volume`` : where hulls end, else.
 
     Raises InputError for files that cannot be used.
     """

@@ -1,4 +1,4 @@
-"""Silhouettes' rims in the solve: the match of rays and flesh, its derivatives, and what a fit makes of them."""
+"""Contour rays in the solve: the match of rays and surface, its derivatives, and what a fit makes of them."""
 
 import copy
 from dataclasses import replace
@@ -18,7 +18,7 @@ from stick_figure.pose import Pose
 STEP = 1e-6
 CAMERAS = np.array([[3.0 * np.cos(a), 3.0 * np.sin(a), 1.6] for a in np.arange(6) * np.pi / 3])
 NO_CENTERLINE = np.empty((0, 3))
-RIMS_ALONE = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0), max_iterations=30)
+RAYS_ALONE = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0), max_iterations=30)
 
 
 def placed(body, pose):
@@ -108,7 +108,7 @@ def scene(posed):
     return *posed[:3], copy.deepcopy(posed[3])
 
 
-def test_rays_touch_the_flesh_at_the_true_pose(scene):
+def test_rays_touch_the_surface_at_the_true_pose(scene):
     body, pose, rays, _ = scene
     _, _, distance, separation = match_rays(as_arrays(rays), placed(body, pose), 0.05)
     assert len(rays) > 300
@@ -152,22 +152,22 @@ def test_the_gradient_of_the_squared_distances_is_the_pull(scene, synthetic):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_rims_alone_bring_a_disturbed_pose_back(scene, seed):
+def test_contour_rays_alone_bring_a_disturbed_pose_back(scene, seed):
     body, pose, rays, _ = scene
     start = disturbed(pose, np.random.default_rng(seed), 0.1, 0.03)
     before = np.linalg.norm(forward(body, start) - forward(body, pose), axis=1).mean()
-    fit = fit_articulated(body, start, NO_CENTERLINE, settings=RIMS_ALONE, contour_rays=rays)
+    fit = fit_articulated(body, start, NO_CENTERLINE, settings=RAYS_ALONE, contour_rays=rays)
     error = np.linalg.norm(fit.reference_points_world - forward(body, pose), axis=1)
     assert before > 0.04
     # the head's twist and the pull towards its rest leave a few millimetres at the crown
     assert error.mean() < 0.008 and error.max() < 0.035
 
 
-def test_worthless_rims_change_nothing(scene):
+def test_contour_rays_without_weight_change_nothing(scene):
     body, pose, rays, rng = scene
     off = ContourSettings(weight=0.0)
     start, points = disturbed(pose, rng, 0.05, 0.02), forward(body, pose)
-    settings = replace(RIMS_ALONE, contour=off)
+    settings = replace(RAYS_ALONE, contour=off)
     alone = fit_articulated(body, start, points, settings=settings)
     beside = fit_articulated(body, start, points, settings=settings, contour_rays=rays)
     assert np.array_equal(alone.reference_points_world, beside.reference_points_world)

@@ -110,20 +110,20 @@ def test_hull_rescues_an_arm_that_the_centerline_does_not_show(body, synthetic):
     assert hand_error(VolumeSettings()) < 0.05
 
 
-def test_fat_hull_is_trusted_less_than_a_tight_one(body, synthetic):
+def test_loose_hull_weighs_less_than_a_tight_one(body, synthetic):
     truth, settings = synthetic.t_pose(), ArticulatedSettings()
     tight = hull_of(body, truth, synthetic)
     centre = truth.position_world
-    fat = VoxelSamples.checked(centre + (tight.points_world - centre) * [2.5, 1.3, 1.0], tight.surface)
+    loose = VoxelSamples.checked(centre + (tight.points_world - centre) * [2.5, 1.3, 1.0], tight.surface)
 
-    def trust(hull):
+    def share(hull):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
         weights = make_weights(data, settings)
         _, _, distance = surface_distances(data.voxels, synthetic.placed(body, truth))
         return discount_loose_hull(weights, distance).voxel / weights.voxel
 
-    assert trust(tight) > 0.8
-    assert trust(fat) < 0.5 * trust(tight)
+    assert share(tight) > 0.8
+    assert share(loose) < 0.5 * share(tight)
 
 
 def test_limb_that_only_the_hull_shows_is_visible(body, synthetic):

@@ -47,7 +47,7 @@ def error(refiner, truth):
     return refiner.refined.estimate.sizes - truth[SIZE]
 
 
-def test_sizes_converge_to_the_body_that_made_the_rims_when_all_joints_bend():
+def test_sizes_converge_to_the_body_that_made_the_rays_when_all_joints_bend():
     rng = np.random.default_rng(3)
     estimate, truth = wrong_start(rng)
     refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng)

@@ -85,7 +85,7 @@ class Body:
 
     @classmethod
     def from_stature(cls, stature_m: float) -> Body:
-        """An average adult of this standing height (Drillis & Contini 1966 in Winter, fig. 4.1), metres.
+        """Return an average adult of this standing height (Drillis & Contini 1966 in Winter, fig. 4.1), metres.
 
         The neck point lies at the chin's height, hands are stretched (the forearm stick ends at the finger tip).
         Raises InputError outside 0.5 to 2.6 m.
@@ -103,7 +103,7 @@ class Body:
 
     @classmethod
     def from_points(cls, points_world: Array) -> Body:
-        """The body measured on reference points (F, 15, 3) (or one frame (15, 3)), metres, NaN where unknown.
+        """Return the body measured on reference points (F, 15, 3) (or one frame (15, 3)), metres, NaN where unknown.
 
         Median limb lengths over the frames, left and right pooled; d_s and d_H are measured too.
         Raises InputError when a limb is never seen.

@@ -31,7 +31,7 @@ def load_body(path: str | Path) -> Body:
 
 
 def load_thickness(path: str | Path) -> dict[str, float]:
-    """The limbs' thickness over the average build's by name, as far as the body file knows it. Raises InputError."""
+    """Return the limbs' thickness over the average build's by name, as far as the file has it. Raises InputError."""
     return parse_thickness(_read(Path(path)), str(path))
 
 
@@ -41,7 +41,7 @@ def save_body(body: Body, path: str | Path, source: str = "", thickness: Mapping
 
 
 def parse_body(text: str, where: str) -> Body:
-    """The body of a body file's text. Raises InputError naming `where`, key, value and remedy."""
+    """Return the body of a body file's text. Raises InputError naming `where`, key, value and remedy."""
     document = parse_mapping(text, where, _REMEDY)
     _check_keys(document, KEYS, OPTIONAL_KEYS, where)
     if document.get("units", "metres") != "metres":
@@ -58,7 +58,7 @@ def parse_body(text: str, where: str) -> Body:
 
 
 def parse_thickness(text: str, where: str) -> dict[str, float]:
-    """The limbs' thickness in a body file's text, by name (`THICKNESS_NAMES`); empty where it has none."""
+    """Return the limbs' thickness in a body file's text, by name (`THICKNESS_NAMES`); empty where it has none."""
     thickness = parse_mapping(text, where, _REMEDY).get("thickness", {})
     if not isinstance(thickness, Mapping):
         raise InputError(f"thickness is {thickness!r}", where=where, remedy="Give a factor for each limb by name.")
@@ -67,7 +67,7 @@ def parse_thickness(text: str, where: str) -> dict[str, float]:
 
 
 def format_body(body: Body, source: str = "", thickness: Mapping[str, float] | None = None) -> str:
-    """The text of a body file, from which :func:`parse_body` (and :func:`parse_thickness`) give the same numbers."""
+    """Return a body file's text, from which :func:`parse_body` and :func:`parse_thickness` give the same numbers."""
     document: dict[str, Any] = {"units": "metres"}
     if source:
         document["source"] = source

@@ -130,8 +130,8 @@ def place_capsules(capsules, G, A, P, Q):
 
 @njit(cache=True)
 def nearest_capsule(x, y, z, P, Q, radii, capsule, along, distance):
-    """The capsule nearest to each point (n,): its index, the position along its axis, and the signed distance to its
-    surface (m, negative inside). Branch-free inside, so it is vectorised."""
+    """Find the capsule nearest to each point (n,): its index, the place along its axis, and the signed distance (n,) m
+    from its surface, negative inside. Branch-free inside, so it is vectorised."""
     distance[:] = np.inf
     for k in range(P.shape[0]):
         a0, a1, a2 = P[k, 0], P[k, 1], P[k, 2]

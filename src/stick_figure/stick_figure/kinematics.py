@@ -24,7 +24,7 @@ _SEGMENTS = np.vstack([[[2, 1]], _LIMB_POINTS[:, :2], _LIMB_POINTS[:, 1:]])
 
 
 def inverse(body: Body, points_world: Array, previous: Pose | None = None) -> Pose:
-    """The pose of reference points (15, 3), world frame, metres: the exact inverse of `kinematics.forward`.
+    """Return the pose of reference points (15, 3), world frame, metres: the exact inverse of `kinematics.forward`.
 
     The torso is the rigid fit to its six points; limbs follow from directions, so limbs of other lengths than the
     body's do no harm. What the points leave open (the twist of a straight arm or leg, the first angle where the limb
@@ -124,7 +124,7 @@ __all__ = ["angle_jacobian", "angle_rates", "forward", "inverse", "jacobian", "s
 
 
 def forward(body: Body, pose: Pose) -> Array:
-    """The 15 reference points (15, 3), world frame, metres (thesis Table 5.2 with the hips' third angle)."""
+    """Return the 15 reference points (15, 3), world frame, metres (thesis Table 5.2 with the hips' third angle)."""
     _, _, A, B = _placed(body, pose)
     points = np.empty((15, 3))
     kernels.reference_points(A, B, pose.position_world, points)
@@ -178,7 +178,7 @@ def angle_rates(pose: Pose, tangent_velocity: Array, angles: Array | None = None
 
 @njit(cache=True)
 def _points_jacobian(A, B, t0, axes):
-    """(15, 3, 24) derivative of the reference points for joints that turn about the world axes (18, 3)."""
+    """Return (15, 3, 24) derivative of the reference points for joints that turn about the world axes (18, 3)."""
     result, points = np.zeros((15, 3, 24)), np.empty((15, 3))
     columns, slots = np.empty((3, 11)), np.empty(11, np.int64)
     kernels.reference_points(A, B, t0, points)
@@ -190,7 +190,7 @@ def _points_jacobian(A, B, t0, axes):
 
 
 def _hinge_signs(pose: Pose, angles: Array) -> Array:
-    """(4,) -1 where the angles describe a hinge the other way round than the pose's matrices."""
+    """Return (4,) -1 where the angles describe a hinge the other way round than the pose's matrices."""
     reported = angles[HINGE_ANGLES]
     return np.where(np.abs(reported + pose.hinges) < np.abs(reported - pose.hinges), -1.0, 1.0)
 

@@ -103,7 +103,7 @@ def joint_offsets(estimate: Array, truth: Array) -> Array:
 
 
 def without_offsets(estimate: Array, truth: Array) -> Array:
-    """The estimate (F, 15, 3) with its constant joint offsets taken out, metres, world frame."""
+    """Return the estimate (F, 15, 3) with its constant joint offsets taken out, metres, world frame."""
     offsets = joint_offsets(estimate, truth)
     return np.asarray(estimate, float) - np.einsum("fij,pj->fpi", pelvis_rotations(truth), offsets)
 

@@ -44,7 +44,7 @@ class Pose:
 
     @classmethod
     def from_angles(cls, position_world: Array, R_world_torso: Array, angles: Array) -> Pose:
-        """The pose of the torso's position and rotation and the 18 angles of `skeleton.ANGLE_NAMES` (rad)."""
+        """Return the pose of the torso's position and rotation and the 18 angles of `skeleton.ANGLE_NAMES` (rad)."""
         angles = np.ascontiguousarray(angles, float)
         if angles.shape != (18,):
             raise ValueError(f"angles have shape {angles.shape}, expected (18,)")
@@ -54,7 +54,7 @@ class Pose:
         return cls(position_world, R_world_torso, R_joints, angles[HINGE_ANGLES])
 
     def angles(self, previous: Array | None = None) -> Array:
-        """The 18 angles (rad), the exact inverse of :meth:`from_angles` inside the ranges of thesis Table 5.1.
+        """Return the 18 angles (rad), the exact inverse of :meth:`from_angles` inside the ranges of thesis Table 5.1.
 
         A pose outside the ranges gives an equal description of itself that exceeds them (never a clipped one).
         `previous` (18,) settles what a gimbal singularity leaves open and which of two equal descriptions is meant.
@@ -62,19 +62,19 @@ class Pose:
         return angles_of_joints(self.R_joints, self.hinges, previous)
 
     def retract(self, tangent: Array) -> Pose:
-        """The pose reached along a tangent vector (24,)."""
+        """Return the pose reached along a tangent vector (24,)."""
         moved = Pose(self.position_world, self.R_world_torso, self.R_joints, self.hinges)
         kernels.retract(*moved.arrays, np.ascontiguousarray(tangent, float), 1.0)
         return moved
 
     def minus(self, other: Pose) -> Array:
-        """The tangent vector (24,) that leads from `other` to this pose: other.retract(self.minus(other)) is self."""
+        """Return the tangent (24,) that leads from `other` to this pose: other.retract(self.minus(other)) is self."""
         tangent = np.zeros(24)
         kernels.difference(*self.arrays, *other.arrays, tangent)
         return tangent
 
     def canonical(self, margin: float = HINGE_MARGIN_RAD) -> Pose:
-        """The same points with every hinge that passed straight by more than `margin` rad bent the right way."""
+        """Return the same points with every hinge that passed straight by more than `margin` rad bent the right way."""
         moved = Pose(self.position_world, self.R_world_torso, self.R_joints, self.hinges)
         kernels.canonicalise_hinges(moved.R_joints, moved.hinges, np.zeros(24), margin)
         return moved

@@ -54,7 +54,7 @@ def joint_rotations(angles: Array) -> Array:
 
 
 def angles_of_joints(R_joints: Array, hinges: Array, previous: Array | None = None) -> Array:
-    """The 18 angles (rad) of ball rotations (5, 3, 3) and hinges (4,).
+    """Return the 18 angles (rad) of ball rotations (5, 3, 3) and hinges (4,).
 
     Inside the ranges whenever the pose is; otherwise an equal description that exceeds them. At a gimbal
     singularity the undefined angle keeps its value of `previous` (18,), or of the T-pose when there is none.
@@ -87,7 +87,7 @@ def ball_rotation(ball, angles, R):
 
 @njit(cache=True)
 def wrap_into_range(value, slot):
-    """The value modulo a full turn that lies in (or nearest to) the slot's range; rounding is snapped to the limit."""
+    """Return the value modulo a full turn in (or nearest to) the slot's range; rounding is snapped to the limit."""
     middle = 0.5 * (ANGLE_LOW[slot] + ANGLE_HIGH[slot])
     value -= TURN * math.floor((value - middle) / TURN + 0.5)
     if ANGLE_LOW[slot] - ROUNDING_RAD <= value <= ANGLE_HIGH[slot] + ROUNDING_RAD:

@@ -52,12 +52,12 @@ class Arm:
     thickness: np.ndarray
 
     def at(self, across_m: float, stature: float) -> tuple[float, float]:
-        """Where the arm's line is at a distance from the spine: ahead and height, metres."""
+        """Return where the arm's line is at a distance from the spine: ahead and height, metres."""
         beyond = across_m - CLEARANCE * stature
         return self.ahead + beyond * np.tan(self.sweep), self.height + beyond * np.tan(self.elevation)
 
     def turned_round(self) -> Arm:
-        """The same arm of the body taken the other way round."""
+        """Return the same arm of the body taken the other way round."""
         return replace(self, sweep=-self.sweep, ahead=-self.ahead)
 
     def length_from(self, across_m: float) -> float:
@@ -78,7 +78,7 @@ def find_arms(body: Upright) -> tuple[Arm, Arm]:
 
 
 def _beside(body: Upright, side: float) -> np.ndarray:
-    """(n, 3) voxels of an arm: ahead, across (positive away from the spine), up; metres."""
+    """Return (n, 3) voxels of an arm: ahead, across (positive away from the spine), up; metres."""
     across = side * body.local[:, 1]
     arm = (across > CLEARANCE * body.stature) & (body.height > LOWEST) & (body.height < HIGHEST)
     return body.local[arm] * [1.0, side, 1.0]
@@ -125,7 +125,7 @@ def _thickness(arm: np.ndarray, step: float, pitch: float) -> np.ndarray:
 
 
 def _cut(arm: np.ndarray, step: float) -> list[np.ndarray]:
-    """The pieces of an arm that hold enough voxels, spine to tip."""
+    """Return the pieces of an arm that hold enough voxels, spine to tip."""
     if len(arm) == 0:
         return []
     number = ((arm[:, 1] - arm[:, 1].min()) / step).astype(int)
@@ -160,7 +160,7 @@ class Legs:
 
 
 def find_legs(body: Upright) -> Legs:
-    """The legs' lines. Raises PoseRejected when they are in stride or bent."""
+    """Return the legs' lines. Raises PoseRejected when they are in stride or bent."""
     H = body.stature
     shins = body.between(*SHINS)
     feet = [

@@ -59,7 +59,7 @@ SD_OVER_STATURE = np.array([0.009, 0.012, 0.014, 0.011, 0.011, 0.009, 0.008, 0.0
 
 
 def body_of_sizes(sizes_m: np.ndarray) -> Body:
-    """The stick figure of a vector of sizes (10,), metres; left and right are equal."""
+    """Return the stick figure of a vector of sizes (10,), metres; left and right are equal."""
     half_lengths = np.empty(10)
     half_lengths[[0, HEAD]] = sizes_m[[TORSO_, HEAD_]]
     half_lengths[[L_UPPER_ARM, R_UPPER_ARM]] = sizes_m[UPPER_ARM]
@@ -73,7 +73,7 @@ def body_of_sizes(sizes_m: np.ndarray) -> Body:
 
 
 def sizes_of_body(body: Body) -> np.ndarray:
-    """The vector of sizes (10,) of a stick figure, metres: the reverse of :func:`body_of_sizes`, sides averaged."""
+    """Return the sizes (10,) of a stick figure, metres: the reverse of :func:`body_of_sizes`, sides averaged."""
     sizes, lengths = np.empty(len(SIZES)), body.lengths
     sizes[[TORSO_, HEAD_]] = lengths[[0, HEAD]]
     sizes[UPPER_ARM] = lengths[[L_UPPER_ARM, R_UPPER_ARM]].mean()
@@ -117,12 +117,12 @@ class BodyEstimate:
 
 
 def prior_sizes(stature_m: float) -> BodyEstimate:
-    """A person of whom only the stature is known."""
+    """Return a person of whom only the stature is known."""
     return BodyEstimate(MEAN_OVER_STATURE * stature_m, np.diag((SD_OVER_STATURE * stature_m) ** 2))
 
 
 def estimate_body(measured: list[TPose]) -> BodyEstimate:
-    """The body that several frame sets of one held T-pose show; medians over the sets."""
+    """Return the body that several frame sets of one held T-pose show; medians over the sets."""
     stature = float(np.median([m.stature for m in measured]))
     estimate = prior_sizes(stature)
     for row, value, sd in _observations(measured, stature):
@@ -131,7 +131,7 @@ def estimate_body(measured: list[TPose]) -> BodyEstimate:
 
 
 def _observations(measured: list[TPose], H: float) -> list[tuple[np.ndarray, float, float]]:
-    """What the hull says of the sizes: row (10,), value in metres, standard deviation over the stature."""
+    """Return what the hull says of the sizes: row (10,), value in metres, standard deviation over the stature."""
     upright = float(np.median([np.cos(m.legs.spread) for m in measured]))
     legs = {THIGH: upright, CALF: upright, ANKLE: 1.0}
     half_width = MEAN_OVER_STATURE[SHOULDER] * H
@@ -169,7 +169,7 @@ def _row(entries: dict[int, float]) -> np.ndarray:
 
 
 def _update(estimate: BodyEstimate, row: np.ndarray, value: float, sd: float) -> BodyEstimate:
-    """The estimate after observing row @ sizes = value, metres; Joseph form, which stays symmetric."""
+    """Return the estimate after observing row @ sizes = value, metres; Joseph form, which stays symmetric."""
     P = estimate.covariance
     gain = P @ row / (row @ P @ row + sd**2)
     rest = np.eye(len(row)) - np.outer(gain, row)
@@ -202,7 +202,7 @@ class LimbGirths:
     measured: tuple[str, ...] = ()
 
     def by_name(self) -> dict[str, float]:
-        """What the hull told, as a body file keeps it."""
+        """Return what the hull told, as a body file keeps it."""
         return {name: float(getattr(self, name)) for name in self.measured}
 
     @classmethod
@@ -223,7 +223,7 @@ class LimbGirths:
 
 
 def measure_girths(measured: list[TPose], body: Body) -> LimbGirths:
-    """The thickness of the limbs of ``body``, whose T-pose several frame sets show."""
+    """Return the thickness of the limbs of ``body``, whose T-pose several frame sets show."""
     capsules = BodySurface.of(body)
     arm = np.concatenate([_along_arm(side, body) for m in measured for side in m.arms])
     leg = np.concatenate([m.legs.slices for m in measured])
@@ -244,7 +244,7 @@ def measure_girths(measured: list[TPose], body: Body) -> LimbGirths:
 
 
 def _along_arm(arm: Arm, body: Body) -> np.ndarray:
-    """(k, 2) of one arm: distance from the shoulder along the arm, and thickness; metres."""
+    """Return (k, 2) of one arm: distance from the shoulder along the arm, and thickness; metres."""
     stretch = arm.length_from(0.0) / arm.tip
     return np.column_stack([(arm.thickness[:, 0] - body.half_shoulder_width) * stretch, arm.thickness[:, 1]])
 
@@ -257,7 +257,7 @@ def _factor(
     capsules: BodySurface,
     limb: tuple[int, float],
 ) -> float:
-    """A quantile of the thickness of pieces (k, 2) over the surface's, NaN with too few of them.
+    """Return a quantile of the thickness of pieces (k, 2) over the surface's, NaN with too few of them.
 
     start : where the stick starts on the pieces' scale, metres. part : of the stick, which of them count. limb : the
     stick and the quantile, per cent.
@@ -279,5 +279,5 @@ def _radii_along(capsules: BodySurface, stick: int, places: np.ndarray) -> np.nd
 
 
 def _trunk(measured: list[TPose], capsules: BodySurface) -> float:
-    """The chest's width below the armpits over the surface's; NaN where it was not seen."""
+    """Return the chest's width below the armpits over the surface's; NaN where it was not seen."""
     return float(np.median([m.chest_half_width for m in measured])) / (capsules.start[0, 1] + capsules.radii[0, 0])

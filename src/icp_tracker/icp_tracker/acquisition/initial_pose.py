@@ -50,7 +50,7 @@ class PoseSource(Protocol):
         ...
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
-        """The first pose, if this frame set brings it."""
+        """Return the first pose, if this frame set brings it."""
         ...
 
 
@@ -109,7 +109,7 @@ def save_initial_pose(pose: Pose, path: str | Path, body: Body | None = None) ->
 def pose_from_reference(
     frames: np.ndarray, points_world: np.ndarray, frame: int, where: str, body: Body | None = None
 ) -> KnownPose:
-    """The pose and body of a reference (F, 15, 3) m with frame numbers (F,), at video frame ``frame``.
+    """Return the pose and body of a reference (F, 15, 3) m with frame numbers (F,), at video frame ``frame``.
 
     The body is measured over all frames unless it is given. A point that is unknown (NaN) at that frame is taken from
     the nearest frame that has it, up to five frames away. Raises InputError when the frame or a point is missing.

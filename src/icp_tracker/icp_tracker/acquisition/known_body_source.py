@@ -95,7 +95,7 @@ class KnownBodySource:
         self._agreed: list[np.ndarray] = []
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
-        """The pose, or the reason why there is none yet."""
+        """Return the pose, or the reason why there is none yet."""
         found, reasons = [], {}
         for number in seen.voxels_of_bodies():
             try:
@@ -190,6 +190,6 @@ def _rough_pose(body: Body, upright: Upright, crown: float, left: float, right: 
 
 
 def _turned_round(pose: Pose) -> Pose:
-    """The mirrored pose, turned by half a turn: from afar the same."""
+    """Return the mirrored pose, turned by half a turn: from afar the same."""
     half_turn = rotation_matrix(np.array([0.0, 0.0, np.pi]))
     return Pose.from_angles(pose.position_world, half_turn @ pose.R_world_torso, mirror_angles(pose.angles()))

@@ -39,7 +39,7 @@ class InitialPoseSettings:
 
 
 def make_pose_source(settings: InitialPoseSettings, body_file: str = "", volume: Volume | None = None) -> PoseSource:
-    """The source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
+    """Return the source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
 
     A known body needs no T-pose: anything near one will do. ``volume`` (or that of the settings' rig file) is where
     hulls end. Raises InputError naming parameter or file, value and remedy.

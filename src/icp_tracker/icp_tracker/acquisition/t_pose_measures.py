@@ -61,7 +61,7 @@ class TPose:
         return self.body.stature
 
     def turned_round(self) -> TPose:
-        """The same taken back to front."""
+        """Return the same taken back to front."""
         arms = (self.arms[1].turned_round(), self.arms[0].turned_round())
         return replace(self, body=self.body.turned_round(), arms=arms, facing=-self.facing)
 

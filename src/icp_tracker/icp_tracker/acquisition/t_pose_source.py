@@ -36,7 +36,7 @@ class TPoseSource:
         self._held: deque[tuple[int, TPose]] = deque(maxlen=settings.hold_sets)
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
-        """The pose and the measured body, or the reason why there is none yet."""
+        """Return the pose and the measured body, or the reason why there is none yet."""
         measured, reason = find_t_pose(seen, self._settings, self._volume)
         if measured is None:
             self._held.clear()
@@ -67,7 +67,7 @@ class TPoseSource:
 
 
 def find_t_pose(seen: HullProducts, settings: TPoseSettings, volume: Volume | None = None) -> tuple[TPose | None, str]:
-    """The one body that stands in the pose; or None, and of each body the reason why it does not."""
+    """Return the one body that stands in the pose; or None, and of each body the reason why it does not."""
     found, reasons = [], {}
     for number, voxels in seen.voxels_of_bodies().items():
         try:
@@ -82,7 +82,7 @@ def find_t_pose(seen: HullProducts, settings: TPoseSettings, volume: Volume | No
 
 
 def pose_of(held: list[TPose], body: Body) -> Pose:
-    """The pose at the measured place and heading: arms and legs as they are held, the trunk upright.
+    """Return the pose at the measured place and heading: arms and legs as they are held, the trunk upright.
 
     A hull's depth is worse than its height, so the arms' sweep is that of both together.
     """
@@ -100,7 +100,7 @@ def pose_of(held: list[TPose], body: Body) -> Pose:
 
 
 def _angles(elevation: float, sweep: float, spread: float) -> np.ndarray:
-    """(18,) angles with the left arm and the left leg as given; the inverse kinematics of thesis Table 5.4."""
+    """Return (18,) angles with the left arm and the left leg as given; the inverse kinematics of thesis Table 5.4."""
     angles = T_POSE_ANGLES.copy()
     x, y, z = np.tan(sweep), 1.0, np.tan(elevation)
     angles[ANGLE_NAMES.index("left_shoulder_x")] = np.arctan2(z, y)
@@ -110,7 +110,7 @@ def _angles(elevation: float, sweep: float, spread: float) -> np.ndarray:
 
 
 def _trunk_middle(measured: TPose) -> np.ndarray:
-    """Where the trunk's axis stands (2,), world, metres.
+    """Return where the trunk's axis stands (2,), world, metres.
 
     The trunk's surface lies ahead of its joints, that of the shins behind theirs: halfway between is the axis.
     """
@@ -145,6 +145,6 @@ def _sureness(held: deque[tuple[int, TPose]]) -> float:
 
 
 def _turned_alike(held: deque[tuple[int, TPose]]) -> list[tuple[int, TPose]]:
-    """The sets, those that took the body the other way round turned to the heading that the evidence speaks for."""
+    """Return the sets, all turned to the heading that the evidence of all of them speaks for."""
     total = sum(m.facing * m.body.forward_world for _, m in held)
     return [(stamp, m if m.body.forward_world @ total > 0.0 else m.turned_round()) for stamp, m in held]

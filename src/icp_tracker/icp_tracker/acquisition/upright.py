@@ -60,11 +60,11 @@ class Upright:
         return self.local[:, 2] / self.stature
 
     def between(self, low: float, high: float) -> np.ndarray:
-        """(n, 3) the voxels between two heights over the stature."""
+        """Return (n, 3) the voxels between two heights over the stature."""
         return self.local[(self.height > low) & (self.height < high)]
 
     def turned_round(self) -> Upright:
-        """The same body taken the other way round."""
+        """Return the same body taken the other way round."""
         return replace(self, local=self.local * [-1.0, -1.0, 1.0], forward_world=-self.forward_world)
 
 
@@ -90,7 +90,7 @@ def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float,
 def stand_known(
     voxels_world: np.ndarray, stature_m: float, crouch: float, volume: Volume | None
 ) -> tuple[Upright, float]:
-    """The same for a body of known stature, whose hands may be above its head; and its crown's height over the floor.
+    """Do the same for a body of known stature, whose hands may be above its head; return also its crown's height.
 
     Raises PoseRejected when the hull is cut off by the ``volume``, or the crown lower than ``crouch`` of the stature.
     """
@@ -107,7 +107,7 @@ def stand_known(
 
 
 def _floor(lowest: float) -> float:
-    """The floor's height, world, metres: the map's floor where the hull sags below it."""
+    """Return the floor's height, world, metres: the map's floor where the hull sags below it."""
     return 0.0 if -SAGGING_M < lowest < 0.0 else float(lowest)
 
 

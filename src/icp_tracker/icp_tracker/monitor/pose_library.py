@@ -52,7 +52,7 @@ def legs_exchanged(body: Body, pose: Pose) -> Pose:
 
 
 def moved_to(pose: Pose, hull_world: np.ndarray) -> Pose:
-    """The pose above the middle of the hull's samples (m, 3)."""
+    """Return the pose above the middle of the hull's samples (m, 3)."""
     x, y = np.median(hull_world[:, :2], axis=0)
     return replace(pose, position_world=np.array([x, y, pose.position_world[2]]))
 
@@ -70,7 +70,7 @@ def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
 
 
 def _angles(left: dict[str, float]) -> np.ndarray:
-    """Both sides' angles (18,) of a stance."""
+    """Return both sides' angles (18,) of a stance."""
     angles = T_POSE_ANGLES.copy()
     for name, value in left.items():
         angles[ANGLE_NAMES.index(f"left_{name}")] = value
@@ -140,7 +140,7 @@ class LimbPoses(NamedTuple):
 
 @lru_cache(maxsize=8)
 def limb_poses(limb: Limb) -> LimbPoses:
-    """The library of one limb; the same every time."""
+    """Return the library of one limb; the same every time."""
     count, flexions, turns = (
         (ARM_DIRECTIONS, ARM_FLEXIONS, ARM_TURNS) if limb.is_arm else (LEG_DIRECTIONS, LEG_FLEXIONS, LEG_TURNS)
     )
@@ -158,7 +158,7 @@ def limb_poses(limb: Limb) -> LimbPoses:
 
 
 def even_directions(count: int) -> np.ndarray:
-    """(count, 3) unit vectors evenly over the sphere (golden spiral)."""
+    """Return (count, 3) unit vectors evenly over the sphere (golden spiral)."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     r = np.sqrt(1.0 - z * z)
@@ -184,7 +184,7 @@ def _frame(limb: Limb, direction: np.ndarray, turn: float) -> np.ndarray:
 
 
 def _in_range(limb: Limb, R: np.ndarray, flexion: float) -> bool:
-    """Whether the ball joint allows it. The twist of a straight limb may be any."""
+    """Return whether the ball joint allows the limb. The twist of a straight limb may be any."""
     rest = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     R_joints, hinges = rest.R_joints.copy(), rest.hinges.copy()
     R_joints[limb.ball], hinges[limb.hinge] = R, flexion

@@ -84,16 +84,16 @@ class ObservedSet:
     settings: ArticulatedSettings
 
     def evidence_of(self, pose: Pose) -> Evidence:
-        """The evidence about a pose."""
+        """Return the evidence about a pose."""
         return evidence_of(Figure.of(self.body), pose, self.data.contour_rays, self.data.hull)
 
     def fitted(self, pose: Pose, free: bool = False) -> Pose:
-        """The pose that the fit reaches from another one, more freely if it is only a guess."""
+        """Return the pose that the fit reaches from another one, more freely if it is only a guess."""
         settings = replace(self.settings, prior=FREE, max_iterations=FREE_ITERATIONS) if free else self.settings
         return minimise(self.body, pose, self.data, settings)[0]
 
     def apart_m(self, pose: Pose, other: Pose) -> float:
-        """How far apart (m) two poses' reference points are at most."""
+        """Return how far apart (m) two poses' reference points are at most."""
         return float(np.linalg.norm(forward(self.body, pose) - forward(self.body, other), axis=1).max())
 
 
@@ -176,7 +176,7 @@ class TrackMonitor:
     # --- where to look -----------------------------------------------------------------------------------------------
 
     def _guess(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
-        """What to try at this set: a lost body's stances, the whole body turned, or one limb elsewhere."""
+        """Return what to try at this set: a lost body's stances, the whole body turned, or one limb elsewhere."""
         turn, every = self._sets, TURNED_EVERY
         if quality.state == LOST and turn % 2 == 0:
             return self._stance(observed, turn // 2)
@@ -189,7 +189,7 @@ class TrackMonitor:
         return self._limb(observed, pose, quality)
 
     def _whole_body(self, observed: ObservedSet, pose: Pose) -> Hypothesis:
-        """The body turned or exchanged, one way after another; the most likely errors come most often."""
+        """Return the body turned or exchanged, one way after another; the most likely errors come most often."""
         body, turn = observed.body, self._looks % 6
         self._looks += 1
         if turn in (0, 2):
@@ -203,7 +203,7 @@ class TrackMonitor:
         return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged", None)
 
     def _stance(self, observed: ObservedSet, turn: int) -> Hypothesis:
-        """The best of a few stances; others at the next set."""
+        """Return the best of a few stances; others at the next set."""
         every = stances(observed.body, observed.data.hull)
         parts = len(every) // STANCES_A_SET
         best = min(every[turn % parts :: parts], key=lambda pose: observed.evidence_of(pose).cost)

@@ -58,7 +58,7 @@ class Baseline:
 
 
 def judge_track(evidence: Evidence, baseline: float | None) -> TrackQuality:
-    """The state of a pose, from its evidence and the share of rays that is usual for this body."""
+    """Return the state of a pose, from its evidence and the share of rays that is usual for this body."""
     share = evidence.share
     drop = 0.0 if baseline is None else baseline - share
     parts, reasons = _parts(evidence)
@@ -74,7 +74,7 @@ def judge_track(evidence: Evidence, baseline: float | None) -> TrackQuality:
 
 
 def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float) -> TrackQuality:
-    """The quality with a rival pose beside it: doubtful where they differ once the rival leads for a few sets."""
+    """Return the quality beside a hypothesis: doubtful where they differ once its margin has held for a few sets."""
     if hypothesis.sets == 0:
         return quality
     quality = replace(quality, hypothesis_margin=hypothesis.margin)
@@ -111,7 +111,7 @@ EVEN_RAYS = 3.0  # margin at which the other pose is about three times as likely
 def widened_covariance(
     covariance: np.ndarray, quality: TrackQuality, points_world: np.ndarray, hypothesis_points_world: np.ndarray | None
 ) -> np.ndarray:
-    """The covariance (15, 3, 3) m^2 of points (15, 3) with what is doubtful about them.
+    """Return the covariance (15, 3, 3) m^2 of points (15, 3) with what is doubtful about them.
 
     With a rival pose that is a reason for doubt, a point is in one of two places: covariance
     p (1 - p) d d^T, d the way to the other one, p the belief in it. Without one, points of a doubtful part are

@@ -119,7 +119,7 @@ class Keyframe:
         return own + H[:TANGENT, :TANGENT] + np.diag(self._prior.information()), pull
 
     def differs(self, pose: Pose, turn: float) -> bool:
-        """Whether some joint (not the torso) is turned by more than ``turn`` (rad) against this pose."""
+        """Return whether some joint (not the torso) is turned by more than ``turn`` (rad) against this pose."""
         return bool(np.abs(pose.minus(self.pose)[6:]).max() > turn)
 
 
@@ -196,7 +196,7 @@ class BodyRefiner:
         return True
 
     def _solve(self) -> None:
-        """The shape that prior and kept poses speak for."""
+        """Solve for the shape that prior and kept poses speak for."""
         if not self._kept:
             return
         information = self._information + np.sum([kept.information for kept in self._kept], axis=0)

@@ -72,12 +72,12 @@ class ShapeModel:
 
 
 def body_of(values: np.ndarray) -> Body:
-    """The stick figure of the unknowns' values (UNKNOWNS,)."""
+    """Return the stick figure of the unknowns' values (UNKNOWNS,)."""
     return body_of_sizes(values[SIZE])
 
 
 def girths_of(values: np.ndarray) -> LimbGirths:
-    """The thicknesses among the unknowns' values (UNKNOWNS,)."""
+    """Return the thicknesses among the unknowns' values (UNKNOWNS,)."""
     return LimbGirths.of(dict(zip(THICK, values[THICKNESS].tolist(), strict=True)))
 
 
@@ -103,7 +103,7 @@ class ShapePrior:
         return cls(np.concatenate([estimate.sizes, np.ones(len(THICK))]), covariance)
 
     def clipped(self, values: np.ndarray, farthest_sd: float) -> np.ndarray:
-        """The values, none farther from the mean than so many standard deviations."""
+        """Return the values, none farther from the mean than so many standard deviations."""
         reach = farthest_sd * np.sqrt(np.diag(self.covariance))
         return np.clip(values, self.mean - reach, self.mean + reach)
 

@@ -143,7 +143,7 @@ def align_sticks(points, G, t0, figure, options):
 
 @njit(cache=True)
 def match_fixed_sticks(j, xyz, A, B, fixed):
-    """The nearest of the sticks that stay while stick j is aligned, for every point."""
+    """Find the nearest of the sticks that stay while stick j is aligned, for every point."""
     stick, along, squared = fixed
     stick[:] = -1
     along[:] = 0.0

@@ -53,7 +53,7 @@ def weighted_procrustes_about(joint, a, b, w, R):
 
 @njit(cache=True)
 def weighted_swing_about(joint, direction, a, b, w, R):
-    """The smallest rotation about ``joint`` that turns a lone stick along ``direction`` (3,) onto its points.
+    """Find the smallest rotation about ``joint`` that turns a lone stick along ``direction`` (3,) onto its points.
 
     The points of one straight stick have a moment of rank one: Procrustes would return an arbitrary twist. The target
     direction is sum w |a - joint| (b - joint). Writes ``R``; returns its angle (rad).
@@ -178,7 +178,7 @@ def rotation_from_quaternion(w, x, y, z, R):
 
 @njit(cache=True)
 def swing_rotation(direction, target, R):
-    """The smallest rotation that takes ``direction`` (3,) onto the ray of ``target`` (3,); returns its angle.
+    """Find the smallest rotation that takes ``direction`` (3,) onto the ray of ``target`` (3,); returns its angle.
 
     The identity when either is zero. Opposite directions leave the axis open: the coordinate axis most nearly
     perpendicular to ``direction`` then fixes it, the same every time.
