@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -12,22 +13,28 @@ from stick_figure.pose import Pose
 from .table import column, columns, fill, layout
 
 UPPER_TRIANGLE = np.triu_indices(3)
+LOWER, UPPER = np.tril_indices(3, -1)
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
 
 
-class ReferencePoints(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ReferencePoints:
     """The 15 reference points in the order of `stick_figure.skeleton.POINT_NAMES`; world frame.
 
     points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured.
     """
 
-    LAYOUT = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
+    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
 
     points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Points, covariance, visibility."""
+        return iter((self.points_world, self.covariance, self.visible))
 
     def to_table(self) -> np.ndarray:
         """The 15 rows as the structured array LAYOUT."""
@@ -44,7 +51,10 @@ class ReferencePoints(NamedTuple):
 
     def as_sent(self) -> ReferencePoints:
         """The same, rounded to float32 as the cloud between the nodes is."""
-        return ReferencePoints.from_table(self.to_table())
+        covariance = np.asarray(self.covariance, np.float32).astype(np.float64)
+        covariance[:, LOWER, UPPER] = covariance[:, UPPER, LOWER]  # as six numbers make a matrix again
+        points_world = np.asarray(self.points_world, np.float32).astype(np.float64)
+        return ReferencePoints(points_world, covariance, np.asarray(self.visible, bool))
 
 
 NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))

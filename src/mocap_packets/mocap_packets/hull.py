@@ -67,9 +67,15 @@ class Centerline:
     @classmethod
     def from_table(cls, table: np.ndarray) -> Centerline:
         """The inverse of :meth:`to_table`."""
-        shape = (column(table, name) for name in ("area", "elongation", "fill"))
-        points, sigma, axis = columns(table, "x", "y", "z"), column(table, "sigma"), table["axis"].astype(np.uint8)
-        return cls(points, sigma, axis, *shape, table["body"].astype(np.int32))
+        return cls(
+            columns(table, "x", "y", "z"),
+            column(table, "sigma"),
+            table["axis"].astype(np.uint8),
+            column(table, "area"),
+            column(table, "elongation"),
+            column(table, "fill"),
+            table["body"].astype(np.int32),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +170,15 @@ class ContourRays:
     @classmethod
     def from_table(cls, table: np.ndarray) -> ContourRays:
         """The inverse of :meth:`to_table`."""
-        vectors = (columns(table, *names) for names in (("x", "y", "z"), ("dx", "dy", "dz"), ("nx", "ny", "nz")))
-        numbers = (table[name].astype(np.int32) for name in ("body", "camera"))
-        return cls(*vectors, column(table, "half"), column(table, "sigma"), *numbers)
+        return cls(
+            columns(table, "x", "y", "z"),
+            columns(table, "dx", "dy", "dz"),
+            columns(table, "nx", "ny", "nz"),
+            column(table, "half"),
+            column(table, "sigma"),
+            table["body"].astype(np.int32),
+            table["camera"].astype(np.int32),
+        )
 
 
 NO_CENTERLINE = Centerline.of_points(np.empty((0, 3)))
@@ -217,8 +229,13 @@ class HullProducts:
 
     def of_body(self, number: int) -> HullProducts:
         """The rows of one body."""
-        parts = (self.centerline, self.voxels, self.contour_rays)
-        return HullProducts(self.stamp_ns, *(_rows(part, part.body == number) for part in parts))
+        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
+        return HullProducts(
+            self.stamp_ns,
+            _rows(line, line.body == number),
+            _rows(voxels, voxels.body == number),
+            _rows(rays, rays.body == number),
+        )
 
     def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
         """The rows of the body that is expected at the reference points (15, 3).

@@ -81,8 +81,9 @@ def test_sent_reference_points_differ_by_no_more_than_single_precision():
     sent = points.as_sent()
     np.testing.assert_allclose(sent.points_world, points.points_world, rtol=1e-6)
     np.testing.assert_allclose(sent.covariance, points.covariance, rtol=1e-6)
-    for a, b in zip(sent, sent.as_sent(), strict=True):
+    for a, b, c in zip(sent, sent.as_sent(), ReferencePoints.from_table(points.to_table()), strict=True):
         np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(a, c)
 
 
 def test_sent_prediction_is_the_same_pose_and_velocity():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, TypeVar
+from typing import ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from sensor_msgs.msg import JointState, PointCloud2
@@ -21,12 +21,12 @@ from .messages import to_ns, to_stamp
 class Table(Protocol):
     """A packet with a table of float32 fields: Centerline, VoxelSamples, ContourRays, ReferencePoints."""
 
-    LAYOUT: np.dtype
+    LAYOUT: ClassVar[np.dtype]
 
     def to_table(self) -> np.ndarray: ...
 
     @classmethod
-    def from_table(cls, table: np.ndarray) -> Table: ...
+    def from_table(cls, table: np.ndarray) -> Self: ...
 
 
 T = TypeVar("T", bound=Table)

@@ -96,7 +96,8 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
         frame = frame_of_stamp(message.stamp_ns)
         if message.topic == POINTS_TOPIC:
             cloud = deserialize_message(message.data, PointCloud2)
-            points[frame] = read_reference_points(cloud, f"{bag}: {POINTS_TOPIC}")[:2]
+            measured = read_reference_points(cloud, f"{bag}: {POINTS_TOPIC}")
+            points[frame] = measured.points_world, measured.covariance
         else:
             angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {ANGLES_TOPIC}")
     frames = sorted(set(points) & set(angles))
