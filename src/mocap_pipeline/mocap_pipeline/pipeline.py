@@ -63,7 +63,7 @@ class MocapPipeline:
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
         """The body at one instant, from the cameras' images (H, W[, 3]) uint8."""
-        # segment: what differs from the background, without noise, and how dark (2.2; camera_client/silhouettes)
+        # segment: what differs from the background, without noise, and how dark (6.3; camera_client/silhouettes/)
         masks = {name: self.cameras[name].run(image, stamp_ns).mask for name, image in images.items()}
         return self.step_masks(stamp_ns, masks)
 
@@ -103,7 +103,7 @@ class BodyFollower:
         return Step(fit, self.filter(fit))
 
     def fit(self, products: HullProducts) -> Fit:
-        """Find the first pose, later fit the stick figure to the hull from where it is expected (4;
+        """Find the first pose, later fit the stick figure to the hull from where it is expected (4.3;
         icp_tracker/tracker.py with acquisition/, articulated_fit.py, monitor/, refinement/, thesis/)."""
         return self.tracker.step(products, self._prediction)
 
@@ -114,7 +114,7 @@ class BodyFollower:
             self.ekf.follow(self.tracker.body)
         # extended Kalman filter over pose and velocity, predicted to this stamp (tables 5.5 and 5.7)
         answer = self.ekf.step(fit.stamp_ns, *fit.reference_points.as_sent())
-        # predict: where the next fit starts (5.2.3; ekf_tracker/motion_model.py)
+        # predict: where the next fit starts (table 5.5; ekf_tracker/motion_model.py)
         self._prediction = answer.prediction.as_sent() if self._feeds_back else None
         return answer
 
