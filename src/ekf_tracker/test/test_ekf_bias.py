@@ -5,8 +5,9 @@ import pytest
 from ekf_person import ALL, NO_BIAS, NONE, Person, ellipsoid_distances, run, stamp
 from scipy.stats import chi2
 
+from capture_rig.settings import build_settings
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.settings import EkfSettings, MeasurementBiasSettings
+from ekf_tracker.settings import EkfNodeSettings, EkfSettings, MeasurementBiasSettings
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import POINT_NAMES
 
@@ -111,3 +112,9 @@ def test_slots_that_no_point_bears_on_are_not_widened(body, person):
     np.testing.assert_allclose(
         np.diag(states[-1].covariance)[shoulder], np.diag(fleeting[-1].covariance)[shoulder], rtol=1e-6
     )
+
+
+def test_parameters_of_a_former_version_are_understood_and_those_that_are_constants_now_are_no_error():
+    old = {"filter": {"lasting_errors": {"share": 0.5, "hips_m": 0.03}, "iterations": 3}, "restart_after_sets": 5}
+    bias = build_settings(EkfNodeSettings, old, "old.yaml").filter.measurement_bias
+    assert (bias.share, bias.hips_m, bias.knees_m) == (0.5, 0.03, MeasurementBiasSettings().knees_m)
