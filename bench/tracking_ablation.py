@@ -26,7 +26,7 @@ from sagoma_tools.evaluation.scores import Scores, score
 CHANGES: dict[str, dict[str, object]] = {
     "ours without sticks inside the hull": {SOLVE + "volume.inside_weight": 0.0},
     "ours without the hull's surface": {SOLVE + "volume.weight": 0.0},
-    "ours without rims": {SOLVE + "contour.weight": 0.0},
+    "ours without contour rays": {SOLVE + "contour.weight": 0.0},
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
     "ours without refined sizes": {"icp_tracker.refinement.keyframes": 0},
     "ours, loose prior": {
