@@ -22,6 +22,7 @@ from capture_rig.small_matrices import solve_positive
 # Parameters: x, y; directions of the edge along the row and of the edge along the column, rad; logarithms of the blur
 # (sigma, px) across the edge along the column and across the one along the row; contrast; light and its two slopes.
 
+REACH = 0.7  # of a field, on each side of the corner
 SIZE = 10
 X, Y, ALONG_ROW, ALONG_COLUMN, LOG_BLUR_U, LOG_BLUR_V, CONTRAST, LIGHT, LIGHT_X, LIGHT_Y = range(SIZE)
 PRIOR_PRECISION = np.array([0, 0, 1 / 0.2**2, 1 / 0.2**2, 1 / 0.7**2, 1 / 0.7**2, 0, 0, 0, 0])
@@ -36,22 +37,22 @@ HALF_ROOT = math.sqrt(0.5)
 
 
 @njit(cache=True)
-def select_pixels(image, x, y, row_step, column_step, reach, margin, most, pixels):
+def select_pixels(image, x, y, row_step, column_step, margin, most, pixels):
     """Fill ``pixels`` (m, 5) with dx, dy, grey, u, v of the window's pixels (offsets in pixels and in fields); the
     number of them. ``margin``: rim of white fields that no marker covers, over a field's side; 1 without markers."""
     height, width = image.shape
     area = row_step[0] * column_step[1] - row_step[1] * column_step[0]
     if not (math.isfinite(x) and math.isfinite(y)) or abs(area) < 1e-3:
         return 0
-    half_x = min(math.ceil(reach * (abs(row_step[0]) + abs(column_step[0]))), most)
-    half_y = min(math.ceil(reach * (abs(row_step[1]) + abs(column_step[1]))), most)
+    half_x = min(math.ceil(REACH * (abs(row_step[0]) + abs(column_step[0]))), most)
+    half_y = min(math.ceil(REACH * (abs(row_step[1]) + abs(column_step[1]))), most)
     count = 0
     for row in range(max(round(y) - half_y, 0), min(round(y) + half_y, height - 1) + 1):
         for column in range(max(round(x) - half_x, 0), min(round(x) + half_x, width - 1) + 1):
             dx, dy = column - x, row - y
             u = (dx * column_step[1] - dy * column_step[0]) / area
             v = (dy * row_step[0] - dx * row_step[1]) / area
-            if abs(u) <= reach and abs(v) <= reach and count < len(pixels):
+            if abs(u) <= REACH and abs(v) <= REACH and count < len(pixels):
                 pixels[count, 0], pixels[count, 1], pixels[count, 2] = dx, dy, image[row, column]
                 pixels[count, 3], pixels[count, 4] = u, v
                 count += 1
@@ -185,7 +186,7 @@ def _position_variance(normal, variance):
 
 
 @njit(cache=True)
-def fit_corners(image, start, row_steps, column_steps, reach, margin, most, rounds, result, means):
+def fit_corners(image, start, row_steps, column_steps, margin, most, rounds, result, means):
     """Fit every corner; ``result`` (n, 13): parameters with x, y in the image, residual variance, variance of the
     position, variance of the window's grey levels (0 where the window holds too few pixels); ``means`` (n, 4)."""
     pixels = np.empty(((2 * most + 1) ** 2, 5))
@@ -196,7 +197,7 @@ def fit_corners(image, start, row_steps, column_steps, reach, margin, most, roun
         x, y = start[n, 0], start[n, 1]
         result[n, 10:] = 0.0
         for again in range(rounds):
-            count = select_pixels(image, x, y, row_steps[n], column_steps[n], reach, margin, most, pixels)
+            count = select_pixels(image, x, y, row_steps[n], column_steps[n], margin, most, pixels)
             if count < 2 * SIZE:
                 result[n, 12] = 0.0
                 break
@@ -233,7 +234,6 @@ def _start_light(pixels, count, means, p):
 
 Array = npt.NDArray[np.float64]
 
-REACH = 0.7  # of a field, on each side of the corner
 MAX_HALF_WINDOW_PX = 12
 PIXEL_VARIANCE = 1 / 12  # of a pixel's own width, px^2
 
@@ -246,8 +246,8 @@ class XCorners:
     residual. contrast (n,) : half the grey step, negative where the field towards the start of row and column (up-left)
     is black. blur_px (n, 2) : sigma of the blur across the edge that the row crosses, and across the one along the row;
     the width of a pixel taken off. fit (n,) : share of the window's variance that the model explains, 0..1; 0 for
-    corners outside the image. likeness (n,) : 1 where opposite quadrants are equally bright, 0 or less where they
-    differ as much as neighbouring ones (the corner of a single black field).
+    corners outside the image. quadrant_similarity (n,) : 1 where opposite quadrants are equally bright, 0 or less where
+    they differ as much as neighbouring ones (the corner of a single black field).
     """
 
     pixels: Array
@@ -277,7 +277,7 @@ def fit_x_corners(
     start, along, down = (np.ascontiguousarray(each, float).reshape(-1, 2) for each in (pixels, row_step, column_step))
     result, means = np.zeros((len(start), SIZE + 3)), np.zeros((len(start), 4))
     grey = np.ascontiguousarray(image)
-    fit_corners(grey, start, along, down, REACH, float(marker_margin), int(max_half_window_px), rounds, result, means)
+    fit_corners(grey, start, along, down, float(marker_margin), int(max_half_window_px), rounds, result, means)
     unexplained, position_variance, total = result[:, SIZE], result[:, SIZE + 1], result[:, SIZE + 2]
     blur = np.exp(2 * result[:, [LOG_BLUR_U, LOG_BLUR_V]]) - PIXEL_VARIANCE
     return XCorners(
