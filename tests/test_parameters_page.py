@@ -1,0 +1,132 @@
+"""docs/parameters.md against the code: its groups, its names of version 0.1, its constants and its benches exist."""
+
+import ast
+import re
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from camera_client.settings import CameraClientSettings
+from capture_rig.settings import leaves
+from ekf_tracker.settings import EkfNodeSettings
+from hull_server.settings import NodeSettings as HullNodeSettings
+from icp_tracker.settings import IcpNodeSettings
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "parameters.md").read_text()
+SETTINGS = {
+    "camera_client": CameraClientSettings,
+    "hull_server": HullNodeSettings,
+    "icp_tracker": IcpNodeSettings,
+    "ekf_tracker": EkfNodeSettings,
+}
+
+
+class Row(NamedTuple):
+    node: str
+    cells: list[str]
+
+
+def rows_under(heading):
+    """The rows of the table under a heading; an empty first cell is that of the row above."""
+    section = re.search(rf"^## {re.escape(heading)}\n(.*?)(?=^## |\Z)", PAGE, re.M | re.S)
+    assert section, f"docs/parameters.md has no section '{heading}'"
+    rows, node = [], ""
+    for line in section[1].splitlines():
+        if line.startswith("|") and not line.startswith("|---"):
+            first, *cells = [cell.strip() for cell in line[1:-1].split("|")]
+            node = first or node
+            rows.append(Row(node, cells))
+    return rows[1:]
+
+
+def quoted(text):
+    return re.findall(r"`([^`]+)`", text)
+
+
+GROUPS, OLD_NAMES = rows_under("Groups"), rows_under("Names of version 0.1")
+THRESHOLDS = rows_under("Thresholds that are constants")
+
+
+@cache
+def constants_of(path):
+    """Names that are assigned at the module's level."""
+    names = set()
+    for statement in ast.parse((ROOT / "src" / path.split("/")[0] / path).read_text()).body:
+        targets = statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
+        names |= {name.id for target in targets if target for name in ast.walk(target) if isinstance(name, ast.Name)}
+    return names
+
+
+def constants_and_files(text):
+    names = quoted(text)
+    return [n for n in names if re.fullmatch(r"_?[A-Z][A-Z0-9_]*", n)], [n for n in names if n.endswith(".py")]
+
+
+@pytest.mark.parametrize("row", THRESHOLDS, ids=lambda row: row.node)
+def test_thresholds_are_constants_of_their_files(row):
+    constants, files = constants_and_files(f"{row.node} {row.cells[0]}")
+    assert constants and files
+    assert [c for c in constants if not any(c in constants_of(file) for file in files)] == []
+    assert [file for file in files if not constants_of(file) & set(constants)] == []
+
+
+@pytest.mark.parametrize("row", THRESHOLDS, ids=lambda row: row.node)
+def test_every_threshold_says_what_chose_it(row):
+    reason = row.cells[2]
+    assert re.search(r"\bfrom\b|(chosen|measured|fitted) (with|by|to)|judgement; no bench", reason)
+    if "with `python" in reason or "measured by" in reason:
+        assert "bench/" in reason
+    mentioned, _ = constants_and_files(reason)
+    assert set(mentioned) <= set(quoted(row.cells[0]))
+
+
+@pytest.mark.parametrize("bench", sorted(set(re.findall(r"bench/\w+\.py", PAGE))))
+def test_benches_can_be_run(bench):
+    assert '__name__ == "__main__"' in (ROOT / bench).read_text()
+
+
+@pytest.mark.parametrize("test", sorted(set(re.findall(r"test_\w+\.py", PAGE))))
+def test_named_tests_exist(test):
+    assert [*ROOT.glob(f"src/*/test/{test}"), *ROOT.glob(f"tests/{test}")]
+
+
+@pytest.mark.parametrize("node", SETTINGS)
+def test_old_names_are_all_on_the_page_and_no_others(node):
+    on_page = {name for row in OLD_NAMES if row.node == node for name in quoted(row.cells[0])}
+    cls = SETTINGS[node]
+    assert on_page == set(getattr(cls, "renamed", {})) | set(getattr(cls, "removed", {}))
+
+
+@pytest.mark.parametrize("node", SETTINGS)
+def test_renamed_parameters_have_their_new_names(node):
+    on_page = {}
+    for row in OLD_NAMES:
+        if row.node == node and row.cells[1].startswith("->"):
+            on_page |= dict(zip(quoted(row.cells[0]), quoted(row.cells[1]), strict=True))
+    assert on_page == dict(getattr(SETTINGS[node], "renamed", {}))
+
+
+@pytest.mark.parametrize("row", OLD_NAMES, ids=lambda row: row.cells[0][:40])
+def test_removed_parameters_are_constants_of_the_files_that_their_row_names(row):
+    constants, files = constants_and_files(row.cells[1])
+    assert [c for c in constants if not any(c in constants_of(file) for file in files)] == []
+    assert [file for file in files if not constants_of(file) & set(constants)] == []
+
+
+@pytest.mark.parametrize("node", SETTINGS)
+def test_groups_hold_as_many_parameters_as_the_page_says(node):
+    on_page = {
+        group.strip("`").removesuffix("*"): int(count)
+        for label, (group, count, _) in GROUPS
+        if label.startswith(f"[{node}]")
+    }
+    groups = [group for group in on_page if group != "-"]
+    found = Counter(
+        max((group for group in groups if leaf.key.startswith(group)), key=len, default="-")
+        for leaf in leaves(SETTINGS[node])
+    )
+    assert on_page == found
