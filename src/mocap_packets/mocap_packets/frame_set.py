@@ -6,8 +6,8 @@ order; a frame that comes after its set has left is late: counted, never mixed i
 not go back.
 
 A stamp that leaps by more than a quarter of a second is put to the vote, so that one camera with a wrong clock cannot
-silence the others: such frames wait as a rival timeline, and the rig moves to it when more cameras deliver there than
-in the present one (footage or a bag started again, a pause). Otherwise they are dropped and counted.
+silence the others: such frames wait as a candidate timeline, and the rig moves to it when more cameras deliver there
+than in the present one (footage or a bag started again, a pause). Otherwise they are dropped and counted.
 """
 
 from __future__ import annotations
@@ -162,9 +162,9 @@ class FrameSetCollector(Generic[T]):
         self.counters = Counters()
         self._leap_ns = max(LEAP_NS, LEAP_TOLERANCES * tolerance_ns)
         self._present = self._new_timeline()
-        self._rival: Timeline[T] | None = None
-        self._rival_since_ns = 0
-        self._present_voters: set[str] = set()  # cameras last heard in the present since the rival began
+        self._candidate: Timeline[T] | None = None
+        self._candidate_since_ns = 0
+        self._present_voters: set[str] = set()  # cameras last heard in the present since the candidate began
 
     def add(self, camera: str, stamp_ns: int, frame: T, arrival_ns: int) -> list[FrameSet[T]]:
         """Take one frame; return the sets that this closes, oldest first. KeyError for an unknown camera."""
@@ -186,14 +186,14 @@ class FrameSetCollector(Generic[T]):
 
     def next_deadline_ns(self) -> int | None:
         """When :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
-        deadlines = [self._present.next_deadline_ns(), None if self._rival is None else self._vote_due_ns()]
+        deadlines = [self._present.next_deadline_ns(), None if self._candidate is None else self._vote_due_ns()]
         return min((d for d in deadlines if d is not None), default=None)
 
     def flush(self) -> list[FrameSet[T]]:
         """Close every open set, complete or not: the end of a recording."""
         closed = self._emit(self._present.close_all())
-        if self._rival is not None:
-            self._settle(self._rival)
+        if self._candidate is not None:
+            self._settle(self._candidate)
             closed += self._emit(self._present.close_all())
         return closed
 
@@ -201,17 +201,17 @@ class FrameSetCollector(Generic[T]):
         return Timeline(len(self.names), self.tolerance_ns, self.deadline_ns, self.max_open)
 
     def _timeline_of(self, camera: str, stamp_ns: int, arrival_ns: int) -> Timeline[T] | None:
-        """The timeline that the stamp is near to; a new rival when there is none yet."""
+        """The timeline that the stamp is near to; a new candidate when there is none yet."""
         if self._is_near(self._present, stamp_ns):
             self._present_voters.add(camera)
             return self._present
-        if self._rival is None:
-            self._rival, self._rival_since_ns = self._new_timeline(), arrival_ns
+        if self._candidate is None:
+            self._candidate, self._candidate_since_ns = self._new_timeline(), arrival_ns
             self._present_voters.clear()
-        if not self._is_near(self._rival, stamp_ns):
+        if not self._is_near(self._candidate, stamp_ns):
             return None
         self._present_voters.discard(camera)
-        return self._rival
+        return self._candidate
 
     def _is_near(self, timeline: Timeline[T], stamp_ns: int) -> bool:
         if timeline.head_ns is None:
@@ -220,28 +220,28 @@ class FrameSetCollector(Generic[T]):
         return tail_ns - self._leap_ns <= stamp_ns <= timeline.head_ns + self._leap_ns
 
     def _vote_due_ns(self) -> int:
-        return self._rival_since_ns + self.deadline_ns + VOTE_TOLERANCES * self.tolerance_ns
+        return self._candidate_since_ns + self.deadline_ns + VOTE_TOLERANCES * self.tolerance_ns
 
     def _vote(self, now_ns: int) -> list[FrameSet[T]]:
-        """Settle between present and rival: at once when all cameras are in one rival set, else when it is due."""
-        rival = self._rival
-        if rival is None:
+        """Choose present or candidate: at once when all cameras are in one candidate set, else when it is due."""
+        candidate = self._candidate
+        if candidate is None:
             return []
-        unanimous = any(map(rival.is_complete, rival.open))
-        if not (unanimous or now_ns >= self._vote_due_ns() or len(rival.open) > self.max_open):
+        unanimous = any(map(candidate.is_complete, candidate.open))
+        if not (unanimous or now_ns >= self._vote_due_ns() or len(candidate.open) > self.max_open):
             return []
-        return self._settle(rival, unanimous)
+        return self._settle(candidate, unanimous)
 
-    def _settle(self, rival: Timeline[T], unanimous: bool = False) -> list[FrameSet[T]]:
-        self._rival = None
-        rival_voters = rival.last_stamp_ns.keys() - self._present_voters
-        if unanimous or len(rival_voters) > len(self._present_voters):
+    def _settle(self, candidate: Timeline[T], unanimous: bool = False) -> list[FrameSet[T]]:
+        self._candidate = None
+        candidate_voters = candidate.last_stamp_ns.keys() - self._present_voters
+        if unanimous or len(candidate_voters) > len(self._present_voters):
             closed = self._emit(self._present.close_all())
-            if rival.open[0].stamp_ns < (self._present.head_ns or 0):
+            if candidate.open[0].stamp_ns < (self._present.head_ns or 0):
                 self._count("restarts")
-            self._present = rival
+            self._present = candidate
             return closed
-        for lost in rival.open:
+        for lost in candidate.open:
             for camera, stamp_ns in lost.stamps_ns.items():
                 self._count(self._misfit(camera, stamp_ns))
         return []

@@ -188,7 +188,7 @@ NO_CONTOUR_RAYS = ContourRays(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3
 
 @dataclass(frozen=True, eq=False)
 class HullProducts:
-    """What the hull server hands on of one frame set: everything in the volume, whoever it belongs to."""
+    """What the hull server hands on of one frame set: everything in the volume, of all bodies."""
 
     stamp_ns: int
     centerline: Centerline

@@ -9,7 +9,7 @@ from sagoma_bringup.launch_nodes import node_actions, rviz_action, value_of
 ARGUMENTS = [
     DeclareLaunchArgument("rig", description="rig YAML: the calibrated cameras and the capture volume"),
     DeclareLaunchArgument("cameras", description="folder with one parameter file a camera of the rig"),
-    DeclareLaunchArgument("body", default_value="", description="body YAML; empty: measured when somebody is found"),
+    DeclareLaunchArgument("body", default_value="", description="body YAML; empty: measured when a person is found"),
     DeclareLaunchArgument("rviz", default_value="false", description="show it in rviz2"),
 ]
 

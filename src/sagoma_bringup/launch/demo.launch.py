@@ -10,7 +10,7 @@ ARGUMENTS = [
     DeclareLaunchArgument("session", description="folder with rig.yaml, camNN.mp4, camNN_background.png or .mp4"),
     DeclareLaunchArgument("rate", default_value="1.0", description="playing speed; 0: as fast as the graph can"),
     DeclareLaunchArgument("loop", default_value="false", description="play the footage again and again"),
-    DeclareLaunchArgument("body", default_value="", description="body YAML; empty: measured when somebody is found"),
+    DeclareLaunchArgument("body", default_value="", description="body YAML; empty: measured when a person is found"),
     DeclareLaunchArgument("rviz", default_value="false", description="show it in rviz2"),
 ]
 

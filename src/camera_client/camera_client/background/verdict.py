@@ -144,7 +144,7 @@ def _emptiness_findings(model: BackgroundModel, before: BackgroundModel | None) 
         return []
     since = f" of {before.provenance.created}" if before.provenance.created else ""
     what = f"something else than in the background{since}: {describe_regions(regions, model.shape)}"
-    remedy = "if somebody stood there, clear the room and learn again; moved furniture is all right"
+    remedy = "if a person stood there, clear the room and learn again; moved furniture is all right"
     return [Finding(USABLE, what, remedy)]
 
 

@@ -192,7 +192,7 @@ ARM_QUANTILE, LEG_QUANTILE = 75.0, 50.0
 
 @dataclass(frozen=True)
 class LimbGirths:
-    """Thickness over that of an average build; 1 where the hull did not tell. ``measured`` names what it told."""
+    """Thickness over that of an average build; 1 where the hull does not show it. ``measured`` names what it shows."""
 
     upper_arm: float = 1.0
     forearm: float = 1.0
@@ -202,7 +202,7 @@ class LimbGirths:
     measured: tuple[str, ...] = ()
 
     def by_name(self) -> dict[str, float]:
-        """Return what the hull told, as a body file keeps it."""
+        """Return what the hull shows, as a body file keeps it."""
         return {name: float(getattr(self, name)) for name in self.measured}
 
     @classmethod

@@ -1,4 +1,4 @@
-"""The first pose from a T-pose (or an A-pose) that somebody holds: every body in the volume is looked at."""
+"""The first pose from a T-pose (or an A-pose) that a person holds: every body in the volume is examined."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .t_pose_measures import LEVEL, TPose, TPoseSettings, measure_t_pose
 from .upright import SHINS, TRUNK, PoseRejected, reasons_of_bodies
 
 NS_PER_S = 1e9
-SAME_PLACE_M = 0.3  # who moves farther between two sets is somebody else
+SAME_PLACE_M = 0.3  # a body that moves farther between two sets is another person
 JITTER_M = 0.03  # the middle of a hull's trunk jitters by so much though nobody moves
 TRUNK_HALF_WIDTH = 0.12  # over the stature
 RIGHT = np.array([name.startswith("right") for name in ANGLE_NAMES])

@@ -113,7 +113,7 @@ def widened_covariance(
 ) -> np.ndarray:
     """Return the covariance (15, 3, 3) m^2 of points (15, 3) with what is doubtful about them.
 
-    With a rival pose that is a reason for doubt, a point is in one of two places: covariance
+    With a hypothesis that makes the track doubtful, a point is in one of two places: covariance
     p (1 - p) d d^T, d the way to the other one, p the belief in it. Without one, points of a doubtful part are
     uncertain by OUTSIDE_SD_M.
     """

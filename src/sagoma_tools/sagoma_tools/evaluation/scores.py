@@ -19,7 +19,7 @@ from .track import Track
 
 DIMENSIONS = 3
 INSIDE_95 = float(chi2.ppf(0.95, DIMENSIONS))
-"""Squared Mahalanobis distance that 95 % of honest errors stay below."""
+"""Squared Mahalanobis distance that 95 % of the errors stay below when the covariance is right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +27,11 @@ class CovarianceCoverage:
     """How the errors of the 15 points compare with the covariances that the track states.
 
     point_inside_95 : (15,) share of each point's errors inside its 95 % ellipsoid; inside_95 : of all points' together.
-    point_nees : (15,) mean normalised estimation error squared, e^T P^-1 e: 3 for honest covariances, more for an
+    point_nees : (15,) mean normalised estimation error squared, e^T P^-1 e: 3 when the covariance is right, more for an
     overconfident track (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4);
     nees : of all points together.
-    nees_95 : where 95 % of the means of one point's NEES lie for an honest track whose frames err independently of each
-    other: chi-square of 3 N degrees over N. Errors that last for many frames spread further.
+    nees_95 : where 95 % of the means of one point's NEES lie when the covariance is right and the frames err
+    independently of each other: chi-square of 3 N degrees over N. Time-correlated errors spread further.
     NaN where nothing could be compared.
     """
 

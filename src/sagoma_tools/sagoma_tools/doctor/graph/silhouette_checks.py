@@ -9,7 +9,7 @@ from ..findings import Finding, error, note, ok, warning
 from .facts import Canvas, NodeFacts, SilhouetteFacts
 from .node_checks import ACTIVE, BIG_MESSAGES
 
-SOMEBODY = 0.003  # of the canvas: a person fills ten times as much
+PERSON_SHARE = 0.003  # of the canvas: a person fills ten times as much
 NOTHING = 1e-5
 FLOODED = 0.5
 ENOUGH_MASKS = 10
@@ -22,12 +22,12 @@ BACKGROUND = "Learn the background of the empty room again: sagoma background --
 
 def sees_person(facts: SilhouetteFacts) -> bool:
     """Whether most of its masks have a plausible share of foreground."""
-    return bool(facts.shares) and SOMEBODY <= median(facts.shares) < FLOODED
+    return bool(facts.shares) and PERSON_SHARE <= median(facts.shares) < FLOODED
 
 
 def is_nearly_blank(facts: SilhouetteFacts) -> bool:
     """Whether its masks are as good as empty."""
-    return bool(facts.shares) and median(facts.shares) < SOMEBODY
+    return bool(facts.shares) and median(facts.shares) < PERSON_SHARE
 
 
 def check_silhouettes(
@@ -135,7 +135,7 @@ def _check_content(facts: SilhouetteFacts, others_see: Sequence[str]) -> Iterato
     elif share < NOTHING and others_see:
         remedy = f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}"
         yield warning("silhouettes.blank", f"blank, while {', '.join(others_see)} see a person", remedy)
-    elif share < SOMEBODY and others_see:
+    elif share < PERSON_SHARE and others_see:
         yield note(
             "silhouettes.nearly_blank",
             f"nearly blank ({text}), while {', '.join(others_see)} see a person",
