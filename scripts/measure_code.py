@@ -32,6 +32,7 @@ def measure(root: Path) -> dict[str, int]:
     counts = {
         "product lines": sum(text.count("\n") for path, text in texts.items() if path in trees),
         "product modules": len(product),
+        "... without __init__.py and setup.py": sum(path.name not in ("__init__.py", "setup.py") for path in product),
         "modules of at most 100 lines": sum(texts[path].count("\n") <= 100 for path in product),
         "functions": len(functions),
         "functions used once": sum(names[f.name] == 2 for f in functions if not f.name.startswith("__")),
