@@ -115,8 +115,9 @@ def find_centerline(
         filters.max_growth or float("inf"),
     )
     columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
-    *values, part = _select(*columns, limits, grid.origin, grid.voxel_size)
-    return Centerline(*values, part if number_of_part is None else number_of_part[part])
+    points, sigma, axis, area_m2, elongation, fill, part = _select(*columns, limits, grid.origin, grid.voxel_size)
+    body = part if number_of_part is None else number_of_part[part]
+    return Centerline(points, sigma, axis, area_m2, elongation, fill, body)
 
 
 @njit(cache=True, nogil=True)

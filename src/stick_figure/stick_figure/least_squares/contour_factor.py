@@ -38,7 +38,13 @@ class RayArrays(NamedTuple):
     information: np.ndarray
 
     @staticmethod
-    def of(points, directions, normals, half_lengths, information) -> RayArrays:
+    def of(
+        points: np.ndarray,
+        directions: np.ndarray,
+        normals: np.ndarray,
+        half_lengths: np.ndarray,
+        information: np.ndarray,
+    ) -> RayArrays:
         """Lay out rays given by their middles, unit directions and normals (n, 3), world frame, metres."""
         rows = np.empty((ROWS, len(information)))
         tangents = np.cross(normals, directions)
