@@ -72,8 +72,8 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     assert answer.success and "20 frames" in answer.message
     assert camera.masks == []
     values = camera.values()
-    lesson = TrainingReport.from_json(values[KEY])
-    assert (lesson.number, lesson.frames, lesson.text, lesson.saved) == (1, 20, answer.message, "")
+    training = TrainingReport.from_json(values[KEY])
+    assert (training.number, training.frames, training.text, training.saved) == (1, 20, answer.message, "")
     assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "0")
     wanted = lens(scene)
     answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))

@@ -1,4 +1,4 @@
-"""What only fresh processes show: equal bytes from run to run, and nothing left to compile after the rehearsal."""
+"""What only fresh processes show: equal bytes from run to run, and nothing left to compile after the warm-up."""
 
 import subprocess
 import sys

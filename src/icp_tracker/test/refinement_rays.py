@@ -1,4 +1,4 @@
-"""Rays that touch a body's flesh, made by hand: tangents from cameras around it to its capsules."""
+"""Rays that touch a body's surface, made by hand: tangents from cameras around it to its capsules."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ CAMERAS = np.array(
 )
 
 
-def capsules_world(body, flesh, pose):
+def capsules_world(body, surface, pose):
     """Ends (k, 3) twice of the capsules in the world, from the sticks' places and rotations alone."""
     starts = sticks(body, pose)[:, 0]
     R = [pose.R_world_torso] + [pose.R_world_torso @ pose.R_joints[m] for m in range(5)]
@@ -21,27 +21,27 @@ def capsules_world(body, flesh, pose):
         c, s = np.cos(angle), np.sin(angle)
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) if h < 2 else np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
         R.append(R[2 + h] @ turn)
-    R = np.array(R)[flesh.stick]
-    place = lambda local: starts[flesh.stick] + np.einsum("kij,kj->ki", R, local)  # noqa: E731
-    return place(flesh.start), place(flesh.end)
+    R = np.array(R)[surface.stick]
+    place = lambda local: starts[surface.stick] + np.einsum("kij,kj->ki", R, local)  # noqa: E731
+    return place(surface.start), place(surface.end)
 
 
-def tangent_rays(body, flesh, pose, rng, each=24, sd_m=0.0):
+def tangent_rays(body, surface, pose, rng, each=24, sd_m=0.0):
     """The same rays as data of the all-joints solve."""
-    rays = rays_on(body, flesh, pose, rng, each, sd_m)
+    rays = rays_on(body, surface, pose, rng, each, sd_m)
     return make_data(np.zeros((1, 3)), 0.0, NO_VOXELS, ArticulatedSettings(), rays).contour_rays
 
 
-def rays_on(body, flesh, pose, rng, each=24, sd_m=0.0):
+def rays_on(body, surface, pose, rng, each=24, sd_m=0.0):
     """Up to ``each`` rays a capsule, along its sides and round its ends, those that pass through no other capsule;
     shifted by noise across."""
-    P, Q = capsules_world(body, flesh, pose)
+    P, Q = capsules_world(body, surface, pose)
     rows = []
     for k in range(len(P)):
         for _ in range(each):
-            point, direction, normal = _touching(P[k], Q[k], flesh.radii[k], rng)
+            point, direction, normal = _touching(P[k], Q[k], surface.radii[k], rng)
             others = np.arange(len(P)) != k
-            if _clear(point, direction, P[others], Q[others], flesh.radii[others]):
+            if _clear(point, direction, P[others], Q[others], surface.radii[others]):
                 rows.append(np.r_[point + rng.normal(0.0, sd_m) * normal, direction, normal])
     rows = np.array(rows)[rng.permutation(len(rows))]
     n = len(rows)

@@ -72,7 +72,7 @@ class Studio:
         self._stamp_ns = 0
 
     def render(self, *people, apart_ns=1_000_000_000):
-        """The sighting of people (Capsules), ``apart_ns`` after the last one."""
+        """The products of a set with people (Capsules), ``apart_ns`` after the last one."""
         self._stamp_ns += apart_ns
         masks = {}
         for name, eye, view in self._eyes:

@@ -36,9 +36,9 @@ def clearance(origin, directions, P, Q, radii):
 
 
 def grazing_rays(body, pose, rng, per_camera=120):
-    """Rays of six cameras that touch the flesh of ``pose`` without entering it anywhere, with their true normals.
+    """Rays of six cameras that touch the body of ``pose`` without entering it anywhere, with their true normals.
 
-    Each starts at a random point of a silhouette's inside and is turned outward until it just leaves the flesh.
+    Each starts at a random point of a silhouette's inside and is turned outward until it just leaves the body.
     """
     posed = placed(body, pose)
     P, Q, radii = posed.P, posed.Q, posed.surface.radii
@@ -112,9 +112,9 @@ def test_rays_touch_the_surface_at_the_true_pose(scene):
     body, pose, rays, _ = scene
     _, _, distance, separation = match_rays(as_arrays(rays), placed(body, pose), 0.05)
     assert len(rays) > 300
-    # a tapered capsule's true rim lies off the middle of its cone by less than this
+    # a tapered capsule's true contour lies off the middle of its cone by less than this
     assert np.percentile(np.abs(distance), 95) < 2e-3
-    assert np.percentile(separation, 95) < 0.02  # at rounded ends the rim does not face the axis
+    assert np.percentile(separation, 95) < 0.02  # at rounded ends the contour does not face the axis
 
 
 def test_a_ray_beyond_the_hulls_stretch_belongs_to_the_other_of_two_limbs_in_line():

@@ -41,7 +41,7 @@ def outside_by(body, pose, voxels):
 
 
 def hull_of(body, pose, synthetic):
-    """The flesh as a voxel cloud, surface flagged."""
+    """The body's surface as a voxel cloud, surface flagged."""
     points = synthetic.voxels(body, pose)
     cells = {tuple(c) for c in np.round(points / 0.03).astype(int)}
     steps = np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)])

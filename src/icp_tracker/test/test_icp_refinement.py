@@ -1,4 +1,4 @@
-"""A body's sizes from rims that a known body made."""
+"""A body's sizes from contour rays that a known body made."""
 
 from dataclasses import replace
 
@@ -34,8 +34,8 @@ def wrong_start(rng):
 
 def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=16):
     refiner, body = BodyRefiner(estimate, settings, PriorSettings()), body_of(truth)
-    flesh, given, stamp = girths_of(truth).on(BodySurface.of(body)), [], 0
-    sets = [(pose, made.tangent_rays(body, flesh, pose, rng, each, sd_m)) for pose in poses]
+    surface, given, stamp = girths_of(truth).on(BodySurface.of(body)), [], 0
+    sets = [(pose, made.tangent_rays(body, surface, pose, rng, each, sd_m)) for pose in poses]
     for _ in range(rounds):
         for pose, contour_rays in sets:
             stamp += 50_000_000
@@ -174,8 +174,8 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
 
 def capsules_at(values, pose):
     body = body_of(values)
-    flesh = girths_of(values).on(BodySurface.of(body))
-    return *made.capsules_world(body, flesh, pose), flesh.radii
+    surface = girths_of(values).on(BodySurface.of(body))
+    return *made.capsules_world(body, surface, pose), surface.radii
 
 
 def matched(contour_rays, P, Q, radii):
@@ -230,13 +230,13 @@ def test_tracker_takes_over_better_sizes_of_a_measured_body_and_none_of_a_given_
     rng = np.random.default_rng(12)
     estimate, truth = wrong_start(rng)
     body, first = body_of(truth), made.moving_pose(rng)
-    flesh = girths_of(truth).on(BodySurface.of(body))
+    surface = girths_of(truth).on(BodySurface.of(body))
     source = FixedSource(InitialPose(first, estimate.body, "", estimate if was_measured else None))
     refinement = replace(EXACT, pause_s=0.1, explained=0.5)
     tracker = IcpTracker(source, TrackerSettings(refinement=refinement, recovery=RecoverySettings(search=False)))
     for k in range(40 if was_measured else 12):
         pose = first.retract(np.r_[np.zeros(6), np.full(18, 0.03 * abs(k % 20 - 10))])
-        rays = made.rays_on(body, flesh, pose, rng, each=8)
+        rays = made.rays_on(body, surface, pose, rng, each=8)
         tracker.step(HullProducts.of_points(k * 16_666_667, forward(body, pose), 0.02, contour_rays=rays))
     error = np.abs(tracker.body.lengths - body.lengths).mean()
     start = np.abs(estimate.body.lengths - body.lengths).mean()

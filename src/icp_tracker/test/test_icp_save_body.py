@@ -21,7 +21,7 @@ class SavingProbe(Spinner):
     def __init__(self, context, folder):
         super().__init__(context)
         self.node = self.add(rclpy.create_node("tracker", context=context, namespace=NAMESPACE))
-        self.desk = SaveBodyService(self.node, SaveBodySettings(str(folder)))
+        self.service = SaveBodyService(self.node, SaveBodySettings(str(folder)))
         self.client = self.node.create_client(Trigger, "~/save_body")
 
     def ask(self):
@@ -31,7 +31,7 @@ class SavingProbe(Spinner):
         return response.result()
 
     def close(self):
-        self.desk.close()
+        self.service.close()
         super().close()
 
 
@@ -42,7 +42,7 @@ def counter(open_probe, tmp_path):
 
 def test_body_is_saved_with_the_thickness_of_its_limbs(counter, tmp_path):
     asked, body = counter(), Body.from_stature(1.68)
-    asked.desk.keep(SavedBody(123, body, LimbGirths.of({"thigh": 1.1})))
+    asked.service.keep(SavedBody(123, body, LimbGirths.of({"thigh": 1.1})))
     answer = asked.ask()
     path = tmp_path / "bodies" / "body_123.yaml"
     assert answer.success and answer.message == str(path)
@@ -58,6 +58,6 @@ def test_before_anybody_is_followed_the_answer_says_so(counter):
 def test_folder_that_cannot_be_written_is_named(counter, tmp_path):
     (tmp_path / "file").write_text("")
     asked = counter(tmp_path / "file" / "bodies")
-    asked.desk.keep(SavedBody(1, Body.from_stature(1.68)))
+    asked.service.keep(SavedBody(1, Body.from_stature(1.68)))
     answer = asked.ask()
     assert not answer.success and str(tmp_path / "file" / "bodies") in answer.message

@@ -1,5 +1,5 @@
-"""Lost limbs and lost bodies: noticed, found again, and never invented. Rims from an independent search for rays that
-graze the flesh; a person who stands, turns and walks as a whole, with noise on every ray."""
+"""Lost limbs and lost bodies: noticed, found again, never invented. Contour rays from an independent search for rays
+that touch the body's surface; a person who stands, turns and walks as a whole, with noise on every ray."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -57,7 +57,7 @@ def posed(angles, otherwise=None):
 
 @pytest.fixture(scope="module")
 def person():
-    """A body, its true pose, the rays that graze it and samples of its inside."""
+    """A body, its true pose, the rays that touch it and samples of its inside."""
     body = Body.from_stature(1.75)
     pose = posed(STANCE)
     return SimpleNamespace(
@@ -66,7 +66,7 @@ def person():
 
 
 def _inside(body, pose, spacing=0.03):
-    """Grid points (m, 3) inside the flesh, by a test of every capsule of its own."""
+    """Grid points (m, 3) inside the body's surface, by a test of every capsule of its own."""
     from test_icp_contour_rays import placed
 
     posed = placed(body, pose)

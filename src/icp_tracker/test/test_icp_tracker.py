@@ -146,8 +146,8 @@ def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
     rng = np.random.default_rng(3)
     standing = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
     tracker = IcpTracker(TPoseSource(TPoseSettings(hold_sets=2)), SETTINGS)
-    flesh = synthetic.voxels(body, standing)
-    voxels = VoxelSamples.checked(flesh, np.ones(len(flesh), bool))
+    on_body = synthetic.voxels(body, standing)
+    voxels = VoxelSamples.checked(on_body, np.ones(len(on_body), bool))
     cloud = [synthetic.stick_cloud(body, standing, rng, 300, 0.01) for _ in range(20)]
     assert tracker.step(HullProducts.of_points(stamp(0), cloud[0], 0.0, voxels)).state == "acquiring"
     result = tracker.step(HullProducts.of_points(stamp(1), cloud[1], 0.0, voxels))

@@ -1,4 +1,4 @@
-"""The hull's voxels in the solve: flesh, its derivatives, room for the arms, torso heading; and the voxel cloud."""
+"""The hull's voxels in the fit: body surface, its derivatives, room for the arms, torso heading; the voxel cloud."""
 
 import numpy as np
 import pytest
@@ -160,7 +160,7 @@ def test_torso_distance_is_negative_inside_with_a_normal_that_points_out(body, s
 
 
 def test_hull_shows_the_heading_that_the_centerline_cannot(body, synthetic):
-    """Arms hang down: the torso's stick and its slices say nothing of where it faces, its flat flesh does."""
+    """Arms hang down: the torso's stick and its slices say nothing of where it faces, its flat surface does."""
     rng = np.random.default_rng(5)
     truth = bent(synthetic.t_pose(), left_shoulder_x=-1.45, right_shoulder_x=np.pi + 1.45)
     turn = np.zeros(24)

@@ -237,8 +237,8 @@ def test_cameras_that_are_set_differently_are_named_together():
 @pytest.mark.parametrize("grade, expected", [("good", []), ("usable", []), ("redo", ["background.failed"])])
 def test_background_that_has_to_be_learned_again_is_named_with_the_reason(grade, expected):
     finding = Finding(grade, "something moved: in the middle", "clear the scene")
-    lesson = TrainingReport(1, grade, () if grade == "good" else (finding,)).to_json()
-    found = troubles(graph([replace(C2, values={"background_training": lesson})]))
+    training = TrainingReport(1, grade, () if grade == "good" else (finding,)).to_json()
+    found = troubles(graph([replace(C2, values={"background_training": training})]))
     assert [code for _, _, code, _ in found] == expected
     assert not found or "in the middle (clear the scene)" in found[0][3]
 
