@@ -5,6 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 FILE = re.compile(r"\b([a-z_]+)/((?:[a-z_]+/)*)([a-z_]+\.py)?")
 
 
@@ -31,11 +32,17 @@ def test_every_file_and_folder_that_the_page_names_exists():
 
 
 def test_every_link_of_the_documentation_leads_to_a_file():
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
     dead = [
         f"{page.relative_to(ROOT)}: {target}"
-        for page in pages
+        for page in PAGES
         for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
         if not target.startswith(("http:", "https:")) and not (page.parent / target).exists()
     ]
     assert not dead
+
+
+def test_every_script_and_test_that_the_documentation_names_exists():
+    named = re.compile(r"\b((?:bench|scripts|tests|src/[a-z_]+/test|docs/examples)/[\w/]+\.(?:py|sh))\b")
+    found = {(page, path) for page in PAGES for path in named.findall(page.read_text(encoding="utf-8"))}
+    assert len(found) > 40
+    assert not [f"{page.relative_to(ROOT)}: {path}" for page, path in sorted(found) if not (ROOT / path).exists()]
