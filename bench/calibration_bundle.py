@@ -1,4 +1,4 @@
-"""The solver of the rig on synthetic rigs: accuracy, honesty of its covariance, delays between cameras, wand, time.
+"""The bundle adjuster on synthetic rigs: accuracy, coverage of its covariance, delays between cameras, time.
 
     python bench/calibration_bundle.py [--quick]
 

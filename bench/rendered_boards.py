@@ -3,6 +3,8 @@ board's plane, then optics, then noise. No projection code of the product is use
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -38,20 +40,19 @@ def true_corners(eye: CameraModel, board, T_camera_board):
     return pixels.reshape(-1, 2)
 
 
-def render(
-    eye: CameraModel,
-    board,
-    T_camera_board,
-    *,
-    blur=0.5,
-    noise=2.0,
-    seed=0,
-    oversample=6,
-    rim=1.0,
-    shutter_px=(0.0, 0.0),
-    shade=0.0,
-):
-    """(H, W) uint8. ``rim``: white around the fields, in fields; ``shade``: relative change of light across."""
+class Optics(NamedTuple):
+    """What blurs and disturbs a picture: blur (px), noise (grey levels), motion while the shutter is open (px), and the
+    relative change of light across the picture."""
+
+    blur: float = 0.5
+    noise: float = 2.0
+    shutter_px: tuple[float, float] = (0.0, 0.0)
+    shade: float = 0.0
+
+
+def render(eye: CameraModel, board, T_camera_board, *, seed=0, oversample=6, rim=1.0, **optics):
+    """Render a board, (H, W) uint8. ``rim``: white around the fields, in fields; ``optics``: fields of `Optics`."""
+    blur, noise, shutter_px, shade = Optics(**optics)
     low, high = _box(eye, board, T_camera_board)
     light = np.full((eye.height, eye.width), GREY_ROOM)
     x = (np.arange((high[0] - low[0]) * oversample) + 0.5) / oversample + low[0] - 0.5

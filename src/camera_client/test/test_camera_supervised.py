@@ -293,7 +293,7 @@ def test_error_of_the_driver_does_not_give_the_camera_up(world):
     world.fault = RuntimeError("a defect of the driver")
     until(source, lambda s, _: "defect" in s.connection.reason)
     world.fault = None
-    frames_of(source, 1)
+    assert len(frames_of(source, 1)) == 1 and source.connection.state is ConnectionState.STREAMING
 
 
 def test_dead_camera_blocks_neither_stop_nor_close(world):

@@ -19,10 +19,8 @@ from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_limits import add_joint_limits, flipped_limb_fits_better, hyperextension
-from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
+from stick_figure.kinematics import rates_of_angles
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
-from stick_figure.rotations import ball_rates
-from stick_figure.skeleton import HINGE_ANGLES
 
 from .bias import add_measurement_bias
 from .measurement import (
@@ -375,23 +373,3 @@ def report(pose, velocity, P, sizes, bias, least_information, angles):
     add_measurement_bias(at, bias, least_information, points, state)
     _, _, _, hinges = pose
     return at.h, points, state, rates_of_angles(hinges, velocity, angles)
-
-
-@njit(cache=True)
-def rates_of_angles(hinges, velocity, angles):
-    """(18,) rad/s of the angles (18,), for a tangent velocity (24,) and the pose's own hinges (4,).
-
-    Equals `stick_figure.kinematics.angle_rates`, compiled. Angles may describe a hinge the other way round than the
-    pose; its rate then has the other sign.
-    """
-    rates, omega = np.zeros(18), np.empty(3)
-    for ball in range(5):
-        for k in range(3):
-            slot = SLOT_OF_JOINT_AXIS[ball, k]
-            omega[k] = velocity[slot] if slot >= 0 else 0.0
-        ball_rates(ball, angles, omega, rates)
-    for h in range(4):
-        reported = angles[HINGE_ANGLES[h]]
-        turned = abs(reported + hinges[h]) < abs(reported - hinges[h])
-        rates[HINGE_ANGLES[h]] = -velocity[HINGE_SLOT[h]] if turned else velocity[HINGE_SLOT[h]]
-    return rates

@@ -120,9 +120,6 @@ def _check(points: Array) -> None:
         raise InputError(f"{POINT_NAMES[start]} and {POINT_NAMES[end]} are in the same place", remedy="Drop the frame.")
 
 
-__all__ = ["angle_jacobian", "angle_rates", "forward", "inverse", "jacobian", "sticks"]
-
-
 def forward(body: Body, pose: Pose) -> Array:
     """Return the 15 reference points (15, 3), world frame, metres (thesis Table 5.2 with the hips' third angle)."""
     _, _, A, B = _placed(body, pose)
@@ -151,7 +148,7 @@ def angle_jacobian(body: Body, pose: Pose, angles: Array | None = None) -> Array
     """
     angles = pose.angles() if angles is None else np.ascontiguousarray(angles, float)
     _, axes, A, B = _placed(body, pose)
-    axes[HINGE_ANGLES] *= _hinge_signs(pose, angles)[:, None]
+    axes[HINGE_ANGLES] *= hinge_signs(pose.hinges, angles)[:, None]
     axes_torso = np.empty((3, 3))
     for ball, slots in enumerate(BALL_ANGLES):
         euler_axes(ball, angles, axes_torso)
@@ -166,14 +163,7 @@ def angle_rates(pose: Pose, tangent_velocity: Array, angles: Array | None = None
     pose's own; give the published ones so that rates and angles describe the same cover.
     """
     angles = pose.angles() if angles is None else np.ascontiguousarray(angles, float)
-    velocity = np.asarray(tangent_velocity, float)
-    rates = np.zeros(18)
-    rates[HINGE_ANGLES] = _hinge_signs(pose, angles) * velocity[6 + HINGE_ANGLES]
-    for ball in range(5):
-        slots = kernels.SLOT_OF_JOINT_AXIS[ball]
-        omega = np.where(slots >= 0, velocity[slots], 0.0)
-        ball_rates(ball, angles, omega, rates)
-    return rates
+    return rates_of_angles(pose.hinges, np.ascontiguousarray(tangent_velocity, dtype=float), angles)
 
 
 @njit(cache=True)
@@ -189,12 +179,32 @@ def _points_jacobian(A, B, t0, axes):
     return result
 
 
-def _hinge_signs(pose: Pose, angles: Array) -> Array:
-    """Return (4,) -1 where the angles describe a hinge the other way round than the pose's matrices."""
-    reported = angles[HINGE_ANGLES]
-    return np.where(np.abs(reported + pose.hinges) < np.abs(reported - pose.hinges), -1.0, 1.0)
-
-
 def _placed(body: Body, pose: Pose) -> tuple[Array, Array, Array, Array]:
     """Place the sticks: frames G (10, 3, 3), joint axes (18, 3), starts A and ends B (10, 3), all in the world."""
     return kernels.place_sticks(pose.arrays, body.lengths, body.stick_origins_torso)
+
+
+@njit(cache=True)
+def rates_of_angles(hinges, velocity, angles):
+    """Return the rates (18,) rad/s of the angles (18,), for a tangent velocity (24,) and the pose's own hinges (4,)."""
+    rates, omega = np.zeros(18), np.empty(3)
+    for ball in range(5):
+        for k in range(3):
+            slot = kernels.SLOT_OF_JOINT_AXIS[ball, k]
+            omega[k] = velocity[slot] if slot >= 0 else 0.0
+        ball_rates(ball, angles, omega, rates)
+    signs = hinge_signs(hinges, angles)
+    for h in range(4):
+        rates[HINGE_ANGLES[h]] = signs[h] * velocity[kernels.HINGE_SLOT[h]]
+    return rates
+
+
+@njit(cache=True)
+def hinge_signs(hinges, angles):
+    """Return (4,) -1 where the angles describe a hinge the other way round than the pose's own hinges (4,), else 1."""
+    signs = np.ones(4)
+    for h in range(4):
+        reported = angles[HINGE_ANGLES[h]]
+        if abs(reported + hinges[h]) < abs(reported - hinges[h]):
+            signs[h] = -1.0
+    return signs
