@@ -193,7 +193,7 @@ class CameraNode(SagomaNode):
             self.health.count(f"{flag}_masks")
 
     def _stamps_are_now(self) -> bool:
-        """Whether stamps follow the system clock, so that their age is a latency."""
+        """Return whether stamps follow the system clock, so that their age is a latency."""
         return self.settings.source != "footage" or self.settings.footage.rate == 1.0
 
     def _on_error(self, error: Exception) -> None:

@@ -41,7 +41,7 @@ class Calibration:
 
 
 def unplaced_camera(name: str, width: int, height: int) -> CameraModel:
-    """A camera of which only name and image size, px, are known, to be given its intrinsics."""
+    """Return a camera of which only name and image size, px, are known, to be given its intrinsics."""
     return CameraModel(name, width, height, np.eye(3), "plumb_bob", np.zeros(5), np.eye(4))
 
 
@@ -81,7 +81,7 @@ def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel,
 
 
 def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSource:
-    """The source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
+    """Return the source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
 
     A live camera that is not there is no error: it is awaited once the source runs, and looked at when it comes.
     """
@@ -104,7 +104,7 @@ def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSourc
 
 
 def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSource:
-    """The GigE Vision camera of ``settings`` under supervision, not connected yet."""
+    """Return the GigE Vision camera of ``settings`` under supervision, not connected yet."""
     return SupervisedSource(
         lambda: AravisSource(settings.aravis, settings.channels),
         settings.supervision,
@@ -114,7 +114,7 @@ def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSou
 
 
 def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
-    """How long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
+    """Return how long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
     supervision = settings.supervision
     if settings.aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
@@ -123,7 +123,7 @@ def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> floa
 
 
 def _rate_hz(details: Mapping[str, str]) -> float:
-    """The rate that the camera reported, 0 when it did not."""
+    """Return the rate that the camera reported, 0 when it did not."""
     try:
         return max(float(details.get("frame_rate", 0.0)), 0.0)
     except ValueError:

@@ -59,7 +59,7 @@ class CameraState:
     severe: bool = False
 
     def with_result(self, result: FrameResult) -> CameraState:
-        """The same with the flags of the newest frame, and the camera's movement."""
+        """Return the same with the flags of the newest frame, and the camera's movement."""
         mask_flags = () if result.silhouette is None else result.silhouette.flags
         state = replace(self, frame_flags=result.flags, mask_flags=mask_flags)
         if result.movement is None or result.canvas is None:
@@ -111,7 +111,7 @@ def _absence(connection: Connection) -> str:
 
 
 def connection_values(connection: Connection) -> dict[str, object]:
-    """How the connection stands, how long it was away, and how the last outage went."""
+    """Return how the connection stands, how long it was away, and how the last outage went."""
     values: dict[str, object] = {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
     if connection.last_outage is not None:
         values["last_outage_s"] = round(connection.last_outage.length_s, 3)
@@ -130,7 +130,7 @@ def source_values(source: FrameSource) -> dict[str, object]:
 
 
 def frame_values(frame: Frame, result: FrameResult) -> dict[str, object]:
-    """The newest frame's stamp (whose clock it is, and how far it may be from the truth) and silhouette."""
+    """Return the newest frame's stamp (whose clock it is, and how far it may be from the truth) and silhouette."""
     values: dict[str, object] = {
         "stamp_source": frame.clock,
         "stamp_uncertainty_us": round(frame.uncertainty_ns / 1e3, 1),
@@ -165,7 +165,7 @@ class RecentStatistics:
 def background_concerns(
     chain: CameraChain, source: FrameSource, settings: CameraClientSettings, now_s: float
 ) -> tuple[str, ...]:
-    """What speaks against the background in use, the worst first; ``now_s`` is the system's clock.
+    """Return what speaks against the background in use, the worst first; ``now_s`` is the system's clock.
 
     Footage is as old as its background, whatever the clock says.
     """
@@ -191,7 +191,7 @@ def background_mismatch(chain: CameraChain, source: FrameSource) -> str:
 
 
 def background_values(chain: CameraChain, now_s: float) -> dict[str, object]:
-    """How well the background still fits: its age, the drift of the light, and the static foreground."""
+    """Return how well the background still fits: its age, the drift of the light, and the static foreground."""
     background, watch = chain.background, chain.watch
     if background is None or watch is None:
         return {}

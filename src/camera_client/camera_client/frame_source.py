@@ -184,21 +184,21 @@ class FrameStatistics:
         return self.delivered + self.incomplete + self.repeated
 
     def counts(self) -> dict[str, int]:
-        """The five counts of this instant, by name."""
+        """Return the five counts of this instant, by name."""
         with self._lock:
             return {name: getattr(self, name) for name in COUNTS}
 
     def snapshot(self) -> FrameStatistics:
-        """A copy of the counts of this instant."""
+        """Return a copy of the counts of this instant."""
         return FrameStatistics(**self.counts())
 
     def __add__(self, other: FrameStatistics) -> FrameStatistics:
-        """The counts of both runs together."""
+        """Return the counts of both runs together."""
         a, b = self.counts(), other.counts()
         return FrameStatistics(**{name: a[name] + b[name] for name in COUNTS})
 
     def __sub__(self, earlier: FrameStatistics) -> FrameStatistics:
-        """The counts since ``earlier`` of the same run."""
+        """Return the counts since ``earlier`` of the same run."""
         a, b = self.counts(), earlier.counts()
         return FrameStatistics(**{name: a[name] - b[name] for name in COUNTS})
 

@@ -82,7 +82,7 @@ class CameraModel:
         return lens.undistort((pixels - self.K[:2, 2]) / self.K.diagonal()[:2], self.D)
 
     def _pixels(self, ideal: Array) -> Array:
-        """The inverse of :meth:`ideal_points`; NaN beyond the reach of the lens model."""
+        """Return the inverse of :meth:`ideal_points`; NaN beyond the reach of the lens model."""
         within = np.hypot(*ideal.T) < self._fold_radius
         distorted = lens.distort(np.where(within[:, None], ideal, np.nan), self.D)
         return distorted * self.K.diagonal()[:2] + self.K[:2, 2]
@@ -96,7 +96,7 @@ class CameraModel:
         return _make_undistorted_view(self)
 
     def undistorted_view(self) -> UndistortedView:
-        """The same camera without distortion, on a canvas that loses no pixel of the image (computed once)."""
+        """Return the same camera without distortion, on a canvas that loses no pixel of the image (computed once)."""
         return self._undistorted_view
 
 

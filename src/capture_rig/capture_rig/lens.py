@@ -23,7 +23,7 @@ def distort(points: Array, D: Array) -> Array:
 
 
 def undistort(points: Array, D: Array) -> Array:
-    """The inverse of :func:`distort`, by Newton's method; NaN where the lens model puts no point."""
+    """Return the inverse of :func:`distort`, by Newton's method; NaN where the lens model puts no point."""
     if not np.any(D):
         return np.array(points, float)
     ideal = np.array(points, float)
@@ -43,7 +43,7 @@ def undistort(points: Array, D: Array) -> Array:
 
 
 def fold_radius(D: Array) -> float:
-    """The ideal radius from which the radial polynomial runs backwards (or has a pole): no light gets there."""
+    """Return the ideal radius from which the radial polynomial runs backwards (or has a pole): no light gets there."""
     k1, k2, _, _, k3, k4, k5, k6 = _eight(D)
     top, bottom = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
     q = np.poly1d([1.0, 0.0])  # r^2; the radius r top / bottom grows while `slope` is positive
@@ -81,7 +81,7 @@ def _polynomials(r2: Array, D: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _eight(D: Array) -> Array:
-    """(8, ...) the coefficients, zero where the model has none."""
+    """Return (8, ...) the coefficients, zero where the model has none."""
     D = np.moveaxis(np.asarray(D, float), -1, 0)
     return np.concatenate([D, np.zeros((8 - len(D), *D.shape[1:]))])
 

@@ -50,7 +50,7 @@ class Rig:
         return tuple(camera.name for camera in self.cameras)
 
     def camera(self, name: str) -> CameraModel:
-        """The camera called ``name``; InputError lists the known names otherwise."""
+        """Return the camera called ``name``; InputError lists the known names otherwise."""
         for camera in self.cameras:
             if camera.name == name:
                 return camera
@@ -83,7 +83,7 @@ def save_rig(rig: Rig, path: str | Path) -> None:
 
 
 def default_volume(cameras: tuple[CameraModel, ...]) -> Volume:
-    """A box of 5 x 5 x 2.45 m on the floor around the point that the optical axes meet best (least squares)."""
+    """Return a box of 5 x 5 x 2.45 m on the floor around the point that the optical axes meet best (least squares)."""
     A, b = np.zeros((3, 3)), np.zeros(3)
     for camera in cameras:
         axis = camera.R_camera_world[2]

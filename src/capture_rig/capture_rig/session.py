@@ -84,7 +84,7 @@ class Truth:
     source: Path
 
     def of_frames(self, frames: np.ndarray) -> Truth:
-        """The rows of these video frames alone."""
+        """Return the rows of these video frames alone."""
         rows = np.isin(self.frames, frames)
         angles = None if self.angles is None else self.angles[rows]
         return replace(self, frames=self.frames[rows], points_world=self.points_world[rows], angles=angles)

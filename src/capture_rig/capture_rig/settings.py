@@ -34,7 +34,7 @@ _SCALARS = (bool, int, float, str)
 def setting(
     default: Any, help: str, *, unit: str = "", low: float | None = None, high: float | None = None, choices: tuple = ()
 ) -> Any:
-    """A dataclass field with a default, one line of help, its unit and its allowed values.
+    """Return a dataclass field with a default, one line of help, its unit and its allowed values.
 
     A settings class or a list as default becomes a default factory, so that instances never share it.
     """
@@ -57,7 +57,7 @@ class Leaf:
 
 
 def leaves(cls: type, prefix: str = "") -> Iterator[Leaf]:
-    """Every scalar or list setting of ``cls``, nested ones under dotted keys."""
+    """Yield every scalar or list setting of ``cls``, nested ones under dotted keys."""
     hints = get_type_hints(cls)
     for field in dataclasses.fields(cls):
         key = prefix + field.name
@@ -106,13 +106,13 @@ def resolve_renamed(cls: type, values: Mapping[str, Any]) -> tuple[dict[str, Any
 
 
 def _covering(key: str, table: Mapping[str, str]) -> str | None:
-    """The entry of ``table`` that is ``key``, or else the innermost group that holds it."""
+    """Return the entry of ``table`` that is ``key``, or else the innermost group that holds it."""
     found = [name for name in table if key == name or key.startswith(name + ".")]
     return max(found, key=len, default=None)
 
 
 def as_dict(settings: Any) -> dict[str, Any]:
-    """The settings as a nested plain mapping, ready for YAML; ``build_settings`` reads it back."""
+    """Return the settings as a nested plain mapping, ready for YAML; ``build_settings`` reads it back."""
     return dataclasses.asdict(settings)
 
 
@@ -195,7 +195,7 @@ def _converted(leaf: Leaf, value: Any, where: str) -> Any:
 
 
 def _fits(value: Any, kind: type) -> bool:
-    """An int serves as a float; a bool is no number."""
+    """Return an int serves as a float; a bool is no number."""
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)

@@ -32,7 +32,7 @@ class Verdict:
 
 
 def judge(findings: Iterable[Finding]) -> Verdict:
-    """The verdict is as bad as the worst finding; GOOD when there is none."""
+    """Return the verdict, as bad as the worst finding; GOOD when there is none."""
     found = tuple(findings)
     grades = {finding.grade for finding in found}
     return Verdict(next((grade for grade in (REDO, USABLE) if grade in grades), GOOD), found)

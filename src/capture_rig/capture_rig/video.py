@@ -42,7 +42,7 @@ class Video:
         )
 
     def read(self) -> np.ndarray | None:
-        """The next frame (H, W, 3) uint8, BGR; None after the last."""
+        """Return the next frame (H, W, 3) uint8, BGR; None after the last."""
         read, image = self._capture.read()
         return image if read else None
 

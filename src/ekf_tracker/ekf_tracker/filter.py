@@ -103,7 +103,7 @@ class ArticulatedEkf:
         return self._update(self.predict(stamp_ns), z)
 
     def is_past(self, stamp_ns: int) -> bool:
-        """Whether a set of this stamp comes too late: not after the last one."""
+        """Return whether a set of this stamp comes too late: not after the last one."""
         return self._stamp_ns is not None and stamp_ns <= self._stamp_ns
 
     def predict(self, stamp_ns: int) -> int:
@@ -290,7 +290,7 @@ class Track:
 
 
 def enough_to_start(z: Measurement) -> bool:
-    """Whether the visible points fix the torso."""
+    """Return whether the visible points fix the torso."""
     return int(z.visible[TORSO_POINTS].sum()) >= NEEDED_TORSO_POINTS
 
 

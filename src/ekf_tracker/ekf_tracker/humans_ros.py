@@ -125,5 +125,5 @@ class HumansPublisher:
 
 
 def make_humans(node: Node, publish: bool, body_id: str, frame_id: str) -> Humans:
-    """The publisher that the parameters ask for."""
+    """Return the publisher that the parameters ask for."""
     return HumansPublisher(node, body_id, frame_id) if publish else NoHumans()

@@ -75,7 +75,7 @@ class UpdateOptions(NamedTuple):
 
 
 def predict_estimate(estimate: Estimate, transition: Transition, joint_sd_cap_rad: float) -> Estimate:
-    """The estimate one transition later (thesis Table 5.5, from the a-posteriori state and covariance).
+    """Return the estimate one transition later (thesis Table 5.5, from the a-posteriori state and covariance).
 
     No joint's pose is left with a standard deviation above the cap (rad): see :func:`cap_joints`.
     """
@@ -100,7 +100,7 @@ def correct_estimate(
 
 
 def innovation_distances(body: Body, prior: Estimate, z: Measurement) -> np.ndarray:
-    """(15,) squared Mahalanobis distance of each visible point from its prediction; 0 for the others.
+    """Return (15,) squared Mahalanobis distance of each visible point from its prediction; 0 for the others.
 
     Each is chi-square with 3 degrees of freedom while model and covariances are right.
     """

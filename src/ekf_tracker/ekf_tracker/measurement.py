@@ -44,7 +44,7 @@ class Measurement(NamedTuple):
     def checked(
         cls, points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray, sd_floor: float
     ) -> Measurement:
-        """A measurement whose points have at least the standard deviation ``sd_floor`` (m) in every direction.
+        """Return a measurement whose points have at least the standard deviation ``sd_floor`` (m) in every direction.
 
         Numbers of points that are not visible are ignored. Raises InputError for wrong shapes, numbers that are not
         finite, and covariances that are not symmetric or not positive.
@@ -73,7 +73,7 @@ class Sizes(NamedTuple):
 
     @staticmethod
     def of(body: Body) -> Sizes:
-        """Its arrays."""
+        """Return its arrays."""
         return Sizes(body.lengths, body.stick_origins_torso)
 
 
@@ -92,7 +92,7 @@ class Linearised(NamedTuple):
 
 
 def linearised(body: Body, pose: Pose) -> Linearised:
-    """The measurement function and its Jacobian at a pose."""
+    """Return the measurement function and its Jacobian at a pose."""
     at = empty_linearised()
     linearise(pose.arrays, Sizes.of(body), at)
     return at
@@ -185,7 +185,7 @@ def linearise(pose, sizes, at):
 
 @njit(cache=True)
 def moved(at, point, step):
-    """The point (x, y, z) after a step (24,), to first order."""
+    """Return the point (x, y, z) after a step (24,), to first order."""
     x, y, z = at.h[point]
     for a in range(at.columns[point]):
         d = step[at.slots[point, a]]
@@ -218,7 +218,7 @@ def point_covariance(at, point, P, C):
 
 @njit(cache=True)
 def squared_distances(pose, sizes, P, z):
-    """(15,) squared Mahalanobis lengths of the innovations of the visible points; 0 for the others."""
+    """Return (15,) squared Mahalanobis lengths of the innovations of the visible points; 0 for the others."""
     distances, at = np.zeros(15), empty_linearised()
     linearise(pose, sizes, at)
     S, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)

@@ -79,7 +79,7 @@ class DampedVelocity:
         )
 
     def velocity_variance(self) -> np.ndarray:
-        """The variance at which damping and white acceleration balance."""
+        """Return the variance at which damping and white acceleration balance."""
         return self._density() / (2.0 * self._damping())
 
     def _damping(self) -> float:
@@ -115,7 +115,7 @@ class Identity:
         )
 
     def velocity_variance(self) -> np.ndarray:
-        """The squared rates."""
+        """Return the squared rates."""
         return per_slot(*self.rates) ** 2
 
 

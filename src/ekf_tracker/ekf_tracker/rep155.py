@@ -52,7 +52,7 @@ _ARM_TO_HANGING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def hri_angles(pose: Pose, previous: np.ndarray | None = None) -> np.ndarray:
-    """The joints of `HRI_JOINT_NAMES` (20,), rad.
+    """Return the joints of `HRI_JOINT_NAMES` (20,), rad.
 
     ``previous`` (20,) keeps them continuous where the shoulder's angles are not unique: with the arm hanging, y and r
     turn about the same axis.
@@ -146,7 +146,7 @@ def human_urdf(body: Body, body_id: str) -> str:
 
 
 def human_joints(body: Body) -> Iterator[UrdfJoint]:
-    """All joints, parents before children; sizes from the stick figure (the wrist stands for its hand tip)."""
+    """Yield all joints, parents before children; sizes from the stick figure (the wrist stands for its hand tip)."""
     h, w = body.half_lengths[0], body.half_shoulder_width
     yield UrdfJoint("waist", "body", "waist", axis=(0, 1, 0))
     yield UrdfJoint("torso", "waist", "torso", (0.0, 0.0, 2 * h))

@@ -59,7 +59,7 @@ class MeasurementBiasSettings:
     feet_m: float = setting(0.012, "feet", unit="m", low=0.0, high=1.0)
 
     def sd_m(self) -> np.ndarray:
-        """(15,) one standard deviation a reference point."""
+        """Return (15,) one standard deviation a reference point."""
         left_and_right = (self.shoulders_m, self.hips_m, self.elbows_m, self.knees_m, self.hands_m, self.feet_m)
         return np.array([self.torso_m, self.head_m, self.neck_m, *np.repeat(left_and_right, 2)])
 
@@ -128,7 +128,7 @@ def limit_weight(settings: EkfSettings) -> float:
 
 
 def motion_model(settings: EkfSettings) -> MotionModel:
-    """The motion model that the settings choose."""
+    """Return the motion model that the settings choose."""
     s, i = settings.constant_velocity, settings.identity
     if settings.motion_model == "identity":
         return Identity((i.torso_m_s, i.torso_rad_s, i.ball_joints_rad_s, i.hinges_rad_s))

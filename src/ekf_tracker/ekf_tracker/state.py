@@ -17,7 +17,7 @@ DIMENSION = 48
 
 
 def per_slot(torso_position: float, torso_rotation: float, ball_joints: float, hinges: float) -> np.ndarray:
-    """(24,) one number for every tangent slot, by the kind of its joint."""
+    """Return (24,) one number for every tangent slot, by the kind of its joint."""
     values = np.full(24, ball_joints)
     values[0:3] = torso_position
     values[3:6] = torso_rotation

@@ -44,7 +44,7 @@ def torso_message(state: BodyState, frame_id: str) -> PoseWithCovarianceStamped:
 
 
 def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatus:
-    """What the tracker thinks of itself: message = state, values = reason and the innovation."""
+    """Return what the tracker thinks of itself: message = state, values = reason and the innovation."""
     values = {"reason": state.reason, "stamp_ns": str(state.stamp_ns)}
     if isinstance(state, BodyState):
         values["points_used"] = str(int(state.accepted.sum()))

@@ -140,7 +140,7 @@ class AcknowledgePacket:
 
 
 def status_text(status: int) -> str:
-    """A status code in words, such as "access denied (0x8006)"."""
+    """Return a status code in words, such as "access denied (0x8006)"."""
     try:
         return f"{Status(status).name.lower().replace('_', ' ')} (0x{status:04x})"
     except ValueError:
@@ -298,7 +298,7 @@ class DeviceRecord:
     gateway: str = "0.0.0.0"
 
     def encode(self) -> bytes:
-        """The 0xF8 bytes of the acknowledge."""
+        """Return the 0xF8 bytes of the acknowledge."""
         record = bytearray(bootstrap.DISCOVERY_SIZE)
         struct.pack_into(">II", record, bootstrap.VERSION, bootstrap.VERSION_2_0, bootstrap.BIG_ENDIAN_UTF8)
         record[bootstrap.MAC_HIGH + 2 : bootstrap.MAC_HIGH + 8] = self.mac
@@ -330,7 +330,7 @@ def encode_text(text: str, size: int) -> bytes:
 
 
 def decode_text(data: bytes) -> str:
-    """The text up to the first zero. Raises MalformedPacket when it is not UTF-8."""
+    """Return the text up to the first zero. Raises MalformedPacket when it is not UTF-8."""
     try:
         return bytes(data).split(b"\0", 1)[0].decode()
     except UnicodeDecodeError as error:

@@ -48,7 +48,7 @@ def payload_capacity(packet_size: int, extended: bool = False) -> int:
 
 
 def next_block_id(block_id: int, extended: bool = False) -> int:
-    """The id after this one: 0 is never used, and ids of 16 bits start again at 1."""
+    """Return the id after this one: 0 is never used, and ids of 16 bits start again at 1."""
     return block_id + 1 if extended or block_id < LAST_BLOCK_ID else 1
 
 
@@ -70,7 +70,7 @@ class PacketHeader:
 
     @classmethod
     def decode(cls, data: bytes) -> tuple[PacketHeader, bytes]:
-        """The header and what follows it. Raises MalformedPacket."""
+        """Return the header and what follows it. Raises MalformedPacket."""
         if len(data) < HEADER:
             raise MalformedPacket(f"{len(data)} bytes are no GVSP packet")
         status, block_id, infos = _SHORT.unpack_from(data)
@@ -148,12 +148,12 @@ class ImageTrailer:
 
 
 def encode_chunk(chunk_id: int, data: bytes) -> bytes:
-    """A chunk: its data, and behind it its id and length."""
+    """Return a chunk: its data, and behind it its id and length."""
     return data + _CHUNK_TAIL.pack(chunk_id, len(data))
 
 
 def decode_chunks(block: bytes) -> dict[int, bytes]:
-    """The chunks of a block by id, read from its end (the image itself is one of them).
+    """Return the chunks of a block by id, read from its end (the image itself is one of them).
 
     Raises MalformedPacket when the lengths do not add up.
     """

@@ -37,20 +37,20 @@ class ReferencePoints:
         return iter((self.points_world, self.covariance, self.visible))
 
     def to_table(self) -> np.ndarray:
-        """The 15 rows as the structured array LAYOUT."""
+        """Return the 15 rows as the structured array LAYOUT."""
         covariance = np.asarray(self.covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
         return fill(self.LAYOUT, self.points_world, covariance, np.asarray(self.visible, float))
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> ReferencePoints:
-        """The inverse of :meth:`to_table`."""
+        """Return the inverse of :meth:`to_table`."""
         covariance = np.empty((len(table), 3, 3))
         for name, row, col in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
             covariance[:, row, col] = covariance[:, col, row] = column(table, name)
         return cls(columns(table, "x", "y", "z"), covariance, table["visible"] > 0.5)
 
     def as_sent(self) -> ReferencePoints:
-        """The same, rounded to float32 as the cloud between the nodes is."""
+        """Return the same, rounded to float32 as the cloud between the nodes is."""
         covariance = np.asarray(self.covariance, np.float32).astype(np.float64)
         covariance[:, LOWER, UPPER] = covariance[:, UPPER, LOWER]  # as six numbers make a matrix again
         points_world = np.asarray(self.points_world, np.float32).astype(np.float64)

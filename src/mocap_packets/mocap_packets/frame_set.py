@@ -185,7 +185,7 @@ class FrameSetCollector(Generic[T]):
         return closed + self._emit(self._present.close_due(now_ns))
 
     def next_deadline_ns(self) -> int | None:
-        """When :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
+        """Return when :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
         deadlines = [self._present.next_deadline_ns(), None if self._candidate is None else self._vote_due_ns()]
         return min((d for d in deadlines if d is not None), default=None)
 
@@ -201,7 +201,7 @@ class FrameSetCollector(Generic[T]):
         return Timeline(len(self.names), self.tolerance_ns, self.deadline_ns, self.max_open)
 
     def _timeline_of(self, camera: str, stamp_ns: int, arrival_ns: int) -> Timeline[T] | None:
-        """The timeline that the stamp is near to; a new candidate when there is none yet."""
+        """Return the timeline that the stamp is near to; a new candidate when there is none yet."""
         if self._is_near(self._present, stamp_ns):
             self._present_voters.add(camera)
             return self._present
@@ -247,7 +247,7 @@ class FrameSetCollector(Generic[T]):
         return []
 
     def _misfit(self, camera: str, stamp_ns: int) -> str:
-        """What is wrong with a frame whose stamp is far from the present timeline."""
+        """Return what is wrong with a frame whose stamp is far from the present timeline."""
         if self._present.head_ns is None or stamp_ns > self._present.head_ns:
             return "ahead"
         last = self._present.last_stamp_ns.get(camera)

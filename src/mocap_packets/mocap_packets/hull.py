@@ -60,13 +60,13 @@ class Centerline:
         return cls(points, sigma, np.zeros(n, np.uint8), np.zeros(n), np.ones(n), np.ones(n), body)
 
     def to_table(self) -> np.ndarray:
-        """The rows as the structured array LAYOUT."""
+        """Return the rows as the structured array LAYOUT."""
         shape = (self.axis, self.area_m2, self.elongation, self.fill)
         return fill(self.LAYOUT, self.points_world, self.sigma, *shape, self.body)
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> Centerline:
-        """The inverse of :meth:`to_table`."""
+        """Return the inverse of :meth:`to_table`."""
         return cls(
             columns(table, "x", "y", "z"),
             column(table, "sigma"),
@@ -99,7 +99,7 @@ class VoxelSamples:
 
     @classmethod
     def checked(cls, points_world: np.ndarray, surface: np.ndarray) -> VoxelSamples:
-        """The samples of one body whose coordinates are finite, as contiguous arrays."""
+        """Return the samples of one body whose coordinates are finite, as contiguous arrays."""
         points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
         finite = np.isfinite(points).all(axis=1)
         return cls(np.ascontiguousarray(points[finite]), np.asarray(surface, dtype=np.bool_)[finite])
@@ -109,16 +109,16 @@ class VoxelSamples:
         return _thinned(self.points_world[self.surface], count)
 
     def hull_points(self, count: int) -> np.ndarray:
-        """At most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
+        """Return at most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
         return _thinned(self.points_world, count)
 
     def to_table(self) -> np.ndarray:
-        """The rows as the structured array LAYOUT."""
+        """Return the rows as the structured array LAYOUT."""
         return fill(self.LAYOUT, self.points_world, self.surface, self.body)
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> VoxelSamples:
-        """The inverse of :meth:`to_table`."""
+        """Return the inverse of :meth:`to_table`."""
         return cls(columns(table, "x", "y", "z"), table["surface"] > 0.5, table["body"].astype(np.int32))
 
 
@@ -163,13 +163,13 @@ class ContourRays:
         return _rows(self, np.arange(count) * len(self) // count)
 
     def to_table(self) -> np.ndarray:
-        """The rows as the structured array LAYOUT."""
+        """Return the rows as the structured array LAYOUT."""
         vectors = (self.points_world, self.directions, self.normals)
         return fill(self.LAYOUT, *vectors, self.half_lengths, self.sigma, self.camera, self.body)
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> ContourRays:
-        """The inverse of :meth:`to_table`."""
+        """Return the inverse of :meth:`to_table`."""
         return cls(
             columns(table, "x", "y", "z"),
             columns(table, "dx", "dy", "dz"),
@@ -208,27 +208,27 @@ class HullProducts:
         return cls(stamp_ns, Centerline.of_points(points_world, sigma), voxels, contour_rays)
 
     def as_sent(self) -> HullProducts:
-        """The same, rounded to float32 as the clouds between the nodes are."""
+        """Return the same, rounded to float32 as the clouds between the nodes are."""
         line, voxels, rays = self.centerline.to_table(), self.voxels.to_table(), self.contour_rays.to_table()
         return HullProducts(
             self.stamp_ns, Centerline.from_table(line), VoxelSamples.from_table(voxels), ContourRays.from_table(rays)
         )
 
     def finite(self) -> tuple[HullProducts, int]:
-        """The same with the centerline points that are finite numbers, and how many were not."""
+        """Return the same with the centerline points that are finite numbers, and how many were not."""
         line = self.centerline
         good = np.isfinite(line.points_world).all(axis=1) & np.isfinite(line.sigma)
         return replace(self, centerline=_rows(line, good)), int((~good).sum())
 
     def voxels_of_bodies(self) -> dict[int, np.ndarray]:
-        """The voxels (m, 3) of each body, m, by its number; of nobody's only where there is no body."""
+        """Return the voxels (m, 3) of each body, m, by its number; of nobody's only where there is no body."""
         bodies = np.unique(self.voxels.body)
         bodies = bodies[bodies >= 0] if (bodies >= 0).any() else bodies
         points = self.voxels.points_world
         return {int(body): points[self.voxels.body == body] for body in bodies} or {0: points}
 
     def of_body(self, number: int) -> HullProducts:
-        """The rows of one body."""
+        """Return the rows of one body."""
         line, voxels, rays = self.centerline, self.voxels, self.contour_rays
         return HullProducts(
             self.stamp_ns,
@@ -238,7 +238,7 @@ class HullProducts:
         )
 
     def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
-        """The rows of the body that is expected at the reference points (15, 3).
+        """Return the rows of the body that is expected at the reference points (15, 3).
 
         It is the one with most points near them, not the one with the same number as before: numbers may change hands
         when people touch.
@@ -253,7 +253,7 @@ class HullProducts:
 
 
 def _rows(packet: Rows, rows: np.ndarray) -> Rows:
-    """The chosen rows of every column, contiguous."""
+    """Return the chosen rows of every column, contiguous."""
     return replace(packet, **{name: np.ascontiguousarray(values[rows]) for name, values in vars(packet).items()})
 
 

@@ -47,12 +47,12 @@ class Prediction:
 
     @classmethod
     def from_row(cls, stamp_ns: int, row: np.ndarray, velocity: np.ndarray) -> Prediction:
-        """The inverse of :meth:`to_row`."""
+        """Return the inverse of :meth:`to_row`."""
         pose = Pose.from_angles(row[TORSO_POSITION], rotation_matrix(row[TORSO_ROTATION]), row[JOINTS])
         return cls(stamp_ns, pose, velocity)
 
     def as_sent(self) -> Prediction:
-        """The same, its pose described by angles as it is between the nodes."""
+        """Return the same, its pose described by angles as it is between the nodes."""
         return self if self.pose is None else Prediction.from_row(self.stamp_ns, self.to_row(), self.velocity)
 
 

@@ -17,7 +17,7 @@ def fill(dtype: np.dtype, *columns: np.ndarray) -> np.ndarray:
 
 
 def column(table: np.ndarray, name: str) -> np.ndarray:
-    """One field (n,) as float64."""
+    """Return one field (n,) as float64."""
     return table[name].astype(np.float64)
 
 

@@ -32,7 +32,7 @@ class Configuration:
 
     @classmethod
     def of(cls, settings: Mapping[str, Any], *, feedback: bool = True) -> Configuration:
-        """From NODE.PARAMETER keys, as ``sagoma up --set`` takes them; InputError for a node that does not exist."""
+        """Build from NODE.PARAMETER keys, as ``sagoma up --set`` takes; InputError for a node that does not exist."""
         parts: dict[str, dict[str, Any]] = {"cameras": {}, "hull_server": {}, "icp_tracker": {}, "ekf_tracker": {}}
         for key, value in settings.items():
             node, _, parameter = key.partition(".")

@@ -62,17 +62,17 @@ class MocapPipeline:
         self.body = BodyFollower.of(configuration, rig.volume)
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
-        """The body at one instant, from the cameras' images (H, W[, 3]) uint8."""
+        """Return the body at one instant, from the cameras' images (H, W[, 3]) uint8."""
         # segment: what differs from the background, without noise, and how dark (6.3; camera_client/silhouettes/)
         masks = {name: self.cameras[name].run(image, stamp_ns).mask for name, image in images.items()}
         return self.step_masks(stamp_ns, masks)
 
     def step_masks(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> Step:
-        """The body at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
+        """Return the body at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
         return self.body.step(self.carve(stamp_ns, masks, missing))
 
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
-        """The visual hull of one instant and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""
+        """Carve one instant: the visual hull and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""
         frame_set = FrameSet.of_instant(stamp_ns, dict(masks), missing)
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
         # see as foreground (3.1; consistency/, shadows.py, carving/ or opengl/)
@@ -93,7 +93,7 @@ class BodyFollower:
 
     @classmethod
     def of(cls, configuration: Configuration, volume: Volume | None = None) -> BodyFollower:
-        """As the settings say; ``volume`` : where hulls end."""
+        """Build tracker and filter as the settings say; ``volume`` : where hulls end."""
         ekf = ArticulatedEkf(None, configuration.ekf)
         return cls(make_tracker(configuration.icp, volume), ekf, configuration.feedback)
 
@@ -137,5 +137,5 @@ class BodyFollower:
 def make_segmenter(
     camera: CameraModel, background: BackgroundModel, settings: CameraClientSettings, volume: Volume | None
 ) -> SilhouettePipeline:
-    """The silhouettes of one camera, as its client computes them."""
+    """Return the silhouettes of one camera, as its client computes them."""
     return SilhouettePipeline(camera, background, settings.silhouette, settings.background_model, volume)

@@ -15,7 +15,7 @@ ARGUMENTS = [
 
 
 def nodes(context):
-    """The graph's nodes for the arguments' values."""
+    """Return the graph's nodes for the arguments' values."""
     graph = build_graph(
         rig=value_of(context, "rig"), cameras=value_of(context, "cameras"), body=value_of(context, "body") or None
     )

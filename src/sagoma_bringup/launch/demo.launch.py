@@ -16,7 +16,7 @@ ARGUMENTS = [
 
 
 def nodes(context):
-    """The graph's nodes for the arguments' values."""
+    """Return the graph's nodes for the arguments' values."""
     graph = build_graph(
         session=value_of(context, "session"),
         rate=float(value_of(context, "rate")),

@@ -16,7 +16,7 @@ ARGUMENTS = [
 
 
 def nodes(context):
-    """The graph's nodes for the arguments' values."""
+    """Return the graph's nodes for the arguments' values."""
     graph = build_graph(rig=value_of(context, "rig"), body=value_of(context, "body") or None)
     return node_actions(graph, autostart=value_of(context, "autostart").lower() == "true")
 

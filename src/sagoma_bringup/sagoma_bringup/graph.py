@@ -52,7 +52,7 @@ class NodeSpec:
         return self.namespace.strip("/").replace("/", "_") or self.name
 
     def with_parameters(self, parameters: Mapping[str, Any]) -> NodeSpec:
-        """The same node with some parameters set or replaced."""
+        """Return the same node with some parameters set or replaced."""
         return NodeSpec(
             self.package,
             self.executable,
@@ -64,7 +64,7 @@ class NodeSpec:
         )
 
     def parameter_document(self) -> dict[str, Any]:
-        """Its parameters as the document of a ROS parameter file."""
+        """Return its parameters as the document of a ROS parameter file."""
         return {self.full_name: {"ros__parameters": dict(self.parameters)}}
 
 
@@ -97,7 +97,7 @@ def build_graph(
     body: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[NodeSpec]:
-    """The nodes to run, the server's first, then the cameras in name order.
+    """Return the nodes to run, the server's first, then the cameras in name order.
 
     session : a folder of footage: one camera node a video, and the server.
     rig, cameras : a rig YAML, and a folder with one parameter file a camera of the rig (or one such file); without
@@ -131,7 +131,7 @@ def build_graph(
 def session_graph(
     session: Session, *, rate: float = 1.0, epoch_ns: int = 0, loop: bool = False, body: str | Path | None = None
 ) -> list[NodeSpec]:
-    """The whole graph on recorded footage."""
+    """Return the whole graph on recorded footage."""
     rig_file = (session.folder / "rig.yaml").resolve()
     without_background = [name for name in session.rig.names if name not in session.backgrounds]
     if without_background:
@@ -179,13 +179,13 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
 
 
 def camera_node(name: str, parameters: Mapping[str, Any]) -> NodeSpec:
-    """The camera client of one camera."""
+    """Return the camera client of one camera."""
     given = {"camera_name": name, **parameters}
     return NodeSpec(CAMERA_NODE, CAMERA_NODE, f"{CAMERA_NODE}.camera_node", CAMERA_NODE, f"/{name}", Role.CAMERA, given)
 
 
 def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
-    """One camera node for each camera of the rig, from the parameter files in ``cameras``."""
+    """Return one camera node for each camera of the rig, from the parameter files in ``cameras``."""
     names = load_rig(rig).names
     nodes = {node.label: node for node in cameras_from_files(cameras)}
     unknown, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
@@ -206,7 +206,7 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
 
 
 def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
-    """The camera nodes of the parameter files in a folder (or of one file), in name order."""
+    """Return the camera nodes of the parameter files in a folder (or of one file), in name order."""
     nodes = [camera_from_file(path) for path in _camera_files(Path(cameras))]
     labels = [node.label for node in nodes]
     twice = sorted({label for label in labels if labels.count(label) > 1})
@@ -218,7 +218,7 @@ def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
 
 
 def camera_from_file(path: str | Path) -> NodeSpec:
-    """A camera node from a ROS parameter file whose one key is ``/CAMERA/camera_client``."""
+    """Return a camera node from a ROS parameter file whose one key is ``/CAMERA/camera_client``."""
     path = Path(path)
     document = read_mapping(path, f"Give a ROS parameter file with the key /CAMERA/{CAMERA_NODE}.")
     keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
@@ -238,7 +238,7 @@ def camera_from_file(path: str | Path) -> NodeSpec:
 
 
 def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:
-    """The part of ``graph`` that runs on one machine: "server", "cameras", or one camera by name."""
+    """Return the part of ``graph`` that runs on one machine: "server", "cameras", or one camera by name."""
     if only is None:
         return list(graph)
     parts = {SERVER: Role.SERVER, ALL_CAMERAS: Role.CAMERA}

@@ -15,12 +15,12 @@ from .graph import NodeSpec
 
 
 def value_of(context: Any, argument: str) -> str:
-    """The value that the user gave to a launch argument."""
+    """Return the value that the user gave to a launch argument."""
     return LaunchConfiguration(argument).perform(context)
 
 
 def node_actions(graph: Sequence[NodeSpec], autostart: bool = True) -> list[Node]:
-    """One node action each; launched nodes configure and activate themselves unless told not to."""
+    """Return one node action each; launched nodes configure and activate themselves unless told not to."""
     return [
         Node(
             package=spec.package,

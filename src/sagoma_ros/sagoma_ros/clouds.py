@@ -43,7 +43,7 @@ def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
 
 
 def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
-    """The fields of ``layout`` of a cloud as a structured array (n,), whatever order and types they came in.
+    """Return the fields of ``layout`` of a cloud as a structured array (n,), whatever order and types they came in.
 
     A cloud without the field ``body`` is of one body, number 0.
 
@@ -71,7 +71,7 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
 
 
 def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str) -> np.dtype:
-    """The dtype of the given fields as they lie in the message."""
+    """Return the dtype of the given fields as they lie in the message."""
     order = ">" if cloud.is_bigendian else "<"
     formats = [order + _NUMPY_TYPES.get(field.datatype, "") for field in fields]
     for field, format in zip(fields, formats, strict=True):
@@ -93,7 +93,7 @@ def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str) -> np
 
 
 def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
-    """The points' bytes, without the padding that an organised cloud may have at the end of each row."""
+    """Return the points' bytes, without the padding that an organised cloud may have at the end of each row."""
     used = cloud.width * cloud.point_step
     row = cloud.row_step if cloud.height > 1 else used
     if row < used or len(cloud.data) != cloud.height * row:
@@ -107,7 +107,7 @@ def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
 
 
 def only_finite(cloud: PointCloud2, names: Collection[str]) -> tuple[PointCloud2, int]:
-    """The cloud without the points that have a NaN or infinity in one of the float32 fields ``names``.
+    """Return the cloud without the points that have a NaN or infinity in one of the float32 fields ``names``.
 
     Returns the cloud itself when all is well (or when its layout is not plain enough to judge: the reader that follows
     says what is wrong with it), and the number of points dropped.

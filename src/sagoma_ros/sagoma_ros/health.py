@@ -47,7 +47,7 @@ class NodeHealth:
             self._counters[name] += amount
 
     def counter(self, name: str) -> int:
-        """The counter's value."""
+        """Return the counter's value."""
         with self._lock:
             return self._counters[name]
 
@@ -76,7 +76,7 @@ class NodeHealth:
         self._publisher.publish(message)
 
     def snapshot(self) -> DiagnosticStatus:
-        """The status as published; rates, processor time and latencies are those since the last call."""
+        """Return the status as published; rates, processor time and latencies are those since the last call."""
         now, cpu = time.monotonic(), time.process_time()
         with self._lock:
             then, ticks_then, cpu_then = self._last

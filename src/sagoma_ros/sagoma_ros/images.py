@@ -58,7 +58,7 @@ def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Compress
 def decode_silhouette(
     message: CompressedImage, width: int, height: int, where: str, candidates: int = BACKGROUND
 ) -> np.ndarray:
-    """The mask (height, width) uint8, 0 or 255, of a silhouette message.
+    """Return the mask (height, width) uint8, 0 or 255, of a silhouette message.
 
     ``candidates`` is the level that shadow candidates get: BACKGROUND, FOREGROUND, or SHADOW_CANDIDATE to keep them and
     all degrees of darkness as they were sent.
@@ -84,7 +84,7 @@ def decode_silhouette(
 
 
 def _decode_other(data: np.ndarray, where: str, candidates: int) -> np.ndarray:
-    """A mask that another program encoded."""
+    """Return a mask that another program encoded."""
     mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
     if mask is None:
         raise InputError("the PNG cannot be decoded", where=where, remedy="The message is damaged; check the network.")
@@ -120,7 +120,7 @@ def camera_info_message(camera: CameraModel, stamp_ns: int, frame_id: str) -> Ca
 
 @cache
 def _levels(candidates: int) -> np.ndarray:
-    """What each of the 256 grey levels of a mask stands for, shadow candidates being ``candidates``."""
+    """Return what each of the 256 grey levels of a mask stands for, shadow candidates being ``candidates``."""
     table = np.full(256, FOREGROUND, np.uint8)
     table[BACKGROUND], table[SHADOW_CANDIDATE] = BACKGROUND, candidates
     return table
@@ -144,7 +144,7 @@ def _bytes(values: np.ndarray) -> array.array:
 
 
 def decode_image(message: Image | CompressedImage, where: str) -> np.ndarray:
-    """The image (H, W) or (H, W, 3) BGR uint8 of a raw message (encodings of cameras) or a compressed one.
+    """Return the image (H, W) or (H, W, 3) BGR uint8 of a raw message (encodings of cameras) or a compressed one.
 
     Raises InputError naming ``where`` for an unknown encoding or a wrong size.
     """

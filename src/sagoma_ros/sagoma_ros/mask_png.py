@@ -71,7 +71,7 @@ def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
 
 
 def _four_bits(mask: np.ndarray) -> np.ndarray:
-    """(h, ceil(w / 2)) uint8: the places of each pixel's level among the sixteen."""
+    """Return (h, ceil(w / 2)) uint8: the places of each pixel's level among the sixteen."""
     padded = np.pad(mask, ((0, 0), (0, 1))) if mask.shape[1] % 2 else np.ascontiguousarray(mask)
     two = cv2.LUT(padded, _places()).view("<u2")
     return (two << np.uint16(4) | two >> np.uint16(8)).astype(np.uint8)
@@ -86,7 +86,7 @@ def _places() -> np.ndarray:
 
 
 def _halves(packed: np.ndarray, candidates: int) -> np.ndarray:
-    """The levels (h, 2 n) of n bytes a row."""
+    """Return the levels (h, 2 n) of n bytes a row."""
     first, second = _levels_of_byte(candidates)
     packed = np.ascontiguousarray(packed)
     return cv2.merge([cv2.LUT(packed, first), cv2.LUT(packed, second)]).reshape(len(packed), -1)
@@ -94,7 +94,7 @@ def _halves(packed: np.ndarray, candidates: int) -> np.ndarray:
 
 @cache
 def _levels_of_byte(candidates: int) -> tuple[np.ndarray, np.ndarray]:
-    """The two levels, (256,) uint8 each, that a byte of four-bit pixels stands for."""
+    """Return the two levels, (256,) uint8 each, that a byte of four-bit pixels stands for."""
     levels = np.array(LEVELS, np.uint8)
     if candidates != SHADOW_CANDIDATE:
         levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
@@ -104,7 +104,7 @@ def _levels_of_byte(candidates: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _two_bits(mask: np.ndarray) -> np.ndarray:
-    """(h, ceil(w / 4)) uint8: the two highest bits of each pixel."""
+    """Return (h, ceil(w / 4)) uint8: the two highest bits of each pixel."""
     missing = -mask.shape[1] % _PIXELS
     padded = np.pad(mask, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(mask)
     four = padded.view("<u4") & _TWO_HIGHEST_BITS
@@ -116,7 +116,7 @@ def _two_bits(mask: np.ndarray) -> np.ndarray:
 
 
 def _unpacked(packed: np.ndarray, candidates: int) -> np.ndarray:
-    """The levels (h, 4 n) of n bytes a row."""
+    """Return the levels (h, 4 n) of n bytes a row."""
     four = packed.astype("<u4")
     high = four >> np.uint32(7) | four << np.uint32(3) | four << np.uint32(13) | four << np.uint32(23)
     high &= _ONES

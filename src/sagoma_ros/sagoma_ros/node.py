@@ -222,7 +222,7 @@ def declare_parameters(node: Node, settings_class: type) -> None:
 
 
 def read_parameters(node: Node, settings_class: type[T]) -> T:
-    """The declared parameters as an instance of ``settings_class``.
+    """Return the declared parameters as an instance of ``settings_class``.
 
     Raises InputError naming node, key, value and remedy: unknown parameter, wrong type, out of range.
     """

@@ -33,12 +33,12 @@ T = TypeVar("T", bound=Table)
 
 
 def packet_cloud(packet: Table, stamp_ns: int, frame_id: str) -> PointCloud2:
-    """A packet's table as a cloud, one point a row."""
+    """Return a packet's table as a cloud, one point a row."""
     return to_cloud(packet.to_table(), stamp_ns, frame_id)
 
 
 def read_packet(cloud: PointCloud2, kind: type[T], where: str) -> T:
-    """The inverse of :func:`packet_cloud`; InputError when fields are missing or numbers are not finite."""
+    """Return the inverse of :func:`packet_cloud`; InputError when fields are missing or numbers are not finite."""
     return kind.from_table(from_cloud(cloud, kind.LAYOUT, where))
 
 
@@ -66,7 +66,7 @@ def joint_state_message(
 
 
 def prediction_message(prediction: Prediction, frame_id: str = "map") -> JointState:
-    """A prediction as a JointState over the 24 tangent names, without names while there is no pose.
+    """Return a prediction as a JointState over the 24 tangent names, without names while there is no pose.
 
     position = torso position (m), rotation vector of R_world_torso (rad), 18 angles (rad); velocity = tangent rates.
     """
@@ -77,7 +77,7 @@ def prediction_message(prediction: Prediction, frame_id: str = "map") -> JointSt
 
 
 def read_prediction(message: JointState, where: str) -> Prediction:
-    """The inverse of :func:`prediction_message`; InputError when names or lengths are not ours."""
+    """Return the inverse of :func:`prediction_message`; InputError when names or lengths are not ours."""
     stamp_ns = to_ns(message.header.stamp)
     if not message.name:
         return NoState(stamp_ns, "").prediction

@@ -113,7 +113,7 @@ class Mailbox(Generic[T]):
             self._changed.notify_all()
 
     def take(self, stamp_ns: int) -> T | None:
-        """The item of exactly this stamp, as soon as it is there; None when it did not come in time."""
+        """Return the item of exactly this stamp, as soon as it is there; None when it did not come in time."""
         with self._changed:
             self.waiting = True
             patience = 0.0 if self._silent else self._wait_s
@@ -126,7 +126,7 @@ class Mailbox(Generic[T]):
             return item
 
     def newest(self) -> T | None:
-        """The item with the largest stamp."""
+        """Return the item with the largest stamp."""
         with self._changed:
             return self._items[max(self._items)] if self._items else None
 

@@ -17,7 +17,7 @@ LOG_WIDTH = 150
 
 
 def table_console(*, stderr: bool = False, width: int = LOG_WIDTH) -> Console:
-    """A console as wide as the terminal, or ``width`` columns wide where the output goes into a file."""
+    """Return a console as wide as the terminal, or ``width`` columns wide where the output goes into a file."""
     console = Console(stderr=stderr)
     return console if console.is_terminal else Console(stderr=stderr, width=width)
 
@@ -42,7 +42,7 @@ def add_settings_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
-    """The graph that the arguments describe."""
+    """Return the graph that the arguments describe."""
     return build_graph(
         session=args.session,
         rig=args.rig,
@@ -67,5 +67,5 @@ def parse_settings(texts: list[str]) -> dict[str, Any]:
 
 
 def new_run_folder(given: str | None, kind: str) -> Path:
-    """The folder for logs and parameter files: as given, or output/KIND-DATE-TIME."""
+    """Return the folder for logs and parameter files: as given, or output/KIND-DATE-TIME."""
     return Path(given) if given else Path("output") / f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"

@@ -53,7 +53,7 @@ def _ring_camera(index: int, n: int) -> CameraModel:
 
 
 def _camera(index: int, position: Array, look_at: Array, focal: float, distortion: Array) -> CameraModel:
-    """A camera whose lens differs a little from its neighbours', as real ones do."""
+    """Return a camera whose lens differs a little from its neighbours', as real ones do."""
     rng = np.random.default_rng(1000 + index)
     fx, fy = focal * (1.0 + 0.006 * rng.standard_normal(2))
     cx, cy = np.array([WIDTH_PX - 1, HEIGHT_PX - 1]) / 2 + 3.0 * rng.standard_normal(2)

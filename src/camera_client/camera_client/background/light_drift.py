@@ -107,7 +107,7 @@ class LightDrift:
         self._limits.lo[band], self._limits.hi[band] = whole_limits(mean, self._half[band])
 
     def _spread(self, blocks: npt.NDArray[np.bool_], rows: slice) -> npt.NDArray[np.bool_]:
-        """One value a block to one value a pixel of the rows of the image."""
+        """Return one value a block to one value a pixel of the rows of the image."""
         (height, width), side = self._learned.shape[:2], self._block_px
         first, last, _ = rows.indices(height)
         pixels = blocks[first // side : -(-last // side)].repeat(side, axis=0).repeat(side, axis=1)

@@ -79,7 +79,7 @@ class BackgroundModel:
         return self.mean.shape
 
     def with_provenance(self, **changes: Any) -> BackgroundModel:
-        """The same arrays with some fields of the provenance changed."""
+        """Return the same arrays with some fields of the provenance changed."""
         return BackgroundModel(self.mean, self.sigma, replace(self.provenance, **changes))
 
     @property
@@ -95,7 +95,7 @@ class BackgroundModel:
         return float(self.moving_pixels.mean())
 
     def limits(self, settings: BackgroundSettings) -> BackgroundLimits:
-        """The grey levels that count as background.
+        """Return the grey levels that count as background.
 
         Thesis 6.3, corrected: a pixel is *foreground* when it is improbable under its background (as printed, the
         sentence calls almost every background pixel foreground). Both rules ask for |g - mu| <= half width, and so
@@ -162,7 +162,7 @@ class BackgroundLearner:
         self.brightness.append(float(np.median(sample[lit] / self._first[lit])) if lit.any() else 1.0)
 
     def model(self, source: str, **about: str) -> BackgroundModel:
-        """The model of the frames so far (two at least); ``about`` fills further fields of the provenance."""
+        """Return the model of the frames so far (two at least); ``about`` fills further fields of the provenance."""
         if self._sum is None or self._sum_of_squares is None or self.frames < 2:
             raise InputError(
                 f"{self.frames} frames are too few to learn a background",
@@ -177,13 +177,13 @@ class BackgroundLearner:
 
 
 def background_from_still(image: Image, sigma: float, source: str, **about: str) -> BackgroundModel:
-    """A model from one picture of the empty scene: its noise is not measured but assumed to be ``sigma``."""
+    """Return a model from one picture of the empty scene: its noise is not measured but assumed to be ``sigma``."""
     mean = image.astype(np.float32)
     return BackgroundModel(mean, np.full_like(mean, sigma), Provenance(source, 1, sigma, **about))
 
 
 def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.NDArray[np.float64]:
-    """How far a grey level may lie from the mean; negative where no grey level is background.
+    """Return how far a grey level may lie from the mean; negative where no grey level is background.
 
     "tail": P(|g - mu| > half) = risk, the same number of sigmas everywhere. "pdf": the density at the limit equals
     ``risk`` per grey level (thesis 6.3, as in the HumanEva code), so that a noisier pixel gets fewer sigmas, and one
@@ -251,7 +251,7 @@ SOFTWARE = f"sagoma camera_client {__version__}"
 
 
 def read_background(path: str | Path, shape: tuple[int, ...], settings: BackgroundSettings) -> BackgroundModel:
-    """The background at ``path`` for images of ``shape``. Raises InputError naming the file.
+    """Return the background at ``path`` for images of ``shape``. Raises InputError naming the file.
 
     A ``.npz`` is loaded; several images are learned from; a single one is taken as the mean, with the noise that
     ``settings.still_sigma`` assumes.

@@ -171,7 +171,7 @@ class _Training:
     def refused(
         self, text: str, model: BackgroundModel | None = None, findings: tuple[Finding, ...] = ()
     ) -> TrainingReport:
-        """The report that ``model`` was not taken, or that there is none."""
+        """Return the report that ``model`` was not taken, or that there is none."""
         return self.report(REDO, text, model, findings)
 
     def report(

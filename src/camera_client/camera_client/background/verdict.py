@@ -49,7 +49,7 @@ def judge_background(
 
 
 def describe_background(model: BackgroundModel) -> str:
-    """One line on a background: the verdict on it, if there was one, and where it comes from."""
+    """Return one line on a background: the verdict on it, if there was one, and where it comes from."""
     about = model.provenance
     noise = "assumed" if about.frames == 1 else "mean"
     verdict = f"{about.verdict}; " if about.verdict else ""
@@ -61,7 +61,7 @@ def describe_background(model: BackgroundModel) -> str:
 
 
 def turn_findings(about: Provenance) -> tuple[Finding, ...]:
-    """A finding on the background of a camera that was moved after its calibration."""
+    """Return a finding on the background of a camera that was moved after its calibration."""
     turn_deg = float(np.degrees(np.linalg.norm(about.turn_rad)))
     if turn_deg < REPORTED_TURN_DEG:
         return ()
@@ -138,7 +138,7 @@ MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a ca
 
 
 def _emptiness_findings(model: BackgroundModel, before: BackgroundModel | None) -> list[Finding]:
-    """A finding where something stands that the background ``before`` did not have."""
+    """Return a finding where something stands that the background ``before`` did not have."""
     regions = [] if before is None else changed_regions(model, before)
     if before is None or not regions:
         return []
@@ -149,7 +149,7 @@ def _emptiness_findings(model: BackgroundModel, before: BackgroundModel | None) 
 
 
 def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[ImageRegion]:
-    """Where ``model`` shows something else than the background ``before``, the largest region first.
+    """Return where ``model`` shows something else than the background ``before``, the largest region first.
 
     The light may be brighter or darker as a whole. None where most of the picture changed, or its size did.
     """
@@ -198,7 +198,7 @@ class ImageRegion:
 def find_regions(
     marked: npt.NDArray[np.bool_], smallest: float = SMALLEST_REGION, step_px: int = 1
 ) -> list[ImageRegion]:
-    """Where ``marked`` (h, w) is true, the largest region first.
+    """Return where ``marked`` (h, w) is true, the largest region first.
 
     smallest : share of the pixels below which a region is left out.
     step_px : ``marked`` has a pixel for each square of so many of the image, whose pixels the boxes are given in.

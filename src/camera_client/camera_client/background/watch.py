@@ -142,7 +142,7 @@ def concerns(
     now_s: float | None = None,
     followed: bool = False,
 ) -> tuple[str, ...]:
-    """What speaks against the background in use, the worst first, each with its remedy; () when nothing does.
+    """Return what speaks against the background in use, the worst first, each with its remedy; () when nothing does.
 
     camera : the details of the connected source. shape : of its images.
     now_s : the system's clock, s; None for footage, whose background is as old as itself.

@@ -159,7 +159,7 @@ class ClockReading:
 
 
 def read_clock(registers: RegisterAccess, host_clock: Callable[[], int]) -> ClockReading | None:
-    """The best of a few readings; None for a device without a clock that can be read.
+    """Return the best of a few readings; None for a device without a clock that can be read.
 
     The clock is latched by a register write, so that the instant lies between command and acknowledge: the middle is
     taken, and half the time between them is the uncertainty. Source: GigE Vision 2.x, registers 0x093C to 0x094C.

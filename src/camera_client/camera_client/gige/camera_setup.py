@@ -34,7 +34,7 @@ class CameraSetup:
 
 
 def set_up_camera(features: Features, settings: AravisSettings, channels: str) -> CameraSetup:
-    """Everything but the trigger. Raises InputError naming the setting for what the camera cannot do."""
+    """Return everything but the trigger. Raises InputError naming the setting for what the camera cannot do."""
     features.apply(settings.features, "aravis.features")
     features.ensure("AcquisitionMode", "Continuous", "aravis.sync")
     switch_triggers_off(features)
@@ -101,7 +101,7 @@ def _set_exposure(features: Features, settings: AravisSettings) -> None:
 
 
 def _set_rate(features: Features, settings: AravisSettings) -> tuple[str, ...]:
-    """The camera's own rate; where triggers give it, the camera's limit is switched off."""
+    """Return the camera's own rate; where triggers give it, the camera's limit is switched off."""
     switch = features.find("AcquisitionFrameRateEnable")
     if settings.sync in ("line", "action", "software"):
         if switch is not None:

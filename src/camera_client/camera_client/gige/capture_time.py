@@ -165,7 +165,7 @@ def choose_time_source(
     camera_stamps: str,
     where: str,
 ) -> tuple[TimeSource, str]:
-    """The source for ``wanted`` (auto, ptp, camera, arrival), and a warning ("" when there is none).
+    """Return the source for ``wanted`` (auto, ptp, camera, arrival), and a warning ("" when there is none).
 
     ptp_status : the camera's PTP status; None where it has no PTP.
     Raises InputError when PTP was demanded and the camera's clock is not that of PTP.
@@ -190,7 +190,7 @@ def choose_time_source(
 
 
 def _away_ns(reading: ClockReading, tai_utc_offset_s: int) -> int:
-    """How far the camera's clock is from the system's, when it should be ahead by so much."""
+    """Return how far the camera's clock is from the system's, when it should be ahead by so much."""
     return reading.camera_ns - tai_utc_offset_s * SECOND - reading.host_ns
 
 

@@ -61,7 +61,7 @@ class CameraSelector:
 
 
 def find_camera(wanted: CameraSelector) -> FoundCamera:
-    """The one camera that is ``wanted``.
+    """Return the one camera that is ``wanted``.
 
     With an address, the discovery command goes to this address alone. Without, it is broadcast on the interfaces named,
     and only there. Raises SourceUnavailable when it does not answer, InputError when the choice is unclear, another
@@ -127,7 +127,7 @@ def discover_on(link: Interface, listen_s: float = LISTEN_S) -> tuple[DeviceReco
 
 
 def select_interfaces(names: str) -> tuple[Interface, ...]:
-    """The interfaces with these names or own addresses (separated by commas). Raises InputError with a list."""
+    """Return the interfaces with these names or own addresses (separated by commas). Raises InputError with a list."""
     present = interfaces()
     listed = ", ".join(map(str, present)) or "none"
     wanted = [name.strip() for name in names.split(",") if name.strip()]

@@ -58,7 +58,7 @@ class FeatureAccess(Protocol):
         """Distance between the values a number can take; None where the device does not describe it."""
 
     def choices(self, name: str) -> tuple[str, ...]:
-        """The entries of an enumeration that are to be had now."""
+        """Return the entries of an enumeration that are to be had now."""
 
 
 class Features:
@@ -71,7 +71,7 @@ class Features:
         self.access, self.where = access, where
 
     def find(self, name: str) -> str | None:
-        """The name under which this device has the feature; None when it has it under none."""
+        """Return the name under which this device has the feature; None when it has it under none."""
         return next((spelling for spelling in spellings(name) if self.access.kind(spelling) is not None), None)
 
     def require(self, name: str, key: str) -> str:
@@ -85,7 +85,7 @@ class Features:
         return found
 
     def read(self, name: str) -> Value | None:
-        """The feature's value; None when the device has no such feature or does not let it be read now."""
+        """Return the feature's value; None when the device has no such feature or does not let it be read now."""
         found = self.find(name)
         if found is None or self.access.kind(found) is Kind.COMMAND:
             return None
@@ -95,7 +95,7 @@ class Features:
             return None
 
     def number(self, name: str) -> float | None:
-        """The feature's value when it is a number."""
+        """Return the feature's value when it is a number."""
         value = self.read(name)
         return None if value is None or isinstance(value, str) else float(value)
 
@@ -177,7 +177,7 @@ class Features:
             raise self._error(f"{name} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
 
     def _allowed(self, name: str, value: Value, key: str) -> Value:
-        """The value on the feature's grid. Raises InputError when it is out of range or no entry."""
+        """Return the value on the feature's grid. Raises InputError when it is out of range or no entry."""
         kind = self.access.kind(name)
         fits = True
         if kind is Kind.ENUMERATION:
@@ -202,7 +202,7 @@ class Features:
         return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), step, 1e-9)
 
     def _allowance(self, name: str) -> str:
-        """What the feature takes, as a sentence; empty where the device does not describe it."""
+        """Return what the feature takes, as a sentence; empty where the device does not describe it."""
         try:
             if self.access.kind(name) is Kind.ENUMERATION:
                 names = self.access.choices(name)

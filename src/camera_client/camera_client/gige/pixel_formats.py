@@ -47,7 +47,7 @@ def _packed(raw: Bytes, width: int, height: int) -> Image:
 
 
 def _mono12p(raw: Bytes, width: int, height: int) -> Image:
-    """A row of bits, the lowest first: 12 of one pixel, 12 of the next, in three bytes."""
+    """Return a row of bits, the lowest first: 12 of one pixel, 12 of the next, in three bytes."""
     image = np.empty(width * height, np.uint8)
     image[0::2] = raw[0::3] >> 4 | raw[1::3][: len(raw[0::3])] << 4
     image[1::2] = raw[2::3]
@@ -55,7 +55,7 @@ def _mono12p(raw: Bytes, width: int, height: int) -> Image:
 
 
 def _mono10p(raw: Bytes, width: int, height: int) -> Image:
-    """A row of bits, the lowest first: four pixels of 10 bits in five bytes."""
+    """Return a row of bits, the lowest first: four pixels of 10 bits in five bytes."""
     count = width * height
     groups = np.zeros((-(-count // 4), 5), np.uint8)  # whole groups, also where the last one is cut
     groups.reshape(-1)[: len(raw)] = raw
@@ -125,7 +125,7 @@ def standard_name(name: str) -> str:
 
 
 def choose_format(available: list[str], channels: str) -> str | None:
-    """The preferred one of the camera's formats, as the camera spells it; None when none can be taken.
+    """Return the preferred one of the camera's formats, as the camera spells it; None when none can be taken.
 
     ``channels``: "mono", "colour", or "auto" for either (colour first). Fewer bytes a pixel come before more.
     """
@@ -135,7 +135,7 @@ def choose_format(available: list[str], channels: str) -> str | None:
 
 
 def find_format(wanted: str, available: list[str]) -> str | None:
-    """The camera's spelling of the format ``wanted``; None when it has no such format."""
+    """Return the camera's spelling of the format ``wanted``; None when it has no such format."""
     return next((name for name in available if standard_name(name) == standard_name(wanted)), None)
 
 
@@ -150,7 +150,7 @@ def image_bytes(name: str, width: int, height: int) -> int:
 
 
 def to_image(data: bytes | Bytes, name: str, width: int, height: int) -> Image:
-    """The raw bytes of one frame as an image of its own memory: (H, W), or (H, W, 3) BGR; uint8.
+    """Return the raw bytes of one frame as an image of its own memory: (H, W), or (H, W, 3) BGR; uint8.
 
     Raises ValueError when the bytes are too few.
     """

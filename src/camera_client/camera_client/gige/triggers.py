@@ -90,7 +90,7 @@ def enable_ptp(
 
 
 def ptp_status(features: Features) -> str | None:
-    """The camera's PTP status, such as Slave; None for a camera without PTP, or when it is switched off."""
+    """Return the camera's PTP status, such as Slave; None for a camera without PTP, or when it is switched off."""
     latch = features.find("PtpDataSetLatch")
     if latch is not None:
         features.run(latch, "aravis.sync")
@@ -110,7 +110,7 @@ def _trigger_by(features: Features, settings: AravisSettings, source: str) -> No
 
 
 def _action_source(features: Features) -> str:
-    """The camera's first action signal: Action1, or Action0 where it counts from 0."""
+    """Return the camera's first action signal: Action1, or Action0 where it counts from 0."""
     offered = features.access.choices(features.require("TriggerSource", "aravis.sync"))
     return next((name for name in sorted(offered) if name.startswith("Action")), "Action1")
 

@@ -236,7 +236,7 @@ def pictures(image: npt.NDArray, levels: int = LEVELS) -> list[Picture]:
 
 
 def work_factor(shape: tuple[int, ...]) -> int:
-    """How many pixels of the image, across and down, make one of the working size."""
+    """Return how many pixels of the image, across and down, make one of the working size."""
     return max(1, round(math.sqrt(shape[0] * shape[1] / WORK_AREA_PX)))
 
 
@@ -248,7 +248,7 @@ def _contrast(grey: Picture) -> Picture:
 
 
 def choose_points(camera: CameraModel, mean: npt.NDArray[np.float32], sigma: float) -> list[Points]:
-    """The places to compare at each level, finest first; few or none where the picture has no edges.
+    """Return the places to compare at each level, finest first; few or none where the picture has no edges.
 
     ``mean`` (H, W[, 3]) : the reference picture, grey levels. ``sigma`` : noise of a pixel of a frame, grey levels.
     """
@@ -317,7 +317,7 @@ GUESSES = 3
 
 
 def coarse_guesses(points: Points, view: Picture, focal_px: float) -> list[Array]:
-    """The rotation vectors (3,), radians, in the camera's frame, with the best fits on the coarsest level.
+    """Return the rotation vectors (3,), radians, in the camera's frame, with the best fits on the coarsest level.
 
     To each place the picture is compared where a roll about the middle, and a shift by whole pixels, put it.
     """
@@ -335,7 +335,7 @@ def coarse_guesses(points: Points, view: Picture, focal_px: float) -> list[Array
 
 
 def _costs(points: Points, view: Picture, place: Array, shifts: np.ndarray) -> Array:
-    """(down, right) mean residual after each shift, in steepnesses, bounded; out of view counts as the worst."""
+    """Return (down, right) mean residual after each shift, in steepnesses, bounded; out of view counts as the worst."""
     column, row = np.rint(place).astype(np.int64).T
     columns, rows = column[None, None] + shifts[None, :, None], row[None, None] + shifts[:, None, None]
     within = (columns >= 0) & (columns < view.shape[1]) & (rows >= 0) & (rows < view.shape[0])
@@ -353,10 +353,10 @@ def _roll(angle: float) -> Array:
 
 
 def rotation_matrix(turn_rad: npt.ArrayLike) -> Array:
-    """(3, 3) rotation matrix of a rotation vector (3,), radians."""
+    """Return (3, 3) rotation matrix of a rotation vector (3,), radians."""
     return np.asarray(cv2.Rodrigues(np.asarray(turn_rad, float))[0], np.float64)
 
 
 def rotation_vector(R: Array) -> Array:
-    """(3,) rotation vector, radians, of a rotation matrix (3, 3)."""
+    """Return (3,) rotation vector, radians, of a rotation matrix (3, 3)."""
     return np.asarray(cv2.Rodrigues(R)[0], np.float64).reshape(3)

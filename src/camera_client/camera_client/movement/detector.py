@@ -69,7 +69,7 @@ class Movement:
         return float(np.degrees(np.hypot(*self.turn_rad[:2])))
 
     def describe(self, camera: str) -> str:
-        """What is wrong, and what to do; "" when nothing is wrong, as far as is known."""
+        """Return what is wrong, and what to do; "" when nothing is wrong, as far as is known."""
         if self.state is MovementState.LOST:
             return (
                 f"{camera} shows something else than its background does: was it moved far, or is something before "
@@ -85,7 +85,7 @@ class Movement:
         )
 
     def values(self) -> dict[str, object]:
-        """The figures, by the keys of the diagnostics; only what was measured."""
+        """Return the figures, by the keys of the diagnostics; only what was measured."""
         values: dict[str, object] = {"camera_moved": self.state.value}
         if self.state in (MovementState.STILL, MovementState.MOVED):
             values |= {
@@ -145,7 +145,7 @@ class CameraMovedDetector:
         return self.movement
 
     def _measured(self) -> Movement:
-        """The median of the last samples; moved when that is certain, and more than the limit."""
+        """Return the median of the last samples; moved when that is certain, and more than the limit."""
         if len(self._samples) < SAMPLES:
             return self.movement
         turn_rad = np.median([sample.turn_rad for sample in self._samples], axis=0)
@@ -166,7 +166,7 @@ class CameraMovedDetector:
         )
 
     def _shift_px(self, R: Array) -> Array:
-        """(2,) from where to where a turn moves what is in the middle of the picture."""
+        """Return (2,) from where to where a turn moves what is in the middle of the picture."""
         K = self._camera.K
         middle = np.array([self._camera.width - 1, self._camera.height - 1]) / 2
         u, v, w = K @ R @ np.linalg.inv(K) @ np.append(middle, 1.0)
@@ -181,7 +181,7 @@ class CameraMovedDetector:
 
 
 def pose_checksum(camera: CameraModel) -> str:
-    """A short text that changes with the camera's calibrated pose."""
+    """Return a short text that changes with the camera's calibrated pose."""
     return f"{zlib.crc32((np.round(camera.T_camera_world, 6) + 0.0).tobytes()):08x}"
 
 

@@ -33,12 +33,12 @@ class Box(NamedTuple):
 
     @classmethod
     def whole(cls, shape: tuple[int, ...]) -> Box:
-        """All of an image of that shape."""
+        """Return all of an image of that shape."""
         return cls(0, 0, shape[0], shape[1])
 
     @classmethod
     def around(cls, mask: Mask) -> Box:
-        """What holds every pixel of ``mask`` that is not 0."""
+        """Return what holds every pixel of ``mask`` that is not 0."""
         x, y, width, height = cv2.boundingRect(mask)
         return cls(y, x, y + height, x + width)
 
@@ -58,11 +58,11 @@ class Box(NamedTuple):
         return Box(top, left, min(bottom, shape[0]), min(right, shape[1]))
 
     def relative_to(self, outer: Box) -> Box:
-        """The same box, counted from the corner of ``outer``."""
+        """Return the same box, counted from the corner of ``outer``."""
         return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)
 
     def moved_into(self, outer: Box) -> Box:
-        """The inverse of :meth:`relative_to`: this box is counted from the corner of ``outer``."""
+        """Return the inverse of :meth:`relative_to`: this box is counted from the corner of ``outer``."""
         return Box(self.top + outer.top, self.left + outer.left, self.bottom + outer.top, self.right + outer.left)
 
 
@@ -90,7 +90,7 @@ class ForegroundLocator:
         return self._padded[: self._shape[0], : self._shape[1]]
 
     def box(self) -> Box:
-        """A box of whole blocks around all neighbouring dense blocks that hold the smallest part, together."""
+        """Return a box of whole blocks around all neighbouring dense blocks that hold the smallest part, together."""
         blocks: np.ndarray = self._padded
         for _ in range(3):
             blocks = cv2.resize(blocks, (blocks.shape[1] // 2, blocks.shape[0] // 2), interpolation=cv2.INTER_AREA)

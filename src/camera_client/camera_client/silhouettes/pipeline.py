@@ -77,7 +77,7 @@ class SilhouettePipeline:
         return 1.0 if self._drift is None else self._drift.gain
 
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
-        """The silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
+        """Return the silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
 
         Slow drift of the light is followed (when the settings ask for it) by the frames' ``stamp_ns``, so that the same
         footage gives the same silhouettes at every speed.

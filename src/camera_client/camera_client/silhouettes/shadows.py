@@ -54,7 +54,7 @@ class ShadowTest(Protocol):
 def make_shadow_test(
     camera: CameraModel, background: BackgroundModel, settings: SilhouetteSettings, sigma_floor: float
 ) -> ShadowTest:
-    """The test for mono or colour images, or none, as the settings ask; ``sigma_floor`` in grey levels."""
+    """Return the test for mono or colour images, or none, as the settings ask; ``sigma_floor`` in grey levels."""
     if settings.shadow == "keep":
         return NoShadow()
     if len(background.shape) == 3:
@@ -179,12 +179,12 @@ class FloorShadow:
 
 
 def _thinned(values: np.ndarray) -> np.ndarray:
-    """Every second row and column."""
+    """Return every second row and column."""
     return np.ascontiguousarray(values[::2, ::2])
 
 
 def _enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
-    """Each pixel repeated both ways, cut to ``shape``."""
+    """Return each pixel repeated both ways, cut to ``shape``."""
     full = cv2.resize(small, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(full[: shape[0], : shape[1]])
 
@@ -308,7 +308,7 @@ class AttenuationMarker:
         )
 
     def mark(self, image: Image, person: Mask, candidates: Mask, box: Box) -> Mask:
-        """The levels (h, w) of ``person`` and ``candidates``, both 0 or 255, which cover ``box`` of ``image``.
+        """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255, which cover ``box`` of ``image``.
 
         The box begins and ends at even pixels, or at the image's end. What is both is the person.
         """
@@ -332,7 +332,7 @@ class AttenuationMarker:
 
 
 def _halved_grey(image: np.ndarray) -> np.ndarray:
-    """(ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels."""
+    """Return (ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels."""
     half = halve(image)
     if half.ndim == 3:
         half = cv2.transform(half, np.full((1, 3), 1 / 3, np.float32))

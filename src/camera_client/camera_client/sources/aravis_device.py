@@ -66,7 +66,7 @@ class AravisFeatures:
             return readers[kind](name)
 
     def code(self, name: str) -> int:
-        """The number behind an enumeration's entry."""
+        """Return the number behind an enumeration's entry."""
         with self._errors():
             return self._device.get_integer_feature_value(name)
 
@@ -116,7 +116,7 @@ class AravisFeatures:
             self._device.write_register(address, value)
 
     def _described(self, ask: Callable[[], Any]) -> Any:
-        """What ``ask`` gives; None where the device's description has no such thing."""
+        """Return what ``ask`` gives; None where the device's description has no such thing."""
         try:
             with self._errors():
                 return ask()
@@ -218,7 +218,7 @@ class AravisStream:
         self._has_run, self._run_begun = True, False
 
     def grab(self, timeout_s: float) -> GrabbedFrame | None:
-        """The next frame; None when it was not whole, or none came in time. Waits without the GIL."""
+        """Return the next frame; None when it was not whole, or none came in time. Waits without the GIL."""
         buffer = self._stream.timeout_pop_buffer(int(timeout_s * 1e6))
         if buffer is None:
             return None
@@ -258,7 +258,7 @@ class AravisStream:
         return GrabbedFrame(image, frame_id, camera_ns, arrival_ns, exposure_ns)
 
     def _id_of(self, buffer: Any) -> int:
-        """The frame's id; without its leader packet it has none, and then it is the one after the last."""
+        """Return the frame's id; without its leader packet it has none, and then it is the one after the last."""
         frame_id = buffer.get_frame_id() or (1 if self._last_id is None else self._last_id + 1)
         if not self._run_begun:
             self._statistics.restart(first_of_run(frame_id, self._last_id))
@@ -278,7 +278,7 @@ class AravisStream:
         )
 
     def _times(self, buffer: Any) -> tuple[int, int]:
-        """The camera's stamp and the exposure, ns: of the frame itself where it carries them."""
+        """Return the camera's stamp and the exposure, ns: of the frame itself where it carries them."""
         camera_ns, exposure_ns = buffer.get_timestamp(), self._exposure_ns
         if self._chunks is None:
             return camera_ns, exposure_ns
@@ -357,14 +357,14 @@ class AravisStream:
             )
 
     def _chunk_name(self, chunk: str) -> str:
-        """How this camera spells the feature that holds a chunk; "" when it sends no such chunk."""
+        """Return how this camera spells the feature that holds a chunk; "" when it sends no such chunk."""
         if chunk not in self._setup.chunks:
             return ""
         return next((n for n in spellings(f"Chunk{chunk}") if self._device.get_feature(n) is not None), "")
 
 
 def first_of_run(arrived: int, last_of_former_run: int | None) -> int:
-    """The id of the first frame that the camera sent, given the first that arrived.
+    """Return the id of the first frame that the camera sent, given the first that arrived.
 
     Cameras begin at 1 with each stream, and most of them also with each start of acquisition; others go on counting
     where they stopped. ``last_of_former_run``: None for a stream's first run.

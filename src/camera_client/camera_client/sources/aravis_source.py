@@ -33,7 +33,7 @@ ACTION_COUNTERS = ("actions", "actions_late", "actions_refused", "actions_unansw
 
 
 def import_aravis() -> tuple[Any, Any, Any]:
-    """The modules Aravis, Gio and GLib. Raises InputError with the remedy where they are not installed."""
+    """Return the modules Aravis, Gio and GLib. Raises InputError with the remedy where they are not installed."""
     try:
         import gi
 
@@ -316,7 +316,7 @@ class AravisSource(FrameSource):
 
 
 def _number_text(number: float | None) -> str:
-    """A number as text; "" for None."""
+    """Return a number as text; "" for None."""
     return "" if number is None else f"{number:g}"
 
 

@@ -32,7 +32,7 @@ class FootageReader(ABC):
 
     @abstractmethod
     def _next(self) -> Image | None:
-        """The next raw image, None after the last. Raises UndecodableFrame."""
+        """Return the next raw image, None after the last. Raises UndecodableFrame."""
 
     def close(self) -> None:  # noqa: B027 (stills are closed already)
         """Release the file."""
@@ -43,7 +43,7 @@ class FootageReader(ABC):
         return None if image is None else convert_channels(image, self._channels)
 
     def probe(self) -> tuple[int, ...]:
-        """The images' shape, from the first one; settles whether they are mono or colour, and rewinds."""
+        """Return the images' shape, from the first one; settles whether they are mono or colour, and rewinds."""
         try:
             image = self._next()
         except UndecodableFrame as error:
@@ -127,7 +127,7 @@ def is_mono(image: Image) -> bool:
 
 
 def convert_channels(image: Image, channels: str) -> Image:
-    """The image as "mono" (H, W) or "colour" (H, W, 3) BGR; "auto" leaves it."""
+    """Return the image as "mono" (H, W) or "colour" (H, W, 3) BGR; "auto" leaves it."""
     if channels == "mono" and image.ndim == 3:
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     if channels == "colour" and image.ndim == 2:

@@ -320,7 +320,7 @@ class AcknowledgedPace(Pace):
 
 
 def choose_epoch_ns(epoch_ns: int, now_ns: int) -> int:
-    """The stamp of frame 0: as given, or for 0 the next whole multiple of 5 s of the system clock.
+    """Return the stamp of frame 0: as given, or for 0 the next whole multiple of 5 s of the system clock.
 
     Camera PCs whose clocks agree (NTP, PTP) and that start within the same 5 s thus play in step unasked.
     Raises InputError for an epoch more than an hour ahead.

@@ -108,5 +108,5 @@ def grid_sample(image: np.ndarray) -> np.ndarray:
 
 
 def grid_step(shape: tuple[int, ...]) -> int:
-    """Every how many rows and columns that grid has a pixel."""
+    """Return every how many rows and columns that grid has a pixel."""
     return max(1, math.isqrt(shape[0] * shape[1] // SAMPLES))

@@ -314,7 +314,7 @@ class SupervisedSource(FrameSource):
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
 
     def _next_retry_s(self, slowest: bool = False) -> float:
-        """The pause before the next attempt: twice the last one, or the longest from now on."""
+        """Return the pause before the next attempt: twice the last one, or the longest from now on."""
         doubled_s = 2 * self._retry_s or FIRST_RETRY_S
         self._retry_s = self._longest_retry_s if slowest else min(doubled_s, self._longest_retry_s)
         return self._retry_s
@@ -338,12 +338,12 @@ def in_background(call: Callable[[], T]) -> Future[T]:
 
 
 def is_over(call: Future, timeout_s: float) -> bool:
-    """Whether ``call`` has returned or raised, within ``timeout_s`` from now."""
+    """Return whether ``call`` has returned or raised, within ``timeout_s`` from now."""
     return not wait([call], timeout_s).not_done
 
 
 def _closer_of(attempt: Future[FrameSource]) -> Callable[[], None]:
-    """A call that waits for ``attempt`` and closes the connection that it made, if any."""
+    """Return a call that waits for ``attempt`` and closes the connection that it made, if any."""
 
     def close() -> None:
         wait([attempt])
@@ -379,9 +379,9 @@ class Downtime:
         self._sum_s, self._since_s = self.sum_s(now_s), None
 
     def present_s(self, now_s: float) -> float:
-        """How long the present outage has lasted; 0 when there is none."""
+        """Return how long the present outage has lasted; 0 when there is none."""
         return 0.0 if self._since_s is None else now_s - self._since_s
 
     def sum_s(self, now_s: float) -> float:
-        """All of it, the present outage included."""
+        """Return the whole downtime, the present outage included."""
         return self._sum_s + self.present_s(now_s)

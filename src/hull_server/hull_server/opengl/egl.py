@@ -204,7 +204,7 @@ class Egl:
         return bool(self._library.eglBindAPI(_OPENGL_API))
 
     def pbuffer_config(self, display: Display) -> int | None:
-        """A configuration that has OpenGL and small off-screen surfaces."""
+        """Return a configuration that has OpenGL and small off-screen surfaces."""
         config, count = _pointer(), _int()
         wanted = _attributes(_SURFACE_TYPE, _PBUFFER_BIT, _RENDERABLE_TYPE, _OPENGL_BIT)
         self._library.eglChooseConfig(display.handle, wanted, ctypes.byref(config), 1, ctypes.byref(count))
@@ -215,7 +215,7 @@ class Egl:
         return self._library.eglCreatePbufferSurface(display.handle, config, size)
 
     def create_context(self, display: Display, config: int | None) -> int | None:
-        """A core context of the newest version to be had."""
+        """Return a core context of the newest version to be had."""
         for major, minor in GL_VERSIONS:
             attributes = _attributes(_MAJOR, major, _MINOR, minor, _PROFILE_MASK, _CORE_PROFILE)
             context = self._library.eglCreateContext(display.handle, config, None, attributes)
@@ -234,7 +234,7 @@ class Egl:
             self._library.eglDestroySurface(display.handle, surface)
 
     def error(self) -> str:
-        """The name of this thread's last error."""
+        """Return the name of this thread's last error."""
         code = self._library.eglGetError()
         return _ERRORS.get(code, f"EGL error 0x{code:x}")
 

@@ -21,7 +21,7 @@ class PoseRejected(Exception):
 
 
 def reasons_of_bodies(reasons: dict[int, str]) -> str:
-    """One sentence for the reasons by which each body, by its number, was refused."""
+    """Return one sentence for the reasons by which each body, by its number, was refused."""
     if len(reasons) == 1:
         return next(iter(reasons.values()))
     return "; ".join(f"body {number}: {reason}" for number, reason in sorted(reasons.items())) or "no hull"

@@ -37,7 +37,7 @@ def sides_exchanged(body: Body, pose: Pose) -> Pose:
 
 
 def turned_around(pose: Pose) -> Pose:
-    """Every limb where it is on the body, the body facing the other way."""
+    """Return every limb where it is on the body, the body facing the other way."""
     return replace(pose, R_world_torso=rotation_matrix(np.pi * pose.R_world_torso[:, 2]) @ pose.R_world_torso)
 
 
@@ -58,7 +58,7 @@ def moved_to(pose: Pose, hull_world: np.ndarray) -> Pose:
 
 
 def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
-    """Every stance at every heading, above the middle of the hull (m, 3), its head at the hull's crown."""
+    """Return every stance at every heading, above the middle of the hull (m, 3), its head at the hull's crown."""
     x, y = np.median(hull_world[:, :2], axis=0)
     crown = float(np.percentile(hull_world[:, 2], 99.5))
     height = crown - body.half_lengths[0] - body.lengths[1]
@@ -131,7 +131,7 @@ class LimbPoses(NamedTuple):
     flexion: np.ndarray
 
     def part(self, number: int, parts: int) -> LimbPoses:
-        """Every ``parts``-th pose: together the parts are the whole."""
+        """Return every ``parts``-th pose: together the parts are the whole."""
         return LimbPoses(
             np.ascontiguousarray(self.R[number % parts :: parts]),
             np.ascontiguousarray(self.flexion[number % parts :: parts]),

@@ -31,7 +31,7 @@ class Hypothesis:
     margin: float = 0.0
 
     def compared(self, pose: Pose, evidence: Evidence, followed: Evidence) -> Hypothesis:
-        """One more frame set: its pose there, the evidence about it, and about the followed pose."""
+        """Return one more frame set: its pose there, the evidence about it, and about the followed pose."""
         sets = self.sets + 1
         margin = self.margin + (followed.margin_of(evidence) - self.margin) / sets
         return Hypothesis(pose, self.why, self.part, evidence, sets, margin)

@@ -71,7 +71,7 @@ def trimmed(pixels: Array, fewest: float) -> Array:
 
 
 def parity(shape: tuple[int, ...]) -> Array:
-    """(rows, columns): 1 and -1 by turns, as the colours change from corner to corner."""
+    """Return (rows, columns): 1 and -1 by turns, as the colours change from corner to corner."""
     return 1.0 - 2.0 * (np.indices(shape[:2]).sum(axis=0) % 2)
 
 

@@ -78,13 +78,13 @@ def save_for_print(board: Board, path: str | Path, paper: str = "A4") -> list[Pa
 
 
 def _coverage(size: int, low: float, high: float) -> Array:
-    """How much of each of ``size`` pixels lies within [low, high]."""
+    """Return how much of each of ``size`` pixels lies within [low, high]."""
     edge = np.arange(size)
     return (np.minimum(edge + 1, high) - np.maximum(edge, low)).clip(0, 1)
 
 
 def _marker_rectangles(board: CharucoBoard) -> list[Rectangle]:
-    """The black cells of the markers, cell by cell, in strips along the rows."""
+    """Return the black cells of the markers, cell by cell, in strips along the rows."""
     theirs = opencv_board(board)
     dictionary = theirs.getDictionary()
     cells = dictionary.markerSize + 2

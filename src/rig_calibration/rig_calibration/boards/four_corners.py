@@ -44,7 +44,7 @@ class _View:
         return np.array([0, columns - 1, rows * columns - 1, (rows - 1) * columns])
 
     def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
-        """All corners (rows, columns, 2) of the flat board whose corners ``ids`` lie at ``pixels``."""
+        """Return all corners (rows, columns, 2) of the flat board whose corners ``ids`` lie at ``pixels``."""
         ideal = pixels if self.model is None else self.model.ideal_points(pixels)
         known = np.isfinite(ideal).all(axis=1)
         if known.sum() < 4:
@@ -111,7 +111,7 @@ def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
 
 
 def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
-    """The four saddles near the given corners with which most of the board's corners fall onto saddles."""
+    """Return the four saddles near the given corners with which most of the board's corners fall onto saddles."""
     found = [variant.to_raw(find_saddles(variant.make(grey), variant.smoothing_px).pixels) for variant in VARIANTS]
     saddles = np.concatenate([*found, outer])
     tree = cKDTree(saddles)
@@ -126,7 +126,7 @@ def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
 
 
 def _distinct(saddles: Array, corner: Array) -> list[Array]:
-    """The nearest few, those that several looks show only once."""
+    """Return the nearest few, those that several looks show only once."""
     kept: list[Array] = []
     for saddle in saddles:
         if all(np.hypot(*(saddle - other)) > 0.7 for other in [corner, *kept]):
@@ -135,7 +135,7 @@ def _distinct(saddles: Array, corner: Array) -> list[Array]:
 
 
 def _hits(view: _View, four: Array, tree: cKDTree) -> tuple[int, float]:
-    """How many corners fall onto saddles; and, less being better, how far from them they lie."""
+    """Return how many corners fall onto saddles; and, less being better, how far from them they lie."""
     expected = view.corners(view.outer, four)
     near = np.maximum(HIT_FIELDS * _fields_px(expected), MIN_HIT_PX).ravel()
     distance, _ = tree.query(np.nan_to_num(expected.reshape(-1, 2), nan=-1e6))
@@ -144,7 +144,7 @@ def _hits(view: _View, four: Array, tree: cKDTree) -> tuple[int, float]:
 
 
 def _fields_px(corners: Array) -> Array:
-    """The shorter side of the field at each corner, px (rows, columns)."""
+    """Return the shorter side of the field at each corner, px (rows, columns)."""
     along, down = steps(corners)
     return np.fmin(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
 

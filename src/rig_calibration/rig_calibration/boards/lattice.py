@@ -98,7 +98,7 @@ def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]
 
 
 def _saddle_point(smooth: np.ndarray, row: Array, column: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """Where the gradient vanishes, by one Newton step (at most one pixel)."""
+    """Return where the gradient vanishes, by one Newton step (at most one pixel)."""
     gx = 0.5 * (smooth[row, column + 1] - smooth[row, column - 1])
     gy = 0.5 * (smooth[row + 1, column] - smooth[row - 1, column])
     determinant = xx * yy - xy * xy
@@ -107,7 +107,7 @@ def _saddle_point(smooth: np.ndarray, row: Array, column: Array, xx: Array, xy: 
 
 
 def _flat_directions(xx: Array, xy: Array, yy: Array) -> tuple[Array, Array]:
-    """The two directions d with d^T H d = 0, on both sides of the direction in which the image gets brighter."""
+    """Return the two directions d with d^T H d = 0, on both sides of the direction in which the image gets brighter."""
     half, mean = np.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
     bright = 0.5 * np.arctan2(2 * xy, xx - yy)
     rising, falling = np.maximum(mean + half, 1e-9), np.maximum(half - mean, 1e-9)
@@ -130,7 +130,7 @@ def _is_crossing(
 
 
 def _in_quads(links: npt.NDArray[np.int64], pixels: Array) -> npt.NDArray[np.int64]:
-    """Only the links that are sides of a closed, convex quadrilateral whose opposite sides are alike."""
+    """Return only the links that are sides of a closed, convex quadrilateral whose opposite sides are alike."""
     back = _back_slots(links)
     slots = np.arange(4)[None].repeat(len(links), 0)
     place, slot, path = np.arange(len(links))[:, None].repeat(4, 1), slots, []
@@ -148,7 +148,7 @@ def _in_quads(links: npt.NDArray[np.int64], pixels: Array) -> npt.NDArray[np.int
 
 
 def _back_slots(links: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """(n, 4): the slot in which the neighbour links back; 0 where there is no neighbour."""
+    """Return (n, 4): the slot in which the neighbour links back; 0 where there is no neighbour."""
     return np.argmax(links[links] == np.arange(len(links))[:, None, None], axis=2)
 
 
@@ -170,7 +170,7 @@ def _quad_is_sound(pixels: Array, corners: list[npt.NDArray[np.int64]]) -> npt.N
 
 
 def _mutual_links(saddles: Saddles) -> npt.NDArray[np.int64]:
-    """(n, 4): the neighbour along +first, +second, -first, -second; -1 where there is none."""
+    """Return (n, 4): the neighbour along +first, +second, -first, -second; -1 where there is none."""
     count = min(NEIGHBOURS, len(saddles.pixels) - 1)
     _, near = cKDTree(saddles.pixels).query(saddles.pixels, k=count + 1)
     near = near[:, 1:]
@@ -286,7 +286,7 @@ class Variant:
         return math.sqrt(wanted**2 - own[0] ** 2), math.sqrt(wanted**2 - own[1] ** 2)
 
     def make(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """The scaled image."""
+        """Return the scaled image."""
         if self.equalised:
             image = np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image), np.uint8)
         if self.across == self.down == 1.0:

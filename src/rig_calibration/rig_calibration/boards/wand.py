@@ -130,7 +130,7 @@ def label_markers(points: Array, marks_m: Array) -> Array | None:
 
 
 def _on_a_line(points: Array) -> Array | None:
-    """(k,) places along the line through the points; None when they lie on none, or coincide."""
+    """Return (k,) places along the line through the points; None when they lie on none, or coincide."""
     centred = points - points.mean(0)
     _, _, axes = np.linalg.svd(centred, full_matrices=True)
     along, across = centred @ axes[0], centred @ axes[1]
@@ -139,7 +139,7 @@ def _on_a_line(points: Array) -> Array | None:
 
 
 def _cost(u: Array, marks_m: Array) -> float:
-    """How unlike a wand: the places' misfit and the depth that they imply; infinite when it cannot be one.
+    """Return how unlike a wand spots are: misfit of their places, and depth implied; infinite when they are none.
 
     Both ``u`` and ``marks_m`` rise.
     """
@@ -203,7 +203,7 @@ def _grey(image: np.ndarray) -> Grey:
 
 
 def _above(grey: Grey, background: Grey | None) -> npt.NDArray[np.float32]:
-    """How much brighter than the surroundings, grey levels, noise of the surroundings taken off."""
+    """Return how much brighter than the surroundings, grey levels, noise of the surroundings taken off."""
     behind = background
     if behind is None:
         side = 2 * (max(grey.shape) // 50) + 1

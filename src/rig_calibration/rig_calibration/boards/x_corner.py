@@ -291,7 +291,7 @@ def fit_x_corners(
 
 
 def _quadrant_similarity(means: Array) -> Array:
-    """The smallest step between neighbouring quadrants' means, over the mean step."""
+    """Return the smallest step between neighbouring quadrants' means, over the mean step."""
     first, second = means[:, [0, 2]], means[:, [1, 3]]
     step = np.abs(first.mean(1) - second.mean(1))
     gap = np.maximum(first.min(1) - second.max(1), second.min(1) - first.max(1))

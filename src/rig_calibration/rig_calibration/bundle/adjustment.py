@@ -220,7 +220,7 @@ def information_of_each(linear: Linearised) -> tuple[Array, Array]:
 
 
 def _products(linear: Linearised) -> Array:
-    """(s, k + 7, k + 7) of each detection: J^T J with the residual as the last column."""
+    """Return (s, k + 7, k + 7) of each detection: J^T J with the residual as the last column."""
     J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
     return np.swapaxes(J, 1, 2) @ J
 

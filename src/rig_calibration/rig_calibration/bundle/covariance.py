@@ -87,7 +87,7 @@ def variance_factor(lengths: Array, unknowns: int) -> float:
 
 
 def _inverse(information: Array, free: Bools) -> Array:
-    """The inverse over the free unknowns, zeros elsewhere."""
+    """Return the inverse over the free unknowns, zeros elsewhere."""
     full = np.zeros_like(information)
     full[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-14, hermitian=True)
     return full

@@ -105,7 +105,7 @@ def _rows_by_key(views: Sequence[View]) -> dict[PoseKey, list[int]]:
 
 
 def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
-    """The pose of one target in one frame that its views agree on best, and the turn that each view needs."""
+    """Return the pose of one target in one frame that its views agree on best, and the turn that each view needs."""
     usable = [(view.poses, T_camera_root) for view, T_camera_root in seen if view.poses is not None]
     if not usable:
         return None, [0] * len(seen)

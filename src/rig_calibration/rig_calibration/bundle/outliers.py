@@ -121,7 +121,7 @@ def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
 def _to_leave_out(
     rows: Ints, misfit: Array, without: dict[int, float], renumbered: dict[int, float]
 ) -> list[tuple[int, str]]:
-    """Which of the detections of one pose are left out, and why."""
+    """Return which of the detections of one pose are left out, and why."""
     worst = float(misfit[rows].max())
     odd_one = int(min(rows, key=lambda row: without[row]))
     renumbered_row = int(min(rows, key=lambda row: renumbered.get(row, np.inf)))
@@ -170,7 +170,7 @@ def _misfit_renumbered(
 
 
 def _is_bad(misfit: Array, limit: float, fit: Adjusted, seen: Observations, limits: Limits) -> Bools:
-    """(s,) misfits beyond a limit and, in pixels, beyond what lenses and delays may do."""
+    """Return (s,) misfits beyond a limit and, in pixels, beyond what lenses and delays may do."""
     sigma_px = 1 / np.maximum(seen.weight.max(axis=1), 1e-300)
     return (misfit > limit) & (misfit * fit.scale * sigma_px * RAYLEIGH_MEDIAN > limits.detection_px)
 

@@ -65,7 +65,7 @@ def linearise(state: State, seen: Observations, with_lens: bool = False) -> Line
 
 
 def _arm(state: State, seen: Observations) -> Array:
-    """(s, n, 3) from the target's centroid to its corners, common frame."""
+    """Return (s, n, 3) from the target's centroid to its corners, common frame."""
     points = seen.points.copy()
     points[..., 2] += (seen.bend @ state.bow[seen.target][:, :, None])[..., 0]
     scaled = state.R_pose[seen.pose] * state.scale[seen.target][:, None, None]

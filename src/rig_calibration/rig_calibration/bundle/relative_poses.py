@@ -46,7 +46,7 @@ class _Hypotheses(NamedTuple):
     frame_index: npt.NDArray[np.int64]
 
     def only(self, rows: npt.NDArray) -> _Hypotheses:
-        """Those of the ``rows``."""
+        """Return those of the ``rows``."""
         return _Hypotheses(
             self.R[rows], self.centre_a[rows], self.centre_b[rows], self.weight[rows], self.frame_index[rows]
         )
@@ -88,14 +88,14 @@ def _evenly_spaced(count: int, wanted: int) -> npt.NDArray[np.int64]:
 
 
 def _row_agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """(candidates, hypotheses) how well each hypothesis agrees with each candidate."""
+    """Return (candidates, hypotheses) how well each hypothesis agrees with each candidate."""
     miss = np.einsum("cij,oj->coi", R, hypotheses.centre_a) + t[:, None] - hypotheses.centre_b
     ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(hypotheses.centre_b, axis=1)
     return hypotheses.weight * agreement_weight(angle_between(R, hypotheses.R), ratio)
 
 
 def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """(candidates, frames) the best agreement in each frame."""
+    """Return (candidates, frames) the best agreement in each frame."""
     starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
     return np.maximum.reduceat(_row_agreement(hypotheses, R, t), starts, axis=1)
 
@@ -176,14 +176,14 @@ def _ways_round(u: View, v: View) -> list[Pair]:
 
 
 def _essential(chosen: Sequence[Pair], tolerance: float) -> Array:
-    """(3, 3), or (0, 3) when there is none."""
+    """Return (3, 3), or (0, 3) when there is none."""
     points_a, points_b = (np.concatenate([pair[side] for pair in chosen]) for side in (0, 1))
     E, _ = cv2.findEssentialMat(points_a, points_b, np.eye(3), cv2.RANSAC, CONFIDENCE, tolerance)
     return np.empty((0, 3)) if E is None or E.shape[0] < 3 else np.asarray(E[:3], float)
 
 
 def _epipolar_distance(E: Array, pair: Pair) -> Array:
-    """(n,) Sampson distances, in units of the focal length."""
+    """Return (n,) Sampson distances, in units of the focal length."""
     a, b = (np.column_stack([pair[side], np.ones(len(pair[side]))]) for side in (0, 1))
     line_b, line_a = a @ E.T, b @ E
     slope = np.sqrt((line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1))
@@ -204,7 +204,7 @@ def _with_scale(E: Array, fitting: Sequence[Pair], support: float) -> RelativePo
 
 
 def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Array:
-    """The point (3,) in the root frame, by the linear method (Hartley & Zisserman 2004, 12.2)."""
+    """Return the point (3,) in the root frame, by the linear method (Hartley & Zisserman 2004, 12.2)."""
     rows = [point[axis] * T[2] - T[axis] for point, T in zip(ideal, T_camera_root, strict=True) for axis in (0, 1)]
     solution = np.linalg.svd(np.array(rows))[2][-1]
     return solution[:3] / solution[3]
@@ -248,7 +248,7 @@ def _miss(pose: Array, view: View, T_camera_root: Array, symmetry: int) -> float
 
 
 def _swing(a: Array, b: Array) -> Array:
-    """The smallest rotation that takes unit vector a to b."""
+    """Return the smallest rotation that takes unit vector a to b."""
     axis, cosine = np.cross(a, b), float(a @ b)
     if cosine < -1 + 1e-12:
         across = np.linalg.svd(a[None])[2][1]

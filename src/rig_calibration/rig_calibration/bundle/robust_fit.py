@@ -93,7 +93,7 @@ class Fit:
         return {name: max(sorted(set(reasons)), key=reasons.count) for name, reasons in by_camera.items()}
 
     def free(self, layout: Layout) -> FreeUnknowns:
-        """What moves while the root camera holds the frame."""
+        """Return what moves while the root camera holds the frame."""
         shared = np.ones(layout.size, bool)
         shared[layout.camera(self.root)] = False
         shared[layout.scales] = self.free_scales
@@ -282,7 +282,7 @@ def _whitened_step(fit: Fit, tau: Array) -> Fit:
 
 
 def _compare_sizes(fit: Fit) -> Fit:
-    """The targets' sizes beside the base's; those that agree with what was given are held fixed from now on."""
+    """Return the targets' sizes beside the base's; those that agree with what was given are held fixed from now on."""
     if not fit.free_scales.any():
         return fit
     sd = fit.covariance(fit.free(replace(fit.layout, with_lens=True))).scale

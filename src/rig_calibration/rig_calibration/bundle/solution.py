@@ -117,7 +117,7 @@ def in_gauge(fit: Fit, reference: str | PoseKey) -> Fit:
 
 
 def target_origin(problem: Problem, state: State, row: int) -> Array:
-    """(3,) where the origin of the target's own frame lies, for pose ``row``."""
+    """Return (3,) where the origin of the target's own frame lies, for pose ``row``."""
     names = list(problem.shapes)
     name = problem.keys[row][0]
     return state.position[row] - state.scale[names.index(name)] * state.R_pose[row] @ problem.shapes[name].centroid
@@ -205,7 +205,7 @@ def to_solution(fit: Fit, reference: str | PoseKey, initial: InitialPoses) -> Ri
 
 
 def _free(fit: Fit, reference: str | PoseKey) -> FreeUnknowns:
-    """All that moves when the reference holds the frame."""
+    """Return all that moves when the reference holds the frame."""
     layout = replace(fit.layout, with_lens=True)
     free = fit.free(layout)
     shared, poses = free.shared.copy(), free.poses.copy()

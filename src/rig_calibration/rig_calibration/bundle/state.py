@@ -102,7 +102,7 @@ class Layout:
         return self.scales[:, None] + np.arange(1, self.target_width)
 
     def columns(self, camera: Ints, target: Ints) -> Ints:
-        """(s, width + target_width) the shared unknowns on which each detection depends."""
+        """Return (s, width + target_width) the shared unknowns on which each detection depends."""
         of_target = self.scales[target][:, None] + np.arange(self.target_width)
         return np.column_stack([camera[:, None] * self.width + np.arange(self.width), of_target])
 
@@ -125,11 +125,11 @@ class Observations:
     weight: Array
 
     def only(self, rows: npt.NDArray) -> Observations:
-        """The detections in ``rows``."""
+        """Return the detections in ``rows``."""
         return Observations(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def weighted(self, factor: Array) -> Observations:
-        """The same with weights multiplied by ``factor``, broadcast to (s, n)."""
+        """Return the same with weights multiplied by ``factor``, broadcast to (s, n)."""
         return replace(self, weight=self.weight * factor)
 
 
@@ -162,7 +162,7 @@ def observe(
 
 
 def lens_of(camera: CameraModel) -> Array:
-    """(12,) fx fy cx cy and the eight coefficients, those that the model lacks being zero."""
+    """Return (12,) fx fy cx cy and the eight coefficients, those that the model lacks being zero."""
     return np.pad([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2], *camera.D], (0, 8 - len(camera.D)))
 
 

@@ -39,7 +39,7 @@ class Target:
 
     @classmethod
     def of(cls, board: Board) -> Target:
-        """A board as a target."""
+        """Return a board as a target."""
         return cls(board.corners_board, symmetry_order_of(board))
 
 
@@ -51,7 +51,7 @@ class FloorTarget(Target):
 
     @classmethod
     def of_board(cls, board: Board, choice: WorldChoice) -> FloorTarget:
-        """A board, from which the world is measured as ``choice`` says."""
+        """Return a board, from which the world is measured as ``choice`` says."""
         return cls(board.corners_board, symmetry_order_of(board), board_in_world(board.corners_board, choice))
 
 

@@ -260,7 +260,7 @@ class MotionProgress:
         return ""
 
     def _bring_together(self) -> str:
-        """The pair across two groups that has most in common already, else the first of each."""
+        """Return the pair across two groups that has most in common already, else the first of each."""
         first, rest = self.groups[0], [name for group in self.groups[1:] for name in group]
         across = {(a, b): self.shared.get((min(a, b), max(a, b)), 0) for a in first for b in rest}
         (one, other), count = max(across.items(), key=lambda item: item[1])

@@ -57,7 +57,7 @@ class RigFigures:
     floor_m2: tuple[float, ...]
 
     def camera(self, name: str) -> CameraFigures:
-        """The figures of the camera called ``name``."""
+        """Return the figures of the camera called ``name``."""
         return next(camera for camera in self.cameras if camera.name == name)
 
 

@@ -119,7 +119,7 @@ def _project(points: Array, camera: CameraModel, T: Array) -> Array:
 
 
 def _not_ruled_out(solutions: list[tuple[float, Array]], corners: int, sigma: float) -> Array | None:
-    """The next best solution with another plane, when its residual is not clearly worse."""
+    """Return the next best solution with another plane, when its residual is not clearly worse."""
     best_rms, best = solutions[0]
     for rms, T in solutions[1:]:
         apart = np.arccos(np.clip(best[:3, 2] @ T[:3, 2], -1.0, 1.0))

@@ -47,7 +47,7 @@ class TapeMeasure:
     tape_m: float
 
     def check(self, rig: Rig) -> TapeCheck:
-        """The same length in the calibration. Raises InputError for an unknown camera and a useless length."""
+        """Return the same length in the calibration. Raises InputError for an unknown camera and a useless length."""
         what = f"height of {self.one}" if self.other is None else f"{self.one} to {self.other}"
         if not np.isfinite(self.tape_m) or self.tape_m < MIN_M:
             raise InputError(

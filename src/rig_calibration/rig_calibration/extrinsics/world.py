@@ -149,7 +149,7 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
 
 
 def centre_of(volume: Volume) -> Array:
-    """(3,) the middle of the box, world."""
+    """Return (3,) the middle of the box, world."""
     return (volume.low + volume.high) / 2
 
 
@@ -162,7 +162,7 @@ def _floor_grid(cameras: Sequence[CameraModel]) -> tuple[Array, Array]:
 
 
 def _cameras_seeing(cameras: Sequence[CameraModel], x: Array, y: Array) -> npt.NDArray[np.int64]:
-    """(levels, nx, ny) how many cameras see each point."""
+    """Return (levels, nx, ny) how many cameras see each point."""
     points = np.stack(np.meshgrid(LEVELS_M, x, y, indexing="ij"), axis=-1)[..., [1, 2, 0]]
     centre = np.array([x.mean(), y.mean(), 1.0])
     seeing = np.zeros(points.shape[:3], np.int64)
@@ -180,7 +180,7 @@ def _sees(camera: CameraModel, points_world: Array, reach_m: float) -> npt.NDArr
 
 
 def _largest_piece(place: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """The largest connected piece of (nx, ny)."""
+    """Return the largest connected piece of (nx, ny)."""
     labels, pieces = ndimage.label(place)
     if pieces == 0:
         return place

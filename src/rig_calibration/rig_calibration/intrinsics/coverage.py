@@ -61,7 +61,7 @@ class Coverage:
         return float(self.cells.mean())
 
     def progress(self) -> dict[str, float]:
-        """Each goal's name and how far it is reached, 0 to 1."""
+        """Return each goal's name and how far it is reached, 0 to 1."""
         tilts = {f"tilt {side}": min(self.tilt_deg[side] / TILT_WANTED_DEG, 1.0) for side in SIDES}
         sizes = min(np.log(self.sizes) / np.log(SIZES_WANTED), 1.0)
         return {"image": min(self.image / IMAGE_WANTED, 1.0), **tilts, "distance": float(sizes)}
@@ -71,7 +71,7 @@ class Coverage:
         return min(self.progress().values()) >= 1.0
 
     def advice(self) -> str:
-        """What to show next; "" when nothing is missing."""
+        """Return what to show next; "" when nothing is missing."""
         progress = self.progress()
         goal = min(progress, key=lambda name: progress[name])
         if progress[goal] >= 1.0:
@@ -84,7 +84,7 @@ class Coverage:
         return f"tilt the board by 30 to 45 degrees, its {side} edge towards the camera"
 
     def emptiest(self) -> str:
-        """The ninth of the image that lacks most, in words."""
+        """Return the ninth of the image that lacks most, in words."""
         rows = np.array_split(self.cells, 3, axis=0)
         filled = np.array([[part.mean() for part in np.array_split(row, 3, axis=1)] for row in rows])
         row, column = np.unravel_index(int(np.argmin(filled)), filled.shape)

@@ -82,7 +82,7 @@ class LensFit:
         return np.asarray(np.linalg.solve(rest, -self.score[..., None])[..., 0], np.float64)
 
     def _expected_scatter(self) -> Array:
-        """(p, p): the sum over views of their changes' squares, on average, when the corners' noise is white."""
+        """Return (p, p): the sum over views of their changes' squares, on average, when the corners' noise is white."""
         rest = np.linalg.inv(self.precision - self.information)
         score = self.information - self.information @ np.linalg.solve(self.precision, self.information)  # covariance
         return np.asarray((rest @ score @ rest).sum(axis=0), np.float64)
@@ -149,7 +149,7 @@ def held_out_squares(lens: LensFit, detections: Sequence[TargetDetection], board
 
 
 def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
-    """The focal length that explains the views' perspective best."""
+    """Return the focal length that explains the views' perspective best."""
     size = detections[0].image_size
     trials = [model.camera(detections[0].camera, share * max(size), size) for share in FOCAL_TRIALS]
     shapes = shapes_of({detections[0].target: board.corners_board}, {})
@@ -162,7 +162,7 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
 
 
 def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board: Board, model: LensModel) -> Fit:
-    """The solver's first state: poses by that lens, lens and bow free with their prior."""
+    """Return the solver's first state: poses by that lens, lens and bow free with their prior."""
     target = detections[0].target
     problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
     views = views_of(problem.detections, problem.cameras, problem.shapes)
@@ -262,7 +262,7 @@ def why_useless(detection: TargetDetection, board: Board) -> str:
 
 
 def diagonal_m(board: Board) -> float:
-    """The diagonal of the board's corners, m."""
+    """Return the diagonal of the board's corners, m."""
     return float(np.linalg.norm(np.ptp(board.corners_board, axis=0)))
 
 

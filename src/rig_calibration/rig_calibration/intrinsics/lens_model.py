@@ -65,13 +65,13 @@ class LensModel:
         return np.r_[np.arange(LAYOUT.size)[LAYOUT.lens(0)][: len(self.names)], LAYOUT.bows[0]]
 
     def camera(self, name: str, focal_px: float, image_size: tuple[int, int]) -> CameraModel:
-        """A lens without distortion, the principal point in the middle."""
+        """Return a lens without distortion, the principal point in the middle."""
         (width, height), none = image_size, np.zeros(COEFFICIENTS[self.name])
         K = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
         return CameraModel(name, width, height, K, self.name, none, np.eye(4))
 
     def prior(self, focal_px: float, image_size: tuple[int, int], board_diagonal_m: float) -> Prior:
-        """What is known of a lens whose focal length is roughly ``focal_px``."""
+        """Return what is known of a lens whose focal length is roughly ``focal_px``."""
         lens, count = LAYOUT.lens(0).start, len(self.names)
         mean, information = np.zeros(LAYOUT.size), np.zeros((LAYOUT.size, LAYOUT.size))
         mean[lens : lens + LENS] = lens_of(self.camera("", focal_px, image_size))

@@ -132,7 +132,7 @@ class ViewCollector:
         return (focal and centre) or len(self) >= PLENTY
 
     def advice(self) -> str:
-        """What to show next; "" when it is enough."""
+        """Return what to show next; "" when it is enough."""
         if self.enough:
             return ""
         if not self._held:

@@ -43,7 +43,7 @@ def lens_findings(result: Intrinsics) -> Iterator[Finding]:
 
 
 def _graded(value: float, good: float, usable: float, what: str, remedy: str) -> Iterator[Finding]:
-    """A finding when ``value`` exceeds ``good``, a bad one when it exceeds ``usable``."""
+    """Yield a finding when ``value`` exceeds ``good``, a bad one when it exceeds ``usable``."""
     if not value <= good:
         yield Finding(USABLE if value <= usable else REDO, what, remedy)
 

@@ -73,7 +73,7 @@ def _orders(outer_px: np.ndarray, told_apart: bool) -> list[list[int]]:
 
 
 def _runs_clockwise(quadrangle: np.ndarray) -> bool:
-    """Whether it turns right at every corner, in an image (y down)."""
+    """Return whether it turns right at every corner, in an image (y down)."""
     edges = np.roll(quadrangle, -1, axis=0) - quadrangle
     following = np.roll(edges, -1, axis=0)
     return bool((edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 0).all())

@@ -63,7 +63,7 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
 def _detect_floor(
     request: RigRequest, sources: RigSources, cameras: Cameras, console: Console
 ) -> tuple[CamerasDetections, frozenset[str]]:
-    """The detections in the pictures of the floor, and the cameras whose corners a person gave."""
+    """Return the detections in the pictures of the floor, and the cameras whose corners a person gave."""
     board = request.floor_board
     if board is None:
         return {}, frozenset()
@@ -82,7 +82,7 @@ def _detect_floor(
 
 
 def _names(request: RigRequest, sources: RigSources) -> list[str]:
-    """All cameras of which there are pictures, or points on the floor."""
+    """Return all cameras of which there are pictures, or points on the floor."""
     points = names_in_floor_points(request.floor_points) if request.floor_points is not None else []
     return sorted({*sources.names, *points} - set(request.without))
 

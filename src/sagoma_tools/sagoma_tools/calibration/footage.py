@@ -122,7 +122,7 @@ def _cameras_of(source: str) -> list[tuple[str, list[Path]]]:
 
 
 def _files_of_one(path: Path, source: str) -> list[Path]:
-    """The files of NAME=PATH: one video, or stills."""
+    """Return the files of NAME=PATH: one video, or stills."""
     if path.is_dir() or _is_pattern(path):
         candidates = path.parent.glob(path.name) if _is_pattern(path) else path.iterdir()
         files = sorted((file for file in candidates if _kind(file)), key=lambda file: natural(file.name))
@@ -154,7 +154,7 @@ def _camera_name(entry: Path) -> str:
 
 
 def _one_piece(camera: str, entries: list[Path], source: str) -> list[Path]:
-    """The files of one camera of a folder: one video, one folder, or stills that are numbered."""
+    """Return the files of one camera of a folder: one video, one folder, or stills that are numbered."""
     if len(entries) == 1:
         return _stills_in(entries[0]) if entries[0].is_dir() else entries
     unnumbered = [entry for entry in entries if _kind(entry) != "still" or _number(entry, camera) is None]
@@ -200,7 +200,7 @@ def _kind(path: Path) -> str:
 
 
 def _number(file: Path, camera: str) -> int | None:
-    """The last number in a still's name that is not part of the camera's."""
+    """Return the last number in a still's name that is not part of the camera's."""
     stem = file.stem.removeprefix(camera)
     numbers = re.findall(r"\d+", stem)
     return int(numbers[-1]) if numbers else None
@@ -219,7 +219,7 @@ def _frame_indices(files: dict[str, list[Path]]) -> dict[str, tuple[int, ...] | 
 
 
 def _numbers_are_frames(cameras: list[list[int | None]]) -> bool:
-    """Every still numbered, none twice in a camera, and most of each camera's numbers shared with another."""
+    """Return every still numbered, none twice in a camera, and most of each camera's numbers shared with another."""
     if any(None in numbers or len(set(numbers)) < len(numbers) for numbers in cameras):
         return False
     for one in cameras:

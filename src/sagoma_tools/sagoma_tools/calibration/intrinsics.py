@@ -193,7 +193,7 @@ def remarks(result: Intrinsics) -> Iterable[str]:
 
 
 def figures(result: Intrinsics) -> dict[str, Any]:
-    """The result as plain data for --json."""
+    """Return the result as plain data for --json."""
     return {
         "camera": result.camera.name,
         "verdict": result.verdict.grade,

@@ -34,7 +34,7 @@ class LiveState:
 
 
 def state_of(watcher: BoardImageProcessor, last: str, received: int, dropped: int) -> LiveState:
-    """The present state of the image processor."""
+    """Return the present state of the image processor."""
     collector = watcher.collector
     return LiveState(
         watcher.camera,
@@ -53,7 +53,7 @@ def state_of(watcher: BoardImageProcessor, last: str, received: int, dropped: in
 
 
 def panel(state: LiveState) -> Panel:
-    """The state as a panel for a terminal."""
+    """Return the state as a panel for a terminal."""
     table = Table.grid(padding=(0, 2))
     for goal, share in state.progress.items():
         filled = round(share * BAR_WIDTH)
@@ -67,7 +67,7 @@ def panel(state: LiveState) -> Panel:
 
 
 def plain_line(state: LiveState) -> str:
-    """The state as a line for a log file."""
+    """Return the state as a line for a log file."""
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in state.progress.items())
     expected = state.expected
     known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
@@ -75,7 +75,7 @@ def plain_line(state: LiveState) -> str:
 
 
 def _against(state: LiveState, name: str, scale: float, unit: str) -> tuple[str, str]:
-    """The expected standard deviation and its target."""
+    """Return the expected standard deviation and its target."""
     target = f"wanted: ± {scale * getattr(state.goals, name):g} {unit}"
     if state.expected is None:
         return "not known yet", target
@@ -89,7 +89,7 @@ TEXT_HEIGHT_SHARE = 0.035
 
 
 def draw_preview(image: np.ndarray, seen: ImageResult, coverage: Coverage, advice: str) -> np.ndarray:
-    """The image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice."""
+    """Return the image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     height, width = picture.shape[:2]
     cells = cv2.resize(coverage.cells.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0

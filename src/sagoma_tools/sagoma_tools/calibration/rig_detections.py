@@ -133,7 +133,7 @@ def _common_step(footage: Mapping[str, Footage]) -> int:
 
 
 def _median_picture(footage: Footage) -> Picture | None:
-    """The static background: the median of some frames; None of footage with too few."""
+    """Return the static background: the median of some frames; None of footage with too few."""
     step = max(1, footage.count // MEDIAN_FRAMES)
     some = [image for index, (_, image) in enumerate(footage) if index % step == 0]
     return np.median(np.stack(some), axis=0).astype(np.uint8) if len(some) >= MEDIAN_FRAMES else None
@@ -194,7 +194,7 @@ def _frames(footage: Footage, step: int, only: int | None) -> Iterator[tuple[int
 
 
 def detections_of(seen: CamerasDetections) -> Sequence[TargetDetection]:
-    """The detections of all cameras."""
+    """Return the detections of all cameras."""
     return [detection for found in seen.values() for detection in found.detections]
 
 
@@ -205,15 +205,15 @@ class RigSources(ABC):
 
     @abstractmethod
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
-        """The board on the floor, in the pictures of those of ``cameras`` that have any."""
+        """Return the board on the floor, in the pictures of those of ``cameras`` that have any."""
 
     @abstractmethod
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
-        """The carried board in their pictures."""
+        """Return the carried board in their pictures."""
 
     @abstractmethod
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
-        """The carried wand with markers at ``marks_m`` in their pictures."""
+        """Return the carried wand with markers at ``marks_m`` in their pictures."""
 
 
 class FootageSources(RigSources):

@@ -83,7 +83,7 @@ def moving_inputs(
 
 
 def wand_inputs(wands: Sequence[TargetDetection], marks_m: Sequence[float]) -> RigInputs:
-    """The carried wand in chosen frames."""
+    """Return the carried wand in chosen frames."""
     target = Target(wand_points(marks_m), wand_symmetry_order(marks_m))
     return RigInputs(_at_chosen_frames(wands), {WAND: target})
 
@@ -146,7 +146,7 @@ def read_floor_points(path: str | Path, cameras: Cameras) -> RigInputs:
 
 
 def names_in_floor_points(path: str | Path) -> list[str]:
-    """The cameras that the file names."""
+    """Return the cameras that the file names."""
     return [str(name) for name, _ in _part(read_mapping(Path(path), FORMAT), "cameras", path)]
 
 
@@ -181,7 +181,7 @@ def _numbers(value: Any, lengths: tuple[int, ...], where: str) -> list[float]:
 
 
 def read_intrinsics(path: str | Path, names: Iterable[str]) -> dict[str, CameraModel]:
-    """The models of the cameras called ``names``, in name order; their poses are meaningless.
+    """Return the models of the cameras called ``names``, in name order; their poses are meaningless.
 
     ``path``: a folder with one NAME.yaml (camera_info) a camera, or a rig YAML. Raises InputError naming the camera
     without a file, and the file that is another camera's.

@@ -75,12 +75,12 @@ class MotionRecorder:
         ]
 
     def progress(self) -> MotionProgress:
-        """The progress so far."""
+        """Return the progress so far."""
         with self._lock:
             return motion_progress(tuple(self._topics), self._detections)
 
     def seen(self) -> CamerasDetections:
-        """The detections of each camera."""
+        """Return the detections of each camera."""
         with self._lock:
             return {
                 name: CameraDetections(
@@ -240,7 +240,7 @@ class Shots:
 
 
 def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEOUT_S) -> dict[str, str]:
-    """The topics /NAME/image_raw of the ``wanted`` cameras, or of all. Raises InputError for absent ones."""
+    """Return the topics /NAME/image_raw of the ``wanted`` cameras, or of all. Raises InputError for absent ones."""
     seen: dict[str, str] = {}
     deadline_s, since_s = time.monotonic() + timeout_s, time.monotonic()
     while time.monotonic() < deadline_s:
@@ -261,7 +261,7 @@ def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEO
 
 
 def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = SHOTS_TIMEOUT_S) -> dict[str, Shots]:
-    """The next ``count`` pictures of every camera. Raises InputError for a camera that sends none."""
+    """Return the next ``count`` pictures of every camera. Raises InputError for a camera that sends none."""
     pictures: dict[str, list[np.ndarray]] = {name: [] for name in topics}
     changed = threading.Condition()
 

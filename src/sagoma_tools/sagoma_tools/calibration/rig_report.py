@@ -130,7 +130,7 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
 
 
 def tape_request(calibrated: RigCalibration) -> str:
-    """What to measure with a tape: no picture shows whether the print has the stated size."""
+    """Return what to measure with a tape: no picture shows whether the print has the stated size."""
     cameras = calibrated.placed.rig.cameras
     parts = []
     if calibrated.evidence.floor_known:

@@ -53,7 +53,7 @@ class RigRequest:
 
 
 def read_boards(board: str | None, floor_board: str | None, needed: bool) -> tuple[Board | None, Board | None]:
-    """The carried board and the one on the floor; the latter is the former where it is not given."""
+    """Return the carried board and the one on the floor; the latter is the former where it is not given."""
     if board is None and floor_board is None and needed:
         remedy = 'Say what was printed, e.g. --board "checkerboard 9x6 25mm".'
         raise InputError("no board is described", where="--board", remedy=remedy)
@@ -63,7 +63,7 @@ def read_boards(board: str | None, floor_board: str | None, needed: bool) -> tup
 
 
 def read_choice(origin: str, heading_deg: float, thickness_m: float) -> WorldChoice:
-    """The world's origin and heading on the floor board. Raises InputError."""
+    """Return the world's origin and heading on the floor board. Raises InputError."""
     for name, value in (("--heading", heading_deg), ("--board-thickness", thickness_m)):
         if not math.isfinite(value):
             raise InputError(f"{value} is no number to measure with", where=name, remedy="Give a finite number.")

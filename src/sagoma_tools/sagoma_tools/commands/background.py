@@ -100,7 +100,7 @@ class BackgroundTraining:
         self._stop, self._timeout_s = stop, timeout_s
 
     def run(self, names: Sequence[str], countdown_s: int, retries: int) -> list[TrainingOutcome]:
-        """The last outcome of each client ``names``; failed trainings are repeated up to ``retries`` times."""
+        """Return the last outcome of each client ``names``; failed trainings are repeated up to ``retries`` times."""
         outcomes = {name: TrainingOutcome(camera_of(name), "cancelled") for name in names}
         pending, prompt = list(names), "leave the room"
         for attempt in range(1 + retries):
@@ -159,7 +159,7 @@ def count_down(console: Console, prompt: str, seconds: int, stop: threading.Even
 
 
 def select_clients(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
-    """The clients of ``cameras`` among ``names``, or all. Raises InputError for a camera without a client."""
+    """Return the clients of ``cameras`` among ``names``, or all. Raises InputError for a camera without a client."""
     if cameras is None:
         return list(names)
     by_camera = {camera_of(name): name for name in names}
@@ -186,13 +186,13 @@ def exit_status(outcomes: Sequence[TrainingOutcome]) -> int:
 
 
 def figures(outcomes: Sequence[TrainingOutcome]) -> dict[str, Any]:
-    """The outcomes as plain data for --json."""
+    """Return the outcomes as plain data for --json."""
     reports = {outcome.camera: asdict(outcome.report) if outcome.report else {} for outcome in outcomes}
     return {one.camera: {"said": one.message, **reports[one.camera], "grade": one.grade} for one in outcomes}
 
 
 def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
-    """One line a camera, and one more for each further finding."""
+    """Return one line a camera, and one more for each further finding."""
     table = Table(box=None, pad_edge=False)
     for title in ("camera", "verdict"):
         table.add_column(title, no_wrap=True)
@@ -239,7 +239,7 @@ def run_show(args: argparse.Namespace) -> int:
 
 
 def provenance_table(model: BackgroundModel, title: str) -> Table:
-    """The provenance of a saved background, its image size, and the share of pixels that moved."""
+    """Return the provenance of a saved background, its image size, and the share of pixels that moved."""
     table = Table("", "", title=title, title_justify="left", box=None, pad_edge=False, show_header=False)
     for key, value in asdict(model.provenance).items():
         if value != "":

@@ -114,7 +114,7 @@ def _from_cameras(request: RigRequest, console: Console) -> str:
 
 
 def request_from(args: argparse.Namespace) -> RigRequest:
-    """The arguments, checked against each other. Raises InputError."""
+    """Return the arguments, checked against each other. Raises InputError."""
     moving = tuple(args.moving or ())
     if args.moving == [] and not args.live:
         raise InputError("no footage is given", where="--moving", remedy="Name its folder, or add --live.")

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def built_in_session(folder: Path, console: Console) -> Path:
-    """The synthetic session of the demo, made by the virtual studio when it is not there yet."""
+    """Return the synthetic session of the demo, made by the virtual studio when it is not there yet."""
     if not (folder / "session.yaml").is_file():
         console.print(f"making a synthetic session in {folder}")
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
 
 
 def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
-    """The run's figures as plain data for the line of JSON."""
+    """Return the run's figures as plain data for the line of JSON."""
     return {
         "sets": live.sets,
         "answered": live.answered,

@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def examined(args: argparse.Namespace) -> Iterator[Finding]:
-    """The findings on everything that the arguments name."""
+    """Yield the findings on everything that the arguments name."""
     if args.what == "camera":
         yield from examine(args.parameters, args.open)
     elif not args.no_machine:

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def find(args: argparse.Namespace) -> tuple[Session, str | None]:
-    """The session, and the bag to evaluate, if one is given."""
+    """Return the session, and the bag to evaluate, if one is given."""
     given = Path(args.session)
     if args.bag is None and is_bag(given):
         return session_of_bag(given), str(given)
@@ -81,7 +81,7 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
 
 
 def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, Track], int]:
-    """The track in a bag that was recorded on the session, the thesis's track where it is wanted, and frames."""
+    """Return the track in a bag that was recorded on the session, the thesis's track where it is wanted, and frames."""
     if args.ablation:
         remedy = f"Run sagoma evaluate {session.folder} --ablation."
         raise InputError("a bag holds one track and no variants of it", where="--ablation", remedy=remedy)
@@ -111,7 +111,7 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track
 
 
 def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:
-    """The scores of the ablation's rows, in order; None for an empty track."""
+    """Return the scores of the ablation's rows, in order; None for an empty track."""
     assert session.truth is not None
     return {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
 
@@ -128,7 +128,7 @@ def pictures(folder: Path, evaluated: TrackEvaluation, video: bool, progress: Ca
 
 
 def counter(verb: str) -> Callable[[int], None]:
-    """A callback that shows the frame number on a terminal."""
+    """Return a callback that shows the frame number on a terminal."""
     console = Console(stderr=True)
 
     def show(frame: int) -> None:

@@ -144,7 +144,7 @@ def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) 
 
 
 def read_file(path: Path) -> CameraFile:
-    """The file's settings, validated. Raises InputError naming file, key, value and remedy."""
+    """Return the file's settings, validated. Raises InputError naming file, key, value and remedy."""
     spec = camera_from_file(path)
     values = {key: value for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
     settings = build_settings(CameraClientSettings, values, str(path))
@@ -152,7 +152,7 @@ def read_file(path: Path) -> CameraFile:
 
 
 def siblings(file: CameraFile, interface: InterfaceFacts) -> list[CameraFile]:
-    """The other cameras of the folder whose packets come through the same interface."""
+    """Return the other cameras of the folder whose packets come through the same interface."""
     found = []
     for path in sorted(file.path.parent.glob("*.yaml")):
         try:
@@ -169,7 +169,7 @@ def siblings(file: CameraFile, interface: InterfaceFacts) -> list[CameraFile]:
 
 
 def stream_of(file: CameraFile) -> Stream | None:
-    """What the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
+    """Return what the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
     try:
         camera = load_calibration(file.settings, file.settings.camera_name or file.name).camera
     except InputError:

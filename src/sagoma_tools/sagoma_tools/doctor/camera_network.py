@@ -189,7 +189,7 @@ def ask_camera(address: str) -> DeviceFacts:
 
 
 def read_register(link: socket.socket, register: int) -> int | None:
-    """One register of the connected device; None when it does not answer or has none there."""
+    """Return one register of the connected device; None when it does not answer or has none there."""
     for request in range(1, ATTEMPTS + 1):
         link.send(CommandPacket(Command.READ_REGISTER, struct.pack(">I", register), request).encode())
         try:

@@ -82,7 +82,7 @@ def collect_host() -> HostFacts:
 
 
 def read_number(path: Path) -> int | None:
-    """A number that the kernel publishes in a file; None where it does not, as in some containers."""
+    """Return a number that the kernel publishes in a file; None where it does not, as in some containers."""
     try:
         return int(path.read_text())
     except OSError:
@@ -90,7 +90,7 @@ def read_number(path: Path) -> int | None:
 
 
 def collect_interface(address: str) -> InterfaceFacts | None:
-    """The interface that packets to ``address`` leave through; None when there is no way."""
+    """Return the interface that packets to ``address`` leave through; None when there is no way."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as way:
         try:
             way.connect((address, ANY_PORT))
@@ -117,7 +117,7 @@ def collect_interface(address: str) -> InterfaceFacts | None:
 
 
 def collect_background(settings: CameraClientSettings, shape: tuple[int, int]) -> BackgroundFacts | None:
-    """The background that the client would take for images of ``shape`` (H, W); None when there is none."""
+    """Return the background that the client would take for images of ``shape`` (H, W); None when there is none."""
     path = settings.background
     if not path and settings.background_file and Path(settings.background_file).exists():
         path = settings.background_file

@@ -43,7 +43,7 @@ class Finding:
         return self.code.partition(".")[0]
 
     def as_dict(self) -> dict[str, str]:
-        """The finding as plain data for JSON."""
+        """Return the finding as plain data for JSON."""
         return {
             "severity": self.severity.name.lower(),
             "subject": self.subject,
@@ -55,22 +55,22 @@ class Finding:
 
 
 def ok(about: str, what: str) -> Finding:
-    """A check that passed; its code is "ABOUT.ok"."""
+    """Return a check that passed; its code is "ABOUT.ok"."""
     return Finding(Severity.OK, f"{about}.ok", what)
 
 
 def note(code: str, what: str, remedy: str = "") -> Finding:
-    """A fact worth knowing, or one that could not be determined, with the reason."""
+    """Return a fact worth knowing, or one that could not be determined, with the reason."""
     return Finding(Severity.NOTE, code, what, remedy)
 
 
 def warning(code: str, what: str, remedy: str) -> Finding:
-    """A fault with which the graph works, but not as well as it should, or not for long."""
+    """Return a fault with which the graph works, but not as well as it should, or not for long."""
     return Finding(Severity.WARNING, code, what, remedy)
 
 
 def error(code: str, what: str, remedy: str) -> Finding:
-    """A fault with which the graph cannot work."""
+    """Return a fault with which the graph cannot work."""
     return Finding(Severity.ERROR, code, what, remedy)
 
 
@@ -79,7 +79,7 @@ Case = tuple[bool, Callable[[str, str, str], Finding], str, str]
 
 
 def graded(about: str, what: str, *cases: Case) -> Finding:
-    """One text, graded by the first of the ``cases`` that applies; ok when none does."""
+    """Return one text, graded by the first of the ``cases`` that applies; ok when none does."""
     for applies, severity, condition, remedy in cases:
         if applies:
             return severity(f"{about}.{condition}", what, remedy)
@@ -87,7 +87,7 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
 
 
 def on(subject: str, findings: Iterable[Finding]) -> Iterator[Finding]:
-    """The findings with their ``subject`` set."""
+    """Yield the findings with their ``subject`` set."""
     for finding in findings:
         yield replace(finding, subject=subject)
 
@@ -101,7 +101,7 @@ def exit_status(findings: Sequence[Finding], strict: bool = False) -> int:
 
 
 def summary(findings: Sequence[Finding]) -> str:
-    """One line: how many of each, and the first of the gravest ones."""
+    """Return one line: how many of each, and the first of the gravest ones."""
     counts = Counter(finding.severity for finding in findings)
     counted = [_counted(counts[kind], kind.name.lower()) for kind in (Severity.ERROR, Severity.WARNING) if counts[kind]]
     if not counted:

@@ -246,7 +246,7 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
 
 
 def collect_rig(rig: Rig, path: Path, intrinsics: Path | None) -> RigFacts:
-    """The rig's geometry, and the reports beside its file."""
+    """Return the rig's geometry, and the reports beside its file."""
     cameras, seen_by = geometry(rig)
     folders = [intrinsics] if intrinsics is not None else _lens_folders(path)
     reports: dict[str, ReportFacts] = {}
@@ -260,7 +260,7 @@ def collect_rig(rig: Rig, path: Path, intrinsics: Path | None) -> RigFacts:
 
 
 def collect_footage(session: Path, name: str) -> FootageFacts:
-    """The video and the background of camera ``name``."""
+    """Return the video and the background of camera ``name``."""
     video = _first(session, name, VIDEO_SUFFIXES)
     if video is None:
         return FootageFacts(name, f"there is no {session / name}.mp4")
@@ -274,7 +274,7 @@ def collect_footage(session: Path, name: str) -> FootageFacts:
 
 
 def _lens_folders(rig_file: Path) -> list[Path]:
-    """Where the cameras' own calibrations may be: where the rig's report says, or beside the rig file."""
+    """Return where the cameras' own calibrations may be: where the rig's report says, or beside the rig file."""
     folders = [rig_file.parent / name for name in LENS_FOLDERS]
     report = rig_file.with_name(rig_file.stem + SUFFIX)
     if report.is_file():

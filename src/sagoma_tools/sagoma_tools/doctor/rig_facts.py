@@ -102,7 +102,7 @@ class FootageFacts:
 
 
 def geometry(rig: Rig) -> tuple[tuple[CameraGeometry, ...], tuple[float, ...]]:
-    """The cameras' geometry, and the shares of standing places seen by at least 1, 2, ... of them."""
+    """Return the cameras' geometry, and the shares of standing places seen by at least 1, 2, ... of them."""
     places = _standing_places(rig)
     seen = np.array([_sees(camera, places) for camera in rig.cameras])  # (cameras, places)
     middle = (rig.volume.low + rig.volume.high) / 2
@@ -119,7 +119,7 @@ def angle_deg(one: tuple[float, float, float], other: tuple[float, float, float]
 
 
 def _standing_places(rig: Rig) -> Array:
-    """(places, levels, 3) points of a person who stands somewhere in the volume."""
+    """Return (places, levels, 3) points of a person who stands somewhere in the volume."""
     low, high = rig.volume.low, rig.volume.high
     x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
     grid = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1)
@@ -166,7 +166,7 @@ def _border(camera: CameraModel) -> Array:
 
 
 def report_beside(result: Path) -> ReportFacts | None:
-    """The report of ``result`` (rig.yaml: rig.report.yaml); None when there is none."""
+    """Return the report of ``result`` (rig.yaml: rig.report.yaml); None when there is none."""
     path = result.with_name(result.stem + SUFFIX)
     return read_report(path) if path.is_file() else None
 
@@ -184,7 +184,7 @@ def read_report(path: Path) -> ReportFacts:
 
 
 def _findings(entries: Any) -> tuple[tuple[str, str], ...]:
-    """The report's findings as (what, remedy)."""
+    """Return the report's findings as (what, remedy)."""
     found = []
     for entry in entries if isinstance(entries, list) else []:
         if isinstance(entry, Mapping):

@@ -61,7 +61,7 @@ def score_angles(angles: np.ndarray, points_world: np.ndarray, truth: AngleTruth
 
 
 def angle_truth(truth: Truth) -> AngleTruth:
-    """The truth's own angles, or else those of a stick figure fitted to its points."""
+    """Return the truth's own angles, or else those of a stick figure fitted to its points."""
     points = truth.stick_figure_points()
     poses = fit_poses(points)
     if truth.angles is not None:

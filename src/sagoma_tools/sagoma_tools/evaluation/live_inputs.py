@@ -102,7 +102,7 @@ class LiveInput(ABC):
 
     @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
-        """The nodes that process these frames."""
+        """Return the nodes that process these frames."""
 
     def prepare(self, supervisor: Supervisor) -> None:  # noqa: B027 (files bring their backgrounds)
         """Prepare the active graph for the playback."""
@@ -199,7 +199,7 @@ class StudioInput(LiveInput):
 
 
 def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) -> str:
-    """The first of ``count`` loopback addresses in a row on which no other studio serves."""
+    """Return the first of ``count`` loopback addresses in a row on which no other studio serves."""
     for first in candidates:
         if all(is_free(address) for address in consecutive_addresses(first, count)):
             return first

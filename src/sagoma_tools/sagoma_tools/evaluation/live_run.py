@@ -122,7 +122,7 @@ class UsageMeter:
 
 
 def start_settings(session: Session, start: str) -> dict[str, Any]:
-    """The ICP node's parameters for the source of its first pose. Raises InputError without a reference."""
+    """Return the ICP node's parameters for the source of its first pose. Raises InputError without a reference."""
     if start == "auto":
         measured = session.truth is not None and session.truth.source.name.startswith("reference")
         start = REFERENCE_START if measured else T_POSE_START

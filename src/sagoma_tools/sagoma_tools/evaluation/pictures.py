@@ -46,12 +46,12 @@ class Window:
 
     @classmethod
     def whole(cls, camera: CameraModel, scale: float = 1.0) -> Window:
-        """All of the image."""
+        """Return all of the image."""
         return cls((0.0, 0.0), scale, (round(camera.width * scale), round(camera.height * scale)))
 
     @classmethod
     def around(cls, camera: CameraModel, points_world: np.ndarray, side_px: int) -> Window:
-        """A square around the visible points of (n, 3), with a margin; the whole image if none is visible."""
+        """Return a square around the visible points of (n, 3), with a margin; the whole image if none is visible."""
         pixels = camera.project(points_world)
         limit = np.array([camera.width, camera.height], float)
         seen = np.isfinite(pixels).all(1) & (pixels >= 0.0).all(1) & (pixels < limit).all(1)
@@ -61,7 +61,7 @@ class Window:
         return cls((x, y), side_px / side, (side_px, side_px))
 
     def cut(self, image: np.ndarray) -> np.ndarray:
-        """The picture; black beyond the image."""
+        """Return the picture; black beyond the image."""
         (x, y), s = self.origin_px, self.scale
         if (x, y, s) == (0.0, 0.0, 1.0):
             return image
@@ -69,7 +69,7 @@ class Window:
 
 
 def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
-    """The wanted frames (ascending, 0-based) of a video, BGR."""
+    """Yield the wanted frames (ascending, 0-based) of a video, BGR."""
     with Video(video) as footage:
         position = 0
         for frame in wanted:
@@ -113,7 +113,7 @@ def _side_colour(a: int, b: int) -> tuple[int, int, int]:
 
 
 def tint(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The image, its silhouette (H, W) tinted green and its outline drawn, the rest darkened."""
+    """Return the image, its silhouette (H, W) tinted green and its outline drawn, the rest darkened."""
     inside = mask > 0
     out = image * np.float32(0.55)
     out[inside] = 0.6 * image[inside] + 0.4 * SILHOUETTE_TINT_BGR
@@ -173,7 +173,7 @@ def session_overlay(
 
 
 def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | None]:
-    """The truth's points (15, 3) of each frame; None where it has none."""
+    """Return the truth's points (15, 3) of each frame; None where it has none."""
     if truth is None:
         return [None] * len(frames)
     row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
@@ -201,7 +201,7 @@ def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
 
 
 def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarray]:
-    """One sheet a frame: its caption, and every camera's image cut out around the body."""
+    """Yield one sheet a frame: its caption, and every camera's image cut out around the body."""
     for frame, cameras, images, points, truth in _pictures(evaluated, frames):
         shown = points if truth is None else np.vstack([points, truth])
         side = CLOSE_UP_WIDTH_PX // min(len(cameras), CLOSE_UPS_A_ROW)
@@ -246,7 +246,7 @@ def write_overlay(path: Path, evaluated: TrackEvaluation, progress: Callable[[in
 
 
 def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
-    """The video's pictures, BGR, all of one even size."""
+    """Yield the video's pictures, BGR, all of one even size."""
     rig = evaluated.session.rig.cameras
     columns, scale = _tiling([camera.width for camera in rig], [camera.height for camera in rig])
     windows = [Window.whole(camera, scale) for camera in rig]
@@ -280,7 +280,7 @@ def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
 
 
 def _bar(evaluated: TrackEvaluation, frame: int, width: int) -> np.ndarray:
-    """The caption in the colour of the tracker's state, as wide as the pictures."""
+    """Return the caption in the colour of the tracker's state, as wide as the pictures."""
     row = np.flatnonzero(evaluated.track.frames == frame)
     sure = len(row) and evaluated.track.states[row[0]] == TRACKING
     colour = GREY_BGR if not len(row) else GOOD_BGR if sure else UNSURE_BGR
@@ -292,7 +292,7 @@ def _bar(evaluated: TrackEvaluation, frame: int, width: int) -> np.ndarray:
 
 
 def _tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
-    """The number of cameras a row, and the scale, that fill the video best."""
+    """Return the number of cameras a row, and the scale, that fill the video best."""
     count, width, height = len(widths), max(widths), max(heights)
     room = MAX_HEIGHT_PX - BAR_PX
 
@@ -304,6 +304,6 @@ def _tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
 
 
 def _even(picture: np.ndarray) -> np.ndarray:
-    """The picture with even sides, which codecs need."""
+    """Return the picture with even sides, which codecs need."""
     height, width = picture.shape[0] // 2 * 2, picture.shape[1] // 2 * 2
     return np.ascontiguousarray(picture[:height, :width])

@@ -124,7 +124,7 @@ def _turns_between(frames: np.ndarray, ours: np.ndarray, truth_frames: np.ndarra
 
 
 def _with_gaps(frames: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The values, NaN at the first row behind frames that the track lacks, so that no line bridges them."""
+    """Return the values, NaN at the first row behind frames that the track lacks, so that no line bridges them."""
     usual = np.median(np.diff(frames)) if len(frames) > 1 else 1.0
     return np.where(np.diff(frames, prepend=frames[:1]) > 3 * usual, np.nan, values)
 

@@ -170,7 +170,7 @@ def score(track: Track, truth: Truth) -> Scores:
 
 
 def _by_point(errors: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> np.ndarray:
-    """(15,) the statistic of each point's known errors (F, 15); NaN for a point that has none."""
+    """Return (15,) the statistic of each point's known errors (F, 15); NaN for a point that has none."""
     columns = [column[np.isfinite(column)] for column in errors.T]
     return np.array([statistic(known) if len(known) else np.nan for known in columns])
 

@@ -60,12 +60,12 @@ class Track:
         return len(self.frames)
 
     def between(self, first: int, end: int) -> Track:
-        """The rows of frames first, first + 1, ... end - 1."""
+        """Return the rows of frames first, first + 1, ... end - 1."""
         rows = (self.frames >= first) & (self.frames < end)
         return Track(*(column[rows] for column in self._columns))
 
     def at(self, frames: np.ndarray) -> Track:
-        """The rows of the given frames, NaN (and no state) where the track has none."""
+        """Return the rows of the given frames, NaN (and no state) where the track has none."""
         row_of = {int(frame): row for row, frame in enumerate(self.frames)}
         rows = np.array([row_of.get(int(frame), -1) for frame in frames], dtype=int)
 

@@ -37,7 +37,7 @@ class Jitter:
 
 
 def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
-    """The track's jitter at rest; frames that it lacks (and truth that is unknown) count nowhere."""
+    """Return the track's jitter at rest; frames that it lacks (and truth that is unknown) count nowhere."""
     first, last = (int(track.frames.min()), int(track.frames.max())) if len(track) else (0, -1)
     frames = np.arange(first, last + 1)
     points = track.at(frames).points_world
@@ -55,7 +55,7 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
 
 
 def _aligned(truth: Truth, frames: np.ndarray) -> np.ndarray:
-    """The truth's points (F, 15, 3) at these frames, NaN where it has none."""
+    """Return the truth's points (F, 15, 3) at these frames, NaN where it has none."""
     row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
     absent = np.full((15, 3), np.nan)
     return np.array([truth.points_world[row_of[f]] if f in row_of else absent for f in frames.tolist()]).reshape(

@@ -61,7 +61,7 @@ def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
 
 
 def needing_training(diagnostics: DiagnosticsTable, names: Iterable[str]) -> list[str]:
-    """The clients that have no background, whose last training failed, or that ask for a new one."""
+    """Return the clients that have no background, whose last training failed, or that ask for a new one."""
     needing = []
     for name in names:
         status, training = diagnostics.report(name), training_report_of(diagnostics, name)
@@ -72,7 +72,7 @@ def needing_training(diagnostics: DiagnosticsTable, names: Iterable[str]) -> lis
 
 
 def training_report_of(diagnostics: DiagnosticsTable, name: str) -> TrainingReport | None:
-    """The client's last training report in its diagnostics."""
+    """Return the client's last training report in its diagnostics."""
     status = diagnostics.report(name)
     try:
         return None if status is None else TrainingReport.from_json(status.values[KEY])

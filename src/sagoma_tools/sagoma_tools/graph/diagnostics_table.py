@@ -30,7 +30,7 @@ class NodeReport:
     heard_s: float = 0.0
 
     def losses(self) -> dict[str, int]:
-        """The counters above zero of input or work that was lost."""
+        """Return the counters above zero of input or work that was lost."""
         counters = {key: int(text) for key, text in self.values.items() if text.isdigit()}
         return {k: n for k, n in counters.items() if n and any(word in k for word in LOSS_WORDS)}
 
@@ -44,12 +44,12 @@ class DiagnosticsTable:
         self._subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._take, LOSSLESS)
 
     def report(self, name: str) -> NodeReport | None:
-        """The last report of the node with this fully qualified name."""
+        """Return the last report of the node with this fully qualified name."""
         with self._heard:
             return self._reports.get(name)
 
     def names(self) -> tuple[str, ...]:
-        """Every node heard so far."""
+        """Return every node heard so far."""
         with self._heard:
             return tuple(sorted(self._reports))
 
@@ -65,7 +65,7 @@ class DiagnosticsTable:
             return self._heard.wait_for(done, timeout_s)
 
     def table(self, names: Mapping[str, str], states: Mapping[str, str], *, now_s: float | None = None) -> Table:
-        """One line a node (full name -> what to call it): state, rate, latency, losses, memory, message."""
+        """Return one line a node (full name -> what to call it): state, rate, latency, losses, memory, message."""
         now_s = time.monotonic() if now_s is None else now_s
         table = Table(box=None, pad_edge=False)
         for title, width in (("node", 14), ("state", 12)):

@@ -106,7 +106,7 @@ class Outcome:
 
 
 def path_to(goal: State, label: str) -> tuple[Transition, ...]:
-    """The transitions that lead from the state called ``label`` (one of LABELS) to ``goal``."""
+    """Return the transitions that lead from the state called ``label`` (one of LABELS) to ``goal``."""
     here, there = LABELS.index(label), LADDER.index(goal)
     return UP[here:there] if here <= there else DOWN[there:here][::-1]
 

@@ -92,11 +92,11 @@ class Child:
         return self._process.returncode
 
     def log_tail(self, lines: int = 15) -> str:
-        """The last lines of its log."""
+        """Return the last lines of its log."""
         return "\n".join(self.log.read_text(errors="replace").splitlines()[-lines:])
 
     def usage(self) -> Usage | None:
-        """Its resources; None once it has ended."""
+        """Return its resources; None once it has ended."""
         try:
             status = Path(f"/proc/{self.pid}/status").read_text()
             cpu = psutil.Process(self.pid).cpu_times()
@@ -160,7 +160,7 @@ def node_command(package: str, executable: str, module: str) -> list[str]:
 
 
 def owned_shared_memory(pids: Iterable[int]) -> set[str]:
-    """The Fast DDS shared-memory segments and ports that these processes own."""
+    """Return the Fast DDS shared-memory segments and ports that these processes own."""
     owned: set[str] = set()
     for pid in pids:
         with contextlib.suppress(OSError):  # ended meanwhile, or not ours to look into
@@ -170,7 +170,7 @@ def owned_shared_memory(pids: Iterable[int]) -> set[str]:
 
 
 def shared_memory_files(names: Iterable[str]) -> list[Path]:
-    """The files of these segments and ports that exist."""
+    """Return the files of these segments and ports that exist."""
     paths = [Path(f"/dev/shm/{file}") for name in names for file in (name, f"{name}_el", f"sem.{name}_mutex")]
     return [path for path in paths if path.exists()]
 

@@ -103,7 +103,7 @@ class StopOnSignal:
 
 
 def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[str]:
-    """What ``look`` finds, sorted, once it is ``expect`` or more and has not changed for SETTLED_S.
+    """Return what ``look`` finds, sorted, once it is ``expect`` or more and has not changed for SETTLED_S.
 
     Discovery has no end: after ``wait_s``, whatever has been found by then.
     """

@@ -170,7 +170,7 @@ class Supervisor:
         return {label: usage for label, usage in found.items() if usage is not None}
 
     def log_tail(self, name: str, lines: int = 15) -> str:
-        """The last lines of a node's log."""
+        """Return the last lines of a node's log."""
         return self._children[name].log_tail(lines)
 
     def _spawn(self, spec: NodeSpec) -> Child:
@@ -197,7 +197,7 @@ class Supervisor:
             self._on_exit(spec, child.log_tail())
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
-        """The nodes in ``state``: the server's and the cameras', or the other way round."""
+        """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
         states = self.states()
         order = (Role.CAMERA, Role.SERVER) if cameras_first else (Role.SERVER, Role.CAMERA)
         return [
@@ -257,7 +257,7 @@ def seconds_to_start_window(now_ns: int) -> float:
 
 
 def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
-    """The graph, its footage that is not played by the clock (rate 0) stamped from one epoch.
+    """Return the graph, its footage that is not played by the clock (rate 0) stamped from one epoch.
 
     Any instant will do. Without a common one, cameras that are activated before and after a whole 5 s would stamp their
     frames 5 s apart, and no frame set would ever be complete.

@@ -65,7 +65,7 @@ DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", re
 
 
 def camera_topics(camera: str) -> tuple[Topic, ...]:
-    """The topics from one camera client to the hull server: camera_info, then silhouette."""
+    """Return the topics from one camera client to the hull server: camera_info, then silhouette."""
     return (
         Topic(f"/{camera}{CAMERA_INFO_SUFFIX}", "sensor_msgs/msg/CameraInfo"),
         Topic(f"/{camera}{SILHOUETTE_SUFFIX}", "sensor_msgs/msg/CompressedImage"),
@@ -73,12 +73,12 @@ def camera_topics(camera: str) -> tuple[Topic, ...]:
 
 
 def cameras_in(topic_names: Iterable[str]) -> tuple[str, ...]:
-    """The cameras that publish silhouettes among ``topic_names``, in name order."""
+    """Return the cameras that publish silhouettes among ``topic_names``, in name order."""
     matches = (CAMERA_TOPIC.match(name) for name in topic_names)
     return tuple(sorted({match["camera"] for match in matches if match}))
 
 
 def message_class(msgtype: str) -> Any:
-    """The Python class of a message type written ``package/msg/Name``; ImportError when it is not installed."""
+    """Return the Python class of a message type written ``package/msg/Name``; ImportError when it is not installed."""
     package, kind, name = msgtype.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), name)

@@ -121,7 +121,7 @@ def bag_topics(bag: str | Path) -> dict[str, str]:
 
 
 def read_messages(bag: str | Path, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[BagMessage]:
-    """The messages of the wanted topics in log order."""
+    """Yield the messages of the wanted topics in log order."""
     with open_bag(bag) as reader:
         names = {c.id: _present_name(c.topic, bag) for c in reader.connections}
         connections = [c for c in reader.connections if wanted(names[c.id])]
@@ -138,7 +138,7 @@ def read_provenance(bag: str | Path) -> Mapping[str, Any]:
 
 
 def bag_cameras(bag: str | Path) -> tuple[str, ...]:
-    """The cameras whose silhouettes a bag holds, in name order; InputError when it holds none."""
+    """Return the cameras whose silhouettes a bag holds, in name order; InputError when it holds none."""
     cameras = cameras_in(bag_topics(bag))
     if not cameras:
         remedy = "Record the cameras' topics too: `sagoma record` does."
@@ -147,7 +147,7 @@ def bag_cameras(bag: str | Path) -> tuple[str, ...]:
 
 
 def input_topics(bag: str | Path) -> tuple[str, ...]:
-    """The input topics (camera_info and silhouettes) that the bag holds, in camera order."""
+    """Return the input topics (camera_info and silhouettes) that the bag holds, in camera order."""
     present = bag_topics(bag)
     names = (topic.name for camera in bag_cameras(bag) for topic in camera_topics(camera))
     return tuple(name for name in names if name in present)
@@ -164,7 +164,7 @@ def frame_tolerance_ns(bag: str | Path) -> int:
 
 
 def read_frame_sets(bag: str | Path, tolerance_ns: int) -> Iterator[FrameSet[list[BagMessage]]]:
-    """The input messages sorted into frame sets, as the hull server sorts them; one list of messages a camera.
+    """Yield the input messages sorted into frame sets, as the hull server sorts them; one list of messages a camera.
 
     A frame's messages are its camera_info (when the bag has one of the same stamp), then its silhouette.
     """
@@ -178,7 +178,7 @@ def read_frame_sets(bag: str | Path, tolerance_ns: int) -> Iterator[FrameSet[lis
 
 
 def _read_frames(bag: str | Path, cameras: tuple[str, ...]) -> Iterator[tuple[str, list[BagMessage]]]:
-    """(camera, its messages of one stamp) in the order of the silhouettes.
+    """Yield (camera, its messages of one stamp) in the order of the silhouettes.
 
     The two topics of a camera may have been logged in either order, so camera_info is read ahead of the silhouettes.
     """
@@ -207,7 +207,7 @@ def bag_digest(bag: str | Path, topics: Iterable[str] | None = None) -> dict[str
 
 
 def default_comparison(bag: str | Path) -> tuple[str, ...]:
-    """The repeatable output topics that the bag has."""
+    """Return the repeatable output topics that the bag has."""
     present = bag_topics(bag)
     return tuple(topic.name for topic in OUTPUT_TOPICS if topic.repeatable and topic.name in present)
 
@@ -227,7 +227,7 @@ def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> Differ
 
 
 def canonical_bytes(data: bytes, msgtype: str) -> bytes:
-    """The message with zeros in its padding; unchanged when its type is unknown or it does not parse."""
+    """Return the message with zeros in its padding; unchanged when its type is unknown or it does not parse."""
     try:
         return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
     except (SerdeError, TypesysError, KeyError):
@@ -247,7 +247,7 @@ def _warn_of_old_name(bag: str, old: str, new: str) -> None:
 
 
 def _position(index: int, a: bytes, b: bytes) -> tuple[int, int | None] | None:
-    """(message, byte) where two messages differ, None when they do not."""
+    """Return (message, byte) where two messages differ, None when they do not."""
     if a == b:
         return None
     return index, next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))

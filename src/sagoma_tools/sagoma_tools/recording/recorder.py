@@ -202,7 +202,7 @@ class GraphRecorder:
 
 
 def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
-    """The topics that the nodes publish: the cameras', the server's, and diagnostics."""
+    """Return the topics that the nodes publish: the cameras', the server's, and diagnostics."""
     cameras = [node.label for node in graph if node.role is Role.CAMERA]
     return [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, DIAGNOSTICS]
 
@@ -213,7 +213,7 @@ def graph_document(graph: Sequence[NodeSpec]) -> dict[str, Any]:
 
 
 def rig_file(graph: Sequence[NodeSpec]) -> Path | None:
-    """The rig YAML that the nodes were given."""
+    """Return the rig YAML that the nodes were given."""
     named = (node.parameters.get("rig_file") for node in graph)
     return next((Path(name) for name in named if name), None)
 

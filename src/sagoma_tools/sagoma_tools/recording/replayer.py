@@ -139,7 +139,7 @@ class Answers:
             return self._arrived.wait_for(lambda: self.total >= count, timeout_s)
 
     def stray_count(self, sent: Iterable[int]) -> int:
-        """The number of answers to sets that were never sent."""
+        """Return the number of answers to sets that were never sent."""
         with self._arrived:
             return len(self._stamps - set(sent))
 

@@ -32,7 +32,7 @@ class SessionClock:
     exposed: bool = False
 
     def frame_of(self, stamp_ns: int) -> int:
-        """The number of the frame visible at a stamp; outside the playback it is negative or too large."""
+        """Return the number of the frame visible at a stamp; outside the playback it is negative or too large."""
         frame = (stamp_ns - self.epoch_ns) * 1e-9 * self.fps
         return math.floor(frame) if self.exposed else round(frame)
 
@@ -40,12 +40,12 @@ class SessionClock:
         return 0 <= self.frame_of(stamp_ns) < self.frames
 
     def provenance(self) -> dict[str, Any]:
-        """The clock as plain data for the bag's provenance, which :func:`clock_of_bag` reads."""
+        """Return the clock as plain data for the bag's provenance, which :func:`clock_of_bag` reads."""
         return {KEY: asdict(self)}
 
 
 def clock_of_bag(bag: str | Path, session: Session) -> SessionClock:
-    """The clock in the bag's provenance; otherwise frame 0 is the first silhouette's.
+    """Return the clock in the bag's provenance; otherwise frame 0 is the first silhouette's.
 
     A session of live cameras, without videos, lasts from the first silhouette to the last.
     """
@@ -79,14 +79,14 @@ def frame_count(session: Session) -> int:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag's folder or file."""
+    """Return whether a path is a bag's folder or file."""
     if path.is_file():
         return path.suffix in SUFFIXES
     return (path / "metadata.yaml").is_file() or any(found for suffix in SUFFIXES for found in path.glob("*" + suffix))
 
 
 def session_of_bag(bag: Path) -> Session:
-    """The session named in the bag's provenance; of live cameras, the bag's own rig without footage or truth.
+    """Return the session named in the bag's provenance; of live cameras, the bag's own rig without footage or truth.
 
     Raises InputError when the bag has neither.
     """

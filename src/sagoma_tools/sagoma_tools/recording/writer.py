@@ -31,7 +31,7 @@ VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags")
 
 
 def require_new(folder: str | Path) -> Path:
-    """The path of a new bag. Raises InputError when it exists: a recording never replaces another."""
+    """Return the path of a new bag. Raises InputError when it exists: a recording never replaces another."""
     if Path(folder).exists():
         raise InputError("exists already", where=str(folder), remedy="Give the bag another name, or move it away.")
     return Path(folder)
@@ -157,7 +157,7 @@ def _copy(records: Iterator[Record], writer: BagWriter) -> None:
 
 
 def _flat_records(file: BinaryIO, where: str) -> Iterator[Record]:
-    """The records of the file, those inside chunks included, up to where it breaks off."""
+    """Yield the records of the file, those inside chunks included, up to where it breaks off."""
     while (record := _read_record(file)) is not None:
         if record[0] == CHUNK:
             yield from _chunk_records(record[1], where)
@@ -187,7 +187,7 @@ def _chunk_records(body: memoryview, where: str) -> Iterator[Record]:
 
 
 def _text(body: memoryview, position: int) -> tuple[str, int]:
-    """A string with its 32-bit length before it, and the position behind it."""
+    """Return a string with its 32-bit length before it, and the position behind it."""
     (length,) = struct.unpack_from("<I", body, position)
     start = position + 4
     return bytes(body[start : start + length]).decode(), start + length

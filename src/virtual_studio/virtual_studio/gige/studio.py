@@ -209,7 +209,7 @@ class Studio:
         return build_settings(CameraSettings, {**vars(given), **changes}, f"camera {name}")
 
     def _chosen(self, request: Request) -> list[SimulatedCamera]:
-        """The cameras that a request names; all, where it names none."""
+        """Return the cameras that a request names; all, where it names none."""
         names = request.get("cameras") or list(self.cameras)
         unknown = [name for name in names if name not in self.cameras]
         if unknown:

@@ -113,7 +113,7 @@ class LiveScene(ABC):
             self.counters["sets_rendered"] += 1
 
     def _next_instant(self, duration_ns: int) -> int | None:
-        """The exposure to render next, None at the end; waits until a camera looks, and for the rate's limit.
+        """Return the exposure to render next, None at the end; waits until a camera looks, and for the rate's limit.
 
         It is the first exposure that has not begun when the rendering, of about ``duration_ns``, will be done.
         """
@@ -234,5 +234,5 @@ class SetupScene(RoomScene):
 
 
 def _picture(light: Light) -> Image:
-    """The picture of light 0..1, without noise: that comes from the camera's sensor."""
+    """Return the picture of light 0..1, without noise: that comes from the camera's sensor."""
     return np.asarray(cv2.convertScaleAbs(light, alpha=WHITE), np.uint8)

@@ -92,7 +92,7 @@ def _background(session: Session, name: str, budget: float) -> list[Image]:
 
 
 def _decode(path: Path, budget: float) -> list[Image]:
-    """The first frames of a video, as many as fit into ``budget`` bytes; at least one."""
+    """Return the first frames of a video, as many as fit into ``budget`` bytes; at least one."""
     frames = list[Image]()
     with Video(path) as video:
         for picture in video:
@@ -110,7 +110,7 @@ def _decode(path: Path, budget: float) -> list[Image]:
 
 
 def _alike(frame: Image, background: list[Image]) -> list[Image]:
-    """The background in the same form (grey or colour) as the frames."""
+    """Return the background in the same form (grey or colour) as the frames."""
     if not background or background[0].ndim == frame.ndim:
         return background
     code = cv2.COLOR_GRAY2BGR if frame.ndim == 3 else cv2.COLOR_BGR2GRAY

@@ -51,7 +51,7 @@ class Line:
 
 
 def _content(path: Path, kind: str) -> list[Line]:
-    """The lines that hold more than a comment."""
+    """Return the lines that hold more than a comment."""
     lines = [(n, line.split("#", 1)[0].split()) for n, line in enumerate(read_lines(path, kind), 1)]
     return [Line(words, path, n) for n, words in lines if words]
 
@@ -170,14 +170,14 @@ def _dofs(line: Line, kinds: str) -> tuple[str, ...]:
 
 
 def _turned(letters: str, values: Array, degrees: bool, where: str) -> Rotation:
-    """The rotation about the fixed axes ``letters``, the first one first."""
+    """Return the rotation about the fixed axes ``letters``, the first one first."""
     if sorted(letters.lower()) != ["x", "y", "z"]:
         raise InputError(f"order of rotation '{letters}'", where=where, remedy="It names x, y and z, each once.")
     return Rotation.from_euler(letters.lower(), values, degrees=degrees)
 
 
 def _in_order(bones: dict[str, Bone], hierarchy: list[Line], path: Path) -> dict[str, Bone]:
-    """The bones with their parents, parents first."""
+    """Return the bones with their parents, parents first."""
     children: dict[str, list[str]] = {}
     for line in hierarchy:
         if line.words[0].lower() in ("begin", "end") and len(line.words) == 1:
@@ -232,7 +232,7 @@ def _skeleton_of(path: Path) -> Path:
 
 
 def _frames(path: Path, asf: AcclaimSkeleton) -> tuple[bool, list[dict[str, Line]]]:
-    """Whether angles are degrees, and each frame's lines by bone."""
+    """Return whether angles are degrees, and each frame's lines by bone."""
     degrees, where = asf.degrees, str(path)
     frames: list[dict[str, Line]] = []
     for line in _content(path, "AMC"):

@@ -64,7 +64,7 @@ class _Tokens:
         return self._words[self._next][0] if self._next < len(self._words) else ""
 
     def take(self, wanted: str = "") -> str:
-        """The next word, which has to be ``wanted`` (any case) if that is given."""
+        """Return the next word, which has to be ``wanted`` (any case) if that is given."""
         word = self.peek
         if not word or (wanted and word.upper() != wanted.upper()):
             raise self.error(wanted or "more")
@@ -72,14 +72,14 @@ class _Tokens:
         return word
 
     def rest_of_line(self) -> str:
-        """The words up to the end of the line or a brace: names may hold blanks."""
+        """Return the words up to the end of the line or a brace: names may hold blanks."""
         line, words = self.line, []
         while self.peek not in ("", "{", "}") and self.line == line:
             words.append(self.take())
         return " ".join(words)
 
     def numbers(self, count: int) -> Array:
-        """The next ``count`` numbers."""
+        """Return the next ``count`` numbers."""
         values = []
         for _ in range(count):
             where = self.where()
@@ -143,7 +143,7 @@ def _joint(tokens: _Tokens, joints: list[_Joint], parent: int) -> None:
 
 
 def _channels(tokens: _Tokens) -> list[tuple[str, str]]:
-    """(position or rotation, axis) of a joint's channels in the file's order."""
+    """Return (position or rotation, axis) of a joint's channels in the file's order."""
     tokens.take("CHANNELS")
     where, count = tokens.where(), tokens.take()
     if not count.isdigit():

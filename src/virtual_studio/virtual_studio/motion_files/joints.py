@@ -64,7 +64,7 @@ def read_lines(path: Path, kind: str) -> list[str]:
 
 
 def _naming(neck: str, head: str, tip: str, left: str, right: str, joints: str) -> Choice:
-    """A way of naming: alternatives are separated by blanks; {} in a joint's name is the side."""
+    """Return a way of naming: alternatives are separated by blanks; {} in a joint's name is the side."""
     table = {"neck": tuple(neck.split()), "head": tuple(head.split()), "head_tip": tuple(tip.split())}
     for side, word in (("left", left), ("right", right)):
         for joint, names in zip(SIDED, joints.split(","), strict=True):

@@ -244,7 +244,7 @@ def is_motion_file(name: str) -> bool:
 
 
 def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list[Pose]:
-    """The poses with their path in the middle of the room and their feet on the floor."""
+    """Return the poses with their path in the middle of the room and their feet on the floor."""
     places = np.array([pose.position_world for pose in poses])
     shift = np.zeros(3)
     shift[:2] = -0.5 * (places[:, :2].min(0) + places[:, :2].max(0))
@@ -257,7 +257,7 @@ def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list
 
 
 def _opening(person: VolumetricBody, first: Pose, fps: float, frames: int) -> list[Pose]:
-    """The T-pose and the blend into ``first``, on the same spot, facing the same way."""
+    """Return the T-pose and the blend into ``first``, on the same spot, facing the same way."""
     forward = first.R_world_torso[:2, 0]
     yaw = float(np.arctan2(forward[1], forward[0]))
     c, s = np.cos(yaw), np.sin(yaw)

@@ -152,7 +152,7 @@ def _step(before: _Support, after: _Support) -> Array:
 
 
 def _on_circle(body: Body, blend: BlendedActivity, turned: float) -> Pose:
-    """The pose with its lower foot on the floor, on the circle (start: facing +x, right of the centre)."""
+    """Return the pose with its lower foot on the floor, on the circle (start: facing +x, right of the centre)."""
     R_world_torso = _rotation(blend, turned)
     points = forward(body, Pose.from_angles(np.zeros(3), R_world_torso, blend.angles))
     ankles = points[13:15, 2]

@@ -85,7 +85,7 @@ class Timeline:
         return BlendedActivity(angles, lean, turning, lift, walking)
 
     def _active(self, t: float) -> list[tuple[Activity, float, float]]:
-        """The activities at time t: each with its own time and its weight (the T-pose has the rest)."""
+        """Return the activities at time t: each with its own time and its weight (the T-pose has the rest)."""
         start = ease((t - self.t_pose_s) / BLEND_S) if np.isfinite(self.t_pose_s) else 0.0
         if not self.activities or start == 0.0:
             return []

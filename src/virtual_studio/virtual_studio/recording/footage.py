@@ -260,7 +260,7 @@ def _write_description(path: Path, plan: FootagePlan) -> None:
 
 
 def _plain(entries: dict) -> dict:
-    """The entries with lists for tuples, which YAML knows."""
+    """Return the entries with lists for tuples, which YAML knows."""
     return {
         key: _plain(value) if isinstance(value, dict) else list(value) if isinstance(value, tuple) else value
         for key, value in entries.items()

@@ -96,7 +96,7 @@ class BoardCamera:
         cast_board(self._ideal, homographies, greys, printed.texture, printed.edge_distance, offsets, box, depth, light)
 
     def _greys(self, T_world_board: Array) -> Array:
-        """(2,) light from black and white; from both the same, of the sheet, where its back is seen."""
+        """Return (2,) light from black and white; from both the same, of the sheet, where its back is seen."""
         towards = self.camera.centre_world - T_world_board[:3, 3]
         in_front = float(T_world_board[:3, 2] @ towards) > 0.0
         normal = T_world_board[:3, 2] if in_front else -T_world_board[:3, 2]
@@ -167,7 +167,7 @@ def _homography(T_camera_board: Array, board: BoardPrint) -> Array:
 
 
 def _outline(sheet: Array) -> Array:
-    """(4 * OUTLINE_POINTS, 3) points around the sheet: a lens bends its edges."""
+    """Return (4 * OUTLINE_POINTS, 3) points around the sheet: a lens bends its edges."""
     ring, fraction = sheet[[0, 1, 3, 2, 0]], np.linspace(0.0, 1.0, OUTLINE_POINTS, endpoint=False)[:, None]
     return np.concatenate([a + fraction * (b - a) for a, b in pairwise(ring)])
 

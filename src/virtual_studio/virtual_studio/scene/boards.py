@@ -122,10 +122,10 @@ class Wand:
     radius_m: float = 0.02
 
     def balls_world(self, T_world_wand: Array) -> Array:
-        """(n, 3) the balls' centres, m; the wand's frame has its origin in the first ball, x along the stick."""
+        """Return (n, 3) the balls' centres, m; the wand's frame has its origin in the first ball, x along the stick."""
         return np.multiply.outer(np.array(self.marks_m), T_world_wand[:3, 0]) + T_world_wand[:3, 3]
 
     def stick(self, T_world_wand: Array) -> Capsules:
-        """The stick between the balls."""
+        """Return the stick between the balls."""
         balls = self.balls_world(T_world_wand)
         return Capsules(balls[:1], balls[-1:], np.full((1, 2), STICK_RADIUS_M), np.array([STICK_ALBEDO]))

@@ -234,6 +234,6 @@ def _in_view(
 
 
 def _grips(board: BoardPrint) -> tuple[Array, Array]:
-    """(3,) the middles of the sheet's left and right side, board frame, m."""
+    """Return (3,) the middles of the sheet's left and right side, board frame, m."""
     top_left, top_right, bottom_left, bottom_right = board.sheet_board
     return 0.5 * (top_left + bottom_left), 0.5 * (top_right + bottom_right)

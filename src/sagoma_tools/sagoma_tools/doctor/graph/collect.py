@@ -85,7 +85,7 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
 
 
 def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
-    """The lifecycle state of each node that answers, and its shortest round trip of a few, seconds."""
+    """Return the lifecycle state of each node that answers, and its shortest round trip of a few, seconds."""
     states: dict[str, str] = {}
     trips: dict[str, float] = {}
     for name in names:
@@ -125,7 +125,7 @@ def _ask(client: Any, request: Any) -> tuple[Any, float]:
 
 
 def machine_of(gid: Sequence[int]) -> str:
-    """The machine's number in a GUID, where the middleware is Fast DDS; else ""."""
+    """Return the machine's number in a GUID, where the middleware is Fast DDS; else ""."""
     prefix = bytes(gid[:4])
     return prefix[2:].hex() if prefix[:2] == FAST_DDS else ""
 
@@ -138,7 +138,7 @@ def _machines(node: Node) -> dict[str, str]:
 
 
 def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:
-    """The rig file parameter of each node. One parameter a request: an unknown one empties the whole answer."""
+    """Return the rig file parameter of each node. One parameter a request: an unknown one empties the whole answer."""
     files = {}
     for parameter, asked in ((RIG_PARAMETER, [n for n in names if n != ICP]), (ICP_RIG_PARAMETER, [ICP])):
         requests = {n + GET_PARAMETERS: GetParameters.Request(names=[parameter]) for n in asked if n in names}

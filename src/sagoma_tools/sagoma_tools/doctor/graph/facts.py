@@ -110,15 +110,15 @@ class GraphFacts:
     announced: tuple[Announcement, ...] = ()
 
     def node(self, name: str) -> NodeFacts | None:
-        """The node with this fully qualified name."""
+        """Return the node with this fully qualified name."""
         return next((node for node in self.nodes if node.name == name), None)
 
     def elsewhere(self, domain: int) -> list[str]:
-        """The addresses of other machines with nodes in this domain."""
+        """Return the addresses of other machines with nodes in this domain."""
         return sorted({one.address for one in self.announced if one.domain == domain and one.machine != self.machine})
 
     def machine_name(self, machine: str) -> str:
-        """A name for a machine: "here", its addresses, or "another machine" where they are not known."""
+        """Return a name for a machine: "here", its addresses, or "another machine" where they are not known."""
         if machine == self.machine:
             return "here"
         addresses = sorted({one.address for one in self.announced if one.machine == machine and machine})

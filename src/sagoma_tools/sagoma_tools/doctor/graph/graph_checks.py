@@ -165,7 +165,7 @@ def _where_else(facts: GraphFacts) -> str:
 
 
 def _machines(facts: GraphFacts) -> str:
-    """Which nodes run where, when they do not all run on one machine."""
+    """Return which nodes run where, when they do not all run on one machine."""
     where: dict[str, list[str]] = {}
     for node in facts.nodes:
         where.setdefault(node.machine, []).append(camera_of(node.name) or node.name.strip("/"))
@@ -176,7 +176,7 @@ def _machines(facts: GraphFacts) -> str:
 
 
 def _high(values: Sequence[float]) -> float:
-    """The 95th percentile; NaN of nothing."""
+    """Return the 95th percentile; NaN of nothing."""
     ordered = sorted(values)
     return ordered[round(0.95 * (len(ordered) - 1))] if ordered else float("nan")
 
@@ -202,7 +202,7 @@ def examine_graph(seconds: float, rig_file: Path | None, domain_id: int | None =
 
 
 def graph_findings(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
-    """The findings on the facts; ``rig`` holds the expected cameras and their calibration."""
+    """Yield the findings on the facts; ``rig`` holds the expected cameras and their calibration."""
     names = rig.names if rig else ()
     canvases = {camera.name: canvas_of(camera.undistorted_view().camera) for camera in rig.cameras} if rig else {}
     yield from on(SUBJECT, check_graph(facts, names))
@@ -232,7 +232,7 @@ def graph_findings(facts: GraphFacts, rig: Rig | None) -> Iterator[Finding]:
 
 
 def canvas_of(camera: CameraModel) -> Canvas:
-    """The canvas of an undistorted camera."""
+    """Return the canvas of an undistorted camera."""
     K = camera.K
     return Canvas(camera.width, camera.height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
 
@@ -260,7 +260,7 @@ def _check_refusals(facts: GraphFacts, canvases: dict[str, Canvas]) -> Iterator[
 
 
 def _hulls_rig(facts: GraphFacts) -> Rig | None:
-    """The hull server's rig file, when it lies on this machine."""
+    """Return the hull server's rig file, when it lies on this machine."""
     path = facts.rig_files.get(HULL, "")
     try:
         return load_rig(path) if path and Path(path).is_file() else None

@@ -31,12 +31,12 @@ BIG_MESSAGES = (
 
 
 def camera_node(camera: str) -> str:
-    """The fully qualified name of a camera's client."""
+    """Return the fully qualified name of a camera's client."""
     return f"/{camera}/{CAMERA_NODE}"
 
 
 def camera_of(node: str) -> str:
-    """The camera of a client node; "" for another node."""
+    """Return the camera of a client node; "" for another node."""
     space, _, name = node.rpartition("/")
     return space.strip("/") if name == CAMERA_NODE else ""
 
@@ -176,7 +176,7 @@ def check_standing(hull: NodeFacts, camera: str) -> Iterator[Finding]:
 
 
 def _figure(node: NodeFacts, key: str) -> float | None:
-    """The number under ``key``; None where there is none."""
+    """Return the number under ``key``; None where there is none."""
     try:
         return float(node.values[key])
     except (KeyError, ValueError):

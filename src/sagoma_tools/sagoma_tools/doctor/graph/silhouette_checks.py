@@ -21,12 +21,12 @@ BACKGROUND = "Learn the background of the empty room again: sagoma background --
 
 
 def sees_person(facts: SilhouetteFacts) -> bool:
-    """Whether most of its masks have a plausible share of foreground."""
+    """Return whether most of its masks have a plausible share of foreground."""
     return bool(facts.shares) and PERSON_SHARE <= median(facts.shares) < FLOODED
 
 
 def is_nearly_blank(facts: SilhouetteFacts) -> bool:
-    """Whether its masks are as good as empty."""
+    """Return whether its masks are as good as empty."""
     return bool(facts.shares) and median(facts.shares) < PERSON_SHARE
 
 

@@ -42,7 +42,7 @@ class DiagnosticsSubscriber:
             return {name for name in self._last if name.startswith("/")}
 
     def facts(self, name: str, **known: Any) -> NodeFacts:
-        """The facts of this node; ``known`` are those from elsewhere."""
+        """Return the facts of this node; ``known`` are those from elsewhere."""
         with self._lock:
             heard, last = list(self._heard.get(name, [])), self._last.get(name)
         if last is None:
@@ -86,7 +86,7 @@ class SilhouetteSubscriber:
         node.create_subscription(CameraInfo, f"/{camera}{CAMERA_INFO_SUFFIX}", self._take_info, SILHOUETTE_SUBSCRIBER)
 
     def facts(self) -> SilhouetteFacts:
-        """The facts so far."""
+        """Return the facts so far."""
         publishers = self._node.count_publishers(self._topic)
         with self._lock:
             arrivals, numbers = self._arrivals_ns, self._numbers
@@ -146,7 +146,7 @@ class FrameSetSubscriber:
         _subscribe(node, DiagnosticArray, FRAME_SET_TOPIC, self._take, RESULT)
 
     def facts(self) -> FrameSetFacts | None:
-        """The facts so far; None when no frame set was heard."""
+        """Return the facts so far; None when no frame set was heard."""
         with self._lock:
             sets = list(self._sets)
         if not sets:

@@ -93,7 +93,7 @@ def collect_shared_memory() -> SharedMemoryFacts:
 
 
 def collect_limits() -> LimitFacts:
-    """The soft limits of this process, which those it starts inherit."""
+    """Return the soft limits of this process, which those it starts inherit."""
     soft = [
         resource.getrlimit(kind)[0]
         for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK)
@@ -111,7 +111,7 @@ def _middleware() -> tuple[str, str]:
 
 
 def _fresh(packages: Path) -> bool | None:
-    """Whether the sources are those that the set-up compiled: numba itself does not notice a changed callee."""
+    """Return whether the sources are those that the set-up compiled: numba itself does not notice a changed callee."""
     recorded = Path(sys.prefix) / FINGERPRINT
     if packages.name != "src" or not recorded.is_file():
         return None

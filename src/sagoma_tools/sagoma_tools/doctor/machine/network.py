@@ -43,7 +43,7 @@ def collect_network() -> NetworkFacts:
 
 
 def collect_interfaces() -> list[InterfaceFacts]:
-    """Those with an IPv4 address, without loopback."""
+    """Return those with an IPv4 address, without loopback."""
     states, found = psutil.net_if_stats(), []
     for name, addresses in sorted(psutil.net_if_addrs().items()):
         ours = [entry for entry in addresses if entry.family == socket.AF_INET]
@@ -54,7 +54,7 @@ def collect_interfaces() -> list[InterfaceFacts]:
 
 
 def domains_of_ports(ports: set[int]) -> tuple[int, ...]:
-    """The ROS domains whose well-known discovery ports are among these UDP ports."""
+    """Return the ROS domains whose well-known discovery ports are among these UDP ports."""
     found = set()
     for port in ports:
         domain, place = divmod(port - FIRST_PORT, DOMAIN_PORTS)
@@ -150,7 +150,7 @@ def check_reach(facts: ReachFacts) -> Iterator[Finding]:
 
 
 def _arrives(address: str, size: int) -> bool:
-    """Whether a packet of ``size`` bytes, headers included, is answered by "port unreachable"."""
+    """Return whether a packet of ``size`` bytes, headers included, is answered by "port unreachable"."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(REPLY_S)
         link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)

@@ -41,7 +41,7 @@ class Movie:
             raise InputError(what, where=str(self.path), remedy=remedy)
 
     def read(self) -> Image | None:
-        """The next image, None at the end."""
+        """Return the next image, None at the end."""
         image = self.video.read()
         if image is None:
             return None
@@ -49,7 +49,7 @@ class Movie:
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if self.grey else image
 
     def images(self) -> Iterator[Image]:
-        """All remaining images."""
+        """Yield all remaining images."""
         while (image := self.read()) is not None:
             yield image
 
@@ -61,7 +61,7 @@ class Movie:
 
 
 def is_grey(camera: str) -> bool:
-    """Whether a camera of the data set is one of the grey ones."""
+    """Return whether a camera of the data set is one of the grey ones."""
     return camera.startswith("BW")
 
 

@@ -37,7 +37,7 @@ FIRST_USABLE_FRAME = 6
 
 
 def read_numbers(path: Path, count: int, meaning: str) -> np.ndarray:
-    """The first ``count`` numbers (count,) of a text file. Raises InputError naming the file."""
+    """Return the first ``count`` numbers (count,) of a text file. Raises InputError naming the file."""
     remedy = f"It reads {meaning}: copy it again from the data set."
     try:
         words = path.read_text(encoding="ascii").split()
@@ -70,7 +70,7 @@ def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
 
 
 def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
-    """The rotation nearest to R: the file's digits are rounded."""
+    """Return the rotation nearest to R: the file's digits are rounded."""
     error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
     if error > ROTATION_TOLERANCE:
         what = f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}"
@@ -79,7 +79,7 @@ def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
 
 
 def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
-    """The named measures of a ``.mp`` file, mm. Raises InputError naming the file and the missing line."""
+    """Return the named measures of a ``.mp`` file, mm. Raises InputError naming the file and the missing line."""
     try:
         text = path.read_text(encoding="latin-1")
     except OSError as error:
@@ -115,7 +115,7 @@ class Mocap:
 
 
 def read_c3d(path: Path) -> Mocap:
-    """All points of a ``.c3d`` file. Raises InputError naming a file that is missing, damaged or cut short."""
+    """Return all points of a ``.c3d`` file. Raises InputError naming a file that is missing, damaged or cut short."""
     try:
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about parameters that are not read here
@@ -148,7 +148,7 @@ class Offset:
 
 
 def read_ofs(path: Path) -> Offset:
-    """The offset of one camera. Raises InputError naming the file."""
+    """Return the offset of one camera. Raises InputError naming the file."""
     offset = Offset(*read_numbers(path, 3, OFS_NUMBERS).tolist())
     if offset.mocap_per_image <= 0:
         remedy = "It must be positive, near 2: copy the file again from the data set."
@@ -168,7 +168,7 @@ class CommonTime:
     mocap_per_frame: float
 
     def image(self, camera: str, frame: int) -> int:
-        """The camera's image (1-based) of a common frame."""
+        """Return the camera's image (1-based) of a common frame."""
         return self.first_image[camera] + frame - 1
 
     def mocap(self, frames: np.ndarray) -> np.ndarray:

@@ -49,7 +49,7 @@ class Trial:
         return self._existing(self.folder / "Calibration_Data" / f"{camera}.cal")
 
     def offsets(self) -> dict[str, Path]:
-        """The ``.ofs`` file of every camera that has one for this trial."""
+        """Return the ``.ofs`` file of every camera that has one for this trial."""
         paths = {c: self.folder / "Sync_Data" / f"{self.action}_{self.number}_({c}).ofs" for c in CAMERAS}
         found = {camera: path for camera, path in paths.items() if path.is_file()}
         if not found:
@@ -66,7 +66,7 @@ class Trial:
         return self.folder / "Mocap_Data" / f"{self.subject}.mp"
 
     def backgrounds(self, camera: str) -> list[Path]:
-        """The movies of the empty room for a camera, at least one."""
+        """Return the movies of the empty room for a camera, at least one."""
         folder = self.root / "Background"
         found = sorted(folder.glob(f"Background_*_({camera}).avi"))
         if not found:

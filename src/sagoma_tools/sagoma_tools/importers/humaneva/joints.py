@@ -61,7 +61,7 @@ class Segment:
 
 
 def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
-    """The frame of segment ``name``; its origin is the point labelled ``origin`` where that is given."""
+    """Return the frame of segment ``name``; its origin is the point labelled ``origin`` where that is given."""
     tracks = [mocap.track_mm(name + letter) for letter in "OALP"]
     centre = mocap.track_mm(origin) if origin else tracks[0]
     (R_lower, square_lower), (R_upper, square_upper) = (_axes(*(t[r] for t in tracks)) for r in (at.lower, at.upper))
@@ -73,7 +73,7 @@ def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
 
 
 def between(track_mm: np.ndarray, at: Instants) -> np.ndarray:
-    """A track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours."""
+    """Return a track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours."""
     fraction = at.fraction[:, None]
     return (1 - fraction) * track_mm[at.lower] + fraction * track_mm[at.upper]
 
@@ -137,7 +137,7 @@ def markers_mm(mocap: Mocap) -> list[np.ndarray]:
 
 
 def measures(static: Mocap, mp: Path) -> Measures:
-    """A subject's sizes from the trial in which it stands still and from its ``.mp`` file."""
+    """Return a subject's sizes from the trial in which it stands still and from its ``.mp`` file."""
     left, right = static.track_mm("LSHO"), static.track_mm("RSHO")
     seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
     if not seen.any():
@@ -150,7 +150,7 @@ def measures(static: Mocap, mp: Path) -> Measures:
 
 
 def joints(mocap: Mocap, positions: np.ndarray, sizes: Measures) -> Joints:
-    """The joints at 1-based mocap positions (F,)."""
+    """Return the joints at 1-based mocap positions (F,)."""
     at = Instants.of(positions, len(mocap.points_mm))
     points, used = _trunk(mocap, at, sizes.chest_radius_mm)
     for side in "LR":

@@ -170,7 +170,7 @@ class GvcpServer:
         return owner is not None and owner[0] == peer[0]
 
     def _answer(self, packet: CommandPacket, peer: Peer) -> AcknowledgePacket | None:
-        """The answer to a command; None for an action that is meant for other cameras."""
+        """Return the answer to a command; None for an action that is meant for other cameras."""
         status, payload = Status.SUCCESS, b""
         try:
             if packet.command == Command.ACTION:
@@ -217,7 +217,7 @@ class GvcpServer:
         self._registers.write(address, data)
 
     def _record(self) -> bytes:
-        """The first bytes of the bootstrap registers; what is not implemented among them reads as zero."""
+        """Return the first bytes of the bootstrap registers; what is not implemented among them reads as zero."""
         record = bytearray(bootstrap.DISCOVERY_SIZE)
         address = 0
         while address < len(record):

@@ -106,7 +106,7 @@ def text(key: str, category: str, default: str, length: int, **more: Any) -> Fea
 
 
 def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
-    """An enumeration; its default is the first entry unless named."""
+    """Return an enumeration; its default is the first entry unless named."""
     first = entries[default] if default else next(iter(entries.values()))
     return Feature(
         key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first, **more
@@ -114,7 +114,7 @@ def choice(key: str, category: str, entries: dict[str, int], default: str = "", 
 
 
 def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
-    """A register of the standard that no GenICam feature names."""
+    """Return a register of the standard that no GenICam feature names."""
     kind = Kind.STRING if isinstance(default, str) else Kind.INTEGER
     return Feature(key, kind, address=address, length=length, default=default, writable=writable)
 

@@ -204,7 +204,7 @@ class StreamChannel:
         return self._blocks[self._next]
 
     def _pieces(self, block: Block) -> list[Piece]:
-        """What is sent, in as few sends as possible."""
+        """Return what is sent, in as few sends as possible."""
         if not self._segments_allowed:
             return list(self._single(block))
         self._set_segment(block.layout.segment)
@@ -221,7 +221,7 @@ class StreamChannel:
         return (block.packet(packet_id) for packet_id in range(block.packets) if kept[packet_id])
 
     def _kept(self, packets: int) -> NDArray[np.bool_]:
-        """Which packets the network does not lose; the others are counted."""
+        """Return which packets the network does not lose; the others are counted."""
         kept = kept_packets(packets, self._faults.packet_loss, self._rng)
         if not kept.all():
             self._counters["packets_dropped"] += int(packets - kept.sum())
