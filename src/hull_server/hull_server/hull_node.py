@@ -8,7 +8,7 @@ from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
@@ -17,7 +17,7 @@ from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode, run_node
-from sagoma_ros.packets import packet_cloud
+from sagoma_ros.packets import packet_cloud, support_message
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
@@ -53,7 +53,7 @@ class CarvedSet:
 
 class HullNode(SagomaNode):
     """Silhouettes of all cameras in; hull/contour_rays, hull/centerline, hull/voxels, hull/frame_set out, one each
-    per set."""
+    per set; a few times a second CAM/silhouette/support."""
 
     Settings = NodeSettings
 
@@ -130,7 +130,10 @@ class HullNode(SagomaNode):
         self._centerline = self.create_publisher(PointCloud2, "hull/centerline", RESULT)
         self._voxels = self.create_publisher(PointCloud2, "hull/voxels", RESULT)
         self._frame_set = self.create_publisher(DiagnosticArray, "hull/frame_set", RESULT)
-        publishers = self._contour_rays, self._centerline, self._voxels, self._frame_set
+        self._supports = {
+            camera: self.create_publisher(Image, f"{camera}/silhouette/support", RESULT) for camera in self._canvases
+        }
+        publishers = self._contour_rays, self._centerline, self._voxels, self._frame_set, *self._supports.values()
         self._handles += [(self.destroy_publisher, publisher) for publisher in publishers]
 
     def _subscribe(self) -> None:
@@ -214,6 +217,9 @@ class HullNode(SagomaNode):
         frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
         result = self._pipeline.finish(carved.under_way)
         self._mesh.keep(result)
+        # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
+        for report in result.support:
+            self._supports[report.camera].publish(support_message(report))
         # the centerline last but one: the tracker starts to fit when it arrives, with the contour rays that it has
         products = result.products
         self._contour_rays.publish(packet_cloud(products.contour_rays, products.stamp_ns, frame_id))

@@ -16,10 +16,12 @@ import numpy.typing as npt
 from capture_rig import Rig
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
+from mocap_packets.support import ForegroundSupport
 
 from .carve_backends import make_backend
 from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults
 from .consistency.extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
+from .consistency.foreground_support import SupportReporter
 from .contour_rays.contour_tracer import ContourTracer
 from .grid import BrickVolume, VoxelGrid
 from .settings import HullSettings
@@ -41,7 +43,8 @@ class HullResult:
     wherever they see. camera_faults : cameras that contradict the others; those left out were not carved with.
     extrinsic_errors
     : how far the cameras are from their calibration. bodies : the parts of the hull large enough to be a person,
-    numbered.
+    numbered. support : where each camera's foreground can be a body, as far as the others see; a few times a second,
+    else empty.
     min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
     """
 
@@ -54,6 +57,7 @@ class HullResult:
     blank: tuple[str, ...]
     camera_faults: CameraFaults
     extrinsic_errors: ExtrinsicErrors
+    support: tuple[ForegroundSupport, ...]
     min_seeing: int
     backend: str
     stage_ms: dict[str, float]
@@ -72,6 +76,7 @@ class SetUnderWay:
     blank: tuple[str, ...]
     camera_faults: CameraFaults
     extrinsic_errors: ExtrinsicErrors
+    support: tuple[ForegroundSupport, ...]
     min_seeing: int
     ticket: Any
     stage_ms: dict[str, float]
@@ -91,6 +96,8 @@ class HullPipeline:
         choice = make_backend(settings.backend, self.views, self.grid)
         self.backend, self.backend_reason = choice.backend, choice.reason
         self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
+        # who is faulty has no say, so without that test there is no report
+        self._support = SupportReporter(rig, self.views) if settings.camera_fault.enabled else None
         self._extrinsics = ExtrinsicMonitor(rig, self.views, settings.calibration)
         self._shadows = ShadowResolver(self.views, rig.volume, settings.shadow)
         self._bodies = BodyTracker(settings.body)
@@ -111,6 +118,8 @@ class HullPipeline:
         used = {name: mask for name, mask in frames.items() if name not in faults.left_out}
         # find cameras that moved from their calibration
         errors = self._extrinsics.update(frames, frame_set.stamp_ns)
+        # tell the camera clients where their foreground has no support, so that moved things become background
+        support = self._support.update(frames, frame_set.stamp_ns, faults.left_out) if self._support else ()
         seeing = min_seeing(len(used), self.settings.min_seeing)
         watch.lap("consistency")
         # decide whether dark pixels are the person or floor in shadow
@@ -120,7 +129,7 @@ class HullPipeline:
         ticket = self.backend.submit(masks, seeing)
         watch.lap("carve")
         blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
-        return SetUnderWay(frame_set, masks, blank, faults, errors, seeing, ticket, watch.laps_ms)
+        return SetUnderWay(frame_set, masks, blank, faults, errors, support, seeing, ticket, watch.laps_ms)
 
     def finish(self, under_way: SetUnderWay) -> HullResult:
         """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
@@ -150,6 +159,7 @@ class HullPipeline:
             blank=under_way.blank,
             camera_faults=under_way.camera_faults,
             extrinsic_errors=under_way.extrinsic_errors,
+            support=under_way.support,
             min_seeing=under_way.min_seeing,
             backend=self.backend.name,
             stage_ms=under_way.stage_ms | watch.laps_ms,

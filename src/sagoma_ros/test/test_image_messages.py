@@ -14,9 +14,12 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
+from mocap_packets.support import LEVELS as SUPPORT_LEVELS
+from mocap_packets.support import ForegroundSupport
 from sagoma_ros import mask_png
 from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message, silhouette_message
 from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import read_support, support_message
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "cam01/silhouette/compressed"
@@ -195,3 +198,24 @@ def test_small_patch_anywhere_comes_back(width, height, seed, kinds) -> None:
     levels = [FOREGROUND, SHADOW_CANDIDATE, LEVELS[7]][:kinds]
     patch[:] = rng.choice(np.array(levels, np.uint8), patch.shape)
     assert np.array_equal(mask_png.decode(mask_png.encode(mask), SHADOW_CANDIDATE), mask)
+
+
+def support_report() -> ForegroundSupport:
+    cells = np.random.default_rng(0).choice(np.array(SUPPORT_LEVELS, np.uint8), (15, 20))
+    return ForegroundSupport(STAMP, "cam01", 8, cells)
+
+
+def test_report_of_support_comes_back_with_the_size_of_its_cells() -> None:
+    message = support_message(support_report())
+    assert (to_ns(message.header.stamp), message.header.frame_id) == (STAMP, "cam01_optical")
+    back = read_support(message, "cam01", WIDTH, TOPIC)
+    assert (back.stamp_ns, back.camera, back.cell_px) == (STAMP, "cam01", 8)
+    assert np.array_equal(back.cells, support_report().cells)
+
+
+@pytest.mark.parametrize(
+    "cells, width", [(np.full((15, 20), 85, np.uint8), 170), (np.full((15, 20), 7, np.uint8), 160)]
+)
+def test_report_for_another_canvas_or_with_unknown_levels_is_refused(cells: np.ndarray, width: int) -> None:
+    with pytest.raises(InputError, match=TOPIC):
+        read_support(image_message(cells, STAMP, "cam01_optical"), "cam01", width, TOPIC)

@@ -1,0 +1,245 @@
+"""Tells each camera where the other cameras see a body, so that what nobody else sees can become its background.
+
+Things that were moved, doors and screens are foreground in one camera's picture, and no body in the others'. The
+capture volume and its surroundings are divided into blocks. A block supports foreground of a camera when at least two
+of the other cameras, and at least half of those that look there, show foreground: a person is supported as long as
+fewer than half of the others miss her. A cell of the picture can be judged when at least two others look at the whole
+stretch of its rays inside the volume.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig import Rig, Volume
+from capture_rig.stamps import StampThrottle
+from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+
+from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
+from ..grid import VoxelGrid
+from ..kernel import kernel, popcount
+from ..views import Masks, RigViews
+
+PERIOD_S = 0.25  # things are judged for seconds
+EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
+CELL_PX = 8  # three halvings; a divisor of every canvas's width; the blocks in which camera clients look for foreground
+LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
+BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
+SURROUNDINGS_M = 1.5  # beside the volume, where people wait
+REACH_M = 0.5  # an arm: bodies in the volume reach out of it by so much
+MARGIN_M = 0.25  # around what others see as a body: contact shadows, a hand that one of them misses
+MOST_COVERED = 0.25  # share of a camera's view beyond which its foreground is no silhouette: it supports anything
+POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others may look at: rounding at its faces
+_EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
+
+Cells = npt.NDArray[np.uint8]
+
+
+class SupportReporter:
+    """Reports, a few times a second by the stamps, where each camera's foreground has support. One thread at a time."""
+
+    def __init__(self, rig: Rig, views: RigViews) -> None:
+        self._views = views
+        self._cells = _pooled_views(views)
+        grid = VoxelGrid.covering(_surroundings(rig.volume), BLOCK_M / _EDGE)
+        seen_table = summed_area(self._cells.seen)
+        self._boxes, self._coarse = (block_boxes(self._cells, grid, e, seen_table) for e in (_EDGE, _COARSE_EDGE))
+        self._space = _Space.of(grid, rig.volume)
+        self._margins = [_margin_cells(P, rig.volume) for P in views.P]
+        self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
+        self._proven = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
+        self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
+
+    def update(self, masks: Masks, stamp_ns: int, left_out: tuple[str, ...] = ()) -> tuple[ForegroundSupport, ...]:
+        """Judge one frame set's canvas masks (h, w) uint8, nonzero = foreground, once a period; else return nothing.
+
+        Cameras ``left_out`` get a report and have no say. InputError for an unknown camera or a wrong size.
+        """
+        if self._throttle.step_s(stamp_ns) <= 0.0:
+            return ()
+        present = self._views.present(masks)
+        shown = np.zeros_like(self._cells.seen)
+        for camera in present:
+            _pool(masks[self._views.names[camera]], shown[camera])
+        covered = shown.mean(axis=(1, 2)) / 255
+        has_say = [c for c in present if covered[c] <= MOST_COVERED and self._views.names[c] not in left_out]
+        levels = self._levels(shown, sum(1 << int(camera) for camera in has_say))
+        return tuple(self._report(int(camera), levels[camera], stamp_ns) for camera in present)
+
+    def _levels(self, shown: Cells, voters: int) -> Cells:
+        """Return the level of every cell (N, h, w), from the foreground cells of the voters (bits)."""
+        found = np.zeros_like(shown)
+        # bodies in the volume
+        self._proven |= self._mark(shown, voters, True, found)
+        for level, margin in zip(found, self._margins, strict=True):
+            cv2.dilate(level, margin, dst=level)
+        # what is left of the pictures: things and people around the volume
+        self._mark(np.where(found > 0, np.uint8(0), shown), voters, False, found)
+        return np.where(found > 0, found, self._judgeable(voters & self._proven))
+
+    def _mark(self, shown: Cells, voters: int, of_bodies: bool, found: Cells) -> int:
+        tables, votes = summed_area(shown), Votes(voters, self._proven, of_bodies)
+        return int(mark_supported(self._boxes, self._coarse, tables, votes, self._space, found))
+
+    def _judgeable(self, witnesses: int) -> Cells:
+        """Return, for every cell, what it is when nothing supports it: NOBODY, UNJUDGED, or OUTSIDE the volume."""
+        if self._judged[0] != witnesses:
+            passed, poorly = (np.zeros(self._cells.seen.shape, np.int32) for _ in range(2))
+            count_witnesses(self._boxes, witnesses, self._space, passed, poorly)
+            levels = np.where(poorly <= POORLY_SEEN * passed, np.uint8(NOBODY), np.uint8(UNJUDGED))
+            self._judged = witnesses, np.where(passed > 0, levels, np.uint8(OUTSIDE if witnesses else UNJUDGED))
+        return self._judged[1]
+
+    def _report(self, camera: int, levels: Cells, stamp_ns: int) -> ForegroundSupport:
+        (width, height), canvas_width = self._cells.sizes[camera], int(self._views.sizes[camera, 0])
+        own = np.ascontiguousarray(levels[:height, :width])
+        return ForegroundSupport.of_canvas(stamp_ns, self._views.names[camera], own, canvas_width)
+
+
+class _Space(NamedTuple):
+    """The blocks, all by their numbers along x, y and z, (3,).
+
+    blocks, coarse : how many there are, of both sizes. inner : from and to, (2, 3), of the capture volume. bodies : of
+    where parts of a body in the volume may be.
+    """
+
+    blocks: npt.NDArray[np.int64]
+    coarse: npt.NDArray[np.int64]
+    inner: npt.NDArray[np.int64]
+    bodies: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, grid: VoxelGrid, volume: Volume) -> _Space:
+        shape, reach = np.array(grid.shape, np.int64), round(REACH_M / BLOCK_M)
+        inner = np.rint((np.array([volume.low, volume.high]) - grid.origin) / BLOCK_M).astype(np.int64)
+        blocks = -(-shape // _EDGE)
+        return cls(blocks, -(-shape // _COARSE_EDGE), inner, np.clip(inner + np.array([[-reach], [reach]]), 0, blocks))
+
+
+class Votes(NamedTuple):
+    """voters, proven : bits of the cameras whose foreground counts, and of those whose empty view counts, too.
+    of_bodies : whether they vote on blocks where bodies in the volume may be, or on those around."""
+
+    voters: int
+    proven: int
+    of_bodies: bool
+
+
+@kernel
+def mark_supported(boxes, coarse_boxes, tables, votes, space, found):  # type: ignore[no-untyped-def]
+    """Mark the cells (N, h, w) of ``found`` on which supported blocks lie; return the bits of cameras that agreed."""
+    agreed, ratio = 0, _COARSE_EDGE // _EDGE
+    for at in range(space.coarse[0] * space.coarse[1] * space.coarse[2]):
+        showing, _ = _look(coarse_boxes, tables, votes, at)
+        if popcount(np.uint64(showing)) < 2:
+            continue
+        x0, y0 = at % space.coarse[0] * ratio, at // space.coarse[0] % space.coarse[1] * ratio
+        z0 = at // (space.coarse[0] * space.coarse[1]) * ratio
+        for z in range(z0, min(z0 + ratio, space.blocks[2])):
+            for y in range(y0, min(y0 + ratio, space.blocks[1])):
+                for x in range(x0, min(x0 + ratio, space.blocks[0])):
+                    if _within(space.bodies, x, y, z) == votes.of_bodies:
+                        block = (z * space.blocks[1] + y) * space.blocks[0] + x
+                        showing, denying = _look(boxes, tables, votes, block)
+                        if popcount(np.uint64(showing)) >= 2:
+                            level = BODY if votes.of_bodies else OUTSIDE
+                            agreed |= _mark_block(boxes, block, (showing, denying), level, found)
+    return agreed
+
+
+@kernel
+def _look(boxes, tables, votes, block):  # type: ignore[no-untyped-def]
+    """Return the bits of the voters that show foreground in a block, and of those that see all of it without any."""
+    showing, denying = 0, 0
+    for camera in range(boxes.sight.shape[0]):
+        if votes.voters >> camera & 1:
+            sight, box = boxes.sight[camera, block], boxes.pixels[camera, block]
+            if sight != UNSEEN:
+                if count_in_box(tables, camera, int(box[0]), int(box[1]), int(box[2]), int(box[3])) > 0:
+                    showing |= 1 << camera
+                elif sight == SEEN and votes.proven >> camera & 1:
+                    denying |= 1 << camera
+    return showing, denying
+
+
+@kernel
+def _mark_block(boxes, block, seen_by, level, found):  # type: ignore[no-untyped-def]
+    """Mark a block in the pictures of the cameras whose others support it; return the bits of those that show it."""
+    showing, denying = seen_by
+    agreed = 0
+    for camera in range(boxes.sight.shape[0]):
+        if boxes.sight[camera, block] != UNSEEN:
+            supporters = popcount(np.uint64(showing & ~(1 << camera)))
+            if supporters >= 2 and supporters >= popcount(np.uint64(denying & ~(1 << camera))):
+                agreed |= showing & 1 << camera
+                box = boxes.pixels[camera, block]
+                for row in range(box[1], box[3]):
+                    for column in range(box[0], box[2]):
+                        if found[camera, row, column] == 0:
+                            found[camera, row, column] = level
+    return agreed
+
+
+@kernel
+def _within(box, x, y, z):  # type: ignore[no-untyped-def]
+    return box[0, 0] <= x < box[1, 0] and box[0, 1] <= y < box[1, 1] and box[0, 2] <= z < box[1, 2]
+
+
+@kernel
+def count_witnesses(boxes, witnesses, space, passed, poorly):  # type: ignore[no-untyped-def]
+    """Count (N, h, w) the blocks of the volume on each cell, and those that fewer than two other witnesses see."""
+    for z in range(space.inner[0, 2], space.inner[1, 2]):
+        for y in range(space.inner[0, 1], space.inner[1, 1]):
+            for x in range(space.inner[0, 0], space.inner[1, 0]):
+                block, seeing = (z * space.blocks[1] + y) * space.blocks[0] + x, 0
+                for camera in range(boxes.sight.shape[0]):
+                    if witnesses >> camera & 1 and boxes.sight[camera, block] == SEEN:
+                        seeing |= 1 << camera
+                for camera in range(boxes.sight.shape[0]):
+                    poor = popcount(np.uint64(seeing & ~(1 << camera))) < 2
+                    box = boxes.pixels[camera, block]
+                    for row in range(box[1], box[3]):
+                        for column in range(box[0], box[2]):
+                            passed[camera, row, column] += 1
+                            poorly[camera, row, column] += poor
+
+
+def _surroundings(volume: Volume) -> Volume:
+    """Return the volume with whole blocks beside and above it."""
+    beside, above = (np.ceil(reach / BLOCK_M) * BLOCK_M for reach in (SURROUNDINGS_M, REACH_M))
+    aside, up = beside * np.array([1.0, 1.0, 0.0]), above * np.array([0.0, 0.0, 1.0])
+    return Volume(volume.low - aside, volume.high + aside + up)
+
+
+def _pooled_views(views: RigViews) -> RigViews:
+    """Return the views in cells: cell (r, c) holds the pixels from CELL_PX r, CELL_PX c on, and is seen if half is."""
+    P = views.P.copy()
+    P[:, :2] = (P[:, :2] + 0.5 * P[:, 2:]) / CELL_PX - 0.5 * P[:, 2:]
+    n, height, width = views.seen.shape
+    padded = np.zeros((n, -(-height // CELL_PX) * CELL_PX, width), np.uint8)
+    padded[:, :height] = views.seen
+    share = padded.reshape(n, -1, CELL_PX, width // CELL_PX, CELL_PX).mean(axis=(2, 4))
+    return RigViews(views.names, P, -(-views.sizes // CELL_PX), np.where(share > 127, np.uint8(255), np.uint8(0)))
+
+
+def _pool(mask: Cells, cells: Cells) -> None:
+    """Write 255 to the cells of a canvas (h, w) in which at least LEAST_PX pixels of ``mask`` are not 0."""
+    height, width = (-(-n // CELL_PX) for n in mask.shape)
+    filled = np.zeros((height * CELL_PX, width * CELL_PX), np.uint8)
+    cv2.threshold(mask, 0, 255, cv2.THRESH_BINARY, dst=filled[: mask.shape[0]])
+    for _ in range(3):  # halves: several times faster than a box of 8 x 8
+        filled = cv2.resize(filled, (filled.shape[1] // 2, filled.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    cv2.threshold(filled, 4 * LEAST_PX - 2, 255, cv2.THRESH_BINARY, dst=cells[:height, :width])
+
+
+def _margin_cells(P: npt.NDArray[np.float64], volume: Volume) -> Cells:
+    """Return the kernel that widens by MARGIN_M at the distance of the volume's middle, half a metre at least."""
+    depth_m = max(float(P[2] @ np.append((volume.low + volume.high) / 2, 1.0)), 0.5)
+    focal_px = float(np.linalg.norm(np.cross(P[1, :3], P[2, :3])))
+    reach = int(np.ceil(MARGIN_M * focal_px / depth_m / CELL_PX))
+    side = 2 * reach + 1
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
