@@ -8,6 +8,7 @@ from pathlib import Path
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
+from mocap_packets.support import ForegroundSupport
 
 from .background.model import BackgroundModel, load_background, read_background
 from .background.watch import BackgroundWatch
@@ -126,6 +127,11 @@ class CameraChain:
             load_background(path)
         elif path:
             open_footage(path).close()
+
+    def take_support(self, report: ForegroundSupport) -> None:
+        """Take what the other cameras see, from any thread; it counts for frames some time after its stamp."""
+        if self.pipeline is not None:
+            self.pipeline.take_support(report)
 
     def run(self, frame: Frame) -> FrameResult:
         """Raises InputError for a frame of another size or type."""

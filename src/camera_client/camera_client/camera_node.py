@@ -15,7 +15,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from sensor_msgs.msg import CameraInfo, JointState
+from sensor_msgs.msg import CameraInfo, Image, JointState
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
@@ -23,6 +23,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from mocap_packets.silhouette import Silhouette
+from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode, run_node
 from sagoma_ros.qos import RESULT
@@ -52,6 +53,7 @@ T = TypeVar("T")
 
 REPORT_PERIOD_S = 0.5
 LEARNING_PATIENCE_S = 10.0  # a training goes on when the camera comes back sooner
+SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
 
@@ -91,6 +93,7 @@ class CameraNode(SagomaNode):
         if not self.source.shape:
             self.chain.check_background_file()
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report))
+        self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
         if settings.source == "footage" and settings.footage.rate == 0:
             topic = settings.footage.pace_topic
             self._hold(
@@ -206,6 +209,16 @@ class CameraNode(SagomaNode):
     def _on_acknowledgement(self, message: JointState) -> None:
         if self.source is not None:
             self.source.acknowledge(to_ns(message.header.stamp))
+
+    def _on_support(self, message: Image) -> None:
+        if self.chain is None or self.chain.camera is None:
+            return
+        canvas = self.chain.camera.undistorted_view().camera
+        try:
+            self.chain.take_support(read_support(message, canvas.name, canvas.width, SUPPORT_TOPIC))
+        except InputError as error:
+            self.health.count("bad_reports")
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
     # --- background and calibration ------------------------------------------------------------------------------
 

@@ -138,6 +138,9 @@ class BackgroundSettings:
         4.0, "Standard deviation assumed for a background that is a single still", unit="grey levels", low=0.1, high=64
     )
     drift: LightDriftSettings = setting(LightDriftSettings, "Slow changes of the light")
+    moved_things: bool = setting(
+        True, "Things that moved or were taken away become background: what no other camera sees, and keeps still"
+    )
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from sagoma_ros.health import ERROR, WARN
-from sagoma_ros.images import decode_silhouette
+from sagoma_ros.images import decode_silhouette, support_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode, run_node
-from sagoma_ros.packets import packet_cloud, support_message
+from sagoma_ros.packets import packet_cloud
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 

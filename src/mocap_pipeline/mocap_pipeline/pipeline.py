@@ -4,6 +4,7 @@ The nodes of the graph hold the same objects and call them in the same order; wh
 rounded here as it is in a message (``as_sent``), so this page and the graph give the same numbers, bit for bit.
 
     images -> segment -> silhouettes -> resolve shadows -> carve -> slice -> fit -> filter -> predict -> next fit
+                 ^---- where the others see a body <---|
 """
 
 from __future__ import annotations
@@ -63,9 +64,12 @@ class MocapPipeline:
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
         """Return the body at one instant, from the cameras' images (H, W[, 3]) uint8."""
-        # segment: what differs from the background, without noise, and how dark (6.3; camera_client/silhouettes/)
+        return self.step_masks(stamp_ns, self.segment(stamp_ns, images))
+
+    def segment(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Masks:
+        """Segment: what differs from the background, without noise, and how dark (6.3; camera_client/silhouettes/)."""
         masks = {name: self.cameras[name].run(image, stamp_ns).mask for name, image in images.items()}
-        return self.step_masks(stamp_ns, masks)
+        return masks
 
     def step_masks(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> Step:
         """Return the body at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
@@ -77,6 +81,11 @@ class MocapPipeline:
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
         # see as foreground (3.1; consistency/, shadows.py, carving/ or opengl/)
         under_way = self.hull.begin(frame_set)
+        # tell each camera where the others see a body: things that moved are seen by none, and become background
+        # (consistency/foreground_support.py; camera_client/background/moved_things.py)
+        for report in under_way.support:
+            if report.camera in self.cameras:
+                self.cameras[report.camera].take_support(report)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
         return self.hull.finish(under_way).products.as_sent()

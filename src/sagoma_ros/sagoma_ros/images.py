@@ -1,4 +1,4 @@
-"""Silhouettes as PNG of few levels, images and camera_info (REP-104) to and from messages."""
+"""Silhouettes as PNG of few levels, images, camera_info (REP-104) and reports of support to and from messages."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
+from mocap_packets import support
+from mocap_packets.support import ForegroundSupport
 
 from . import mask_png
-from .messages import to_stamp
+from .messages import to_ns, to_stamp
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
 PNG_DEPTH_AND_COLOUR = slice(24, 26)  # of the header chunk, which always comes first
@@ -179,3 +181,20 @@ def _decode_compressed(message: CompressedImage, where: str) -> np.ndarray:
             f"the image (format '{message.format}') cannot be decoded", where=where, remedy="Publish JPEG or PNG."
         )
     return image
+
+
+def support_message(report: ForegroundSupport) -> Image:
+    """Return a report as a mono8 image of one pixel a cell."""
+    return image_message(report.cells, report.stamp_ns, f"{report.camera}_optical")
+
+
+def read_support(message: Image, camera: str, canvas_width: int, where: str) -> ForegroundSupport:
+    """Return the inverse of :func:`support_message`; InputError when it is not of this camera's canvas."""
+    cells, stamp_ns = decode_image(message, where), to_ns(message.header.stamp)
+    remedy = "Give camera client and hull server the same rig file."
+    if cells.ndim != 2 or not np.isin(cells, support.LEVELS).all():
+        raise InputError("holds other levels than those of a report", where=where, remedy="Check its publisher.")
+    try:
+        return ForegroundSupport.of_canvas(stamp_ns, camera, cells, canvas_width)
+    except ValueError as error:
+        raise InputError(str(error), where=where, remedy=remedy) from None

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from typing import ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
-from sensor_msgs.msg import Image, JointState, PointCloud2
+from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.state import NoState, Prediction
-from mocap_packets.support import LEVELS, ForegroundSupport
 from stick_figure.skeleton import TANGENT_NAMES
 
 from .clouds import from_cloud, only_finite, to_cloud
-from .images import decode_image, image_message
 from .messages import to_ns, to_stamp
 
 
@@ -105,20 +103,3 @@ def covariance_message(names: Sequence[str], covariance: np.ndarray) -> Float64M
         MultiArrayDimension(label=",".join(names), size=n, stride=n),
     ]
     return message
-
-
-def support_message(report: ForegroundSupport) -> Image:
-    """Return a report as a mono8 image of one pixel a cell."""
-    return image_message(report.cells, report.stamp_ns, f"{report.camera}_optical")
-
-
-def read_support(message: Image, camera: str, canvas_width: int, where: str) -> ForegroundSupport:
-    """Return the inverse of :func:`support_message`; InputError when it is not of this camera's canvas."""
-    cells, stamp_ns = decode_image(message, where), to_ns(message.header.stamp)
-    remedy = "Give camera client and hull server the same rig file."
-    if cells.ndim != 2 or not np.isin(cells, LEVELS).all():
-        raise InputError("holds other levels than those of a report", where=where, remedy="Check its publisher.")
-    try:
-        return ForegroundSupport.of_canvas(stamp_ns, camera, cells, canvas_width)
-    except ValueError as error:
-        raise InputError(str(error), where=where, remedy=remedy) from None

@@ -17,9 +17,16 @@ from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LE
 from mocap_packets.support import LEVELS as SUPPORT_LEVELS
 from mocap_packets.support import ForegroundSupport
 from sagoma_ros import mask_png
-from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message, silhouette_message
+from sagoma_ros.images import (
+    camera_info_message,
+    decode_silhouette,
+    image_message,
+    preview_message,
+    read_support,
+    silhouette_message,
+    support_message,
+)
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import read_support, support_message
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "cam01/silhouette/compressed"

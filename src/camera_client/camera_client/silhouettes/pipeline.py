@@ -16,9 +16,11 @@ from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
+from mocap_packets.support import ForegroundSupport
 
 from ..background.light_drift import LightDrift
 from ..background.model import BackgroundLimits, BackgroundModel, check_shape, shape_text
+from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
@@ -54,6 +56,9 @@ class SilhouettePipeline:
         self._drift: LightDrift | None = None
         if background_settings.drift.mode == "slow":
             self._drift = LightDrift(background, self._limits, background_settings, BLOCK_PX)
+        self.moved: MovedThings | None = None
+        if background_settings.moved_things:
+            self.moved = MovedThings(camera, np.maximum(background.sigma, background_settings.sigma_floor))
         self._shadow = make_shadow_test(camera, background, settings, background_settings.sigma_floor)
         self._attenuation = AttenuationMarker(camera, background, volume) if settings.shadow == "mark" else None
         self._mean = np.rint(background.mean).clip(0, 255).astype(np.uint8)
@@ -83,7 +88,7 @@ class SilhouettePipeline:
         footage gives the same silhouettes at every speed.
         """
         self._check(image)
-        box, raw = self._subtract(image)
+        box, raw = self._subtract(image, stamp_ns)
         if self._drift is not None and stamp_ns is not None:
             self._drift.follow(image, self._locator.buffer, self._locator.dense, stamp_ns)
         if box.empty:
@@ -111,10 +116,20 @@ class SilhouettePipeline:
                 remedy="The camera's region or pixel format has changed; configure again.",
             )
 
-    def _subtract(self, image: Image) -> tuple[Box, Mask]:
+    def take_support(self, report: ForegroundSupport) -> None:
+        """Take what the other cameras see. From any thread."""
+        if self.moved is not None:
+            self.moved.take_report(report)
+
+    def _subtract(self, image: Image, stamp_ns: int | None) -> tuple[Box, Mask]:
         """A box of the image that holds all foreground which survives the majority filter, and that foreground."""
         within, side = self._locator.buffer, self._settings.median_px
         cv2.inRange(image, self._limits.lo, self._limits.hi, dst=within)
+        if self.moved is not None and stamp_ns is not None:
+            foreground = cv2.bitwise_not(within)
+            self.moved.update(image, foreground, self._mean, stamp_ns)
+            self.moved.forgive(image, foreground)
+            cv2.bitwise_not(foreground, dst=within)
         dense = self._locator.box()
         if dense.empty:
             return Box(0, 0, 0, 0), np.zeros((0, 0), np.uint8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from camera_client.background.model import read_background
 from camera_client.settings import CameraClientSettings
-from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.video import Video
@@ -56,8 +55,8 @@ def track_variants(
     first, *others = variants.values()
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
         raise ValueError("variants of one run differ in the settings of cameras or hull")
-    masks = exact_silhouettes(session) if exact_masks else silhouettes(session, first.camera)
     pipeline = MocapPipeline(session.rig, first)
+    masks = exact_silhouettes(session) if exact_masks else segmented(session, first.camera, pipeline)
     followers = [pipeline.body, *(BodyFollower.of(other, session.rig.volume) for other in others)]
     rows: list[list[tuple[int, BodyState]]] = [[] for _ in followers]
     for frame, frame_masks in enumerate(masks):
@@ -73,15 +72,26 @@ def track_variants(
     return {name: Track.of_states(states) for name, states in zip(variants, rows, strict=True)}
 
 
+def segmented(session: Session, settings: CameraClientSettings, pipeline: MocapPipeline) -> Iterator[Masks]:
+    """Canvas masks of every camera by the cameras of ``pipeline``, which are made with the first images.
+
+    They hear what the pipeline's hull server reports if each frame is carved before the next one is asked for.
+    """
+    for frame, images in enumerate(_images(session.videos)):
+        for name in [name for name in images if name not in pipeline.cameras]:
+            background = read_background(session.backgrounds[name], images[name].shape, settings.background_model)
+            camera = session.rig.camera(name)
+            pipeline.cameras[name] = make_segmenter(camera, background, settings, session.rig.volume)
+        yield pipeline.segment(footage_stamp_ns(EPOCH_NS, frame, session.fps), images)
+
+
 def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Masks]:
-    """Canvas masks of every camera (levels of ``capture_rig.mask_levels``), segmented as the camera client does."""
-    pipelines: dict[str, SilhouettePipeline] = {}
-    for images in _images(session.videos):
-        for name, image in images.items():
-            if name not in pipelines:
-                background = read_background(session.backgrounds[name], image.shape, settings.background_model)
-                pipelines[name] = make_segmenter(session.rig.camera(name), background, settings, session.rig.volume)
-        yield {name: pipelines[name].run(image).mask for name, image in images.items()}
+    """Canvas masks of every camera (levels of ``capture_rig.mask_levels``) as sent in the loop with a hull server."""
+    configuration = replace(Configuration.of({}), camera=settings)
+    pipeline = MocapPipeline(session.rig, configuration)
+    for frame, masks in enumerate(segmented(session, settings, pipeline)):
+        yield masks
+        pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), masks)
 
 
 def exact_silhouettes(session: Session) -> Iterator[Masks]:

@@ -1,0 +1,319 @@
+"""Lets things that moved become background: doors, a chair put elsewhere or taken away; never a person.
+
+Two rules, by physics. What the other cameras do not see (:mod:`mocap_packets.support`) and what keeps still, as a whole
+and for seconds, is a thing. And where the background's picture has an outline that the camera's picture has no longer,
+nothing stands (:mod:`.taken_away`). What was learned first is kept: a pixel is background when it looks as it was
+learned or as it was absorbed, so that a door closed again is background at once.
+
+Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stamps.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig.camera import CameraModel
+from capture_rig.stamps import NS, StampThrottle
+from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+
+from ..frame_source import Image, Mask
+from .taken_away import is_calm_inside, was_taken_away
+
+APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep
+SAMPLE_S = 0.2  # blocks are looked at so often
+BLOCK_PX = 8
+BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
+RESTLESS_SHARE = 24  # of 255: six pixels of a block that differ: an edge of a person moved by a fraction of a pixel
+NOISE_SIGMAS = 4.0  # a pixel changed, or differs from what was absorbed: 1 in 16000 by noise
+FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: slower than sway, faster than daylight
+STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
+OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
+TAKEN_AWAY_S = 1.0  # the outlines say enough; the picture must have come to rest
+WHOLE = 0.8  # share of a blob's blocks that must meet a rule: heads and hands move while a trunk keeps still
+GIVE_BACK_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
+BODY_S = 1.0  # the others see a body: it begins anew; for a shorter time somebody passes
+SILENT_S = 2.0  # without a report for so long, nothing is known of the others
+MOST_BLOBS = 8  # looked at a time: bounds the work
+MOST_ABSORBED = 0.5  # share of the picture; more is another room
+
+Seconds = npt.NDArray[np.float32]
+Blocks = npt.NDArray[np.bool_]
+Pictures = tuple[Image, Mask, Image]  # of a frame: the camera's, what differs from the background's, the background's
+
+
+@dataclass(frozen=True)
+class AbsorbedPlace:
+    """Where a thing was absorbed: columns and rows from and to, pixels; since when; its share of the picture."""
+
+    columns: tuple[int, int]
+    rows: tuple[int, int]
+    since_ns: int
+    share: float
+
+
+class MovedThings:
+    """What was learned first, and what was absorbed since, of one camera. Frames come on one thread.
+
+    replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels.
+    absorbed, given_back : how many times things were. endless : more moved than may be absorbed.
+    """
+
+    def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32]) -> None:
+        """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all."""
+        self._cells = _CanvasCells(camera)
+        self._shape = (camera.height, camera.width)
+        limit = np.ceil(NOISE_SIGMAS * np.asarray(noise, np.float32) + 1.0).clip(0, 255).astype(np.uint8)
+        self._limit = np.broadcast_to(limit if limit.ndim < 3 else limit.max(axis=2), self._shape).copy()
+        self._noise = float(np.median(noise))
+        self.replaced = np.zeros(self._shape, np.uint8)
+        self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
+        self.absorbed = self.given_back = 0
+        self.endless = False
+        self._reports: deque[ForegroundSupport] = deque()
+        self._restart()
+
+    def _restart(self) -> None:
+        """Forget all times, for instance when a clock was set back; what was absorbed stays."""
+        blocks = self._cells.blocks
+        self._throttle = StampThrottle(SAMPLE_S)
+        self._running: npt.NDArray[np.float32] | None = None
+        self._last_ns = self._report_ns = 0
+        self._still_s, self._shown_s, self._unseen_s = (np.zeros(blocks, np.float32) for _ in range(3))
+        self._body_s, self._outside_s, self._learned_s = (np.zeros(blocks, np.float32) for _ in range(3))
+        self._since_ns = np.where(self._blocks_of(self.replaced) > 0, np.int64(1), np.int64(0))
+        self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
+        self._changed = True
+        self._samples = 0
+
+    @property
+    def changed(self) -> bool:
+        """Whether ``replaced`` or ``mean`` changed since this was last asked."""
+        changed, self._changed = self._changed, False
+        return changed
+
+    @property
+    def share(self) -> float:
+        """Share of the picture that is absorbed."""
+        return float(np.count_nonzero(self.replaced) / self.replaced.size)
+
+    def places(self) -> list[AbsorbedPlace]:
+        """Return where things are absorbed, the largest first."""
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(self.replaced, connectivity=8)
+        since = self._to_pixels(self._since_ns)
+        found = [
+            AbsorbedPlace(
+                (int(x), int(x + w)),
+                (int(y), int(y + h)),
+                int(since[y : y + h, x : x + w][labels[y : y + h, x : x + w] == label].max()),
+                float(area / self.replaced.size),
+            )
+            for label, (x, y, w, h, area) in list(enumerate(stats))[1:count]
+        ]
+        return sorted(found, key=lambda place: -place.share)
+
+    def take_report(self, report: ForegroundSupport) -> None:
+        """Take what the others see, for frames from APPLY_AFTER_S after its stamp on. From any thread."""
+        self._reports.append(report)
+
+    def forgive(self, image: Image, foreground: Mask) -> None:
+        """Clear the ``foreground`` (H, W) of a frame where it looks as it was absorbed, in place."""
+        x, y, width, height = cv2.boundingRect(self.replaced)
+        if width:
+            part = slice(y, y + height), slice(x, x + width)
+            cv2.bitwise_and(foreground[part], self._differs(image[part], part), dst=foreground[part])
+
+    def update(self, image: Image, foreground: Mask, background: Image, stamp_ns: int) -> None:
+        """Take one frame (H, W[, 3]) of ``stamp_ns``.
+
+        foreground (H, W) : 255 where it differs from what was learned first, also where that was absorbed.
+        background : what was learned first, in today's light, shaped as the image, of any type.
+        """
+        if stamp_ns < self._last_ns:
+            self._restart()
+        self._last_ns = stamp_ns
+        step_s = self._throttle.step_s(stamp_ns)
+        if step_s <= 0.0:
+            return
+        self._apply_reports(stamp_ns)
+        # which blocks show anything, and for how long they kept still
+        shown = self._blocks_of(foreground) >= BLOCK_SHARE
+        self._follow(image, step_s)
+        self._shown_s = _counted(self._shown_s, shown, step_s)
+        # what looks as it was learned is given back
+        absorbed = self._since_ns > 0
+        if absorbed.any():
+            self._give_back(image, foreground, shown, absorbed, step_s)
+        # what nobody else sees, and what was taken away, is absorbed
+        self._samples += 1
+        self._absorb(shown & ~(self._since_ns > 0), (image, foreground, background), stamp_ns)
+
+    # --- what the others see, and what keeps still
+
+    def _apply_reports(self, stamp_ns: int) -> None:
+        due_ns = stamp_ns - round(APPLY_AFTER_S / NS)
+        while self._reports and self._reports[0].stamp_ns <= due_ns:
+            report = self._reports.popleft()
+            step_s = min(max((report.stamp_ns - self._report_ns) * NS, 0.0), 0.5)
+            self._report_ns = report.stamp_ns
+            levels = self._cells.levels(report)
+            self._unseen_s = _counted(self._unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s)
+            self._outside_s = _counted(self._outside_s, levels == OUTSIDE, step_s)
+            self._body_s = _counted(self._body_s, levels == BODY, step_s)
+            self._unseen_s[self._body_s >= BODY_S] = 0.0
+        if due_ns - self._report_ns > SILENT_S / NS:
+            for seconds in (self._unseen_s, self._outside_s, self._body_s):
+                seconds[:] = 0.0
+
+    def _follow(self, image: Image, step_s: float) -> None:
+        """Follow the picture by a running mean, and begin anew in blocks that changed by more than noise."""
+        if self._running is None:
+            self._running = image.astype(np.float32)
+            self._resting = np.zeros(image.shape, np.uint8)
+            if self.mean.shape != image.shape:
+                self.mean = np.zeros(image.shape, np.float32)
+        cv2.convertScaleAbs(self._running, dst=self._resting)
+        differs = _largest(cv2.absdiff(image, self._resting))
+        restless = self._blocks_of(cv2.compare(differs, self._limit, cv2.CMP_GT)) >= RESTLESS_SHARE
+        cv2.accumulateWeighted(image, self._running, 1.0 - float(np.exp(-step_s / FOLLOW_S)))
+        if restless.any():
+            pixels = self._to_pixels(restless)
+            self._running[pixels] = image[pixels]
+        self._still_s = np.where(restless, np.float32(0), self._still_s + np.float32(step_s))
+
+    # --- absorbing
+
+    def _absorb(self, shown: Blocks, pictures: Pictures, stamp_ns: int) -> None:
+        """Absorb blobs of the blocks ``shown`` that a rule allows."""
+        body = shown & (self._body_s > 0)
+        unseen = self._is_unseen(shown)
+        if unseen.any():
+            for blob in _blobs(shown, unseen):
+                if not (blob & body).any() and (blob & unseen).sum() >= WHOLE * blob.sum():
+                    self._take_over(blob & unseen, stamp_ns)
+        rested = shown & (np.minimum(self._still_s, self._shown_s) >= TAKEN_AWAY_S) & ~(self._since_ns > 0)
+        if self._samples % round(TAKEN_AWAY_S / SAMPLE_S) == 0 and rested.any():
+            # a person beside the place hides a part of the outline; without her first, then bodies that may be none
+            for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
+                if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, pictures):
+                    self._take_over(blob, stamp_ns)
+                    self._gone |= blob
+
+    def _is_unseen(self, shown: Blocks) -> Blocks:
+        """Return the blocks whose foreground nobody else has seen, and which kept still, for long enough."""
+        needed_s = np.where(self._outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
+        lasted_s = np.minimum(np.minimum(self._still_s, self._shown_s), self._unseen_s)
+        return shown & (lasted_s >= needed_s)
+
+    def _was_taken_away(self, blob: Blocks, pictures: Pictures) -> bool:
+        """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
+        x, y, width, height = cv2.boundingRect(cv2.dilate(blob.astype(np.uint8), np.ones((5, 5), np.uint8)))
+        part = tuple(slice(start * BLOCK_PX, end * BLOCK_PX) for start, end in ((y, y + height), (x, x + width)))
+        near = self._to_pixels(cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[part]
+        image, foreground, background = (picture[part] for picture in pictures)
+        own = np.where(near, foreground, np.uint8(0))
+        if not was_taken_away(own, foreground, image, background, self._noise):
+            return False
+        nobody = (self._unseen_s[blob] >= TAKEN_AWAY_S).mean() >= WHOLE
+        return bool(nobody) or is_calm_inside(own, image, self._noise)
+
+    def _take_over(self, blob: Blocks, stamp_ns: int) -> None:
+        """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
+        around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._body_s <= 0))
+        if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
+            self.endless = True
+            return
+        assert self._running is not None
+        pixels = self._to_pixels(blocks)
+        self.mean[pixels], self.replaced[pixels] = self._running[pixels], 255
+        self._since_ns[blocks], self._learned_s[blocks] = stamp_ns, 0.0
+        self.absorbed += 1
+        self._changed = True
+
+    # --- giving back
+
+    def _give_back(self, image: Image, foreground: Mask, shown: Blocks, absorbed: Blocks, step_s: float) -> None:
+        """Forget what was absorbed where the picture is as learned again, or where the others see a body in it."""
+        remaining = foreground.copy()
+        self.forgive(image, remaining)
+        matched = absorbed & shown & (self._blocks_of(remaining) < BLOCK_SHARE)
+        self._learned_s = np.where(absorbed & ~shown, self._learned_s + np.float32(step_s), np.float32(0))
+        # a thing's own neighbours look as learned all the time; they go when the whole thing does
+        near_thing = cv2.dilate((absorbed & shown).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        back = absorbed & (self._learned_s >= GIVE_BACK_S) & ~near_thing
+        back |= matched & (self._body_s >= STILL_S) & ~self._gone
+        if back.any():
+            self._since_ns[back], self._gone[back] = 0, False
+            self.replaced[self._to_pixels(back)] = 0
+            self.given_back += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
+            self._changed = True
+        # light moves on
+        follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))
+        assert self._running is not None
+        self.mean[follows] = self._running[follows]
+
+    # --- pixels and blocks
+
+    def _differs(self, image: Image, part: tuple[slice, slice]) -> Mask:
+        """Return 255 for the pixels of a part of the image that do not look as they were absorbed."""
+        differs = _largest(cv2.absdiff(image, cv2.convertScaleAbs(self.mean[part])))
+        other = cv2.compare(differs, self._limit[part], cv2.CMP_GT)
+        return cv2.bitwise_or(other, cv2.bitwise_not(self.replaced[part]))
+
+    def _blocks_of(self, mask: Mask) -> npt.NDArray[np.uint8]:
+        """Return the mean (0 to 255) of each block of a mask (H, W)."""
+        height, width = (BLOCK_PX * n for n in self._cells.blocks)
+        if mask.shape != (height, width):
+            mask = cv2.copyMakeBorder(mask, 0, height - mask.shape[0], 0, width - mask.shape[1], cv2.BORDER_REPLICATE)
+        for _ in range(3):  # halves: several times faster than at once
+            mask = cv2.resize(mask, (mask.shape[1] // 2, mask.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        return np.asarray(mask, np.uint8)
+
+    def _to_pixels(self, blocks: npt.NDArray) -> npt.NDArray:
+        """Spread one value a block to the pixels (H, W)."""
+        return blocks.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)[: self._shape[0], : self._shape[1]]
+
+
+class _CanvasCells:
+    """Where the image's blocks lie on the undistorted canvas, of which the reports speak."""
+
+    def __init__(self, camera: CameraModel) -> None:
+        self.blocks = (-(-camera.height // BLOCK_PX), -(-camera.width // BLOCK_PX))
+        canvas = camera.undistorted_view().camera
+        rows, columns = np.indices(self.blocks).reshape(2, -1) * BLOCK_PX + (BLOCK_PX - 1) / 2
+        points = camera.ideal_points(np.stack([columns, rows], axis=1)) * canvas.K.diagonal()[:2] + canvas.K[:2, 2]
+        inside = np.all((points >= -0.5) & (points < [canvas.width - 0.5, canvas.height - 0.5]), axis=1)
+        self._inside = inside.reshape(self.blocks)  # False beyond the lens's reach, too
+        self._pixels = np.rint(np.where(inside[:, None], points, 0.0)).astype(np.intp).reshape(*self.blocks, 2)
+
+    def levels(self, report: ForegroundSupport) -> npt.NDArray[np.uint8]:
+        """Return the report's level of each block of the image; UNJUDGED where the canvas does not show it."""
+        cells = self._pixels // report.cell_px
+        last = np.array(report.cells.shape[::-1]) - 1
+        columns, rows = np.moveaxis(np.minimum(cells, last), 2, 0)
+        return np.where(self._inside, report.cells[rows, columns], np.uint8(UNJUDGED))
+
+
+def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
+    """Return the connected blobs of ``blocks`` that hold any ``of_interest``, the largest first, MOST_BLOBS at most."""
+    count, labels = cv2.connectedComponents(blocks.astype(np.uint8), connectivity=8)
+    sizes, wanted = (np.bincount(labels[kind], minlength=count) for kind in (blocks, blocks & of_interest))
+    order = sorted((label for label in range(1, count) if wanted[label]), key=lambda label: -sizes[label])
+    return [labels == label for label in order[:MOST_BLOBS]]
+
+
+def _counted(seconds: Seconds, holds: Blocks, step_s: float) -> Seconds:
+    """Count the seconds for which something holds, and twice as fast those for which it does not."""
+    longest = OUTSIDE_STILL_S + SAMPLE_S
+    step = np.where(holds, np.float32(step_s), np.float32(-2 * step_s))
+    return np.clip(seconds + step, 0.0, longest).astype(np.float32)
+
+
+def _largest(difference: Image) -> Image:
+    """Return the largest channel (H, W)."""
+    return difference if difference.ndim == 2 else cv2.max(cv2.max(*cv2.split(difference)[:2]), difference[:, :, 2])
