@@ -20,6 +20,8 @@ CANVAS_WIDTH_MULTIPLE = 32
 BAND_ROWS = 32
 MIN_DEPTH_M = 1e-9
 ROUNDING_PX = 1e-6
+SHARE_STEP_PX = 4  # every sixteenth pixel tells a share to a thousandth
+RIM_POINTS = 720  # half a degree apart
 MAX_CANVAS_GROWTH = 2.0  # a canvas wider than this times the image means that the lens model diverges at the edges
 
 
@@ -83,13 +85,37 @@ class CameraModel:
 
     def _pixels(self, ideal: Array) -> Array:
         """Return the inverse of :meth:`ideal_points`; NaN beyond the reach of the lens model."""
-        within = np.hypot(*ideal.T) < self._fold_radius
+        within = np.hypot(*ideal.T) < self._reach_radius
         distorted = lens.distort(np.where(within[:, None], ideal, np.nan), self.D)
         return distorted * self.K.diagonal()[:2] + self.K[:2, 2]
 
     @cached_property
-    def _fold_radius(self) -> float:
-        return lens.fold_radius(self.D)
+    def _reach_radius(self) -> float:
+        return lens.reach_radius(self.D)
+
+    @property
+    def reach_rad(self) -> float:
+        """Angle off the optical axis up to which the image is used: where the lens model folds, where the undistorted
+        canvas ends, or the farthest corner's."""
+        return self._use[0]
+
+    @property
+    def unused_share(self) -> float:
+        """Share of the image's pixels that the undistorted canvas leaves out: the lens model has no ray for them, or
+        one that lies beyond the largest canvas."""
+        return self._use[1]
+
+    @cached_property
+    def _use(self) -> tuple[float, float]:
+        w, h = self.width, self.height
+        cells = np.stack(np.meshgrid(_cell_middles(w), _cell_middles(h)), axis=-1).reshape(-1, 2)
+        corners = np.array([[0.0, 0.0], [w - 1.0, 0.0], [0.0, h - 1.0], [w - 1.0, h - 1.0]])
+        ideal = self.ideal_points(np.concatenate([corners, cells]))
+        on_canvas = ideal * self.K.diagonal()[:2] + self.K[:2, 2]
+        low, high = _canvas_bounds(self)
+        used = ((on_canvas >= low - 0.5) & (on_canvas < high + 0.5)).all(axis=1)  # NaN: not
+        radius = np.hypot(*ideal[used].T).max(initial=0.0) if np.isfinite(ideal).all() else self._reach_radius
+        return float(np.arctan(radius)), float(1.0 - used[len(corners) :].mean())
 
     @cached_property
     def _undistorted_view(self) -> UndistortedView:
@@ -98,6 +124,12 @@ class CameraModel:
     def undistorted_view(self) -> UndistortedView:
         """Return the same camera without distortion, on a canvas that loses no pixel of the image (computed once)."""
         return self._undistorted_view
+
+
+def _cell_middles(size: int) -> Array:
+    """Pixels that stand for SHARE_STEP_PX or so of them each, in one direction."""
+    count = -(-size // SHARE_STEP_PX)
+    return (np.arange(count) + 0.5) * size / count - 0.5
 
 
 def looking_at(centre_world: Array, target_world: Array, roll_rad: float = 0.0) -> Array:
@@ -183,10 +215,22 @@ def _canvas_bounds(camera: CameraModel) -> tuple[Array, Array]:
             np.stack([0 * y + w - 1, y], 1),
         ]
     )
-    pixels = camera.ideal_points(border) * camera.K.diagonal()[:2] + camera.K[:2, 2]
+    ideal = np.concatenate([camera.ideal_points(border), _rim_in_view(camera)])
+    pixels = ideal * camera.K.diagonal()[:2] + camera.K[:2, 2]
     last = np.array([w - 1.0, h - 1.0])
     pixels = np.concatenate([pixels[np.isfinite(pixels).all(axis=1)], [[0.0, 0.0], last]])
     margin = np.floor(np.array([w, h]) * (MAX_CANVAS_GROWTH - 1) / 2)
     low = np.maximum(np.floor(pixels.min(0) + ROUNDING_PX), -margin)
     high = np.minimum(np.ceil(pixels.max(0) - ROUNDING_PX), last + margin)
     return low, high
+
+
+def _rim_in_view(camera: CameraModel) -> Array:
+    """(n, 2) ideal points of the circle where the lens model ends, as far as the image shows it: the border of what is
+    seen, inside the image's own."""
+    if not np.isfinite(camera._reach_radius):
+        return np.empty((0, 2))
+    around = np.linspace(0.0, 2.0 * np.pi, RIM_POINTS, endpoint=False)
+    rim = (1.0 - ROUNDING_PX) * camera._reach_radius * np.column_stack([np.cos(around), np.sin(around)])
+    pixels = camera._pixels(rim)
+    return rim[((pixels >= 0) & (pixels <= [camera.width - 1, camera.height - 1])).all(axis=1)]

@@ -15,6 +15,11 @@ Array = npt.NDArray[np.float64]
 COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
 NEWTON_STEPS = 20
 CONVERGED = 1e-9  # of the focal length: far below a thousandth of a pixel
+# d(distorted radius) / d(ideal radius) below which the model counts as folded: there an error of a pixel turns a ray
+# by over thirty times what it does in the middle, and tangential terms (below 0.03 in any lens) may fold what is left.
+# Real lenses have more up to 80 degrees off the axis (an equidistant one cos^2); from here to the fold it is a tenth of
+# a pixel
+LEAST_SLOPE = 0.03
 
 
 def distort(points: Array, D: Array) -> Array:
@@ -37,18 +42,29 @@ def undistort(points: Array, D: Array) -> Array:
             if not np.abs(step[np.isfinite(step)]).max(initial=0) > CONVERGED / 10:
                 break
         residual = np.abs(distort(ideal, D) - points).max(axis=1)
-        solved = (residual < CONVERGED) & ((ideal**2).sum(axis=1) < fold_radius(D) ** 2)
+        solved = (residual < CONVERGED) & ((ideal**2).sum(axis=1) < reach_radius(D) ** 2)
     ideal[~solved] = np.nan
     return ideal
 
 
 def fold_radius(D: Array) -> float:
     """Return the ideal radius from which the radial polynomial runs backwards (or has a pole): no light gets there."""
+    return _radius_of_slope(D, 0.0)
+
+
+def reach_radius(D: Array) -> float:
+    """Return the ideal radius up to which the model is used, just short of the fold: there the distorted radius grows
+    by less than LEAST_SLOPE of the ideal one. Infinite where it always grows."""
+    return _radius_of_slope(D, LEAST_SLOPE)
+
+
+def _radius_of_slope(D: Array, least: float) -> float:
+    """The smallest ideal radius at which the distorted radius r top / bottom grows by ``least`` only, or has a pole."""
     k1, k2, _, _, k3, k4, k5, k6 = _eight(D)
     top, bottom = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    q = np.poly1d([1.0, 0.0])  # r^2; the radius r top / bottom grows while `slope` is positive
+    q = np.poly1d([1.0, 0.0])  # r^2
     slope = (top + 2 * q * top.deriv()) * bottom - 2 * q * top * bottom.deriv()
-    roots = np.concatenate([slope.roots, bottom.roots])
+    roots = np.concatenate([(slope - least * bottom * bottom).roots, bottom.roots])
     ahead = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
     return float(np.sqrt(ahead.min(initial=np.inf)))
 

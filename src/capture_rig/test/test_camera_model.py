@@ -210,6 +210,69 @@ def test_canvas_with_a_lens_model_that_folds_stays_bounded_and_blind_outside() -
     assert radius.max() < np.sqrt(2 / 3)
 
 
+def wide_and_folding() -> CameraModel:
+    """About 100 degrees across; the radial polynomial turns back before it reaches the image's corners."""
+    K = np.array([[418.0, 0.0, 326.8], [0.0, 418.0, 239.4], [0.0, 0.0, 1.0]])
+    return CameraModel("cam01", 644, 486, K, "plumb_bob", np.array([-0.4, 0.15, 0.0, 0.0, -0.03]), np.eye(4))
+
+
+def test_pixels_without_a_ray_are_those_beyond_the_largest_radius_of_the_polynomial() -> None:
+    camera = wide_and_folding()
+    r = np.linspace(0.0, 2.0, 200_001)
+    largest = 418.0 * float((r * (1 - 0.4 * r**2 + 0.15 * r**4 - 0.03 * r**6)).max())
+    y, x = np.mgrid[:486, :644]
+    beyond = np.hypot(x - 326.8, y - 239.4) - largest
+    rayless = np.isnan(camera.rays_world(np.column_stack([x.ravel(), y.ravel()]))).any(axis=1).reshape(x.shape)
+    clear = np.abs(beyond) > 0.5
+    assert np.array_equal(rayless[clear], beyond[clear] > 0)
+    assert camera.unused_share == pytest.approx((beyond > 0).mean(), abs=0.005)
+
+
+def test_angle_to_which_a_folding_lens_holds_is_just_short_of_its_fold() -> None:
+    camera = wide_and_folding()
+    fold_rad = np.arctan(lens.fold_radius(camera.D))
+    assert fold_rad - np.deg2rad(1.0) < camera.reach_rad < fold_rad
+
+
+def test_whole_image_of_a_lens_that_does_not_fold_is_used_up_to_its_corner() -> None:
+    camera = make_camera(*LENSES["mild_barrel"])
+    corners = camera.rays_world([[0, 0], [WIDTH - 1, 0], [0, HEIGHT - 1], [WIDTH - 1, HEIGHT - 1]])
+    off_axis = np.arccos(corners @ camera.R_camera_world[2])
+    assert camera.unused_share == 0.0
+    assert camera.reach_rad == pytest.approx(off_axis.max())
+
+
+def test_canvas_of_a_lens_that_folds_inside_the_image_loses_no_pixel_that_has_a_ray() -> None:
+    camera = wide_and_folding()
+    view = camera.undistorted_view()
+    y, x = np.mgrid[:486, :644]
+    ideal = camera.ideal_points(np.column_stack([x.ravel(), y.ravel()]).astype(float))
+    ideal = ideal[np.isfinite(ideal).all(axis=1)]
+    columns, rows = np.rint(ideal * 418.0 + view.camera.K[:2, 2]).astype(int).T
+    assert columns.min() >= 0 and columns.max() < view.camera.width
+    assert rows.min() >= 0 and rows.max() < view.camera.height
+    assert view.seen[rows, columns].mean() > 0.9999  # the rim's own pixels are rounded either way
+
+
+def test_mask_of_a_folded_corner_is_not_on_the_canvas() -> None:
+    view = wide_and_folding().undistorted_view()
+    mask = np.zeros((486, 644), np.uint8)
+    mask[:8, :8] = mask[-8:, -8:] = 255
+    assert not view.undistort_mask(mask).any()
+    canvas = view.undistort_mask(np.full((486, 644), 255, np.uint8))
+    assert np.array_equal(canvas > 0, view.seen)
+
+
+def test_fold_all_inside_the_image_is_the_canvas_border() -> None:
+    K = np.array([[350.0, 0.0, 322.0], [0.0, 350.0, 243.0], [0.0, 0.0, 1.0]])
+    camera = CameraModel("cam01", 644, 486, K, "plumb_bob", np.array([-0.6, 0.0, 0.0, 0.0, 0.0]), np.eye(4))
+    view = camera.undistorted_view()
+    radius_px = 350.0 * lens.reach_radius(camera.D)
+    rows, columns = np.nonzero(view.seen)
+    assert np.ptp(columns) == pytest.approx(2 * radius_px, abs=2.0)
+    assert np.ptp(rows) == pytest.approx(min(2 * radius_px, 2 * 486), abs=2.0)
+
+
 @pytest.mark.parametrize(("centre", "up"), [((3.0, -2.0, 1.5), (0, 0, 1)), ((0.1, 0.0, 3.4), (1, 0, 0))])
 def test_camera_that_looks_at_a_place_sees_it_in_the_middle_and_level(
     centre: tuple[float, float, float], up: tuple[float, float, float]

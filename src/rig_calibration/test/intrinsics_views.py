@@ -71,3 +71,20 @@ def shown(
 
 def with_pixels(detection: TargetDetection, pixels: np.ndarray) -> TargetDetection:
     return replace(detection, pixels=pixels)
+
+
+def folding_lens(D=(-0.4, 0.15, 0.0, 0.0, -0.03), focal=418.0):
+    """644 x 486 pixels, about 100 degrees across, whose radial polynomial turns back before the image's corners."""
+    K = np.array([[focal, 0, 326.8], [0, focal, 239.4], [0, 0, 1]])
+    return CameraModel("cam01", 644, 486, K, "plumb_bob", np.array(D), np.eye(4))
+
+
+def pixel_errors(found: CameraModel, truth, step_px: int = 6) -> np.ndarray:
+    """(n,) px: how far from each pixel the lens found puts the ray that the true one has there, apart from a common
+    turn of the camera; NaN where either has none."""
+    x, y = np.meshgrid(*(np.arange(0.0, size, step_px) for size in (truth.width, truth.height)))
+    pixels = np.column_stack([x.ravel(), y.ravel()])
+    true, ours = truth.rays_world(pixels), found.rays_world(pixels)
+    known = np.isfinite(true).all(axis=1) & np.isfinite(ours).all(axis=1)
+    turn = Rotation.align_vectors(ours[known], true[known])[0].as_matrix()
+    return np.hypot(*(found.project(true @ turn.T) - pixels).T)

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
-from capture_rig.camera import CameraModel
 from capture_rig.verdict import judge
 
 from ..boards.board import Board, TargetDetection
@@ -19,6 +17,7 @@ from .coverage import placement_of
 from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections
 from .lens_model import Array, LensModel
 from .model_choice import AUTO, ModelChoice, choose_model
+from .ray_uncertainty import edge_sd_px
 from .result import Intrinsics, ViewResult
 from .verdict import lens_findings
 
@@ -44,26 +43,6 @@ def calibrate_intrinsics(
     return replace(result, verdict=judge(lens_findings(result)))
 
 
-def projection_sd(camera: CameraModel, covariance: Array, pixels: Array) -> Array:
-    """(n,) px: how uncertain it is where a ray is seen that is seen at ``pixels`` (n, 2), apart from a common rotation
-    of the camera, which extrinsics take up. The larger axis of the error ellipse; NaN where the lens has no ray.
-
-    ``covariance`` : of the lens's parameters, in order."""
-    ideal = camera.ideal_points(pixels)
-    reached = np.isfinite(ideal).all(axis=1)
-    sd = np.full(len(pixels), np.nan)
-    if not reached.any():
-        return sd
-    rays = np.column_stack([ideal[reached], np.ones(int(reached.sum()))])
-    _, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.D)
-    by_rotation, by_lens = jacobian[:, :3], jacobian[:, 6 : 6 + len(covariance)]
-    by_lens = by_lens - by_rotation @ np.linalg.lstsq(by_rotation, by_lens, rcond=None)[0]
-    blocks = by_lens.reshape(len(rays), 2, -1)
-    ellipses = blocks @ covariance @ blocks.transpose(0, 2, 1)
-    sd[reached] = np.sqrt(np.linalg.eigvalsh(ellipses)[:, -1].clip(0.0))
-    return sd
-
-
 def _result(
     fit: LensFit,
     board: Board,
@@ -78,7 +57,6 @@ def _result(
     squares = np.concatenate([(view.residuals**2).sum(axis=1) for view in views])
     names, sd = fit.model.names, np.sqrt(np.diag(covariance))
     of_lens = covariance[: len(names), : len(names)]
-    corners = np.array([[x, y] for y in (0, camera.height - 1) for x in (0, camera.width - 1)], float)
     return Intrinsics(
         camera=camera,
         rms_px=float(np.sqrt(squares.mean())),
@@ -91,7 +69,7 @@ def _result(
         bow_sd_m=(float(sd[-2]), float(sd[-1])),
         views=views,
         left_out=left_out,
-        edge_sd_px=float(np.nan_to_num(projection_sd(camera, of_lens, corners), nan=np.inf).max()),
+        edge_sd_px=edge_sd_px(camera, of_lens),
         choice=choice,
         verdict=judge(()),
     )

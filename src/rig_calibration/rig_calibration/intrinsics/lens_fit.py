@@ -27,7 +27,8 @@ from ..bundle.projection import linearise, residuals_px
 from ..bundle.rigid import transform
 from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with
-from .lens_model import LAYOUT, Array, LensModel
+from .lens_family import nearest_member, rational_prior
+from .lens_model import LAYOUT, RATIONAL, Array, LensModel
 
 MIN_CORNERS = 8
 MIN_SPREAD = 0.02  # the corners' shape on the board: its shorter axis over its longer one; below, they lie on a line
@@ -36,6 +37,7 @@ AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them a
 FOCAL_TRIALS = np.geomspace(0.4, 5.0, 7)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
 UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
+ROUNDING = 1e-15  # of double precision
 START = StopCriterion(40, 1e-5)
 
 
@@ -69,7 +71,7 @@ class LensFit:
         Each parameter's own factor lies between that and what its own scatter says, which is few numbers, and is never
         smaller than the overall one.
         """
-        white, changes = np.linalg.inv(self.precision), self._without_each()
+        white, changes = _inverse(self.precision), self._without_each()
         scatter, expected = changes.T @ changes, self._expected_scatter()
         overall = max(float(np.trace(self.precision @ scatter) / np.trace(self.precision @ expected)), 1.0)
         own = np.diag(scatter) / np.diag(expected)
@@ -88,6 +90,14 @@ class LensFit:
         return np.asarray((rest @ score @ rest).sum(axis=0), np.float64)
 
 
+def _inverse(precision: Array) -> Array:
+    """The covariance, also where exact corners leave coefficients that make up for each other to rounding alone."""
+    unit = np.sqrt(np.diag(precision))
+    values, vectors = np.linalg.eigh(precision / np.outer(unit, unit))
+    known = np.maximum(values, ROUNDING * values[-1])
+    return np.asarray((vectors / known) @ vectors.T / np.outer(unit, unit), np.float64)
+
+
 def fit_lens(
     detections: Sequence[TargetDetection], board: Board, model: LensModel, *, start: CameraModel | None = None
 ) -> LensFit:
@@ -100,6 +110,10 @@ def fit_lens(
         start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model), START))
     # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
     fit = settled(_fit_from(start, detections, board, model), LENS_LIMITS)
+    if model.name == RATIONAL and len(fit.rows) >= MIN_VIEWS:
+        # its many coefficients are free where no board was seen: there the lens goes on as lenses do
+        camera, radial = _like_its_family(fit)
+        fit = settled(_fit_from(camera, detections, board, model, radial), LENS_LIMITS)
     if len(fit.rows) < max(MIN_VIEWS, AGREEING_SHARE * len(detections)):
         reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"
         raise InputError(
@@ -161,7 +175,25 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
     return min(trials, key=typical_misfit)
 
 
-def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board: Board, model: LensModel) -> Fit:
+def _like_its_family(fit: Fit) -> tuple[CameraModel, tuple[Array, Array]]:
+    """Return the lens with the distortion of the member of the family of wide lenses that it is most like where corners
+    were seen, and that member's prior."""
+    camera = _camera_of(fit)
+    centre, focal_px = camera.K[:2, 2], float(camera.K.diagonal()[:2].mean())
+    seen_px = max(float(np.hypot(*(detection.pixels - centre).T).max()) for detection in fit.detections)
+    image_corners = np.array([[x, y] for y in (0, camera.height - 1) for x in (0, camera.width - 1)], float)
+    edge = float(np.hypot(*(image_corners - centre).T).max()) / focal_px
+    mean, information = rational_prior(nearest_member(camera, seen_px), edge)
+    return replace(camera, D=mean), (mean, information)
+
+
+def _fit_from(
+    camera: CameraModel,
+    detections: Sequence[TargetDetection],
+    board: Board,
+    model: LensModel,
+    radial: tuple[Array, Array] | None = None,
+) -> Fit:
     """Return the solver's first state: poses by that lens, lens and bow free with their prior."""
     target = detections[0].target
     problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
@@ -172,7 +204,7 @@ def _fit_from(camera: CameraModel, detections: Sequence[TargetDetection], board:
         fit,
         free_lenses=np.arange(LENS)[None] < len(model.names),
         free_bows=np.ones_like(fit.free_bows),
-        prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board)),
+        prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial),
     )
 
 

@@ -21,6 +21,7 @@ from ..bundle.state import Ints, Layout, lens_of
 
 Array = npt.NDArray[np.float64]
 
+RATIONAL = "rational_polynomial"
 LAYOUT = Layout(cameras=1, targets=1, with_lens=True)
 DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
@@ -70,8 +71,16 @@ class LensModel:
         K = np.array([[focal_px, 0.0, (width - 1) / 2], [0.0, focal_px, (height - 1) / 2], [0.0, 0.0, 1.0]])
         return CameraModel(name, width, height, K, self.name, none, np.eye(4))
 
-    def prior(self, focal_px: float, image_size: tuple[int, int], board_diagonal_m: float) -> Prior:
-        """Return what is known of a lens whose focal length is roughly ``focal_px``."""
+    def prior(
+        self,
+        focal_px: float,
+        image_size: tuple[int, int],
+        board_diagonal_m: float,
+        radial: tuple[Array, Array] | None = None,
+    ) -> Prior:
+        """Return what is known of a lens whose focal length is roughly ``focal_px``.
+
+        ``radial`` : mean and information of the distortion coefficients, where more is known of them."""
         lens, count = LAYOUT.lens(0).start, len(self.names)
         mean, information = np.zeros(LAYOUT.size), np.zeros((LAYOUT.size, LAYOUT.size))
         mean[lens : lens + LENS] = lens_of(self.camera("", focal_px, image_size))
@@ -82,6 +91,10 @@ class LensModel:
         information[lens : lens + 2, lens : lens + 2] += (
             np.array([[1.0, -1.0], [-1.0, 1.0]]) / (ASPECT_PRIOR * focal_px) ** 2
         )
+        if radial is not None:
+            coefficients = slice(lens + 4, lens + 4 + len(radial[0]))
+            mean[coefficients] = radial[0]
+            information[coefficients, coefficients] += radial[1]
         return Prior(mean, information)
 
     def distortion_prior_sd(self, focal_px: float, image_size: tuple[int, int]) -> dict[str, float]:

@@ -16,6 +16,7 @@ from ..bundle.outliers import LeftOut
 from .coverage import BoardPlacement
 from .lens_model import Array
 from .model_choice import ModelChoice
+from .ray_uncertainty import outermost_pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class Intrinsics:
     from the residuals. sd : by parameter name, px or without unit; covariance : theirs, in the same order. jackknife :
     factor >= 1 by which sd and covariance exceed what independent corner errors would give. bow_m : how far the board's
     middle stands out along x and y, and sd. views, left_out : what the result rests on, and what not. edge_sd_px :
-    uncertainty of a ray at the four corners of the image, the worst. choice : why this lens model, when it was chosen.
+    uncertainty of a ray at the four corners of the image (or as far as the lens model holds), the worst. choice : why
+    this lens model, when it was chosen.
     """
 
     camera: CameraModel
@@ -66,10 +68,10 @@ class Intrinsics:
 
     @property
     def reach(self) -> float:
-        """How far from the image's centre the corners reach: a share of the half diagonal."""
-        size = np.array([self.camera.width, self.camera.height])
-        radii = [np.hypot(*(view.pixels - (size - 1) / 2).T).max() for view in self.views]
-        return float(max(radii) / (np.hypot(*size) / 2))
+        """How far from the image's centre the corners reach: a share of the way to the outermost pixels with a ray."""
+        middle = (np.array([self.camera.width, self.camera.height]) - 1) / 2
+        radii = [np.hypot(*(view.pixels - middle).T).max() for view in self.views]
+        return float(max(radii) / np.hypot(*(outermost_pixels(self.camera) - middle).T).max())
 
 
 def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -92,6 +94,8 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
         },
         "uncertainty_in_image_corners_px": _short(result.edge_sd_px),
         "corners_reach": _short(result.reach),
+        "lens_holds_to_deg": _short(float(np.rad2deg(result.camera.reach_rad))),
+        "image_unused": _short(result.camera.unused_share),
         "board_bow_mm": {
             axis: {"value": _short(1e3 * bow), "sd": _short(1e3 * sd)}
             for axis, bow, sd in zip("xy", result.bow_m, result.bow_sd_m, strict=True)

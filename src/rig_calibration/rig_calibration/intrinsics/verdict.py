@@ -6,10 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from capture_rig.camera import CameraModel
 from capture_rig.verdict import REDO, USABLE, Finding
 
 from .lens_model import LensModel
 from .model_choice import RICH
+from .ray_uncertainty import outermost_pixels
 from .result import Intrinsics
 
 FEW_VIEWS, SCARCE_VIEWS = 6, 12
@@ -26,6 +28,8 @@ CENTRE_TOLERANCE = 0.12  # of the image's longer side
 FOCAL_RANGE = (0.3, 8.0)  # of the image's longer side
 LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = 0.2, 0.03
 BOW_SDS, BOW_SHARE = 4.0, 0.002  # of the board's diagonal
+UNUSED_GOOD, UNUSED_USABLE = 0.001, 0.3  # of the image's pixels: without rays; above, the lens needs another model
+WIDE_HALF_ANGLE_DEG = 50.0  # off the axis: beyond, plumb_bob misses the classical wide lenses by more than corners err
 UNDETERMINED = 0.5  # of the prior's sd: the views say next to nothing about a coefficient
 REFERENCE_WIDTH_PX = 640
 
@@ -36,6 +40,7 @@ def lens_findings(result: Intrinsics) -> Iterator[Finding]:
     yield from _tilt(result)
     yield from _accuracy(result)
     yield from _coefficients(result)
+    yield from _unused(result)
     yield from _reach(result)
     yield from _noise(result)
     yield from _plausibility(result)
@@ -110,9 +115,10 @@ def _accuracy(result: Intrinsics) -> Iterator[Finding]:
 def _coefficients(result: Intrinsics) -> Iterator[Finding]:
     camera = result.camera
     prior = LensModel(camera.distortion_model).distortion_prior_sd(camera.K[0, 0], (camera.width, camera.height))
+    # of a wide lens the coefficients may make up for each other: there the rays count, below
+    rich = camera.distortion_model == RICH
     lost = [name for name, sd in prior.items() if result.sd[name] > UNDETERMINED * sd]
-    if lost:
-        rich = camera.distortion_model == RICH
+    if lost and not (rich and _half_angle_deg(camera) > WIDE_HALF_ANGLE_DEG):
         yield Finding(
             REDO if rich else USABLE,
             f"the views do not determine {', '.join(lost)}",
@@ -127,6 +133,24 @@ def _coefficients(result: Intrinsics) -> Iterator[Finding]:
         EDGE_SD_USABLE_PX,
         f"in the image's corners rays are uncertain by {result.edge_sd_px:.1f} px",
         "bring the board into all four corners of the image",
+    )
+
+
+def _half_angle_deg(camera: CameraModel) -> float:
+    """Off the axis, of the outermost pixels."""
+    return float(np.rad2deg(np.arctan(np.hypot(*camera.ideal_points(outermost_pixels(camera)).T).max())))
+
+
+def _unused(result: Intrinsics) -> Iterator[Finding]:
+    camera, share = result.camera, 100 * result.camera.unused_share
+    yield from _graded(
+        share / 100,
+        UNUSED_GOOD,
+        UNUSED_USABLE,
+        f"the lens model holds up to {np.rad2deg(camera.reach_rad):.0f} degrees: the outer {share:.1f} % of the image "
+        "is not used",
+        "nothing is expected to be seen there; to use it, bring a ChArUco board, which may leave the image, into its "
+        "corners" + ("" if camera.distortion_model == RICH else ", and calibrate with --model auto"),
     )
 
 

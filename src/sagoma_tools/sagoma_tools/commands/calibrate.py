@@ -49,7 +49,7 @@ def _add_intrinsics(steps: argparse._SubParsersAction) -> None:
     parser.add_argument("sources", nargs="*", metavar="SOURCE", help=help_sources)
     parser.add_argument("--topic", help="live: a camera's image topic, such as /cam01/image_raw")
     parser.add_argument("--board", required=True, help="its YAML file, or e.g. 'checkerboard 9x6 25mm' (inner corners)")
-    parser.add_argument("--model", choices=MODELS, default="plumb_bob", help="lens; auto: whichever predicts better")
+    parser.add_argument("--model", choices=MODELS, default=AUTO, help="lens (default auto: whichever predicts better)")
     help_output = f"folder of the results (default: {INTRINSICS_FOLDER})"
     parser.add_argument("--output", default=INTRINSICS_FOLDER, help=help_output)
     parser.add_argument("--json", action="store_true", help="the last line is the figures as JSON")
