@@ -71,7 +71,7 @@ C1 = GOOD.cameras[0]
         ({"K": K_of(C1, cx=520.0)}, "warning", "lens.off_centre", "(520, "),
         ({"K": K_of(C1, fy=490.0)}, "warning", "lens.unequal_focal", "490 px"),
         ({"K": K_of(C1, fx=120.0, fy=120.0)}, "warning", "lens.field_of_view", "degrees"),
-        ({"D": np.array([-0.9, 0.0, 0.0, 0.0, 0.0])}, "warning", "lens.border", ""),
+        ({"D": np.array([-0.9, 0.0, 0.0, 0.0, 0.0])}, "warning", "lens.border", "% of the image is not used"),
         ({"T_camera_world": np.diag([-1.0, 1.0, -1.0, 1.0]) @ C1.T_camera_world}, "error", "view.empty", ""),
     ],
 )
@@ -80,6 +80,23 @@ def test_spoilt_camera_is_named_with_what_is_wrong(examined, changes, severity, 
     assert status >= {"warning": 1, "error": 2}[severity]
     assert any((kind, its) == (severity, code) and value in what for kind, its, what in found["camera cam01"])
     assert not any(subject.startswith("camera") for subject in set(found) - {"camera cam01"})
+
+
+def test_wide_lens_that_folds_in_the_corners_is_a_note_that_says_up_to_where_it_holds(examined):
+    K = np.array([[418.0, 0.0, 326.8], [0.0, 418.0, 239.4], [0.0, 0.0, 1.0]])
+    D = np.array([-0.4, 0.15, 0.0, 0.0, -0.03])
+    status, found = examined(with_camera(GOOD, "cam01", width=644, height=486, K=K, D=D))
+    assert status == 0
+    ((severity, code, what),) = found["camera cam01"]
+    assert (severity, code) == ("note", "lens.unused")
+    assert "holds up to 54 degrees: the outer 7.9 % of the image" in what
+
+
+def test_field_of_view_of_a_barrel_lens_is_wider_than_its_pinholes():
+    pinhole, barrel = (geometry(with_camera(GOOD, "cam01", D=np.array(D)))[0][0] for D in ([0.0] * 5, C1.D))
+    left, right = C1.rays_world([[0.0, C1.K[1, 2]], [C1.width - 1.0, C1.K[1, 2]]])
+    assert barrel.fov_deg == pytest.approx(np.degrees(np.arccos(left @ right)), abs=0.1)
+    assert barrel.fov_deg > pinhole.fov_deg + 3.0
 
 
 def test_cameras_that_face_each_other_are_named(examined):

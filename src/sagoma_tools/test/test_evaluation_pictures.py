@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from capture_rig.camera import CameraModel
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video
+from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.pictures import (
     LEFT_BGR,
     TRUTH_BGR,
@@ -144,3 +146,16 @@ def test_a_body_behind_the_camera_is_drawn_nowhere_and_the_window_is_the_whole_i
     assert not picture.any()
     window = Window.around(camera, behind, 100)
     assert window.scale * max(camera.width, camera.height) < 100
+
+
+@pytest.mark.filterwarnings("error")
+def test_mask_is_distorted_back_where_the_lens_has_rays_and_is_empty_where_it_has_none():
+    K = np.array([[418.0, 0.0, 326.8], [0.0, 418.0, 239.4], [0.0, 0.0, 1.0]])
+    D = np.array([-0.4, 0.15, 0.0, 0.0, -0.03])  # folds inside the image's corners
+    camera = CameraModel("cam01", 644, 486, K, "plumb_bob", D, np.eye(4))
+    image = distort_mask(camera, np.where(camera.undistorted_view().seen, np.uint8(255), np.uint8(0)))
+    assert not image[:8, :8].any() and not image[-8:, -8:].any()
+    rows, columns = np.mgrid[:486, :644]
+    rays = camera.rays_world(np.column_stack([columns.ravel(), rows.ravel()])).reshape(486, 644, 3)
+    reached = np.isfinite(rays).all(axis=2)
+    assert not image[~reached].any() and (image[reached] > 0).mean() > 0.995

@@ -61,7 +61,7 @@ class PictureAlignment:
 
     def __init__(self, camera: CameraModel, mean: npt.NDArray[np.float32], sigma: float) -> None:
         """``mean`` (H, W[, 3]) : the reference, grey levels. ``sigma`` : noise of a frame's pixel, grey levels."""
-        self._K, self._D = camera.K, camera.D
+        self._K, self._D, self._reach = camera.K, camera.D, lens.reach_radius(camera.D)
         self._levels = choose_points(camera, mean, sigma)
         self._chance = self._agree_by_chance(pictures(mean)[0])
 
@@ -133,7 +133,8 @@ class PictureAlignment:
         ideal = rays[:, :2] / np.maximum(rays[:, 2:], 1e-3)
         at = lens.distort(ideal, self._D) * self._K.diagonal()[:2] + self._K[:2, 2]
         at = ((at - points.offset) / points.scale).clip(-9, 32766).astype(np.float32)
-        seen = np.asarray(((at >= 0) & (at <= np.array(view.shape[::-1]) - 1)).all(axis=1))
+        within = np.hypot(*ideal.T) < self._reach  # a lens that folds would put what lies beyond back into the picture
+        seen = within & ((at >= 0) & (at <= np.array(view.shape[::-1]) - 1)).all(axis=1)
         value = cv2.remap(view, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return value.reshape(-1) - points.value, seen
 

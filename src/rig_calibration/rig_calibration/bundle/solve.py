@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
 from ..boards.board import TargetDetection
-from .detection_poses import views_of
+from .detection_poses import all_undistorted, views_of
 from .initial_poses import initial_poses
 from .problem import Problem, check_problem
 from .robust_fit import NO_POSE, fit_robustly, start_fit
@@ -45,6 +47,7 @@ def solve_rig(
     that share no view (both also when nothing is left after contradictory detections were left out).
     """
     problem = check_problem(cameras, detections, targets, symmetry_orders or {}, intrinsics_covariance or {})
+    problem = _within_reach(problem)
     _check_refinement(problem, refine_intrinsics)
     # 1. The pose of each target in each picture by itself: all solutions.
     views = views_of(problem.detections, problem.cameras, problem.shapes)
@@ -59,6 +62,17 @@ def solve_rig(
     # 6. The frame asked for, and the covariance in it.
     chosen = choose_reference(problem, reference, initial.root)
     return to_solution(in_gauge(fit, chosen), chosen, initial)
+
+
+def _within_reach(problem: Problem) -> Problem:
+    """Leave out the corners for which a lens has no ray: its model folds inside the image, and puts no place there."""
+    pixels = all_undistorted(problem.detections, problem.cameras)
+    reached = [np.isfinite(ideal).all(axis=1) for ideal in pixels]
+    within = (
+        seen if has.all() else replace(seen, ids=seen.ids[has], pixels=seen.pixels[has])
+        for seen, has in zip(problem.detections, reached, strict=True)
+    )
+    return replace(problem, detections=tuple(within))
 
 
 def _check_refinement(problem: Problem, refine_intrinsics: bool) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -107,15 +106,14 @@ def _solutions(detection: TargetDetection, corners_board: Array, camera: CameraM
         return []
     found = [transform(R, t - R @ shape.centroid) for R, t in zip(poses.R, poses.t, strict=True)]
     points = corners_board[detection.ids]
-    misses = [_project(points, camera, T) - detection.pixels for T in found]
-    return sorted(
-        ((float(np.sqrt((miss**2).mean())), T) for miss, T in zip(misses, found, strict=True)), key=lambda pair: pair[0]
-    )
+    misses = [replace(camera, T_camera_world=T).project(points) - detection.pixels for T in found]
+    return sorted(((_rms(miss), T) for miss, T in zip(misses, found, strict=True)), key=lambda pair: pair[0])
 
 
-def _project(points: Array, camera: CameraModel, T: Array) -> Array:
-    pixels, _ = cv2.projectPoints(points, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera.K, camera.D)
-    return np.asarray(pixels, float).reshape(-1, 2)
+def _rms(misses: Array) -> float:
+    """Return that of the coordinates, without corners beyond the reach of the lens; infinite where all are."""
+    reached = misses[np.isfinite(misses).all(axis=1)]
+    return float(np.sqrt((reached**2).mean())) if reached.size else float("inf")
 
 
 def _not_ruled_out(solutions: list[tuple[float, Array]], corners: int, sigma: float) -> Array | None:

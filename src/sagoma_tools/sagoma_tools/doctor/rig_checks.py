@@ -16,6 +16,7 @@ from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
 from capture_rig.settings import read_mapping
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import Video
+from rig_calibration.intrinsics.verdict import UNUSED_GOOD, UNUSED_USABLE
 
 from .findings import Finding, error, graded, note, ok, on, warning
 from .rig_facts import (
@@ -188,8 +189,16 @@ def _check_lens(camera: CameraGeometry) -> Iterator[Finding]:
         faults.append(("unequal_focal", f"fx {fx:.0f} and fy {fy:.0f} px differ by {100 * abs(fx / fy - 1):.0f} %"))
     if not NARROW_DEG < camera.fov_deg < WIDE_DEG:
         faults.append(("field_of_view", f"it sees {camera.fov_deg:.0f} degrees across, which few lenses do"))
-    if not camera.border_reached:
-        faults.append(("border", "the lens model does not reach the border of the image"))
+    holds = f"the lens model holds up to {camera.reach_deg:.0f} degrees: the outer {100 * camera.unused:.1f} % of the "
+    holds += "image is not used"
+    if camera.unused > UNUSED_USABLE:
+        faults.append(("border", holds))
+    elif camera.unused > UNUSED_GOOD:
+        yield note(
+            "lens.unused",
+            holds,
+            f"Keep people out of the image's corners, or {CALIBRATE_LENS} --model auto, with a ChArUco board in them.",
+        )
     for condition, text in faults:
         yield warning(f"lens.{condition}", text, again)
     if not faults:

@@ -25,7 +25,6 @@ STEP_M = 0.2
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 BREAST_M = 1.0
 SUFFIX = ".report.yaml"  # of the report that sagoma calibrate writes beside its result
-BORDER_POINTS = 16
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,9 @@ class ReportFacts:
 class CameraGeometry:
     """One camera of the rig: its lens in pixels and degrees, where it is, and what it sees of the volume.
 
-    ``sees`` : share of the standing places in the volume that it sees from soles to head. ``border_reached`` : the lens
-    model has a ray for every pixel of the image's border. ``mm_per_px`` and ``distance_m`` at the volume's centre.
+    ``sees`` : share of the standing places in the volume that it sees from soles to head. ``fov_deg`` : across the
+    image, of the lens or of its pinhole, whichever is wider. ``reach_deg`` : off the axis, up to where the lens model
+    holds; ``unused`` : share of the image's pixels beyond. ``mm_per_px`` and ``distance_m`` at the volume's centre.
     ``direction_world`` (3,) : unit vector from the volume's centre, at breast height, to the camera.
     """
 
@@ -57,7 +57,8 @@ class CameraGeometry:
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
     fov_deg: float
-    border_reached: bool
+    reach_deg: float
+    unused: float
     centre_world: tuple[float, float, float]
     direction_world: tuple[float, float, float]
     distance_m: float
@@ -142,8 +143,9 @@ def _camera(camera: CameraModel, middle: Array, sees: float) -> CameraGeometry:
         size=(camera.width, camera.height),
         focal_px=(fx, fy),
         centre_px=(float(camera.K[0, 2]), float(camera.K[1, 2])),
-        fov_deg=float(np.degrees(2 * np.arctan(camera.width / (2 * fx)))),
-        border_reached=bool(np.isfinite(camera.rays_world(_border(camera))).all()),
+        fov_deg=_across_deg(camera),
+        reach_deg=float(np.degrees(camera.reach_rad)),
+        unused=camera.unused_share,
         centre_world=tuple(camera.centre_world.tolist()),
         direction_world=tuple((away / max(distance, 1e-9)).tolist()),
         distance_m=distance,
@@ -153,16 +155,13 @@ def _camera(camera: CameraModel, middle: Array, sees: float) -> CameraGeometry:
     )
 
 
-def _border(camera: CameraModel) -> Array:
-    along = np.linspace(0.0, 1.0, BORDER_POINTS)
-    ends = np.concatenate(
-        [
-            np.stack(pair, axis=1)
-            for side in (0.0, 1.0)
-            for pair in ((along, np.full_like(along, side)), (np.full_like(along, side), along))
-        ]
-    )
-    return ends * [camera.width - 1, camera.height - 1]
+def _across_deg(camera: CameraModel) -> float:
+    """Return the angle across the image's middle row; to where the lens model holds, where it does not reach the
+    sides."""
+    row = camera.K[1, 2]
+    ideal = camera.ideal_points(np.array([[0.0, row], [camera.width - 1.0, row]]))[:, 0]
+    by_lens = float(np.degrees(np.nan_to_num(np.arctan(np.abs(ideal)), nan=camera.reach_rad).sum()))
+    return max(by_lens, float(np.degrees(2 * np.arctan(camera.width / (2 * camera.K[0, 0])))))
 
 
 def report_beside(result: Path) -> ReportFacts | None:

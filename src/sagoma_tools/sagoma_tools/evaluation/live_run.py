@@ -32,6 +32,7 @@ from .track import Track, track_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
+NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
 T_POSE_START, REFERENCE_START = "t_pose", "session"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
@@ -181,7 +182,8 @@ def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     rays_world = camera.rays_world(np.column_stack([columns.ravel(), rows.ravel()]))
     on_canvas = rays_world @ camera.R_camera_world.T @ canvas.K.T
-    pixels = (on_canvas[:, :2] / on_canvas[:, 2:]).astype(np.float32).reshape(camera.height, camera.width, 2)
+    places = np.nan_to_num(on_canvas[:, :2] / on_canvas[:, 2:], nan=NOWHERE_PX)  # NaN: the lens has no ray there
+    pixels = places.astype(np.float32).reshape(camera.height, camera.width, 2)
     return cv2.remap(canvas_mask, pixels[..., 0], pixels[..., 1], cv2.INTER_NEAREST)
 
 

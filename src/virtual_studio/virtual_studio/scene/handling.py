@@ -57,6 +57,7 @@ TURNS = 2.5
 UPRIGHT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """R_world_board of a board that stands upright and faces the world's x axis."""
 
+INWARD_STEPS = 101  # from a pixel of a folded corner to the middle: four pixels each at most
 GRIP_M, THUMB_RADIUS_M = 0.012, 0.009
 """How far a thumb reaches over the sheet's edge, and how thick it is."""
 ARM_BEHIND_M = 0.45
@@ -229,8 +230,16 @@ def _in_view(
     focal, half = camera.K.diagonal()[:2], np.array([camera.width, camera.height]) / 2
     room = np.maximum(half - EDGE_PX - (focal * np.abs(fields[:, :2]) / (distance_m + fields[:, 2:])).max(axis=0), 0.0)
     target = half - 0.5 + np.array([x, y]) * room * reach
-    ray = camera.R_camera_world @ camera.rays_world(target[None])[0]
+    ray = camera.R_camera_world @ _outermost_ray(camera, target)
     return board.centred(transform(R, distance_m / ray[2] * ray))
+
+
+def _outermost_ray(camera: CameraModel, pixel: Array) -> Array:
+    """Return (3,) the direction, world frame, of a pixel; where the lens model has none, of the next one that has on
+    the way to the principal point."""
+    centre = camera.K[:2, 2]
+    rays = camera.rays_world(centre + np.linspace(1.0, 0.0, INWARD_STEPS)[:, None] * (pixel - centre))
+    return np.asarray(rays[np.isfinite(rays).all(axis=1)][0])
 
 
 def _grips(board: BoardPrint) -> tuple[Array, Array]:

@@ -1,0 +1,109 @@
+"""A rig of wide cameras whose lens model folds inside the image: boards, wands, corners found in folded parts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, circle, on_floor, pose_errors
+
+from rig_calibration.boards.board import TargetDetection
+from rig_calibration.boards.wand import WAND, wand_points
+from rig_calibration.bundle.solve import solve_rig
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, Target, calibrate_rig
+from rig_calibration.extrinsics.world import WorldChoice
+
+SIZE, NOISE_PX = (644, 486), 0.2
+MARKS = (0.0, 0.25, 0.4)
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+
+def cameras():
+    K, D = np.array([[418.0, 0.0, 326.8], [0.0, 418.0, 239.4], [0.0, 0.0, 1.0]]), np.array([-0.4, 0.15, 0, 0, -0.03])
+    return {name: replace(c, width=644, height=486, K=K, D=D) for name, c in circle(4, 2.2).items()}
+
+
+def seen(camera, points_target, T_world_target, target, frame):
+    """All points, in front and in the image."""
+    pixels = camera.project(points_target @ T_world_target[:3, :3].T + T_world_target[:3, 3])
+    if not ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all():  # NaN, too
+        return []
+    rng = np.random.default_rng([frame, *camera.name.encode()])
+    noisy = pixels + NOISE_PX * rng.standard_normal(pixels.shape)
+    return [TargetDetection(camera.name, frame, np.arange(len(pixels)), noisy, SIZE, target, NOISE_PX)]
+
+
+def of_boards(rig):
+    found = []
+    for camera in rig.values():
+        found += seen(camera, FLOOR_BOARD.corners_board, on_floor(FLOOR_BOARD), FLOOR, 0)
+        for frame, T in enumerate(carried_poses(60)):
+            T_camera_board = camera.T_camera_world @ T
+            if T_camera_board[:3, 2] @ T_camera_board[:3, 3] < 0:
+                found += seen(camera, CARRIED_BOARD.corners_board, T, MOVING, frame)
+    return found
+
+
+def calibrated(rig, detections):
+    targets = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
+    return calibrate_rig(rig, detections, targets)
+
+
+def test_rig_of_folding_lenses_is_placed_and_its_figures_are_numbers():
+    rig = cameras()
+    result = calibrated(rig, of_boards(rig))
+    for camera in result.placed.rig.cameras:
+        place_mm, turn_deg = pose_errors(camera, rig[camera.name])
+        assert place_mm < 10.0 and turn_deg < 0.2
+    assert result.verdict.grade == "good", str(result.verdict)
+    figures = result.figures
+    assert figures.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.1)
+    assert np.isfinite([[c.rms_px, c.sd_centre_mm, c.sd_rotation_deg] for c in figures.cameras]).all()
+    assert result.placed.common.volume_m3 > 3.0
+
+
+def test_corners_found_where_the_lens_has_no_ray_count_for_nothing():
+    rig = cameras()
+    detections = of_boards(rig)
+    spoilt = []
+    for detection in detections:
+        pixels = detection.pixels.copy()
+        if detection.target == MOVING and detection.frame_index % 3 == 0:
+            pixels[[0, 5]] = (2.0, 2.0), (640.0, 3.0)
+            assert np.isnan(rig[detection.camera].ideal_points(pixels[[0, 5]])).all()
+        spoilt.append(replace(detection, pixels=pixels))
+    result = calibrated(rig, spoilt)
+    assert not result.solution.left_out
+    without = [d if np.array_equal(d.pixels, s.pixels) else kept(d) for d, s in zip(detections, spoilt, strict=True)]
+    expected = calibrated(rig, without)
+    for one, other in zip(result.placed.rig.cameras, expected.placed.rig.cameras, strict=True):
+        assert one.T_camera_world.tobytes() == other.T_camera_world.tobytes()
+
+
+def kept(detection):
+    ids = np.setdiff1d(detection.ids, [0, 5])
+    return replace(detection, ids=ids, pixels=detection.pixels[ids])
+
+
+def test_camera_that_sees_the_board_only_in_a_folded_corner_is_named():
+    rig = cameras()
+    corner = np.column_stack([np.tile(np.arange(6) + 1.0, 9), np.repeat(np.arange(9) + 1.0, 6)])
+    detections = [d if d.camera != "cam04" else replace(d, pixels=corner[: len(d)]) for d in of_boards(rig)]
+    with pytest.raises(ValueError, match="cam04"):
+        calibrated(rig, detections)
+
+
+def test_wand_places_folding_lenses_to_each_other():
+    rig, rng, detections = cameras(), np.random.default_rng(5), []
+    for frame in range(80):
+        T = np.eye(4)
+        T[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        T[:3, :3] *= np.sign(np.linalg.det(T[:3, :3]))
+        T[:3, 3] = rng.uniform([-0.9, -0.9, 0.3], [0.9, 0.9, 1.8])
+        for camera in rig.values():
+            detections += seen(camera, wand_points(MARKS), T, WAND, frame)
+    solution = solve_rig(rig, detections, {WAND: wand_points(MARKS)}, reference="cam01")
+    first = rig["cam01"].T_camera_world
+    for name, camera in rig.items():
+        T = camera.T_camera_world @ np.linalg.inv(first)
+        found = solution.T_camera_reference[name]
+        assert np.linalg.norm(found[:3, :3].T @ found[:3, 3] - T[:3, :3].T @ T[:3, 3]) < 0.01
