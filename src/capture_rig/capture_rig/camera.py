@@ -113,7 +113,7 @@ class CameraModel:
         ideal = self.ideal_points(np.concatenate([corners, cells]))
         on_canvas = ideal * self.K.diagonal()[:2] + self.K[:2, 2]
         low, high = _canvas_bounds(self)
-        used = ((on_canvas >= low - 0.5) & (on_canvas < high + 0.5)).all(axis=1)  # NaN: not
+        used = np.asarray(((on_canvas >= low - 0.5) & (on_canvas < high + 0.5)).all(axis=1))  # NaN: not
         radius = np.hypot(*ideal[used].T).max(initial=0.0) if np.isfinite(ideal).all() else self._reach_radius
         return float(np.arctan(radius)), float(1.0 - used[len(corners) :].mean())
 

@@ -21,7 +21,7 @@ def outermost_pixels(camera: CameraModel) -> Array:
     centre = camera.K[:2, 2]
     corners = np.array([[x, y] for y in (0, camera.height - 1) for x in (0, camera.width - 1)], float)
     along = centre + np.linspace(0.0, 1.0, max(camera.width, camera.height))[:, None, None] * (corners - centre)
-    reached = np.isfinite(camera.ideal_points(along.reshape(-1, 2))).all(axis=1).reshape(along.shape[:2])
+    reached = np.isfinite(camera.ideal_points(along.reshape(-1, 2))).all(axis=1, keepdims=True).reshape(len(along), -1)
     last = len(along) - 1 - np.argmax(reached[::-1], axis=0)
     return along[last, np.arange(len(corners))]
 
