@@ -5,8 +5,9 @@ Clips are decoded once into a folder of .npy files, which the processes of the b
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from capture_rig.rig import load_rig, save_rig
 from capture_rig.session import Session
 from capture_rig.video import Video
 
-STRIDE = 2
-"""Of 60 frames a second every second one is played, as 30 Hz cameras would give them."""
-SCORED_EVERY = 5
+STRIDE, EMPTY_STRIDE = 4, 2
+"""Of 60 frames a second every fourth one is played, as 15 Hz cameras would give them; of the empty room every second
+one, so that 45 are left to learn from."""
+SCORED_EVERY = 2
 """Of the frames played, so many to one that is scored."""
 EPOCH_NS = 1_000_000_000_000_000_000
 PERSON_PX = 400
@@ -51,8 +53,9 @@ class RoomClip:
 
     @property
     def scored_cameras(self) -> tuple[str, ...]:
-        """Every second camera, from the last one (the one above, in the rings that have one)."""
-        return self.rig.names[::-2]
+        """Two of them: the last one (in most rigs the one above), and one in the middle."""
+        names = self.rig.names
+        return tuple(dict.fromkeys((names[-1], names[(len(names) - 1) // 2])))
 
     @property
     def scored(self) -> list[int]:
@@ -101,28 +104,18 @@ def open_clip(folder: Path) -> RoomClip:
 
 
 def of_session(name: str, session: Session, seconds: float) -> RoomClip:
-    """Every second frame of the first ``seconds`` of a session with exact masks."""
-    frames = round(seconds * session.fps)
-    cameras = session.rig.names
-    empty = {camera: _decoded(session.backgrounds[camera], frames) for camera in cameras}
-    take = {camera: _decoded(session.videos[camera], frames) for camera in cameras}
-    truth = {
-        camera: np.where(_decoded(session.masks[camera], frames) > 127, 255, 0).astype(np.uint8) for camera in cameras
-    }
+    """Thinned out to STRIDE, the first ``seconds`` of a session with exact masks."""
+    frames, cameras = round(seconds * session.fps), session.rig.names
+    empty = {camera: _decoded(session.backgrounds[camera], frames, EMPTY_STRIDE) for camera in cameras}
+    take = {camera: _decoded(session.videos[camera], frames, STRIDE) for camera in cameras}
+    masks = {camera: _decoded(session.masks[camera], frames, STRIDE) for camera in cameras}
+    truth = {camera: np.where(mask > 127, 255, 0).astype(np.uint8) for camera, mask in masks.items()}
     return RoomClip(name, session.rig, session.fps / STRIDE, empty, take, truth)
 
 
-def _decoded(path: Path, frames: int) -> Frames:
-    """Every second one of so many frames; (F, H, W) where the footage is grey."""
-    images = np.array(list(_every(path, frames)))
+def _decoded(path: Path, frames: int, stride: int) -> Frames:
+    """One in ``stride`` of so many frames; (F, H, W) where the footage is grey."""
+    with Video(path) as video:
+        images = np.array(list(islice(video, 0, frames, stride)))
     spread = images[0].astype(int).max(axis=2) - images[0].min(axis=2)
     return np.ascontiguousarray(images[..., 0]) if spread.max() <= MONO_TOLERANCE else images
-
-
-def _every(path: Path, frames: int) -> Iterator[np.ndarray]:
-    with Video(path) as video:
-        for k, image in enumerate(video):
-            if k >= frames:
-                return
-            if k % STRIDE == 0:
-                yield image

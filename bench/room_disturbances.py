@@ -1,6 +1,7 @@
 """Disturbs decoded clips as rooms and cameras do after a background was learned.
 
-In the order of the light's way: things that stand elsewhere, lamps, the camera that was touched, the sensor's noise.
+In the order of the light's way: things that stand elsewhere, lamps, the camera that was touched, the sensor's noise,
+the codec that stored the picture.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from room_clips import Frames, RoomClip
+from room_rivals import through_codec
 
 MAINS_HZ = 100.03
 """Lamps flicker at twice the mains' 50 Hz, which is never exact: the beat with the frame rate drifts."""
@@ -34,7 +36,8 @@ class Disturbance:
     brightness : share by which the light changes over the clip, evenly, or where ``sudden`` at once in its middle.
     flicker : peak of the lamps' relative ripple. shift_px : every camera's picture is moved by so much, each in its own
     direction. things : a camera, alternately put into the picture and taken out of it. noise : standard deviation, grey
-    levels, added to background and take.
+    levels, added to background and take. codec, quality : what both were stored with, as
+    ``room_rivals.through_codec`` names them; needs the other interpreter.
     """
 
     brightness: float = 0.0
@@ -43,6 +46,8 @@ class Disturbance:
     shift_px: float = 0.0
     things: int = 0
     noise: float = 0.0
+    codec: str = ""
+    quality: int = 0
 
     def __str__(self) -> str:
         parts = [f"{'sudden' if self.sudden else 'slow'} {self.brightness:+.0%}"] if self.brightness else []
@@ -50,10 +55,11 @@ class Disturbance:
         parts += [f"moved {self.shift_px:g} px"] if self.shift_px else []
         parts += [f"{self.things} things"] if self.things else []
         parts += [f"noise {self.noise:g}"] if self.noise else []
+        parts += [f"{self.codec} {self.quality}"] if self.codec else []
         return ", ".join(parts) or "as it is"
 
-    def apply(self, clip: RoomClip) -> RoomClip:
-        """Return the clip as it would have been."""
+    def apply(self, clip: RoomClip, python: str = "") -> RoomClip:
+        """Return the clip as it would have been; ``python``: an interpreter that encodes."""
         if self == Disturbance():
             return clip
         if self.things:
@@ -71,6 +77,8 @@ class Disturbance:
             truth[camera] = clip.truth[camera]
             if self.shift_px:
                 truth[camera] = np.array([255 * (moved(mask, offset) > 127) for mask in truth[camera]], np.uint8)
+        if self.codec:
+            empty, take = (through_codec(part, self.codec, self.quality, clip.fps, python) for part in (empty, take))
         return replace(clip, empty=empty, take=take, truth=truth, doubtful_s=self._doubtful_s(clip))
 
     def _gains(self, clip: RoomClip) -> np.ndarray:

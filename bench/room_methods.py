@@ -54,6 +54,10 @@ class Score:
             self.iou.append(both / (there + seen - both))
             self.recall.append(both / there)
 
+    def figures(self) -> dict[str, float]:
+        """Return the means by name, rounded."""
+        return dict(zip(("iou", "recall", "false_percent"), (round(v, 4) for v in self.means()), strict=True))
+
     def means(self) -> tuple[float, float, float]:
         """IoU, recall, and false foreground in percent of the picture."""
         iou, recall = (float(np.mean(values)) if values else np.nan for values in (self.iou, self.recall))

@@ -1,9 +1,16 @@
 """Scores silhouettes in rooms that change, beside the background subtractors of the field.
 
-    python bench/rooms.py --quick      # two minutes: one value of each disturbance
-    python bench/rooms.py              # everything
+    python bench/rooms.py --quick                  # two minutes: one value of each disturbance
+    python bench/rooms.py                          # everything
+    python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record
 
-Rows: sessions of the test data, as they are and with disturbances added after decoding (bench/room_disturbances.py).
+Rows: sessions of the test data as they are, and with disturbances added after decoding (room_disturbances.py). Every
+frame is run, with the stamps of 15 Hz cameras; every second one of two cameras is scored, on the undistorted canvas.
+Frames within half a second of a sudden change of light, and within four seconds of things moved, are not scored.
+
+ours : as each camera sends it, what is above 127 is the person. judged : after the cameras' joint judgement.
+MOG2, KNN : of OpenCV, learning on and frozen, shadows removed and kept: the best of these. GSOC, SuBSENSE, PAWCS, ViBe
+: see room_rivals.py, which also tells how to make PYTHON. All rivals have our majority filter and component rules.
 The last line is JSON: rows (each with clip, disturbance, and by method IoU, recall and false foreground in percent of
 the picture), worst_iou (of ours as sent), ahead_in_all (is ours as sent ahead of every rival in every row).
 """
@@ -14,26 +21,25 @@ import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from report import Table, execute, finish, parser
 
 import numpy as np
+import room_rivals
 from room_clips import of_session, open_clip
 from room_disturbances import Disturbance
 from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_scores, rival_scores
 from scenes import shared_sessions
 
-SECONDS, QUICK_SECONDS = 5.0, 3.0
+SECONDS = 4.0
 MONO, COLOUR = "walk_ring5top", "charleston2_ring5top_drift"
-AS_THEY_ARE = (
-    "walk_ring5top",
-    "charleston_ring5top",
-    "zombie_he3",
-    "walk_ring5top_touched",
-    "charleston2_ring5top_drift",
-)
+AS_THEY_ARE = (MONO, "charleston_ring5top", "zombie_he3", "walk_ring5top_touched", "charleston2_ring5top_drift")
+RIVALS = (*CV2_RIVALS, *room_rivals.METHODS)
+STORED_NOISE = 2.0
+"""Of the sensor before a codec, grey levels."""
 
 
 @dataclass(frozen=True)
@@ -43,77 +49,86 @@ class Row:
     clip: str
     disturbance: Disturbance
 
+    def __str__(self) -> str:
+        return f"{self.clip}: {self.disturbance}"
 
-def disturbances(quick: bool) -> list[Disturbance]:
+
+def disturbances(quick: bool, codecs: bool) -> list[Disturbance]:
     """Every disturbance by itself, over its whole range."""
-    if quick:
-        return [
-            Disturbance(brightness=0.1, flicker=0.01),
-            Disturbance(brightness=-0.2, sudden=True),
-            Disturbance(shift_px=1.0),
-            Disturbance(things=3),
-            Disturbance(noise=4.0),
-        ]
-    made = [Disturbance(brightness=share, sudden=s) for s in (False, True) for share in (-0.2, -0.1, 0.1, 0.2)]
-    made += [Disturbance(flicker=share) for share in (0.01, 0.02)]
-    made += [Disturbance(shift_px=px) for px in (0.3, 0.7, 1.0, 2.0)]
-    made += [Disturbance(things=count) for count in (1, 3, 5)]
-    return made + [Disturbance(noise=levels) for levels in (1.0, 2.0, 4.0, 6.0)]
+    every = [Disturbance(brightness=share) for share in (-0.2, -0.1, 0.1, 0.2)]
+    every += [Disturbance(brightness=share, sudden=True) for share in (-0.2, 0.2)]
+    every += [Disturbance(flicker=share) for share in (0.01, 0.02)]
+    every += [Disturbance(shift_px=px) for px in (0.3, 1.0, 2.0)]
+    every += [Disturbance(things=count) for count in (1, 3, 5)]
+    every += [Disturbance(noise=levels) for levels in (1.0, 3.0, 6.0)]
+    stored = [("h264", 16), ("h264", 26), ("h264", 35), ("mpeg4", 6), ("mjpeg", 8)] if codecs else []
+    every += [Disturbance(noise=STORED_NOISE, codec=codec, quality=quality) for codec, quality in stored]
+    chosen = {"slow +10%", "sudden -20%", "flicker 1.0%", "moved 1 px", "3 things", "noise 3", "noise 2, h264 26"}
+    return [disturbance for disturbance in every if not quick or str(disturbance) in chosen]
 
 
-def rows(clips: list[str], quick: bool) -> Iterator[Row]:
+def rows(clips: list[str], wanted: list[Disturbance]) -> Iterator[Row]:
     for clip in clips:
         yield Row(clip, Disturbance())
     for clip in (MONO, COLOUR):
         if clip in clips:
-            yield from (Row(clip, disturbance) for disturbance in disturbances(quick))
+            yield from (Row(clip, disturbance) for disturbance in wanted)
 
 
-def measure(folder: Path, row: Row) -> dict[str, Any]:
-    """One row: the figures of every method."""
-    clip = row.disturbance.apply(open_clip(folder / row.clip))
-    truth = CanvasTruth(clip)
+def measure(folder: Path, python: str, row: Row) -> tuple[dict[str, Any], int | None]:
+    """Return a row's figures of every method; and the frames' checksum where rivals were measured anew."""
+    clip = row.disturbance.apply(open_clip(folder / row.clip), python)
+    truth, number = CanvasTruth(clip), None
     scores = our_scores(clip, truth, {}) | rival_scores(clip, truth)
-    figures: dict[str, Any] = {"clip": row.clip, "disturbance": str(row.disturbance)}
-    for method, score in scores.items():
-        figures[method] = dict(zip(("iou", "recall", "false_percent"), np.round(score.means(), 4), strict=True))
-    return figures
+    figures = {method: score.figures() for method, score in scores.items()}
+    known = room_rivals.recorded(str(row), clip)
+    if python and len(known) < len(room_rivals.methods_for(clip)):
+        number = room_rivals.checksum(clip)
+        known = {m: score.figures() for m, score in room_rivals.measure_rivals(clip, truth, python).items()}
+    return {"clip": row.clip, "disturbance": str(row.disturbance)} | figures | known, number
 
 
-def table(folder: Path, wanted: list[Row], jobs: int) -> list[dict[str, Any]]:
+def table(folder: Path, wanted: list[Row], jobs: int, python: str) -> list[dict[str, Any]]:
     """Measure and print all rows."""
-    methods = (SENT, JUDGED, *CV2_RIVALS)
-    heads = {"clip": "<27", "disturbance": "<20"} | {m: ">7.3f" for m in methods}
+    heads = {"clip": "<27", "disturbance": "<20"} | {m: ">7.3f" for m in (SENT, JUDGED)} | {m: ">6.3f" for m in RIVALS}
     shown = Table(heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6"})
     done = []
     with ProcessPoolExecutor(jobs) as pool:
-        for figures in pool.map(measure, [folder] * len(wanted), wanted):
-            ious = [figures[m]["iou"] for m in methods]
-            ahead = "yes" if is_ahead(figures) else "no"
+        for row, (figures, number) in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
+            if number is not None:
+                room_rivals.record([(str(row), number, {m: figures[m] for m in room_rivals.METHODS if m in figures})])
+            ious = [figures[m]["iou"] if m in figures else np.nan for m in (SENT, JUDGED, *RIVALS)]
             ours = figures[SENT]
             false = ours["false_percent"], figures[JUDGED]["false_percent"]
-            shown.row(figures["clip"], figures["disturbance"], *ious, ours["recall"], *false, ahead)
+            ahead = "yes" if is_ahead(figures) else "no"
+            shown.row(row.clip, str(row.disturbance), *ious, ours["recall"], *false, ahead)
             done.append(figures)
     return done
 
 
 def is_ahead(figures: dict[str, Any]) -> bool:
     """Whether ours as sent has the highest IoU."""
-    return all(figures[SENT]["iou"] >= figures[rival]["iou"] for rival in CV2_RIVALS)
+    return all(figures[SENT]["iou"] >= figures[rival]["iou"] for rival in RIVALS if rival in figures)
 
 
 def main() -> None:
-    given = parser(__doc__, quick="one value of each disturbance, three seconds of each clip")
+    given = parser(__doc__, quick="one value of each disturbance")
     given.add_argument("--only", default="", help="rows whose clip or disturbance has this in its name")
     given.add_argument("--jobs", type=int, default=1, help="processes")
+    given.add_argument(
+        "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
+    )
     arguments = given.parse_args()
+    if not arguments.rivals:
+        print("no --rivals PYTHON: rows of codecs are left out, the field's rivals are those on record")
     with tempfile.TemporaryDirectory(prefix="sagoma_rooms_") as temporary:
         folder, clips = Path(temporary), []
         for name, session in shared_sessions([f"sessions/{name}" for name in AS_THEY_ARE]):
-            of_session(name, session, QUICK_SECONDS if arguments.quick else SECONDS).save(folder / name)
+            of_session(name, session, SECONDS).save(folder / name)
             clips.append(name)
-        wanted = [row for row in rows(clips, arguments.quick) if arguments.only in f"{row.clip}: {row.disturbance}"]
-        measured = table(folder, wanted, arguments.jobs)
+        wanted = rows(clips, disturbances(arguments.quick, bool(arguments.rivals)))
+        chosen = [row for row in wanted if arguments.only in str(row)]
+        measured = table(folder, chosen, arguments.jobs, arguments.rivals)
     worst = min((row[SENT]["iou"] for row in measured), default=np.nan)
     finish({"rows": measured, "worst_iou": worst, "ahead_in_all": all(map(is_ahead, measured))})
 
