@@ -19,6 +19,7 @@ from camera_client.background.model import BackgroundLearner
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.masks import keep_person, majority
 from camera_client.silhouettes.pipeline import MIN_AREA
+from hull_server.hull_pipeline import HullPipeline, SetUnderWay
 from mocap_packets.frame_set import FrameSet
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
@@ -85,21 +86,41 @@ class CanvasTruth:
 
 def segment(pipeline: MocapPipeline, stamp_ns: int, images: Mapping[str, np.ndarray]) -> tuple[Masks, Masks]:
     """Return the masks of one instant as the cameras send them, and as they are after the cameras' joint judgement."""
-    sent = {name: pipeline.cameras[name].run(image, stamp_ns).mask for name, image in images.items()}
-    under_way = pipeline.hull.begin(FrameSet.of_instant(stamp_ns, dict(sent), ()))
-    pipeline.hull.finish(under_way)
-    return sent, {name: under_way.masks.get(name, mask) for name, mask in sent.items()}
+    sent = pipeline.segment(stamp_ns, images)
+    pipeline.carve(stamp_ns, sent)
+    assert isinstance(pipeline.hull, WatchedHull) and pipeline.hull.judged is not None
+    return sent, {name: pipeline.hull.judged.get(name, mask) for name, mask in sent.items()}
 
 
-def our_scores(clip: RoomClip, truth: CanvasTruth, settings: Mapping[str, object]) -> dict[str, Score]:
-    """Run the whole chain over a clip, every frame; return the score as sent and as judged."""
+class WatchedHull(HullPipeline):
+    """Keeps the masks of the last frame set as they were carved with; cameras that were left out are not in it."""
+
+    judged: Masks | None = None
+
+    def begin(self, frame_set: FrameSet) -> SetUnderWay:
+        """Begin as usual."""
+        under_way = super().begin(frame_set)
+        self.judged = under_way.masks
+        return under_way
+
+
+def our_pipeline(clip: RoomClip, settings: Mapping[str, object]) -> MocapPipeline:
+    """Return the whole chain, with backgrounds learned from the clip's empty room."""
     backgrounds = {}
     for camera, frames in clip.empty.items():
         learner = BackgroundLearner()
         for image in frames:
             learner.add(np.ascontiguousarray(image))
         backgrounds[camera] = learner.model(clip.name)
-    pipeline = MocapPipeline(clip.rig, Configuration.of({"hull_server.backend": "cpu", **settings}), backgrounds)
+    configuration = Configuration.of({"hull_server.backend": "cpu", **settings})
+    pipeline = MocapPipeline(clip.rig, configuration, backgrounds)
+    pipeline.hull = WatchedHull(clip.rig, configuration.hull)
+    return pipeline
+
+
+def our_scores(clip: RoomClip, truth: CanvasTruth, settings: Mapping[str, object]) -> dict[str, Score]:
+    """Run the whole chain over a clip, every frame; return the score as sent and as judged."""
+    pipeline = our_pipeline(clip, settings)
     scores, scored = {SENT: Score(), JUDGED: Score()}, set(clip.scored)
     for frame in range(clip.frames):
         found = segment(pipeline, clip.stamp_ns(frame), clip.images(frame))

@@ -4,9 +4,10 @@
     python bench/rooms.py                          # everything
     python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record
 
-Rows: sessions of the test data as they are, and with disturbances added after decoding (room_disturbances.py). Every
-frame is run, with the stamps of 15 Hz cameras; every second one of two cameras is scored, on the undistorted canvas.
-Frames within half a second of a sudden change of light, and within four seconds of things moved, are not scored.
+Rows: sessions of the test data as they are; the studio with clothes and shadows of any kind (room_studio.py); a grey
+session and the studio in colour with disturbances added after decoding (room_disturbances.py). Every frame is run, with
+the stamps of 15 Hz cameras; every second one of two cameras is scored, on the undistorted canvas. Frames within half a
+second of a sudden change of light, and within four seconds of things moved, are not scored.
 
 ours : as each camera sends it, what is above 127 is the person. judged : after the cameras' joint judgement.
 MOG2, KNN : of OpenCV, learning on and frozen, shadows removed and kept: the best of these. GSOC, SuBSENSE, PAWCS, ViBe
@@ -18,8 +19,7 @@ the picture), worst_iou (of ours as sent), ahead_in_all (is ours as sent ahead o
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,11 +32,14 @@ import room_rivals
 from room_clips import of_session, open_clip
 from room_disturbances import Disturbance
 from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_scores, rival_scores
+from room_studio import LOOKS, studio_clip
 from scenes import shared_sessions
 
 SECONDS = 4.0
-MONO, COLOUR = "walk_ring5top", "charleston2_ring5top_drift"
-AS_THEY_ARE = (MONO, "charleston_ring5top", "zombie_he3", "walk_ring5top_touched", "charleston2_ring5top_drift")
+SESSIONS = ("walk_ring5top", "walk_ring5top_touched", "charleston2_ring5top_drift", "charleston_ring5top", "zombie_he3")
+QUICK_SESSIONS = SESSIONS[:3]
+MONO, COLOUR = SESSIONS[0], str(next(look for look in LOOKS if look.colour))
+STUDIO = {str(look): look for look in LOOKS}
 RIVALS = (*CV2_RIVALS, *room_rivals.METHODS)
 STORED_NOISE = 2.0
 """Of the sensor before a codec, grey levels."""
@@ -67,12 +70,27 @@ def disturbances(quick: bool, codecs: bool) -> list[Disturbance]:
     return [disturbance for disturbance in every if not quick or str(disturbance) in chosen]
 
 
-def rows(clips: list[str], wanted: list[Disturbance]) -> Iterator[Row]:
-    for clip in clips:
-        yield Row(clip, Disturbance())
-    for clip in (MONO, COLOUR):
-        if clip in clips:
-            yield from (Row(clip, disturbance) for disturbance in wanted)
+def rows(clips: list[str], wanted: list[Disturbance]) -> list[Row]:
+    """Every clip as it is, then the grey and the coloured one with every disturbance."""
+    as_they_are = [Row(clip, Disturbance()) for clip in clips]
+    return as_they_are + [Row(clip, disturbance) for clip in (MONO, COLOUR) if clip in clips for disturbance in wanted]
+
+
+def clip_names(quick: bool) -> list[str]:
+    """The sessions that are here, and the studio's clips."""
+    sessions = [f"sessions/{name}" for name in (QUICK_SESSIONS if quick else SESSIONS)]
+    studio = [name for name, look in STUDIO.items() if not quick or name == COLOUR or look.outfit == "room"]
+    return [name for name, _ in shared_sessions(sessions)] + studio
+
+
+def prepare(folder: Path, name: str) -> None:
+    """Write a clip into the folder: decoded, or filmed in the studio."""
+    if name in STUDIO:
+        clip = studio_clip(STUDIO[name], SECONDS)
+    else:
+        ((_, session),) = shared_sessions([f"sessions/{name}"])
+        clip = of_session(name, session, SECONDS)
+    clip.save(folder / name)
 
 
 def measure(folder: Path, python: str, row: Row) -> tuple[dict[str, Any], int | None]:
@@ -88,21 +106,20 @@ def measure(folder: Path, python: str, row: Row) -> tuple[dict[str, Any], int | 
     return {"clip": row.clip, "disturbance": str(row.disturbance)} | figures | known, number
 
 
-def table(folder: Path, wanted: list[Row], jobs: int, python: str) -> list[dict[str, Any]]:
+def table(folder: Path, wanted: list[Row], pool: Executor, python: str) -> list[dict[str, Any]]:
     """Measure and print all rows."""
-    heads = {"clip": "<27", "disturbance": "<20"} | {m: ">7.3f" for m in (SENT, JUDGED)} | {m: ">6.3f" for m in RIVALS}
+    heads = {"clip": "<31", "disturbance": "<20"} | {m: ">7.3f" for m in (SENT, JUDGED)} | {m: ">6.3f" for m in RIVALS}
     shown = Table(heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6"})
     done = []
-    with ProcessPoolExecutor(jobs) as pool:
-        for row, (figures, number) in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
-            if number is not None:
-                room_rivals.record([(str(row), number, {m: figures[m] for m in room_rivals.METHODS if m in figures})])
-            ious = [figures[m]["iou"] if m in figures else np.nan for m in (SENT, JUDGED, *RIVALS)]
-            ours = figures[SENT]
-            false = ours["false_percent"], figures[JUDGED]["false_percent"]
-            ahead = "yes" if is_ahead(figures) else "no"
-            shown.row(row.clip, str(row.disturbance), *ious, ours["recall"], *false, ahead)
-            done.append(figures)
+    for row, (figures, number) in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
+        if number is not None:
+            room_rivals.record([(str(row), number, {m: figures[m] for m in room_rivals.METHODS if m in figures})])
+        ious = [figures[m]["iou"] if m in figures else np.nan for m in (SENT, JUDGED, *RIVALS)]
+        ours = figures[SENT]
+        false = ours["false_percent"], figures[JUDGED]["false_percent"]
+        ahead = "yes" if is_ahead(figures) else "no"
+        shown.row(row.clip, str(row.disturbance), *ious, ours["recall"], *false, ahead)
+        done.append(figures)
     return done
 
 
@@ -121,14 +138,12 @@ def main() -> None:
     arguments = given.parse_args()
     if not arguments.rivals:
         print("no --rivals PYTHON: rows of codecs are left out, the field's rivals are those on record")
-    with tempfile.TemporaryDirectory(prefix="sagoma_rooms_") as temporary:
-        folder, clips = Path(temporary), []
-        for name, session in shared_sessions([f"sessions/{name}" for name in AS_THEY_ARE]):
-            of_session(name, session, SECONDS).save(folder / name)
-            clips.append(name)
-        wanted = rows(clips, disturbances(arguments.quick, bool(arguments.rivals)))
-        chosen = [row for row in wanted if arguments.only in str(row)]
-        measured = table(folder, chosen, arguments.jobs, arguments.rivals)
+    clips = clip_names(arguments.quick)
+    wanted = rows(clips, disturbances(arguments.quick, bool(arguments.rivals)))
+    chosen = [row for row in wanted if arguments.only in str(row)]
+    with tempfile.TemporaryDirectory(prefix="sagoma_rooms_") as folder, ProcessPoolExecutor(arguments.jobs) as pool:
+        list(pool.map(partial(prepare, Path(folder)), dict.fromkeys(row.clip for row in chosen)))
+        measured = table(Path(folder), chosen, pool, arguments.rivals)
     worst = min((row[SENT]["iou"] for row in measured), default=np.nan)
     finish({"rows": measured, "worst_iou": worst, "ahead_in_all": all(map(is_ahead, measured))})
 

@@ -9,6 +9,7 @@ import pytest
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import tour
+from virtual_studio.outfits import OUTFITS
 from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes, Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import (
@@ -172,6 +173,38 @@ def test_shadow_falls_where_the_lamps_are_hidden():
     expected = 1.0 - DARKNESS * blocked / len(lamps)
     assert np.abs(expected - shade[tuple(cells.T)]).mean() < 0.02  # the blur moves only the edges
     assert np.corrcoef(expected, shade[tuple(cells.T)])[0, 1] > 0.9
+
+
+def test_shadow_of_half_strength_takes_half_the_light():
+    capsules = PERSON.place(MOTION.poses[0])
+    full, half, none = (floor_shadow(capsules, strength) for strength in (1.0, 0.5, 0.0))
+    np.testing.assert_allclose(1.0 - half, 0.5 * (1.0 - full), atol=1e-6)
+    assert (none == 1.0).all()
+
+
+def test_room_in_colour_has_the_light_of_the_grey_one_and_a_brown_floor():
+    camera = CAMERAS[0]
+    colour, floor = camera.empty_room_colour(), np.isfinite(camera._view.floor_xy[..., 0])
+    np.testing.assert_allclose(colour.mean(axis=2), camera.empty_room(), atol=1e-5)
+    blue, green, red = colour[floor].mean(axis=0)
+    assert blue < green < red
+
+
+@pytest.mark.parametrize("name", OUTFITS)
+def test_clothes_change_the_light_of_the_person_and_nothing_else(name):
+    camera, capsules, outfit = CAMERAS[0], PERSON.place(MOTION.poses[0]), OUTFITS[name]
+    shadow = floor_shadow(capsules)
+    light, mask = camera.render(outfit.dress(capsules), shadow)
+    colour, same = camera.render_colour(capsules, outfit.albedo_bgr(capsules), shadow)
+    usual, exact = camera.render(capsules, shadow)
+    np.testing.assert_array_equal(mask, exact)
+    np.testing.assert_array_equal(same, exact)
+    np.testing.assert_array_equal(light[exact == 0], usual[exact == 0])
+    np.testing.assert_allclose(colour.mean(axis=2), light, atol=1e-5)
+    body = exact > 0
+    contrast = light[body].mean() / camera.empty_room()[body].mean()
+    low, high = {"dark": (0, 0.4), "middle": (0.4, 0.8), "light": (1.1, 2), "room": (0.8, 1.1)}[name]
+    assert low < contrast < high
 
 
 def test_rays_of_the_view_project_back_onto_their_pixels():

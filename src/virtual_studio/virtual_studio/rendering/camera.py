@@ -19,7 +19,7 @@ from .capsules import draw_capsules, shadow_lookup, silhouette
 Image = NDArray[np.uint8]
 """A picture: (h, w) grey, or (h, w, 3) BGR."""
 Light = NDArray[np.float32]
-"""(h, w) light that reaches a camera's pixels, 0..1."""
+"""(h, w) light that reaches a camera's pixels, 0..1; (h, w, 3) BGR in colour."""
 
 WHITE = 240.0
 """Grey level of a perfectly white surface in full light."""
@@ -43,9 +43,29 @@ class VirtualCamera:
         """Returns light and exact silhouette (h, w), 0 or 255, of a body and, if given, its `floor_shadow`."""
         light = self._view.grey.copy()
         if shadow is not None:
-            light *= cv2.remap(shadow, *self._shadow_map, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 1.0)
+            light *= self._on_floor(shadow)
         _, mask = draw_capsules(self.camera, self._view.rays, capsules, light)
         return light, mask
+
+    def empty_room_colour(self) -> Light:
+        """Returns the light (h, w, 3), BGR, of the room with nobody in it."""
+        return self._view.colour
+
+    def render_colour(
+        self, capsules: Capsules, albedo_bgr: NDArray[np.float64], shadow: NDArray[np.float32] | None
+    ) -> tuple[Light, Image]:
+        """Returns what `render` does in colour: light (h, w, 3), and the same silhouette; albedo_bgr (P, 3)."""
+        channels = []
+        for room, albedo in zip(np.moveaxis(self._view.colour, 2, 0), albedo_bgr.T, strict=True):
+            light = room.copy() if shadow is None else room * self._on_floor(shadow)
+            _, mask = draw_capsules(self.camera, self._view.rays, capsules._replace(albedo=albedo.copy()), light)
+            channels.append(light)
+        return np.stack(channels, axis=2), mask
+
+    def _on_floor(self, shadow: NDArray[np.float32]) -> Light:
+        """The share of light that a floor shadow leaves each pixel (h, w)."""
+        share = cv2.remap(shadow, *self._shadow_map, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 1.0)
+        return np.asarray(share, np.float32)
 
 
 class ExactSilhouettes:
@@ -75,7 +95,7 @@ class Sensor:
     seed: int = 0
 
     def expose(self, light: Light, camera: int, frame: int) -> Image:
-        """Returns the picture (h, w) that a camera's sensor takes of light in one frame."""
+        """Returns the picture (h, w[, 3]) that a camera's sensor takes of light in one frame."""
         rng = np.random.Generator(np.random.SFC64([self.seed, camera, frame]))
         gain = WHITE * (1.0 + self.flicker * rng.standard_normal())
         start = int(rng.integers(_NOISE_SAMPLES - light.size))

@@ -66,14 +66,17 @@ def boxes_px(camera: CameraModel, capsules: Capsules) -> NDArray[np.int64]:
     return np.hstack([np.clip(np.floor(low), 0, size), np.clip(np.ceil(high), 0, size)]).astype(np.int64)
 
 
-def floor_shadow(capsules: Capsules) -> NDArray[np.float32]:
-    """Returns the share of light that reaches each floor cell (CELLS, CELLS), 1 in the open; rows y, columns x."""
+def floor_shadow(capsules: Capsules, strength: float = 1.0) -> NDArray[np.float32]:
+    """Returns the share of light that reaches each floor cell (CELLS, CELLS), 1 in the open; rows y, columns x.
+
+    strength : 1 where the lamps give `DARKNESS` of the light, 0 where all of it is ambient.
+    """
     blocked = np.zeros((CELLS, CELLS), np.float32)
     lamps = (LAMPS_WORLD[:, None] + LAMP_POINTS).reshape(-1, 3)
     for lamp in lamps:
         _block_light(lamp, capsules, blocked, np.zeros((CELLS, CELLS), np.bool_))
     soft = np.asarray(cv2.GaussianBlur(blocked, (0, 0), BLUR_CELLS), np.float32)
-    return np.float32(1.0) - np.float32(DARKNESS / len(lamps)) * soft
+    return np.float32(1.0) - np.float32(strength * DARKNESS / len(lamps)) * soft
 
 
 def shadow_lookup(floor_xy: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -15,6 +15,18 @@ HALF_WIDTH_M, HEIGHT_M = 4.6, 3.8
 FLOOR, CEILING = 4, 5
 WALL_GREYS = (0.64, 0.59, 0.67, 0.62)
 FLOOR_GREY, CEILING_GREY = 0.56, 0.72
+TINTS_BGR = np.array(
+    [
+        [1.06, 1.01, 0.93],
+        [0.93, 1.07, 1.00],
+        [1.12, 0.98, 0.90],
+        [0.96, 0.99, 1.05],
+        [0.74, 0.98, 1.28],
+        [1.0, 1.0, 1.0],
+    ],
+    np.float32,
+)
+"""Blue, green and red over grey of walls +x -x +y -y, floor (wood) and ceiling; each has a mean of 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +34,18 @@ class View:
     """What a camera sees of the empty room.
 
     rays (h, w, 3) unit viewing directions, world frame; grey (h, w) reflected light 0..1; floor_xy (h, w, 2) where
-    the pixel meets the floor, metres, NaN elsewhere.
+    the pixel meets the floor, metres, NaN elsewhere; surface (h, w) the number of what is seen, a row of `TINTS_BGR`.
     """
 
     rays: Array
     grey: NDArray[np.float32]
     floor_xy: NDArray[np.float32]
+    surface: NDArray[np.int64]
+
+    @property
+    def colour(self) -> NDArray[np.float32]:
+        """Reflected light (h, w, 3), BGR, whose mean over the channels is `grey`."""
+        return self.grey[..., None] * TINTS_BGR[self.surface]
 
 
 def pixel_rays(camera: CameraModel) -> Array:
@@ -49,7 +67,8 @@ def view_room(camera: CameraModel) -> View:
         on = (surface == s) & np.isfinite(distance)
         grey[on] = _paint(s, hits[on])
     floor = np.where((surface == FLOOR)[:, None], hits[:, :2], np.nan)
-    return View(pixels, grey.reshape(h, w).astype(np.float32), floor.reshape(h, w, 2).astype(np.float32))
+    floor_xy = floor.reshape(h, w, 2).astype(np.float32)
+    return View(pixels, grey.reshape(h, w).astype(np.float32), floor_xy, surface.reshape(h, w))
 
 
 def _first_surface(origin: Array, rays: Array) -> tuple[Array, NDArray[np.int64]]:
