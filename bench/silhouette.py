@@ -36,9 +36,10 @@ import numpy as np
 from scenes import SHARED, shared_sessions
 from scipy.stats import norm
 
+from camera_client.background.adaptive import AdaptiveBackground
 from camera_client.background.model import BackgroundModel, Provenance, read_background
-from camera_client.settings import BackgroundSettings, LightDriftSettings, SilhouetteSettings
-from camera_client.silhouettes.masks import keep_person, majority
+from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.silhouettes.masks import BLOCK_PX, keep_person, majority
 from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline, outline
 from camera_client.sources.footage_reader import open_footage
 from camera_client.sources.frame_checks import FrameChecks
@@ -52,6 +53,7 @@ from virtual_studio.rig import ring
 
 TRAINING_FRAMES = 90
 MOG2_SHADOW = 127
+RULES = ("adaptive", "tail")
 TINT = np.array([0.7, 0.9, 1.0], np.float32)  # makes a colour image of a grey one
 
 
@@ -198,37 +200,18 @@ def interleaved_ms(works: dict[str, Callable[[np.ndarray], object]], frames: lis
     return {name: 1e3 * float(np.median(values)) for name, values in times.items()}
 
 
-def stages_ms(pipeline: SilhouettePipeline, frames: list[np.ndarray], rounds: int) -> dict[str, float]:
-    """Each stage of the chain by itself, on what the stage before gave."""
-    times: dict[str, list[float]] = {}
-
-    def timed(name: str, work: Callable, *arguments: object) -> Any:
-        begin = time.perf_counter()
-        result = work(*arguments)
-        times.setdefault(name, []).append(time.perf_counter() - begin)
-        return result
-
-    for image in frames * rounds:
-        box, raw = timed("subtract, find the box, filter", pipeline._subtract, image)
-        if box.empty:
-            continue
-        shadow = timed("shadow test", pipeline._shadow.shadow, image, raw, box)
-        person = timed("closing, components, holes", pipeline._keep_person, cv2.subtract(raw, shadow))
-        timed("undistort", pipeline._silhouette, cv2.max(person, cv2.min(shadow, SHADOW_CANDIDATE)), box)
-    return {name: 1e3 * float(np.median(values)) for name, values in times.items()}
-
-
 def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
     """Print the tables of one kind of image; return its figures."""
-    pipeline = SilhouettePipeline(clip.camera, clip.background)
-    following = SilhouettePipeline(
-        clip.camera, clip.background, None, BackgroundSettings(drift=LightDriftSettings(mode="slow"))
+    pipeline, thesis = (
+        SilhouettePipeline(clip.camera, clip.background, None, BackgroundSettings(rule=rule)) for rule in RULES
     )
-    checks, limits, now_ns = FrameChecks(None, clip.background.mean), pipeline._limits, [0]
+    background = AdaptiveBackground(clip.background, BackgroundSettings(), BLOCK_PX)
+    checks, limits, now_ns = FrameChecks(None, clip.background.mean), clip.background.limits(BackgroundSettings()), [0]
+    distance = np.empty(clip.frames[0].shape[:2], np.uint8)
 
     def follow(image: np.ndarray) -> None:
         now_ns[0] += 16_666_667
-        following.run(image, now_ns[0])
+        background.follow(image, now_ns[0])
 
     mog2, knn = (
         trained(opencv(False, make), clip.empty)
@@ -237,8 +220,10 @@ def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
     ms = interleaved_ms(
         {
             "whole chain": pipeline.run,
-            "whole chain, following the light": follow,
-            "subtraction alone": limits.subtract,
+            "  of it: follow light, noise, displacement": follow,
+            "  of it: distance from the background": lambda image: background.distance(image, distance),
+            "whole chain, the thesis's rule": thesis.run,
+            "subtraction alone, the thesis's rule": limits.subtract,
             "MOG2 (subtraction alone)": lambda image: mog2.apply(image, None, 0),
             "KNN (subtraction alone)": lambda image: knn.apply(image, None, 0),
             "frame checks": lambda image: checks.check(image, now_ns[0]),
@@ -248,9 +233,9 @@ def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
     )
     height, width = clip.frames[0].shape[:2]
     table = Table({"stage": "<44", "ms": ">8.3f"}, f"{kind}, {width} x {height}, one thread, median ms a frame")
-    for name, value in (ms | {f"  of it: {n}": v for n, v in stages_ms(pipeline, clip.frames, rounds).items()}).items():
+    for name, value in ms.items():
         table.row(name, value)
-    ours, alone = ms["whole chain"], ms["subtraction alone"]
+    ours, alone = ms["whole chain"], ms["subtraction alone, the thesis's rule"]
     others = ms["MOG2 (subtraction alone)"], ms["KNN (subtraction alone)"]
     figures = {
         "ms": ours,

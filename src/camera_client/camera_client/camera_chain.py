@@ -142,7 +142,8 @@ class CameraChain:
             silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
         flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
         if tools.watch is not None and not flags:
-            tools.watch.update(frame.image, frame.stamp_ns, gain)
+            shows = None if tools.pipeline is None else tools.pipeline.background_pixels
+            tools.watch.update(frame.image, frame.stamp_ns, gain, shows)
         moved = tools.moved
         if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
             moved.update(frame.image, frame.stamp_ns)
@@ -152,11 +153,10 @@ class CameraChain:
         s = self._settings
         if model is None:
             return _Stages(camera, FrameChecks(s.frame_checks))
-        checks, pipeline, limits, moved = FrameChecks(s.frame_checks, model.mean), None, None, None
+        checks, pipeline, moved = FrameChecks(s.frame_checks, model.mean), None, None
         if camera is not None:
             silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
             pipeline = SilhouettePipeline(camera, model, silhouette, s.background_model, self._volume)
-            limits = pipeline.limits
             moved = CameraMovedDetector(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
-        watch = BackgroundWatch(model, limits or model.limits(s.background_model), s.background_watch)
+        watch = BackgroundWatch(model, model.limits(s.background_model), s.background_watch)
         return _Stages(camera, checks, pipeline, model, watch, moved)

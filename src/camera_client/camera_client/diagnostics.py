@@ -179,7 +179,7 @@ def background_concerns(
         settings.background_watch,
         background.shape,
         now_s=None if source.connection is None else now_s,
-        followed=settings.background_model.drift.mode == "slow",
+        followed=settings.background_model.rule == "adaptive",
     )
 
 

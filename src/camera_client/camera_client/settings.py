@@ -111,24 +111,15 @@ class AravisSettings:
 
 
 @dataclass(frozen=True)
-class LightDriftSettings:
-    """Following slow changes of the light; people are never followed, however long they stand."""
-
-    mode: str = setting(
-        "none",
-        "none: the background stays as learned; slow: it follows lamps that warm up, the sun, dust",
-        choices=("none", "slow"),
-    )
-
-
-@dataclass(frozen=True)
 class BackgroundSettings:
     """The background model of thesis 6.2-6.3."""
 
     rule: str = setting(
-        "tail",
-        "tail: foreground when the two-sided tail probability is below risk; pdf: when the density is (thesis)",
-        choices=("tail", "pdf"),
+        "adaptive",
+        "adaptive: follows light, noise and small movements, and calls a pixel foreground when its distance is less "
+        "probable than risk; tail: the background stays as learned, the same test; pdf: the density is below risk "
+        "(thesis)",
+        choices=("adaptive", "tail", "pdf"),
     )
     risk: float = setting(
         1e-4, "A background pixel is called foreground this often (each channel)", low=1e-12, high=0.5
@@ -137,7 +128,6 @@ class BackgroundSettings:
     still_sigma: float = setting(
         4.0, "Standard deviation assumed for a background that is a single still", unit="grey levels", low=0.1, high=64
     )
-    drift: LightDriftSettings = setting(LightDriftSettings, "Slow changes of the light")
     moved_things: bool = setting(
         True, "Things that moved or were taken away become background: what no other camera sees, and keeps still"
     )
@@ -147,16 +137,21 @@ class BackgroundSettings:
 class ColourShadowSettings:
     """Colour cameras: what is darker than the background by one factor in all channels is taken for its shadow."""
 
-    darkest: float = setting(0.6, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
+    darkest: float = setting(0.4, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
     chromaticity: float = setting(
         3.0, "A shadow's colour departs from the darkened background by at most this many sigma", low=0.1, high=100
     )
-    min_brightness: float = setting(
-        60.0,
-        "Backgrounds darker than this look like dark clothes: no shadow is looked for there",
-        unit="grey levels",
+    tint: float = setting(
+        0.05,
+        "... on top of this share of the light that it lost: other lamps and walls have other colours",
         low=0,
-        high=255,
+        high=1,
+    )
+    min_contrast: float = setting(
+        20.0,
+        "Backgrounds less than so many sigma brighter than black look like dark clothes: no shadow is looked for there",
+        low=0,
+        high=1000,
     )
 
 
@@ -291,7 +286,8 @@ class CameraClientSettings:
         "aravis.first_packet_timeout_ms": "a missing packet is asked for after 1 ms",
         "aravis.packet_timeout_ms": "a missing packet is asked for again after 5 ms",
         "supervision.first_retry_s": "the first pause is a quarter of a second",
-        "background_model.drift.max_gain": "the whole image may become 50 % brighter or darker",
+        "background_model.drift.mode": "background_model.rule: adaptive follows the light in every frame",
+        "background_model.drift.max_gain": "the whole image may become four times brighter or darker",
         "background_model.drift.max_local": "a single pixel may move by 12 grey levels",
         "background_model.drift.local_time_s": "a single pixel follows within a minute",
         "background_model.drift.quiet_s": "a pixel is followed half a minute after the last foreground near it",
@@ -300,6 +296,7 @@ class CameraClientSettings:
         "silhouette.empty_below": "a mask with less than 0.02 % foreground is flagged empty",
         "silhouette.full_above": "a mask with more than 60 % foreground is flagged full",
         "silhouette.colour_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
+        "silhouette.colour_shadow.min_brightness": "silhouette.colour_shadow.min_contrast, in sigmas of the noise",
         "silhouette.colour_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
         "silhouette.floor_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
         "silhouette.floor_shadow.lightest": "a shadow leaves at most 97 % of the brightness",

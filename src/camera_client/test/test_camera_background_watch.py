@@ -5,10 +5,9 @@ import datetime
 import numpy as np
 import pytest
 
-from camera_client.background import light_drift
 from camera_client.background.model import BackgroundLearner, Provenance, read_background
 from camera_client.background.watch import BackgroundFit, BackgroundWatch, age_h, concerns
-from camera_client.settings import BackgroundSettings, BackgroundWatchSettings, LightDriftSettings
+from camera_client.settings import BackgroundSettings, BackgroundWatchSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.sources.footage_reader import open_footage
 
@@ -72,22 +71,24 @@ def test_drift_is_told_when_it_has_used_up_half_of_what_the_noise_bears(scene):
     assert "the light changed by +3." in room.concerns()[0] and "run sagoma background" in room.concerns()[0]
 
 
-def test_drift_that_is_followed_is_no_concern_until_it_reaches_the_end(scene, monkeypatch):
-    monkeypatch.setattr(light_drift, "MAX_GAIN", 0.1)
-    settings = BackgroundSettings(drift=LightDriftSettings(mode="slow"))
+def test_drift_that_is_followed_is_no_concern(scene):
     background = learned(scene.empty(60))
-    pipeline = SilhouettePipeline(scene.camera(), background, None, settings)
-    watch = BackgroundWatch(background, pipeline.limits, SETTINGS)
-    found = {}
-    for k in range(400):
-        image = brighter(1 + 0.3 * k / 400)(scene.empty(1, seed=k % 5)[0], 0)
-        stamp_ns = 1 + 2 * k * PERIOD_NS
+    pipeline = SilhouettePipeline(scene.camera(), background)
+    watch = BackgroundWatch(background, background.limits(BackgroundSettings()), SETTINGS)
+    for k in range(200):
+        image, stamp_ns = brighter(1 + 0.3 * k / 200)(scene.empty(1, seed=k % 5)[0], 0), 1 + 2 * k * PERIOD_NS
         pipeline.run(image, stamp_ns)
-        watch.update(image, stamp_ns, pipeline.gain)
-        found[k] = watch.found
-    said = {k: concerns(background.provenance, {}, found[k], SETTINGS, background.shape, followed=True) for k in found}
-    assert said[100] == ()  # + 7.5 %
-    assert "beyond what is followed" in said[399][0] and "drift.mode" not in said[399][0]
+        watch.update(image, stamp_ns, pipeline.gain, pipeline.background_pixels)
+    assert pipeline.gain == pytest.approx(1.3, rel=0.01) and watch.found.static_share == 0
+    assert concerns(background.provenance, {}, watch.found, SETTINGS, background.shape, followed=True) == ()
+
+
+def test_drift_beyond_what_is_followed_is_told_so(scene):
+    provenance, beyond = learned(scene.empty(5)).provenance, BackgroundFit(gain_drift=0.1, tolerance=0.05)
+    (said,) = concerns(provenance, {}, beyond, SETTINGS, (120, 160), followed=True)
+    assert "beyond what is followed" in said and "background_model.rule" not in said
+    (said,) = concerns(provenance, {}, beyond, SETTINGS, (120, 160))
+    assert "background_model.rule: adaptive" in said
 
 
 def test_somebody_who_walks_about_is_neither_drift_nor_furniture(scene):

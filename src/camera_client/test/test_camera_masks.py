@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from camera_client.background.fixed import FixedBackground
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.masks import (
@@ -19,9 +20,11 @@ from camera_client.silhouettes.masks import (
     trim_outline,
 )
 from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline
-from camera_client.silhouettes.shadows import make_shadow_test
+from camera_client.silhouettes.shadows import Scene, make_shadow_test
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE
+
+THESIS = BackgroundSettings(rule="tail")
 
 
 def holds(box, mask):
@@ -81,14 +84,15 @@ def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
 
 
 def whole_image(camera, background, image, settings):
-    """The chain step by step on the whole image: slow, and plain enough to be believed."""
-    raw = majority(background.limits(BackgroundSettings()).subtract(image), settings.median_px)
-    shadow = make_shadow_test(camera, background, settings, BackgroundSettings().sigma_floor).shadow(image, raw)
+    """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
+    raw = majority(background.limits(THESIS).subtract(image), settings.median_px)
+    scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
+    shadow = make_shadow_test(camera, 3 if image.ndim == 3 else 1, settings).shadow(scene, raw)
     height = len(image)
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
     person = keep_person(person, MIN_AREA * area, settings.near * height, settings.max_hole * area)
-    person = trim_outline(person, image, np.rint(background.mean).astype(np.uint8), settings.outline_contrast)
+    person = trim_outline(person, image, background.mean, settings.outline_contrast)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
 
 
@@ -113,7 +117,7 @@ def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour)
         learner.add(cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST))
     model = learner.model("test")
     camera = larger(scene.camera(distortion=(-0.2, 0.05, 0, 0, 0)), 3)
-    pipeline = SilhouettePipeline(camera, model)
+    pipeline = SilhouettePipeline(camera, model, settings, THESIS)
     for k in range(12):
         shift = int(rng.integers(-90, 90))  # over the border, too
         person = np.roll(scene.person_mask(), shift, axis=1)

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundModel, Provenance
+from camera_client.background.noise import assumed_noise
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.masks import Box, trim_outline
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from camera_client.silhouettes.shadows import AttenuationMarker
+from camera_client.silhouettes.shadows import AttenuationMarker, Scene
 from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, CANDIDATE_LEVELS, attenuation_step
 
 ALL = Box(0, 0, 120, 160)
@@ -23,6 +24,11 @@ def darkened(model, ratio):
     return np.rint(model.mean * ratio).clip(0, 255).astype(np.uint8)
 
 
+def seen(model, image, box=ALL):
+    """The part of the frame ``image`` in the box, before the background as it was learned."""
+    return Scene(image[box.slices], model.mean[box.slices], assumed_noise(1.5, 1), box.slices)
+
+
 @pytest.mark.parametrize("colour", [False, True])
 @pytest.mark.parametrize("degree", range(len(ATTENUATED_LEVELS)))
 def test_dark_floor_gets_the_degree_of_its_brightness(scene, colour, degree):
@@ -30,11 +36,11 @@ def test_dark_floor_gets_the_degree_of_its_brightness(scene, colour, degree):
     ratio = (ATTENUATION_EDGES[degree] + ATTENUATION_EDGES[degree + 1]) / 2
     person = np.zeros((120, 160), np.uint8)
     person[70:120, 20:140] = 255
-    levels = AttenuationMarker(scene.camera(), model).mark(darkened(model, ratio), person, np.zeros_like(person), ALL)
+    levels = AttenuationMarker(scene.camera()).mark(seen(model, darkened(model, ratio)), person, np.zeros_like(person))
     inside = levels[82:118, 22:138]
     assert (inside == ATTENUATED_LEVELS[degree]).mean() > 0.95
-    candidates = AttenuationMarker(scene.camera(), model).mark(
-        darkened(model, ratio), np.zeros_like(person), person, ALL
+    candidates = AttenuationMarker(scene.camera()).mark(
+        seen(model, darkened(model, ratio)), np.zeros_like(person), person
     )
     assert (candidates[82:118, 22:138] == CANDIDATE_LEVELS[degree // 2]).mean() > 0.95
     assert not levels[person == 0].any() and not candidates[person == 0].any()
@@ -42,20 +48,20 @@ def test_dark_floor_gets_the_degree_of_its_brightness(scene, colour, degree):
 
 def test_what_no_shadow_can_be_stays_the_person(scene):
     model, person = background(scene), np.full((120, 160), 255, np.uint8)
-    test, nothing = AttenuationMarker(scene.camera(), model), np.zeros((120, 160), np.uint8)
+    test, nothing = AttenuationMarker(scene.camera()), np.zeros((120, 160), np.uint8)
     for ratio in (0.2, 1.1, 1.6):
-        assert (test.mark(darkened(model, ratio), person, nothing, ALL)[82:] == 255).mean() > 0.95
-    assert (test.mark(darkened(model, 0.6), person, nothing, ALL)[:60] == 255).all()  # above the horizon
+        assert (test.mark(seen(model, darkened(model, ratio)), person, nothing)[82:] == 255).mean() > 0.95
+    assert (test.mark(seen(model, darkened(model, 0.6)), person, nothing)[:60] == 255).all()  # above the horizon
 
 
 def test_a_box_of_the_image_gives_what_the_whole_image_gives(scene):
     model, rng = background(scene), np.random.default_rng(2)
-    test, image = AttenuationMarker(scene.camera(), model), np.rint(model.mean * rng.uniform(0.3, 1.2, (120, 160)))
+    test, image = AttenuationMarker(scene.camera()), np.rint(model.mean * rng.uniform(0.3, 1.2, (120, 160)))
     person = np.where(cv2.blur(rng.random((120, 160)), (9, 9)) > 0.52, np.uint8(255), np.uint8(0))
     candidates = cv2.bitwise_and(np.roll(person, 7), cv2.bitwise_not(person))
-    whole = test.mark(image.astype(np.uint8), person, candidates, ALL)
+    whole = test.mark(seen(model, image.astype(np.uint8)), person, candidates)
     for box in (Box(60, 30, 120, 160), Box(0, 0, 100, 76), Box(88, 4, 98, 22)):
-        part = test.mark(image.astype(np.uint8), person[box.slices], candidates[box.slices], box)
+        part = test.mark(seen(model, image.astype(np.uint8), box), person[box.slices], candidates[box.slices])
         assert np.array_equal(part, whole[box.slices])
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundLearner, read_background
+from camera_client.background.noise import learned_noise
 from camera_client.settings import BackgroundSettings, ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
-from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, floor_pixels
+from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE
@@ -96,34 +97,40 @@ def coloured_scene(frames, seed, brightness=150.0):
 EVERYWHERE = np.full((120, 160), 255, np.uint8)
 
 
+def shadows(test, empty, image, mask=EVERYWHERE):
+    """What the test finds in a whole image before the background that ``empty`` images show."""
+    background = learned(empty)
+    return test.shadow(Scene(image, background.mean, learned_noise(background), (slice(0, None), slice(0, None))), mask)
+
+
 def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not():
-    test = ColourShadow(learned(coloured_scene(50, 0)), 1.0, ColourShadowSettings())
+    test = ColourShadow(ColourShadowSettings())
     image = coloured_scene(1, 1)[0]
     image[:, :80] = np.rint(image[:, :80] * 0.75)
     image[:40, :80] = (130, 60, 60)  # a person in blue
-    found = test.shadow(image, EVERYWHERE) > 0
+    found = shadows(test, coloured_scene(50, 0), image) > 0
     assert found[44:, :76].mean() > 0.97
     assert not found[:38, :76].any()
     assert found[:, 84:].mean() < 0.1  # undarkened: lighter than any shadow but for noise
 
 
 def test_shadow_is_looked_for_only_within_the_mask():
-    test = ColourShadow(learned(coloured_scene(50, 0)), 1.0, ColourShadowSettings())
+    test = ColourShadow(ColourShadowSettings())
     mask = np.zeros((120, 160), np.uint8)
     mask[:, :40] = 255
-    found = test.shadow(np.rint(coloured_scene(1, 1)[0] * 0.75).astype(np.uint8), mask)
+    found = shadows(test, coloured_scene(50, 0), np.rint(coloured_scene(1, 1)[0] * 0.75).astype(np.uint8), mask)
     assert found[:, :40].any() and not found[:, 40:].any()
 
 
 def test_black_clothes_before_a_black_background_are_no_shadow():
-    test = ColourShadow(learned(coloured_scene(50, 0, brightness=45.0)), 1.0, ColourShadowSettings(min_brightness=60.0))
-    assert not test.shadow(np.rint(coloured_scene(1, 1, 45.0)[0] * 0.75).astype(np.uint8), EVERYWHERE).any()
+    test, image = ColourShadow(ColourShadowSettings()), np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8)
+    assert not shadows(test, coloured_scene(50, 0, brightness=15.0), image).any()
 
 
 def test_odd_image_sizes_are_taken():
     images = [image[:119, :159] for image in coloured_scene(10, 0)]
-    test = ColourShadow(learned(images), 1.0, ColourShadowSettings())
-    found = test.shadow(np.rint(images[0] * 0.75).astype(np.uint8), EVERYWHERE[:119, :159])
+    test, image = ColourShadow(ColourShadowSettings()), np.rint(images[0] * 0.75).astype(np.uint8)
+    found = shadows(test, images, image, EVERYWHERE[:119, :159])
     assert found.shape == (119, 159) and (found > 0).mean() > 0.9
 
 
@@ -154,26 +161,25 @@ def test_shadow_on_the_floor_is_marked_removed_or_kept_and_the_person_stays(scen
 
 
 def test_darkening_above_the_horizon_is_no_floor_shadow(scene):
-    background, frame = learned(scene.empty(60)), scene.empty(1, seed=7)[0]
-    test = FloorShadow(scene.camera(), background, 1.0, FloorShadowSettings())
+    test, frame = FloorShadow(scene.camera(), FloorShadowSettings()), scene.empty(1, seed=7)[0]
     frame[:60] = np.rint(frame[:60] * 0.65)
-    assert not test.shadow(frame, EVERYWHERE)[:60].any()
+    assert not shadows(test, scene.empty(60), frame)[:60].any()
 
 
 def test_smooth_dark_clothes_over_a_textured_floor_are_no_shadow(scene):
-    test = FloorShadow(scene.camera(), learned(scene.empty(60)), 1.0, FloorShadowSettings())
+    test = FloorShadow(scene.camera(), FloorShadowSettings())
     frame = scene.empty(1, seed=7)[0]
     across = np.abs(np.arange(120) % 24 - 12) / 12  # limbs 24 px wide, shaded as round things are
     frame[80:118, 20:140] = np.rint(100 - 25 * across**2)
-    assert not test.shadow(frame, EVERYWHERE).any()
+    assert not shadows(test, scene.empty(60), frame).any()
 
 
 def test_soft_rim_of_a_shadow_is_found_and_not_only_its_core(scene):
-    test = FloorShadow(scene.camera(), learned(scene.empty(60)), 1.0, FloorShadowSettings())
+    test = FloorShadow(scene.camera(), FloorShadowSettings())
     frame = scene.empty(1, seed=7)[0].astype(float)
     ramp = np.interp(np.arange(160), [30, 60, 100, 130], [1.0, 0.6, 0.6, 1.0])  # penumbras 30 px wide
     frame[84:116] *= ramp
-    found = test.shadow(np.rint(frame).astype(np.uint8), EVERYWHERE)[88:112] > 0
+    found = shadows(test, scene.empty(60), np.rint(frame).astype(np.uint8))[88:112] > 0
     assert found[:, 64:96].mean() > 0.97 and found[:, 40:60].mean() > 0.9 and found[:, 100:120].mean() > 0.9
     assert found[:, :26].mean() < 0.1 and found[:, 134:].mean() < 0.1  # darker by less than the noise shows
 
@@ -186,14 +192,14 @@ def test_dark_clothes_before_a_floor_without_texture_are_no_shadow(scene):
         image = np.full((120, 160), 140.0) * darker + rng.normal(0, 1.5, (120, 160))
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
-    test = FloorShadow(scene.camera(), learned([plain(1.0) for _ in range(60)]), 1.0, FloorShadowSettings())
-    assert not test.shadow(plain(0.6), EVERYWHERE).any()
+    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    assert not shadows(test, [plain(1.0) for _ in range(60)], plain(0.6)).any()
 
 
 def test_textured_clothes_as_dark_as_a_shadow_are_no_shadow(scene):
-    test = FloorShadow(scene.camera(), learned(scene.empty(60)), 1.0, FloorShadowSettings())
+    test = FloorShadow(scene.camera(), FloorShadowSettings())
     other = cv2.GaussianBlur(np.random.default_rng(5).uniform(55, 105, (120, 160)), (0, 0), 1.0)  # cloth of its own
-    assert not test.shadow(np.rint(other).astype(np.uint8), EVERYWHERE).any()
+    assert not shadows(test, scene.empty(60), np.rint(other).astype(np.uint8)).any()
 
 
 # --- real and rendered footage ---------------------------------------------------------------------------------------

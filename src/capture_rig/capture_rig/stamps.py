@@ -15,6 +15,12 @@ class StampThrottle:
         self._longest_s = 2 * period_s if longest_s is None else longest_s
         self._last_ns: int | None = None
 
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether :meth:`step_s` would pick a frame of ``stamp_ns``."""
+        if self._last_ns is None or stamp_ns < self._last_ns:
+            return True
+        return (stamp_ns - self._last_ns) * NS >= self._least_s
+
     def step_s(self, stamp_ns: int) -> float:
         """Seconds that a frame of ``stamp_ns`` stands for if it is due, else 0.
 
@@ -24,7 +30,7 @@ class StampThrottle:
             self._last_ns = stamp_ns
             return self._period_s
         elapsed_s = (stamp_ns - self._last_ns) * NS
-        if elapsed_s < self._least_s:
+        if not self.is_due(stamp_ns):
             return 0.0
         self._last_ns = stamp_ns
         return min(elapsed_s, self._longest_s)

@@ -100,6 +100,7 @@ class BackgroundModel:
         Thesis 6.3, corrected: a pixel is *foreground* when it is improbable under its background (as printed, the
         sentence calls almost every background pixel foreground). Both rules ask for |g - mu| <= half width, and so
         collapse exactly to two images of whole grey levels, lo = ceil(mu - half) and hi = floor(mu + half).
+        The rule "adaptive" judges distances, not levels; its limits here are those of "tail".
         """
         mean, sigma = self.mean.astype(float), np.maximum(self.sigma.astype(float), settings.sigma_floor)
         return BackgroundLimits(*whole_limits(mean, half_width(sigma, settings.rule, settings.risk)))
@@ -189,7 +190,7 @@ def half_width(sigma: npt.NDArray[np.float64], rule: str, risk: float) -> npt.ND
     ``risk`` per grey level (thesis 6.3, as in the HumanEva code), so that a noisier pixel gets fewer sigmas, and one
     with sigma > 1 / (risk sqrt(2 pi)) none at all.
     """
-    if rule == "tail":
+    if rule != "pdf":
         return sigma * -NormalDist().inv_cdf(risk / 2)
     log_ratio = np.log(risk * sigma * SQRT_2_PI)
     return np.where(log_ratio <= 0, sigma * np.sqrt(-2 * np.minimum(log_ratio, 0)), -1.0)

@@ -59,7 +59,8 @@ class AbsorbedPlace:
 class MovedThings:
     """What was learned first, and what was absorbed since, of one camera. Frames come on one thread.
 
-    replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels.
+    replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
+    the light that the background was learned in.
     absorbed, given_back : how many times things were. endless : more moved than may be absorbed.
     """
 
@@ -67,9 +68,10 @@ class MovedThings:
         """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all."""
         self._cells = _CanvasCells(camera)
         self._shape = (camera.height, camera.width)
-        limit = np.ceil(NOISE_SIGMAS * np.asarray(noise, np.float32) + 1.0).clip(0, 255).astype(np.uint8)
-        self._limit = np.broadcast_to(limit if limit.ndim < 3 else limit.max(axis=2), self._shape).copy()
-        self._noise = float(np.median(noise))
+        learned = np.asarray(noise, np.float32)
+        self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
+        self._limit = _noise_limit(self._learned)
+        self._noise, self._brightness = float(np.median(noise)), 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.given_back = 0
@@ -120,19 +122,39 @@ class MovedThings:
         """Take what the others see, for frames from APPLY_AFTER_S after its stamp on. From any thread."""
         self._reports.append(report)
 
-    def forgive(self, image: Image, foreground: Mask) -> None:
-        """Clear the ``foreground`` (H, W) of a frame where it looks as it was absorbed, in place."""
+    def forgive(self, image: Image, values: Mask, brightness: float = 1.0, as_background: int = 0) -> None:
+        """Write ``as_background`` into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
+
+        brightness : how many times brighter than when the background was learned the scene is now.
+        """
         x, y, width, height = cv2.boundingRect(self.replaced)
         if width:
             part = slice(y, y + height), slice(x, x + width)
-            cv2.bitwise_and(foreground[part], self._differs(image[part], part), dst=foreground[part])
+            values[part][self._differs(image[part], part, brightness) == 0] = as_background
 
-    def update(self, image: Image, foreground: Mask, background: Image, stamp_ns: int) -> None:
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether :meth:`update` would look at a frame of this stamp."""
+        return stamp_ns < self._last_ns or self._throttle.is_due(stamp_ns)
+
+    def update(
+        self,
+        image: Image,
+        foreground: Mask,
+        background: Image,
+        stamp_ns: int,
+        brightness: float = 1.0,
+        sigma: float = 0.0,
+    ) -> None:
         """Take one frame (H, W[, 3]) of ``stamp_ns``.
 
         foreground (H, W) : 255 where it differs from what was learned first, also where that was absorbed.
-        background : what was learned first, in today's light, shaped as the image, of any type.
+        background : what was learned first, in today's light, shaped as the image, of any type. brightness : of that
+        light, against when it was learned. sigma : of the noise now, grey levels, where that is more than was learned.
         """
+        self._brightness = brightness
+        if abs(sigma - self._noise) > 0.2 * self._noise:
+            self._noise = sigma
+            self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
         if stamp_ns < self._last_ns:
             self._restart()
         self._last_ns = stamp_ns
@@ -230,7 +252,7 @@ class MovedThings:
             return
         assert self._running is not None
         pixels = self._to_pixels(blocks)
-        self.mean[pixels], self.replaced[pixels] = self._running[pixels], 255
+        self.mean[pixels], self.replaced[pixels] = self._running[pixels] / self._brightness, 255
         self._since_ns[blocks], self._learned_s[blocks] = stamp_ns, 0.0
         self.absorbed += 1
         self._changed = True
@@ -240,7 +262,7 @@ class MovedThings:
     def _give_back(self, image: Image, foreground: Mask, shown: Blocks, absorbed: Blocks, step_s: float) -> None:
         """Forget what was absorbed where the picture is as learned again, or where the others see a body in it."""
         remaining = foreground.copy()
-        self.forgive(image, remaining)
+        self.forgive(image, remaining, self._brightness)
         matched = absorbed & shown & (self._blocks_of(remaining) < BLOCK_SHARE)
         self._learned_s = np.where(absorbed & ~shown, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
@@ -255,13 +277,13 @@ class MovedThings:
         # light moves on
         follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))
         assert self._running is not None
-        self.mean[follows] = self._running[follows]
+        self.mean[follows] = self._running[follows] / self._brightness
 
     # --- pixels and blocks
 
-    def _differs(self, image: Image, part: tuple[slice, slice]) -> Mask:
+    def _differs(self, image: Image, part: tuple[slice, slice], brightness: float) -> Mask:
         """Return 255 for the pixels of a part of the image that do not look as they were absorbed."""
-        differs = _largest(cv2.absdiff(image, cv2.convertScaleAbs(self.mean[part])))
+        differs = _largest(cv2.absdiff(image, cv2.convertScaleAbs(self.mean[part], alpha=brightness)))
         other = cv2.compare(differs, self._limit[part], cv2.CMP_GT)
         return cv2.bitwise_or(other, cv2.bitwise_not(self.replaced[part]))
 
@@ -312,6 +334,11 @@ def _counted(seconds: Seconds, holds: Blocks, step_s: float) -> Seconds:
     longest = OUTSIDE_STILL_S + SAMPLE_S
     step = np.where(holds, np.float32(step_s), np.float32(-2 * step_s))
     return np.clip(seconds + step, 0.0, longest).astype(np.float32)
+
+
+def _noise_limit(sigma: npt.NDArray[np.float32]) -> Mask:
+    """Return by how many grey levels (H, W) uint8 noise of ``sigma`` makes a pixel differ at most."""
+    return np.ceil(NOISE_SIGMAS * sigma + 1.0).clip(0, 255).astype(np.uint8)
 
 
 def _largest(difference: Image) -> Image:

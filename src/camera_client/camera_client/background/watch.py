@@ -16,7 +16,7 @@ import numpy as np
 
 from capture_rig.stamps import StampThrottle
 
-from ..frame_source import Image
+from ..frame_source import Image, Mask
 from ..settings import BackgroundWatchSettings
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_step
 from .model import BackgroundLimits, BackgroundModel, Provenance
@@ -62,7 +62,7 @@ class BackgroundWatch:
     def __init__(
         self, background: BackgroundModel, limits: BackgroundLimits, settings: BackgroundWatchSettings | None = None
     ) -> None:
-        """``limits``: the grey levels of the background in use; LightDrift may move them in place."""
+        """``limits``: the grey levels of the background as it was learned."""
         settings = settings or BackgroundWatchSettings()
         self._step = grid_step(background.shape)
         self._grid = (slice(self._step // 2, None, self._step),) * 2
@@ -79,17 +79,19 @@ class BackgroundWatch:
         self._throttle = StampThrottle(PERIOD_S, longest_s=MAX_STEP_S)
         self.found = BackgroundFit(tolerance=self._tolerance)
 
-    def update(self, image: Image, stamp_ns: int, gain: float = 1.0) -> None:
+    def update(self, image: Image, stamp_ns: int, gain: float = 1.0, background: Mask | None = None) -> None:
         """Take a frame (H, W) or (H, W, 3) of ``stamp_ns`` into account if it is time to.
 
-        gain : how much brighter than learned the scene is already taken to be.
+        gain : how much brighter than learned the scene is already taken to be. background (H, W) : 255 where the frame
+        shows the background, as it is followed; None where it is not followed: then the limits say so.
         """
         step_s = self._throttle.step_s(stamp_ns) if image.shape == self._limits.lo.shape else 0.0
         if not step_s:
             return
         seen = np.ascontiguousarray(image[self._grid])
         self._follow_light(seen, gain, step_s)
-        self._follow_foreground(seen, step_s)
+        shows = None if background is None else background[self._grid]
+        self._follow_foreground(seen, shows, step_s)
         self.found = self._summary()
 
     def _follow_light(self, seen: Image, gain: float, step_s: float) -> None:
@@ -101,13 +103,15 @@ class BackgroundWatch:
         weight = max(step_s / DRIFT_TIME_S, step_s / self._drift_s)  # a plain mean at first
         self._drift += min(weight, 1.0) * (float(np.median(ratio[near])) - 1 - self._drift)
 
-    def _follow_foreground(self, seen: Image, step_s: float) -> None:
-        lo, hi = (np.ascontiguousarray(limit[self._grid]) for limit in (self._limits.lo, self._limits.hi))
+    def _follow_foreground(self, seen: Image, background: Mask | None, step_s: float) -> None:
+        if background is None:
+            lo, hi = (np.ascontiguousarray(limit[self._grid]) for limit in (self._limits.lo, self._limits.hi))
+            background = cv2.inRange(seen, lo, hi)
         change = seen - self._stays
         other = np.abs(change) > self._half
         self._stays += np.where(other, 1.0, min(step_s / FADE_TIME_S, 1.0)).astype(np.float32) * change
         changed = other if other.ndim == 2 else other.any(axis=2)
-        same = (cv2.inRange(seen, lo, hi) == 0) & ~changed
+        same = (background == 0) & ~changed
         self._always += np.float32(-math.expm1(-step_s / self._static_time_s)) * (same - self._always)
 
     def _summary(self) -> BackgroundFit:
@@ -146,7 +150,7 @@ def concerns(
 
     camera : the details of the connected source. shape : of its images.
     now_s : the system's clock, s; None for footage, whose background is as old as itself.
-    followed : slow drift is followed already, so that what is left is more than that.
+    followed : the light is followed already, so that what is left is more than that.
     """
     found = [
         *other_camera(provenance, camera),
@@ -180,11 +184,11 @@ def _drifted(watched: BackgroundFit, settings: BackgroundWatchSettings, followed
     drift, limit = watched.gain_drift, settings.drift * watched.tolerance
     if drift is None or not settings.drift or abs(drift) <= limit:
         return []
-    slow = "" if followed else ", or let it follow slow changes (background_model.drift.mode: slow)"
     beyond = " beyond what is followed" if followed else ""
+    follow = "" if followed else ", or let it follow the light (background_model.rule: adaptive)"
     return [
         f"the light changed by {100 * drift:+.1f} %{beyond}, the background bears "
-        f"{100 * watched.tolerance:.1f} %: {REMEDY}{slow}"
+        f"{100 * watched.tolerance:.1f} %: {REMEDY}{follow}"
     ]
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.camera import UndistortedView
 
@@ -190,7 +191,7 @@ def _hole_area_px(contour: np.ndarray) -> float:
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 
 
-def trim_outline(person: Mask, image: Image, mean: Image, least_share: float) -> Mask:
+def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float) -> Mask:
     """``person`` (h, w) without pixels of its outline that are mostly background.
 
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
@@ -198,7 +199,7 @@ def trim_outline(person: Mask, image: Image, mean: Image, least_share: float) ->
     that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """
-    difference = cv2.absdiff(image, mean)
+    difference = cv2.absdiff(image, np.rint(mean).astype(np.uint8))
     if difference.ndim == 3:
         blue, green, red = cv2.split(difference)
         difference = cv2.max(cv2.max(blue, green), red)

@@ -18,16 +18,19 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
-from ..background.light_drift import LightDrift
-from ..background.model import BackgroundLimits, BackgroundModel, check_shape, shape_text
+from ..background.adaptive import AdaptiveBackground
+from ..background.fixed import FixedBackground
+from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
+from .evidence import EvidenceFilter
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
-from .shadows import ALIGNMENT_PX, AttenuationMarker, make_shadow_test
+from .shadows import ALIGNMENT_PX, AttenuationMarker, Scene, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
-LEAST_GAIN = 0.005  # shadow tests need it no finer
+TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
+UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
 
@@ -52,62 +55,63 @@ class SilhouettePipeline:
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
         self._camera, self._settings, self._shape = camera.name, settings, background.shape
-        self._limits = background.limits(background_settings)
-        self._drift: LightDrift | None = None
-        if background_settings.drift.mode == "slow":
-            self._drift = LightDrift(background, self._limits, background_settings, BLOCK_PX)
+        self.background: AdaptiveBackground | FixedBackground
+        if background_settings.rule == "adaptive":
+            self.background = AdaptiveBackground(background, background_settings, BLOCK_PX)
+        else:
+            self.background = FixedBackground(background, background_settings)
         self.moved: MovedThings | None = None
         if background_settings.moved_things:
             self.moved = MovedThings(camera, np.maximum(background.sigma, background_settings.sigma_floor))
-        self._shadow = make_shadow_test(camera, background, settings, background_settings.sigma_floor)
-        self._attenuation = AttenuationMarker(camera, background, volume) if settings.shadow == "mark" else None
-        self._mean = np.rint(background.mean).clip(0, 255).astype(np.uint8)
+        self._shadow = make_shadow_test(camera, len(background.shape[2:]) * 3 or 1, settings)
+        self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         min_area_px = MIN_AREA * camera.height**2
         self._locator = ForegroundLocator(self._shape, min_area_px, majority_count(settings.median_px))
         self._undistorter = BoxUndistorter(camera.undistorted_view())
-        self._levels = np.zeros(self._shape[:2], np.uint8)
+        self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
-
-    @property
-    def limits(self) -> BackgroundLimits:
-        """The grey levels that count as background now; moved in place where drift is followed."""
-        return self._limits
+        adaptive = background_settings.rule == "adaptive"
+        self._evidence = EvidenceFilter(camera.height) if adaptive else None
+        self._untimed_ns = 0
 
     @property
     def gain(self) -> float:
-        """How much brighter than learned the scene is now, as far as slow drift was followed; 1 without."""
-        return 1.0 if self._drift is None else self._drift.gain
+        """How much brighter than learned the scene is now, as far as that is followed; 1 without."""
+        return self.background.light.brightness
+
+    @property
+    def background_pixels(self) -> Mask:
+        """(H, W) 255 where the last frame showed the background, pixel by pixel, else 0."""
+        return self._locator.buffer
 
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
         """Return the silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
 
-        Slow drift of the light is followed (when the settings ask for it) by the frames' ``stamp_ns``, so that the same
-        footage gives the same silhouettes at every speed.
+        What changes is followed by the frames' ``stamp_ns``, so that the same footage gives the same silhouettes at
+        every speed; frames without one count as UNTIMED_HZ.
         """
         self._check(image)
-        box, raw = self._subtract(image, stamp_ns)
-        if self._drift is not None and stamp_ns is not None:
-            self._drift.follow(image, self._locator.buffer, self._locator.dense, stamp_ns)
+        self._untimed_ns += round(1e9 / UNTIMED_HZ)
+        now_ns = self._untimed_ns if stamp_ns is None else stamp_ns
+        self.background.follow(image, now_ns)
+        box = self._find_foreground(image, now_ns)
+        self.background.note_foreground(self._locator.dense)
         if box.empty:
             return self._silhouette(stamp_ns, np.zeros((0, 0), np.uint8), box)
-        image = self._as_learned(image)
-        shadow = self._shadow.shadow(image, raw, box)
+        expected = self.background.expected(box.slices)
+        scene = Scene(image[box.slices], expected, self.background.noise, box.slices)
+        raw = self._decide(scene)
+        shadow = self._shadow.shadow(scene, raw)
         person = self._keep_person(cv2.subtract(raw, shadow))
         if self._settings.outline_contrast > 0:
-            person = trim_outline(person, image[box.slices], self._mean[box.slices], self._settings.outline_contrast)
+            person = trim_outline(person, scene.image, expected, self._settings.outline_contrast)
         if self._attenuation is None:
             return self._silhouette(stamp_ns, person, box)
         levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(stamp_ns, levels, box, self._attenuation.mark(image, person, shadow, box))
-
-    def _as_learned(self, image: Image) -> Image:
-        """As bright as it would be under the light that the background was learned in."""
-        if abs(self.gain - 1) < LEAST_GAIN:
-            return image
-        return cv2.convertScaleAbs(image, alpha=1 / self.gain)
+        return self._silhouette(stamp_ns, levels, box, self._attenuation.mark(scene, person, shadow))
 
     def _check(self, image: Image) -> None:
         if image.shape != self._shape or image.dtype != np.uint8:
@@ -121,25 +125,29 @@ class SilhouettePipeline:
         if self.moved is not None:
             self.moved.take_report(report)
 
-    def _subtract(self, image: Image, stamp_ns: int | None) -> tuple[Box, Mask]:
-        """A box of the image that holds all foreground which survives the majority filter, and that foreground."""
-        within, side = self._locator.buffer, self._settings.median_px
-        cv2.inRange(image, self._limits.lo, self._limits.hi, dst=within)
-        if self.moved is not None and stamp_ns is not None:
-            foreground = cv2.bitwise_not(within)
-            self.moved.update(image, foreground, self._mean, stamp_ns)
-            self.moved.forgive(image, foreground)
-            cv2.bitwise_not(foreground, dst=within)
+    def _find_foreground(self, image: Image, stamp_ns: int) -> Box:
+        """Measure every pixel's distance from the background; return a box around all that may be foreground."""
+        within, distance = self._locator.buffer, self.background.distance(image, self._distance)
+        cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY_INV, dst=within)
+        if self.moved is not None:
+            light, everywhere = self.background.light.brightness, (slice(None), slice(None))
+            if self.moved.is_due(stamp_ns):
+                background, sigma = self.background.expected(everywhere), self.background.noise.sigma(TYPICAL_LEVEL)
+                self.moved.update(image, cv2.bitwise_not(within), background, stamp_ns, light, sigma)
+            self.moved.forgive(image, distance, light)
+            self.moved.forgive(image, within, light, 255)
         dense = self._locator.box()
         if dense.empty:
-            return Box(0, 0, 0, 0), np.zeros((0, 0), np.uint8)
-        survivors = dense.grown(BLOCK_PX, self._shape)
-        seen = survivors.grown(side // 2, self._shape)
-        filtered = majority(cv2.bitwise_not(within[seen.slices]), side)
-        box = survivors.grown(self._margin_px, self._shape, self._alignment_px)
-        mask = np.zeros((box.bottom - box.top, box.right - box.left), np.uint8)
-        mask[survivors.relative_to(box).slices] = filtered[survivors.relative_to(seen).slices]
-        return box, mask
+            return Box(0, 0, 0, 0)
+        return dense.grown(BLOCK_PX + self._margin_px, self._shape, self._alignment_px)
+
+    def _decide(self, scene: Scene) -> Mask:
+        """Return the foreground of a part, by its neighbourhood's evidence, or by the majority (the thesis's rules)."""
+        distance = self._distance[scene.at]
+        if self._evidence is None:
+            mask = cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
+            return majority(mask, self._settings.median_px)
+        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise)
 
     def _keep_person(self, mask: Mask) -> Mask:
         s, height = self._settings, self._shape[0]

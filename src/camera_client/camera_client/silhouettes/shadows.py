@@ -7,10 +7,11 @@ The thresholds were set with ``bench/silhouette.py`` on its clips.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import (
@@ -23,7 +24,7 @@ from capture_rig.mask_levels import (
 )
 from capture_rig.rig import Volume
 
-from ..background.model import BackgroundModel
+from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from .masks import Box
@@ -38,28 +39,46 @@ TEXTURE_BLOCKS = 7  # a square of so many blocks decides whether texture persist
 PATCH_PERSISTENCE = 0.4, 1.5  # the whole patch keeps a share of it between these, ...
 MIN_EVIDENCE_SIGMAS = 10.0  # ... and not by chance: a floor so plain that its texture could not be seen proves nothing
 MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
+HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 _THREE = np.ones((3, 3), np.uint8)
+
+
+class Scene(NamedTuple):
+    """A part of a frame, and what the background looks like there now.
+
+    image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
+    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
+    """
+
+    image: Image
+    expected: npt.NDArray[np.float32]
+    noise: Noise
+    at: tuple[slice, slice]
+
+    def part(self, box: Box) -> Scene:
+        """Return a part of it; ``box`` counts from its own corner."""
+        top, left = self.at[0].start, self.at[1].start
+        at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
+        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at)
 
 
 class ShadowTest(Protocol):
     """Tells which foreground pixels show only the background in shadow."""
 
     alignment_px: int
-    """Boxes that begin at multiples of this give what the whole image gives."""
+    """Parts that begin at multiples of this give what the whole image gives."""
 
-    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
-        """255 at pixels of ``mask`` that are shadow, else 0; ``mask`` covers ``box`` of ``image``, or all of it."""
+    def shadow(self, scene: Scene, mask: Mask) -> Mask:
+        """255 at pixels of ``mask`` (h, w) that are shadow, else 0."""
 
 
-def make_shadow_test(
-    camera: CameraModel, background: BackgroundModel, settings: SilhouetteSettings, sigma_floor: float
-) -> ShadowTest:
-    """Return the test for mono or colour images, or none, as the settings ask; ``sigma_floor`` in grey levels."""
+def make_shadow_test(camera: CameraModel, channels: int, settings: SilhouetteSettings) -> ShadowTest:
+    """Return the test for mono or colour images, or none, as the settings ask."""
     if settings.shadow == "keep":
         return NoShadow()
-    if len(background.shape) == 3:
-        return ColourShadow(background, sigma_floor, settings.colour_shadow)
-    return FloorShadow(camera, background, sigma_floor, settings.floor_shadow)
+    if channels == 3:
+        return ColourShadow(settings.colour_shadow)
+    return FloorShadow(camera, settings.floor_shadow)
 
 
 class NoShadow:
@@ -67,7 +86,7 @@ class NoShadow:
 
     alignment_px = 1
 
-    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
+    def shadow(self, scene: Scene, mask: Mask) -> Mask:
         return np.zeros_like(mask)
 
 
@@ -86,39 +105,28 @@ class FloorShadow:
     border of a shadow, where windows reach out of it, is thin, and goes with its patch.
     """
 
-    def __init__(
-        self, camera: CameraModel, background: BackgroundModel, sigma_floor: float, settings: FloorShadowSettings
-    ) -> None:
-        """``sigma_floor``: smallest sigma that a pixel is taken to have, grey levels."""
+    def __init__(self, camera: CameraModel, settings: FloorShadowSettings) -> None:
         side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
         self._settings, self._window = settings, (side, side)
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
         self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
-        self._mean = _thinned(background.mean)
-        mean_window = cv2.blur(background.mean, self._window)
-        self._per_mean_window = _thinned(1 / np.maximum(mean_window, np.float32(1e-3)))
-        self._sigma = max(float(np.median(background.sigma)), sigma_floor)
         self._floor = floor_pixels(camera)
         self._min_area_px = max(settings.min_area * camera.height**2, MIN_PATCH_WINDOWS * side**2)
 
-    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
-        """255 at pixels of ``mask`` where ``image`` (H, W) fits the shadowed floor, else 0.
-
-        ``mask`` covers ``box`` of the image, or all of it.
-        """
-        box = box or Box.whole(image.shape)
-        found = np.zeros_like(mask)
-        inner = Box.around(cv2.bitwise_and(mask, self._floor[box.slices]))
+    def shadow(self, scene: Scene, mask: Mask) -> Mask:
+        """255 at pixels of ``mask`` (h, w) where the mono image fits the shadowed floor, else 0."""
+        found, looked_at = np.zeros_like(mask), cv2.bitwise_and(mask, self._floor[scene.at])
+        inner = Box.around(looked_at)
         if not inner.empty:
             inner = inner.grown(self._block, mask.shape, self._block)
-            at = inner.moved_into(box).slices
-            found[inner.slices] = self._patches(image[at], mask[inner.slices], at)
+            at = inner.slices
+            found[at] = self._patches(scene.part(inner), mask[at], looked_at[at])
         return found
 
-    def _patches(self, image: Image, mask: Mask, at: tuple[slice, slice]) -> Mask:
-        looked_at = cv2.bitwise_and(mask, self._floor[at])
-        dark, detail, expected = self._details(image, _thinned(looked_at), at)
-        blocks = self._large_patches(*self._sums(dark, detail, expected))
+    def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
+        dark, detail, expected = self._details(scene, _thinned(looked_at))
+        sigma = scene.noise.sigma(float(np.median(scene.expected[::4, ::4])))
+        blocks = self._large_patches(sigma, *self._sums(dark, detail, expected))
         if not blocks.any():
             return np.zeros_like(mask)
         candidates = cv2.bitwise_and(_enlarged(dark, 2, mask.shape), looked_at)
@@ -126,14 +134,14 @@ class FloorShadow:
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
 
-    def _details(self, image: Image, mask: Mask, at: tuple[slice, slice]) -> tuple[Mask, np.ndarray, np.ndarray]:
+    def _details(self, scene: Scene, mask: Mask) -> tuple[Mask, np.ndarray, np.ndarray]:
         """Of every second row and column: pixels that may be shadow; x - X and a (mu - M) there, else 0 (float32)."""
-        x, X = _thinned(image).astype(np.float32), _thinned(cv2.boxFilter(image, cv2.CV_32F, self._window))
-        half = tuple(slice(s.start // 2, s.start // 2 + n) for s, n in zip(at, x.shape, strict=True))
-        a = cv2.multiply(X, self._per_mean_window[half])
+        x, X = _thinned(scene.image).astype(np.float32), _thinned(cv2.boxFilter(scene.image, cv2.CV_32F, self._window))
+        mean, around = _thinned(scene.expected), _thinned(cv2.blur(scene.expected, self._window))
+        a = cv2.divide(X, np.maximum(around, np.float32(1e-3)))
         dark = cv2.bitwise_and(cv2.inRange(a, self._settings.darkest, LIGHTEST), mask)
         detail = cv2.copyTo(cv2.subtract(x, X), dark)
-        expected = cv2.copyTo(cv2.subtract(cv2.multiply(a, self._mean[half]), X), dark)
+        expected = cv2.copyTo(cv2.subtract(cv2.multiply(a, mean), X), dark)
         return dark, detail, expected
 
     def _sums(self, dark: Mask, detail: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -152,10 +160,12 @@ class FloorShadow:
         size = values.shape[1] // side, values.shape[0] // side
         return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float32, copy=False)
 
-    def _large_patches(self, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray) -> Mask:
+    def _large_patches(
+        self, sigma: float, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray
+    ) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
         s = self._settings
-        quiet = _near(rest) <= _near(count) * np.float32((s.residual * self._sigma) ** 2)
+        quiet = _near(rest) <= _near(count) * np.float32((s.residual * sigma) ** 2)
         fits = quiet & (_around(shared) >= np.float32(s.persistence) * _around(power)) & (2 * count > self._block**2)
         patches, labels = cv2.connectedComponents(fits.astype(np.uint8), connectivity=4)
         sums = (np.bincount(labels.reshape(-1), v.reshape(-1), patches) for v in (count, rest, shared, power))
@@ -224,54 +234,42 @@ def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: flo
 class ColourShadow:
     """Tells which foreground pixels of a colour image show only the background in shadow.
 
-    With x the pixel, mu and s its background's mean and sigma, the brightness factor is the a that minimises
+    With x the pixel, mu its background and s the noise's sigma, the brightness factor is the a that minimises
     sum ((x - a mu) / s)^2 over the channels, and the chromaticity distance is the root of that minimum (Horprasert,
-    Harwood and Davis 1999, eq. 4-6). Where the background is nearly black, every dark colour passes this test, so
-    that dark clothes would be lost: no shadow is looked for there.
+    Harwood and Davis 1999, eq. 4-6). A shadow is lit by other surfaces, whose colour differs from the lamp's: what it
+    lost of the light may be tinted by a share of it. Where the background is nearly black, every dark colour passes
+    this test, so that dark clothes would be lost: no shadow is looked for where its colour stands out of the noise too
+    little.
 
     The test runs at half resolution, on means of 2 x 2 pixels: Bayer sensors and 4:2:0 video hold no finer colour.
-    A pixel within distance k of a shadow keeps every channel within k s of a mu, so that two images of limits rule
-    out nearly all pixels before the exact test.
     """
 
     alignment_px = 2
 
-    def __init__(self, background: BackgroundModel, sigma_floor: float, settings: ColourShadowSettings) -> None:
-        mean, sigma = halve(background.mean), np.maximum(halve(background.sigma), np.float32(sigma_floor))
+    def __init__(self, settings: ColourShadowSettings) -> None:
         self._settings = settings
-        self._inverse_sigma = 1 / sigma
-        self._mean_sigmas = mean * self._inverse_sigma
-        slack = settings.chromaticity * sigma
-        bright = mean.mean(axis=2, keepdims=True) >= settings.min_brightness
-        lo = np.where(bright, np.clip(np.floor(settings.darkest * mean - slack), 0, 255), 255)
-        hi = np.where(bright, np.clip(np.ceil(LIGHTEST * mean + slack), 0, 255), 0)
-        self._lo, self._hi = lo.astype(np.uint8), hi.astype(np.uint8)
 
-    def shadow(self, image: Image, mask: Mask, box: Box | None = None) -> Mask:
-        """255 where ``image`` (H, W, 3) fits the shadowed background, else 0; looks only where ``mask`` is.
-
-        ``mask`` covers ``box`` of the image, or all of it; the box begins at even pixels.
-        """
-        box = box or Box.whole(image.shape)
-        small = halve(image[box.slices])
-        rows, columns = (slice(s.start // 2, -(-s.stop // 2)) for s in box.slices)
-        found = cv2.inRange(small, self._lo[rows, columns], self._hi[rows, columns])
-        row, column = np.nonzero(cv2.bitwise_and(found, halve(mask)))
-        fits = self._fits(small[row, column], row + rows.start, column + columns.start)
-        found[:] = 0
+    def shadow(self, scene: Scene, mask: Mask) -> Mask:
+        """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""
+        half = halve(mask)
+        row, column = np.nonzero(half)
+        fits = self._fits(halve(scene.image)[row, column], halve(scene.expected)[row, column], scene.noise)
+        found = np.zeros_like(half)
         found[row[fits], column[fits]] = 255
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
-        return _enlarged(found, 2, mask.shape)
+        return cv2.bitwise_and(_enlarged(found, 2, mask.shape), mask)
 
-    def _fits(self, x: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Which pixels x (n, 3), at ``row`` and ``column`` (n,) of the half-size image, are a darkened background."""
-        s, mu = self._settings, self._mean_sigmas[row, column]
-        x_sigmas = x * self._inverse_sigma[row, column]
-        power = np.einsum("ij,ij->i", mu, mu)
-        factor = np.einsum("ij,ij->i", x_sigmas, mu) / np.maximum(power, 1e-9)
-        departure = x_sigmas - factor[:, None] * mu
-        distance2 = np.einsum("ij,ij->i", departure, departure)
-        return (factor >= s.darkest) & (factor <= LIGHTEST) & (distance2 <= s.chromaticity**2)
+    def _fits(self, x: np.ndarray, mean: np.ndarray, noise: Noise) -> np.ndarray:
+        """Which pixels x (n, 3) are a darkened background ``mean`` (n, 3)."""
+        s, variance = self._settings, noise.variance(mean) * np.float32(HALVED_NOISE)
+        mu, weight = mean, 1 / variance
+        power = np.einsum("ij,ij,ij->i", mu, mu, weight)
+        factor = np.einsum("ij,ij,ij->i", x, mu, weight) / np.maximum(power, 1e-9)
+        tint = np.float32(s.tint) * (1 - factor)[:, None] * mu
+        departure = x - factor[:, None] * mu
+        distance2 = (departure * departure / (variance + tint * tint)).sum(axis=1)
+        stands_out = power >= s.min_contrast**2
+        return (factor >= s.darkest) & (factor <= LIGHTEST) & (distance2 <= s.chromaticity**2) & stands_out
 
 
 def halve(image: np.ndarray) -> np.ndarray:
@@ -297,9 +295,8 @@ class AttenuationMarker:
     of 2 x 2 pixels and of the channels: wider windows would mix legs with the shadow beside them.
     """
 
-    def __init__(self, camera: CameraModel, background: BackgroundModel, volume: Volume | None = None) -> None:
+    def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; pixels whose ray meets the floor far from it stay the person."""
-        self._scale = np.float32(RATIO_SCALE) / np.maximum(_halved_grey(background.mean), np.float32(1.0))
         self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
         steps = [attenuation_step(ratio / RATIO_SCALE) for ratio in range(256)]
         self._attenuated = np.array([FOREGROUND if s is None else ATTENUATED_LEVELS[s] for s in steps], np.uint8)
@@ -307,28 +304,26 @@ class AttenuationMarker:
             [SHADOW_CANDIDATE if s is None else CANDIDATE_LEVELS[s // 2] for s in steps], np.uint8
         )
 
-    def mark(self, image: Image, person: Mask, candidates: Mask, box: Box) -> Mask:
-        """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255, which cover ``box`` of ``image``.
-
-        The box begins and ends at even pixels, or at the image's end. What is both is the person.
-        """
-        ambiguous = cv2.bitwise_and(person, self._floor[box.slices])
+    def mark(self, scene: Scene, person: Mask, candidates: Mask) -> Mask:
+        """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255; what is both is the person."""
+        ambiguous = cv2.bitwise_and(person, self._floor[scene.at])
         levels = person.copy()
         inner = Box.around(cv2.bitwise_or(ambiguous, candidates))
         if inner.empty:
             return levels
         inner = inner.grown(2 * ALIGNMENT_PX, person.shape, ALIGNMENT_PX)
         part = inner.slices
-        ratio, shape = self._ratio(image, inner.moved_into(box)), levels[part].shape
+        ratio, shape = _brightness(scene.part(inner)), levels[part].shape
         cv2.copyTo(_enlarged(cv2.LUT(ratio, self._candidate), 2, shape), candidates[part], levels[part])
         levels = cv2.max(levels, person)
         cv2.copyTo(_enlarged(cv2.LUT(ratio, self._attenuated), 2, shape), ambiguous[part], levels[part])
         return levels
 
-    def _ratio(self, image: Image, at: Box) -> np.ndarray:
-        """Brightness of halved pixels (uint8): RATIO_SCALE times what it was when the room was empty."""
-        rows, columns = (slice(s.start // 2, -(-s.stop // 2)) for s in at.slices)
-        return cv2.convertScaleAbs(cv2.multiply(_halved_grey(image[at.slices]), self._scale[rows, columns]))
+
+def _brightness(scene: Scene) -> np.ndarray:
+    """Return the brightness of halved pixels (uint8): RATIO_SCALE times what it is when the room is empty."""
+    background = np.maximum(_halved_grey(scene.expected), np.float32(1.0))
+    return cv2.convertScaleAbs(cv2.divide(_halved_grey(scene.image), background, scale=RATIO_SCALE))
 
 
 def _halved_grey(image: np.ndarray) -> np.ndarray:

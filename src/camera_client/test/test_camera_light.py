@@ -1,15 +1,15 @@
-"""Slow changes of the light are followed; people, however long they stand, and switched lights are not."""
+"""Light that changes, slowly, suddenly, unevenly or with the mains, is followed; people who stand still are not."""
 
 import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundLearner
-from camera_client.settings import BackgroundSettings, LightDriftSettings
-from camera_client.silhouettes.pipeline import FULL, SilhouettePipeline
-from camera_client.sources.frame_checks import LIGHTS, FrameChecks
+from camera_client.settings import BackgroundSettings
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.sources.frame_checks import FrameChecks
 
 SECOND_NS = 1_000_000_000
-SLOW = BackgroundSettings(drift=LightDriftSettings(mode="slow"))
+FIXED = BackgroundSettings(rule="tail")
 
 
 def learned(images):
@@ -26,7 +26,7 @@ def lit(image, factor):
 class Room:
     """A camera on an empty room whose clock runs in steps of a second."""
 
-    def __init__(self, scene, colour=False, settings=SLOW):
+    def __init__(self, scene, colour=False, settings=None):
         self.scene = scene
         self.background = learned(scene.empty(60, colour=colour))
         self.empty = scene.empty(20, seed=9, colour=colour)
@@ -42,10 +42,10 @@ class Room:
         self.frames += 1
         return self.pipeline.run(image, self.frames * SECOND_NS)
 
-    def noise(self, light=1.0):
-        """Share of the pixels of an empty frame that leave the limits."""
-        image = lit(self.empty[0].astype(float), light)
-        return float((self.pipeline.limits.subtract(image) > 0).mean())
+    @property
+    def noise(self):
+        """Share of the pixels of the last frame that were not called background."""
+        return float((self.pipeline.background_pixels == 0).mean())
 
 
 def iou(mask, truth):
@@ -54,13 +54,60 @@ def iou(mask, truth):
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_lights_that_dim_a_fifth_in_five_minutes_leave_the_masks_clean(scene, colour):
-    room, still = Room(scene, colour), Room(scene, colour, BackgroundSettings())
+    room, fixed = Room(scene, colour), Room(scene, colour, FIXED)
     for light in np.linspace(1.0, 0.8, 300):
         silhouette = room.see(light)
+        fixed.see(light)
         assert silhouette.foreground_fraction < 0.001
     assert room.pipeline.gain == pytest.approx(0.8, rel=0.02)
+    assert room.noise < 0.01 < 0.5 < fixed.noise
     assert iou(room.see(0.8, scene.person_mask()).image_mask, scene.person_mask()) > 0.95
-    assert room.noise(0.8) < 0.01 < 0.5 < still.noise(0.8)
+
+
+@pytest.mark.parametrize(
+    "light, colour", [(0.45, False), (0.8, False), (1.25, False), (1.5, False), (0.8, True), (1.5, True)]
+)
+def test_lights_that_are_switched_cost_no_mask_and_are_told(scene, light, colour):
+    room, person = Room(scene, colour), scene.person_mask()
+    for _ in range(20):
+        assert not room.see(1.0, person).flags
+    silhouette = room.see(light, person)
+    assert room.pipeline.background.light.switched
+    assert iou(silhouette.image_mask, person) > 0.93
+    assert room.pipeline.gain == pytest.approx(light, rel=0.03)
+    assert FrameChecks(None, room.background.mean).check(lit(room.empty[0] * 1.0, light), 0, room.pipeline.gain) == ()
+
+
+def test_lamp_that_lights_a_part_of_the_room_is_taken_up_within_half_a_second(scene):
+    room, person = Room(scene), scene.person_mask()
+    v, u = np.indices((120, 160))
+    lamp = 1 + 0.4 * np.exp(-((u - 20) ** 2 + (v - 20) ** 2) / (2 * 60.0**2))  # of its place, brightest in a corner
+    for _ in range(20):
+        room.see(1.0, person)
+    shine = {"lamp": lambda image: np.where(person > 0, image, np.clip(np.rint(image * lamp), 0, 255)).astype(np.uint8)}
+    scores = [iou(room.see(1.0, person, **shine).image_mask, person) for _ in range(5)]
+    assert min(scores[1:]) > 0.9
+    assert room.pipeline.background.light.unevenness > 0.05
+
+
+def test_mains_flicker_of_two_percent_leaves_the_masks_clean(scene):
+    room, rng = Room(scene), np.random.default_rng(4)
+    for _ in range(60):
+        assert room.see(1 + 0.02 * rng.normal()).foreground_fraction < 0.001
+
+
+def test_white_and_black_places_tell_bounds_only(scene):
+    """A window that was white may be any brighter than white; a person in front of it is still seen."""
+    images = [image.copy() for image in scene.empty(40)]
+    for image in images:
+        image[10:50, 100:150] = 255
+    background, person = learned(images), scene.person_mask()
+    pipeline = SilhouettePipeline(scene.camera(), background)
+    for k in range(30):
+        frame = lit(scene.empty(1, seed=60 + k)[0].astype(float), 0.85)
+        frame[10:50, 100:150] = 235  # would be 217 if it had been 255
+        silhouette = pipeline.run(scene.with_person(frame, np.roll(person, 40, axis=1)), k * SECOND_NS)
+    assert iou(silhouette.image_mask, np.roll(person, 40, axis=1)) > 0.93
 
 
 def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost(scene):
@@ -90,21 +137,7 @@ def test_sunlight_that_creeps_over_a_wall_is_followed_up_to_the_bound(scene):
         assert room.see(sun=sun(by)).foreground_fraction < 0.002
     for by in np.linspace(10, 60, 300):
         last = room.see(sun=sun(by))
-    assert last.foreground_fraction > 0.2  # beyond 12 grey levels it is a thing, not a drift
-
-
-def test_lights_switched_off_are_flagged_and_not_absorbed(scene):
-    room = Room(scene)
-    checks = FrameChecks(None, room.background.mean)
-    for _ in range(60):
-        room.see()
-    for _ in range(120):
-        silhouette = room.see(0.45)
-        assert silhouette.flags == (FULL,)
-    assert room.pipeline.gain == pytest.approx(1.0, rel=0.01)
-    dark = lit(room.empty[0].astype(float), 0.45)
-    assert checks.check(dark, 0, room.pipeline.gain) == (LIGHTS,)
-    assert room.see().foreground_fraction == 0  # switched on again, all is as before
+    assert last.foreground_fraction > 0.1  # beyond 12 grey levels it is a thing, not a drift
 
 
 def test_thing_put_down_beside_the_person_stays_foreground(scene):
@@ -118,21 +151,11 @@ def test_thing_put_down_beside_the_person_stays_foreground(scene):
     assert iou(silhouette.image_mask, thing) > 0.9
 
 
-def test_without_following_the_limits_stay_as_learned(scene):
-    room = Room(scene, settings=BackgroundSettings())
-    expected = room.background.limits(BackgroundSettings())
+def test_thesis_rules_follow_nothing(scene):
+    room = Room(scene, settings=FIXED)
     for light in np.linspace(1.0, 0.8, 60):
-        room.see(light)
-    assert np.array_equal(room.pipeline.limits.lo, expected.lo)
-    assert np.array_equal(room.pipeline.limits.hi, expected.hi)
-    assert room.pipeline.gain == 1.0
-
-
-def test_frames_without_stamps_are_not_followed(scene):
-    room = Room(scene)
-    for _ in range(50):
-        room.pipeline.run(lit(room.empty[0].astype(float), 0.95))
-    assert room.pipeline.gain == 1.0
+        silhouette = room.see(light)
+    assert silhouette.foreground_fraction > 0.5 and room.pipeline.gain == 1.0
 
 
 def test_same_stamps_give_the_same_masks_and_a_clock_set_back_does_no_harm(scene):
@@ -142,13 +165,3 @@ def test_same_stamps_give_the_same_masks_and_a_clock_set_back_does_no_harm(scene
     gain, one.frames = one.pipeline.gain, 0
     assert one.see(0.95).foreground_fraction < 0.001
     assert one.pipeline.gain == pytest.approx(gain, rel=1e-3)
-
-
-def test_a_frame_costs_a_band_of_rows_and_not_the_whole_image(scene):
-    """Counted in rows whose limits may change, at 60 frames a second; time is measured by the benchmark."""
-    room = Room(scene)
-    room.pipeline.run(room.empty[0], 0)
-    before = room.pipeline.limits.lo.copy()
-    room.pipeline._drift.gain = 0.9
-    room.pipeline.run(room.empty[1], SECOND_NS // 60)
-    assert 0 < (before != room.pipeline.limits.lo).any(axis=1).sum() <= 3

@@ -1,0 +1,200 @@
+"""The background of a fixed camera as it looks now: learned once, followed in light, noise and displacement.
+
+:meth:`AdaptiveBackground.follow` is the recipe for each frame: sample the picture, estimate the light, measure the
+noise that is left and the displacement, and renew the expected image, some rows at a time. A person in view does not
+matter to any of them: the fits are robust, and what was foreground a frame ago counts little.
+
+The thesis's rules (6.2, 6.3), which follow nothing, are :class:`.fixed.FixedBackground`; both say of every pixel how
+far it is from the background, as a squared distance in sigmas.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from ..frame_source import Image, Mask
+from ..settings import BackgroundSettings
+from .expected_image import At, ExpectedImage, Floats
+from .kernels import HIGHEST, SCALE
+from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
+from .model import BackgroundModel
+from .noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
+from .shift import Displacement, ShiftEstimator
+from .slow_changes import SlowChanges
+
+SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
+DOUBTED = 0.02  # weight of samples that were foreground a frame ago
+BANDS, SWEEP_S = 8, 0.15  # the expected image is renewed in so many frames, or sooner when frames are rare
+NOISE_FRAMES = 4  # the noise is measured in every so many frames
+FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
+FIRST_STEPS = 4  # a large displacement takes more than one linear step
+WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
+
+
+@dataclass(frozen=True, eq=False)
+class BackgroundState:
+    """What was measured in the last frame, for people.
+
+    light : against that when the background was learned. noise, learned_noise : of a pixel. displacement : followed so
+    far. left_px : displacement that is left, standard deviation. doubtful : share of the pixels that can tell little.
+    """
+
+    light: Light
+    noise: Noise
+    learned_noise: Noise
+    displacement: Displacement
+    left_px: float
+    doubtful: float
+
+
+class AdaptiveBackground:
+    """Follows one camera's background. One thread at a time; equal frames give equal bytes."""
+
+    def __init__(self, model: BackgroundModel, settings: BackgroundSettings, block_px: int) -> None:
+        """``block_px`` : side of the blocks of :meth:`note_foreground`."""
+        measured = model.provenance.frames > 1
+        channels = 1 if model.mean.ndim == 2 else model.mean.shape[2]
+        assumed = assumed_noise(model.provenance.mean_noise, channels)
+        self._learned_noise = self._noise = learned_noise(model) if measured else assumed
+        self._least_noise = self._learned_noise if measured else assumed_noise(settings.sigma_floor, channels)
+        self._image = ExpectedImage(model, self._learned_noise if measured else None, settings.sigma_floor)
+        self.threshold = min(round(SCALE * float(chi2.isf(settings.risk, channels))), int(HIGHEST) - 1)
+        height, width = model.shape[:2]
+        step = max(1, math.isqrt(height * width // SAMPLES))
+        rows, columns = np.meshgrid(
+            np.arange(step // 2, height, step), np.arange(step // 2, width, step), indexing="ij"
+        )
+        self._row, self._column = rows.reshape(-1), columns.reshape(-1)
+        cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
+        self._light = LightEstimator(cell, channels)
+        self._shift = ShiftEstimator((height, width))
+        self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
+        self._dense: Mask | None = None
+        self._last_ns: int | None = None
+        self._next_row, self._sweep_s, self._last_sweep_s = 0, 0.0, 0.0
+        self._frames, self._since_noise_s = 0, 0.0
+        self._place()
+
+    # --- the frame's answer
+
+    @property
+    def light(self) -> Light:
+        """The light now."""
+        return self._light.light
+
+    @property
+    def noise(self) -> Noise:
+        """The noise now."""
+        return self._noise
+
+    @property
+    def state(self) -> BackgroundState:
+        """What was measured in the last frame."""
+        shift = self._shift
+        return BackgroundState(
+            self.light, self._noise, self._learned_noise, shift.total, shift.left_px, self._image.doubtful
+        )
+
+    def distance(self, image: Image, out: Mask) -> Mask:
+        """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
+        return self._image.distance(image, self.light, self._noise.correlation, out)
+
+    def expected(self, at: At) -> Floats:
+        """Return a part of the background as it looks now: (h, w) or (h, w, 3), grey levels."""
+        return self._image.levels(at, self.light)
+
+    # --- following
+
+    def note_foreground(self, dense: Mask) -> None:
+        """Take the blocks of this frame (one pixel each, not 0 where foreground is): they count little in the next."""
+        self._dense = cv2.dilate(dense, np.ones((3, 3), np.uint8))
+        if self._last_ns is not None:
+            self._slow.note_foreground(dense, self._last_ns)
+
+    def follow(self, image: Image, stamp_ns: int) -> None:
+        """Take one frame (H, W) or (H, W, 3) of ``stamp_ns`` into account."""
+        first = self._last_ns is None
+        step_s = FIRST_STEP_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
+        step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
+        picture = image.reshape(self._image.shape)
+        rest = self._follow_light(picture, step_s)
+        self._follow_noise(rest, step_s, first)
+        steps = FIRST_STEPS if first else 1
+        while steps and self._follow_shift(picture, step_s, first):
+            self._place()
+            if first:
+                self._follow_light(picture, step_s)
+            steps -= 1
+        if first or self.light.switched:
+            self._renew(slice(0, self._image.shape[0]))
+        self._renew_next(image, step_s)
+        self._frames += 1
+
+    def _follow_light(self, picture: Image, step_s: float) -> Floats:
+        at = self._row, self._column
+        return self._light.update(picture[at].astype(np.float32), *self._image.samples(*at), self._trust(*at), step_s)
+
+    def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
+        """Measure the noise on what shows the background; it is never less than when the room was empty."""
+        self._since_noise_s += step_s
+        if not first and self._frames % NOISE_FRAMES:
+            return
+        sure = self._trust(self._row, self._column) >= 1
+        level = self._image.samples(self._row, self._column)[0][sure] * self.light.gain
+        found = measured_noise(level, rest[sure])
+        if found is None:
+            return
+        found = found.at_least(self._least_noise, float(np.median(level)))
+        self._noise = self._noise.moved(found, 1 - math.exp(-self._since_noise_s / FOLLOW_S))
+        self._since_noise_s = 0.0
+
+    def _follow_shift(self, picture: Image, step_s: float, first: bool) -> bool:
+        if not self._shift.measurable:
+            return False
+        at = self._shift.row, self._shift.column
+        level = self._image.samples(*at)[0] * self.light.gain
+        rest = picture[at].astype(np.float32) - level - self.light.offset
+        variance = (self._noise.variance(level) + self._image.excess(*at)).astype(np.float32)
+        before = self._shift.total
+        moved = self._shift.update(rest, self.light.gain, variance, self._trust(*at), step_s, first)
+        if moved:
+            self._slow.local = self._shift.total.after(before).moved(self._slow.local)
+        return moved
+
+    def _trust(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
+        if self._dense is None:
+            return np.ones(len(row), np.float32)
+        doubted = self._dense[row // self._block_px, column // self._block_px] > 0
+        return np.where(doubted, np.float32(DOUBTED), np.float32(1))
+
+    # --- the expected image
+
+    def _place(self) -> None:
+        """Move the background to where the camera looks now, and renew everything."""
+        self._image.place(self._shift.total, self._slow.local)
+        self._shift.place(self._image.right, self._image.down)
+        self._renew(slice(0, self._image.shape[0]))
+
+    def _renew(self, rows: slice) -> None:
+        self._image.renew(rows, self.light, self._noise, self._shift.left_px)
+
+    def _renew_next(self, image: Image, step_s: float) -> None:
+        """Renew the next rows, which may have changed slowly."""
+        height = self._image.shape[0]
+        self._sweep_s += step_s
+        end = min(self._next_row + math.ceil(height * max(1 / BANDS, min(step_s / SWEEP_S, 1.0))), height)
+        rows = slice(self._next_row, end)
+        if self._slow.quiet_anywhere(rows, self._last_ns or 0):
+            rest, distance2 = self._image.rest(image, rows, self.light)
+            within = np.asarray((distance2 <= WITHIN_SIGMAS**2).all(axis=2))
+            self._image.change(rows, self._slow.follow(rows, rest, within, self._last_ns or 0, self._last_sweep_s))
+        self._renew(rows)
+        self._next_row = end % height
+        if self._next_row == 0:
+            self._last_sweep_s, self._sweep_s = self._sweep_s, 0.0

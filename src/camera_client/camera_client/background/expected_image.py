@@ -1,0 +1,134 @@
+"""What an empty room looks like to its camera now, and how surely: levels and their precision, pixel by pixel.
+
+The learned background, displaced as the camera is, changed where single places changed, under the light of now:
+level = gain field (learned + local) + offset. Its variance adds up noise, what a pixel varied by beyond that when it
+was learned (a screen, a plant), the displacement that is left times the picture's slope, and a little uneven light.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..frame_source import Image, Mask
+from .kernels import current_levels, refresh_rows, squared_distance, squared_distance_of_colours
+from .light import FIELD_DOWN, Light
+from .model import BackgroundModel
+from .noise import Noise
+from .shift import Displacement, gradients
+
+UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
+WHITE, BLACK = 250.0, 3.0  # grey levels beyond which a background pixel tells one bound only
+
+Floats = npt.NDArray[np.float32]
+At = tuple[slice, slice]
+
+
+class ExpectedImage:
+    """Levels and precision of every pixel. ``right``, ``down`` (H, W, C) : slopes of the background, grey levels / px.
+
+    Changes of light and noise act on the rows that are renewed; gain and offset act at once.
+    """
+
+    def __init__(self, model: BackgroundModel, learned_noise: Noise | None, sigma_floor: float) -> None:
+        """``learned_noise`` : None where it was assumed, not measured. sigma_floor : grey levels."""
+        height, width = model.shape[:2]
+        self.shape = height, width, model.mean.size // (height * width)
+        self._learned = np.ascontiguousarray(model.mean.reshape(self.shape), np.float32)
+        self._excess_learned = np.zeros_like(self._learned)
+        if learned_noise is not None:
+            square = model.sigma.reshape(self.shape).astype(float) ** 2
+            self._excess_learned += np.maximum(square - learned_noise.variance(self._learned), 0).astype(np.float32)
+        self._least_variance = sigma_floor**2
+        self._levels, self._precision = np.empty_like(self._learned), np.empty_like(self._learned)
+        self._white = np.flatnonzero((self._learned >= WHITE).any(axis=2).reshape(-1))
+        self._black = np.flatnonzero((self._learned <= BLACK).all(axis=2).reshape(-1))
+        self.place(Displacement(), None)
+
+    @property
+    def doubtful(self) -> float:
+        """Share of the pixels that are white or black, and tell one bound only."""
+        return (len(self._white) + len(self._black)) / (self.shape[0] * self.shape[1])
+
+    # --- what it looks like now
+
+    def samples(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return level / gain, without the offset, and precision of some pixels, both (n, C)."""
+        return self._levels[row, column], self._precision[row, column]
+
+    def excess(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
+        """Return the variance of some pixels (n, C) beyond the noise's."""
+        return self._excess[row, column]
+
+    def levels(self, at: At, light: Light) -> Floats:
+        """Return the grey levels of a part: (h, w), of colour images (h, w, 3)."""
+        part, channels = self._levels[at], self.shape[2]
+        height, width = part.shape[:2]
+        out = np.empty((height, width * channels), np.float32)
+        gain, offset = (np.tile(each, width) for each in (light.gain, light.offset))
+        current_levels(part.reshape(height, -1), gain, offset, out)
+        return out if channels == 1 else out.reshape(part.shape)
+
+    def distance(self, image: Image, light: Light, correlation: float, out: Mask) -> Mask:
+        """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
+        flat = image.reshape(-1), self._levels.reshape(-1), self._precision.reshape(-1), light.gain, light.offset
+        if self.shape[2] == 1:
+            squared_distance(*flat, out.reshape(-1))
+        else:
+            squared_distance_of_colours(*flat, correlation, out.reshape(-1))
+        self._forgive_bounds(image, light, out.reshape(-1))
+        return out
+
+    def _forgive_bounds(self, image: Image, light: Light, out: Mask) -> None:
+        """Take white and black background for bounds: what was white may be any brighter, whatever the light is now."""
+        pixels, gain = image.reshape(-1, self.shape[2]), light.brightness
+        if len(self._white) and gain < 1:
+            out[self._white[pixels[self._white].min(axis=1) >= WHITE * gain]] = 0
+        if len(self._black):
+            most = BLACK * (1 + gain) + max(float(light.offset.max()), 0.0)
+            out[self._black[pixels[self._black].max(axis=1) <= most]] = 0
+
+    # --- changes
+
+    def place(self, displacement: Displacement, local: Floats | None) -> None:
+        """Move the learned background to where the camera looks now; ``local`` (H, W, C) : departures from it, there.
+
+        All rows have to be renewed then.
+        """
+        self._mean, self._excess = (displacement.moved(each) for each in (self._learned, self._excess_learned))
+        if local is not None:
+            self._mean += local
+        self.right, self.down = gradients(self._mean)
+        self._steepness2 = self.right * self.right + self.down * self.down
+
+    def change(self, rows: slice, by: Floats) -> None:
+        """Add to the background's levels (h, W, C) of some rows, which have to be renewed then."""
+        self._mean[rows] += by
+
+    def renew(self, rows: slice, light: Light, noise: Noise, left_px: float) -> None:
+        """Renew some rows for the light and noise of now; ``left_px`` : displacement that is left."""
+        first, end, _ = rows.indices(self.shape[0])
+        height, width, channels = self.shape
+        parts = np.stack(
+            [
+                np.maximum(noise.read, self._least_variance),
+                noise.slope,
+                np.full(channels, left_px**2),
+                np.full(channels, UNEVEN_LIGHT**2),
+            ]
+        )
+        across = cv2.resize(light.field, (width, FIELD_DOWN), interpolation=cv2.INTER_LINEAR)
+        down = (np.arange(first, end) + 0.5) * FIELD_DOWN / height - 0.5
+        refresh_rows(
+            *(each[rows].reshape(end - first, -1) for each in (self._mean, self._excess, self._steepness2)),
+            across.reshape(FIELD_DOWN, -1),
+            down.clip(0, FIELD_DOWN - 1).astype(np.float32),
+            np.tile(parts.astype(np.float32), width),
+            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._precision)),
+        )
+
+    def rest(self, image: Image, rows: slice, light: Light) -> tuple[Floats, Floats]:
+        """Return image minus background of some rows, and its squared distance in each channel, (h, W, C)."""
+        rest = image.reshape(self.shape)[rows] - (self._levels[rows] * light.gain + light.offset)
+        return rest, rest * rest * self._precision[rows]

@@ -1,0 +1,200 @@
+"""Compiled passes over whole images and over the sampled pixels of the background (numba).
+
+All functions compute on the arrays that they are given. A colour image is (H, W, 3), a mono one (H, W, 1).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from capture_rig.small_matrices import solve_positive
+
+OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a variance, so that 255 is 8 sigmas
+HIGHEST = 255.0
+F32 = np.float32
+
+NORMAL, WHITE, BLACK = 0, 1, 2  # kinds of background pixels
+BINS = 256
+BIN_SIGMAS = 0.125  # of the histogram that a median is read from
+LEVER_PX = 200.0  # how far from the middle a roll shows: about half of a picture
+HALF_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median absolute deviation
+
+
+@njit(**OPTIONS)
+def squared_distance(image, expected, precision, gain, offset, out):  # type: ignore[no-untyped-def]
+    """Write min(255, SCALE z^2) of every pixel of a mono image, z^2 = (image - gain expected - offset)^2 precision.
+
+    image (n,) uint8; expected, precision (n,) float32; gain, offset (1,) float32; out (n,) uint8.
+    """
+    g, b = gain[0], offset[0]
+    for i in range(len(out)):
+        rest = F32(image[i]) - (g * expected[i] + b)
+        out[i] = np.uint8(min(rest * rest * precision[i] * F32(SCALE), F32(HIGHEST)))
+
+
+@njit(**OPTIONS)
+def squared_distance_of_colours(image, expected, precision, gain, offset, rho, out):  # type: ignore[no-untyped-def]
+    """Write min(255, SCALE z^2) of every pixel of a colour image, z the Mahalanobis distance.
+
+    image (3 n,) uint8; expected, precision (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
+    channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), with common = rho / (1 + 2 rho) in every
+    place of the matrix; out (n,) uint8.
+    """
+    scale, common = F32(SCALE / (1.0 - rho)), F32(rho / (1.0 + 2.0 * rho))
+    g0, g1, g2, b0, b1, b2 = gain[0], gain[1], gain[2], offset[0], offset[1], offset[2]
+    for i in range(len(out)):
+        k = 3 * i
+        r0 = (F32(image[k]) - (g0 * expected[k] + b0)) * np.sqrt(precision[k])
+        r1 = (F32(image[k + 1]) - (g1 * expected[k + 1] + b1)) * np.sqrt(precision[k + 1])
+        r2 = (F32(image[k + 2]) - (g2 * expected[k + 2] + b2)) * np.sqrt(precision[k + 2])
+        whole = r0 + r1 + r2
+        total = r0 * r0 + r1 * r1 + r2 * r2 - common * whole * whole
+        out[i] = np.uint8(min(total * scale, F32(HIGHEST)))
+
+
+@njit(**OPTIONS)
+def refresh_rows(mean, excess, steepness2, field, down, noise, expected, precision):  # type: ignore[no-untyped-def]
+    """Write the expected image and its precision, 1 / variance, of some rows; n is width times channels.
+
+    mean (rows, n) float32 : the background under the light that it was learned in. excess (rows, n) float32 : variance
+    of each pixel beyond the noise's. steepness2 (rows, n) float32 : squared gradient, grey levels^2 / px^2. field
+    (cells down, n) float32 : the light's field along the middle rows of its cells. down (rows,) float32 : where each
+    row lies between those, in cells. noise (4, n) float32 : read, slope, geometry and light of each channel: variance =
+    read + slope level + geometry steepness2 + light level^2 + excess. expected, precision (rows, n) float32 : written.
+    """
+    rows, n = mean.shape
+    last = len(field) - 1
+    read, slope, geometry, light = noise[0], noise[1], noise[2], noise[3]
+    for y in range(rows):
+        top = min(int(down[y]), last)
+        below, share = min(top + 1, last), down[y] - F32(top)
+        above_row, below_row, row = field[top], field[below], mean[y]
+        more, steep, to, weight = excess[y], steepness2[y], expected[y], precision[y]
+        for i in range(n):
+            level = row[i] * (above_row[i] + share * (below_row[i] - above_row[i]))
+            to[i] = level
+            weight[i] = F32(1) / (
+                read[i] + slope[i] * level + light[i] * level * level + geometry[i] * steep[i] + more[i]
+            )
+
+
+@njit(**OPTIONS)
+def current_levels(expected, gain, offset, out):  # type: ignore[no-untyped-def]
+    """Write gain expected + offset, between 0 and 255: expected, out (rows, n), gain, offset (n,) float32."""
+    for y in range(len(out)):
+        row, to = expected[y], out[y]
+        for i in range(len(to)):
+            to[i] = min(max(gain[i] * row[i] + offset[i], F32(0)), F32(255))
+
+
+@njit(**OPTIONS)
+def median_of(values, used, unit):  # type: ignore[no-untyped-def]
+    """Return the median of the ``values`` >= 0 with ``used`` > 0, read from a histogram of steps of ``unit``."""
+    counts = np.zeros(BINS, np.int64)
+    total = 0
+    for i in range(len(values)):
+        if used[i] > 0:
+            counts[min(int(values[i] / unit), BINS - 1)] += 1
+            total += 1
+    if total == 0:
+        return 0.0
+    below, half = 0, 0.5 * total
+    for k in range(BINS):
+        if below + counts[k] >= half:
+            return unit * (k + (half - below) / max(counts[k], 1))
+        below += counts[k]
+    return unit * BINS
+
+
+@njit(**OPTIONS)
+def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, weight):  # type: ignore[no-untyped-def]
+    """Fit seen = gain expected + offset by iteratively reweighted least squares (Geman and McClure).
+
+    seen, expected, precision, trust (n,) float32; trust : 0 for samples that say nothing, less than 1 for doubtful
+    ones. start (2,) : gain and offset to begin with. prior : share of the samples' weight that holds the offset
+    at 0, in grey levels^-2. weight (n,) is written: each sample's at the end. Gives gain, offset and the scale of the
+    residuals in sigmas (1: as the noise says).
+    """
+    gain, offset, scale = start[0], start[1], 1.0
+    distance = np.empty(len(seen), np.float32)
+    for step in range(steps + 1):
+        for i in range(len(seen)):
+            rest = seen[i] - (gain * expected[i] + offset)
+            distance[i] = abs(rest) * np.sqrt(precision[i])
+        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS * (1.0 if step else 4.0)), 1.0)
+        see = sxe = sx = se = sw = 0.0
+        for i in range(len(seen)):
+            share = distance[i] / (reach * scale)
+            down = 1.0 / (1.0 + share * share)
+            w = trust[i] * down * down * precision[i]
+            weight[i] = w
+            sw += w
+            se += w * expected[i]
+            see += w * expected[i] * expected[i]
+            sx += w * seen[i]
+            sxe += w * seen[i] * expected[i]
+        if step == steps:
+            break
+        held = sw * (1.0 + prior)
+        det = see * held - se * se
+        if sw <= 0.0 or det <= 1e-9 * see * held:
+            break
+        gain, offset = (sxe * held - sx * se) / det, (see * sx - se * sxe) / det
+    return gain, offset, scale
+
+
+@njit(**OPTIONS)
+def robust_shift(rest, right, down, turned, variance, trust, steps, reach, hold):  # type: ignore[no-untyped-def]
+    """Fit rest = -right dx - down dy - turned roll: by how much the picture moved.
+
+    rest, right, down, turned, variance (n, C) float32: residuals, their change for a pixel to the right, downwards, and
+    a radian clockwise about the middle, the noise's variance. trust (n,) float32. hold : information, px^-2, that keeps
+    the displacement at 0. Gives dx, dy, roll, and the displacement that is left, a robust standard deviation in pixels.
+    """
+    n, channels = rest.shape
+    x, factor = np.zeros(3), np.zeros((3, 3))
+    distance, J = np.empty(n, np.float32), np.empty(3)
+    for step in range(steps + 1):
+        for i in range(n):
+            total = 0.0
+            for c in range(channels):
+                left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
+                total += left * left / variance[i, c]
+            distance[i] = np.sqrt(total / channels)
+        if step == steps:
+            break
+        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS), 1.0)
+        A, b = np.zeros((3, 3)), np.zeros(3)
+        A[0, 0] = A[1, 1] = hold
+        A[2, 2] = hold * LEVER_PX * LEVER_PX
+        for i in range(n):
+            share = distance[i] / (reach * scale)
+            bounded = 1.0 / (1.0 + share * share)
+            for c in range(channels):
+                w = trust[i] * bounded * bounded / variance[i, c]
+                J[0], J[1], J[2] = right[i, c], down[i, c], turned[i, c]
+                for j in range(3):
+                    b[j] -= w * J[j] * rest[i, c]
+                    for k in range(j + 1):
+                        A[j, k] += w * J[j] * J[k]
+        if not solve_positive(A, b, factor, x):
+            x[:] = 0.0
+            break
+    # the displacement along each place's steepest channel, and the part of it that noise explains
+    apparent, noise, clear = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    for i in range(n):
+        most, steepest = 0.0, 0
+        for c in range(channels):
+            steep2 = right[i, c] * right[i, c] + down[i, c] * down[i, c]
+            if steep2 > most:
+                most, steepest = steep2, c
+        if trust[i] >= 1.0 and most > 0.0:
+            c = steepest
+            left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
+            apparent[i], noise[i], clear[i] = abs(left) / np.sqrt(most), np.sqrt(variance[i, c] / most), 1.0
+    left_px, noise_px = HALF_MEDIAN * median_of(apparent, clear, 0.01), median_of(noise, clear, 0.01)
+    return x[0], x[1], x[2], np.sqrt(max(left_px * left_px - noise_px * noise_px, 0.0))

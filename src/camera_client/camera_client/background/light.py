@@ -1,0 +1,186 @@
+"""Follows the light, frame by frame: gain and offset of each channel, and a smooth field where lamps differ.
+
+A person in view covers some of the samples, a shadow darkens some: the fit is robust, and smooth. The gain is found
+anew in every frame (mains flicker), the field follows within a third of a second, at once when the lights were
+switched.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .kernels import robust_gain
+
+FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
+FIELD_S, SWITCHED_FIELD_S = 0.3, 0.02  # time constants of the field
+STEPS, REACH = 3, 2.5  # of the robust fit; sigmas
+OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the samples would
+SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, but other lights
+SWITCHED_SHARE = 0.15  # ... or so much of it more than before: a lamp lights a part of the room
+SWITCHED_S = 0.5  # the field is found anew for so long
+OUTLIER_SIGMAS, OUTLIER_S = 4.0, 1.0
+MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
+FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
+MOST_FIELD = 3.0
+FEW_IN_CELL = 8
+SWITCHED_GAIN = 0.05  # ... or the whole picture is brighter or darker by more than flicker makes it
+
+Floats = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The light now, against that in which the background was learned: level = gain field learned + offset.
+
+    gain, offset (C,) float32; field (FIELD_DOWN, FIELD_ACROSS, C) float32, 1 on average. scale : residuals of the
+    samples in sigmas, 1 where the noise explains them. switched : the light has just changed suddenly.
+    """
+
+    gain: Floats
+    offset: Floats
+    field: Floats
+    scale: float = 1.0
+    switched: bool = False
+
+    @classmethod
+    def unchanged(cls, channels: int) -> Light:
+        """Return the light that the background was learned in."""
+        ones = np.ones(channels, np.float32)
+        return cls(ones, np.zeros_like(ones), np.ones((FIELD_DOWN, FIELD_ACROSS, channels), np.float32))
+
+    @property
+    def brightness(self) -> float:
+        """How many times brighter than learned the scene is, all channels together."""
+        return float(self.gain.mean())
+
+    @property
+    def unevenness(self) -> float:
+        """Standard deviation of the field: by which share the light's change differs over the picture."""
+        return float(self.field.std())
+
+
+class LightEstimator:
+    """Estimates the light from samples (n, C) of the picture. ``switches`` counts the sudden changes so far."""
+
+    def __init__(self, cell: npt.NDArray[np.intp], channels: int) -> None:
+        """``cell`` (n,) : the field's cell of each sample."""
+        self._cell, self.light = cell, Light.unchanged(channels)
+        self._outliers, self._switched_s, self._usual_gain = 0.0, math.inf, np.ones(channels)
+        self._trust_before = np.ones(len(cell), np.float32)
+        self._first, self.switches = True, 0
+
+    def update(self, seen: Floats, expected: Floats, precision: Floats, trust: Floats, step_s: float) -> Floats:
+        """Take the samples of a frame; return what is left of them (n, C): seen - gain expected - offset.
+
+        seen, expected, precision (n, C) : grey levels, those of the background with the field of :attr:`light`, and
+        1 / variance. trust (n,) : 1, less where foreground is likely. step_s : since the frame before.
+        """
+        light, channels = self.light, seen.shape[1]
+        gain, offset, scale = light.gain.copy(), light.offset.copy(), 1.0
+        weight = np.empty_like(seen)
+        if self._switched_s > SWITCHED_S:
+            self._trust_before = trust  # what foreground is just after a switch is not known: it is as it was before
+        usable = ((seen < 250) & (expected < 245) & (expected > 3)) * self._trust_before[:, None]
+        usable = usable.astype(np.float32)
+        for c in range(channels):
+            gain[c], offset[c], found = robust_gain(
+                _column(seen, c),
+                _column(expected, c),
+                _column(precision, c),
+                _column(usable, c),
+                np.array([gain[c], offset[c]]),
+                OFFSET_PRIOR,
+                STEPS,
+                REACH,
+                part := np.empty(len(seen), np.float32),
+            )
+            weight[:, c] = part
+            scale = max(scale, found)
+        sound = (gain > 1 / MOST_GAIN) & (gain < MOST_GAIN) & np.isfinite(offset)
+        if not sound.all():
+            gain, offset = np.where(sound, gain, light.gain), np.where(sound, offset, light.offset)
+        rest = seen - gain * expected - offset
+        self._note_switch(rest, precision, usable, max(scale, self._jump(gain, step_s)), step_s)
+        field = light.field
+        if self._switched_s < SWITCHED_S:
+            field = self._refit(seen - offset, gain * expected, usable, field)
+        else:
+            field = self._follow(rest, gain * expected, weight, field, step_s)
+        mean = field.mean(axis=(0, 1))
+        field = np.clip(field / mean, 1 / MOST_FIELD, MOST_FIELD).astype(np.float32)
+        switched = self._switched_s < SWITCHED_S and not self._first
+        self._first = False
+        self.light = Light(gain.astype(np.float32), offset.astype(np.float32), field, scale, switched)
+        return np.asarray(rest, np.float32)
+
+    def _jump(self, gain: Floats, step_s: float) -> float:
+        """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
+        change = float(np.abs(gain / self._usual_gain - 1).max())
+        share = 1.0 if self._first else 1 - math.exp(-step_s / OUTLIER_S)
+        self._usual_gain = self._usual_gain + share * (gain - self._usual_gain)
+        return 2 * SWITCHED_SCALE if change > SWITCHED_GAIN and not self._first else 1.0
+
+    def _note_switch(self, rest: Floats, precision: Floats, usable: Floats, scale: float, step_s: float) -> None:
+        """Notice that half of the picture, or suddenly much more of it than before, departs from the background."""
+        z2 = (rest * rest * precision * (usable >= 1)).max(axis=1)
+        outliers = float((z2 > OUTLIER_SIGMAS**2).mean())
+        sudden = outliers > self._outliers + SWITCHED_SHARE or scale > SWITCHED_SCALE
+        self.switches += sudden and self._switched_s > SWITCHED_S and not self._first
+        self._switched_s = 0.0 if sudden else self._switched_s + step_s
+        share = 1 - math.exp(-step_s / OUTLIER_S)
+        self._outliers += (1.0 if self._first else share) * (outliers - self._outliers)
+
+    def _follow(self, rest: Floats, expected: Floats, weight: Floats, field: Floats, step_s: float) -> Floats:
+        """Move each cell of the field towards what its samples say; cells without any follow their neighbours."""
+        cells = FIELD_DOWN * FIELD_ACROSS
+        share, found = 1 - math.exp(-step_s / FIELD_S), np.empty_like(field)
+        for c in range(field.shape[2]):
+            power = weight[:, c] * expected[:, c]
+            change, known = (
+                cv2.GaussianBlur(
+                    np.bincount(self._cell, power * each[:, c], cells).reshape(FIELD_DOWN, FIELD_ACROSS),
+                    (3, 3),
+                    0,
+                    borderType=cv2.BORDER_CONSTANT,
+                )
+                for each in (rest, expected)
+            )
+            found[..., c] = change / (known + 0.1 * np.median(known) + 1e-9)
+        return field * (1 + np.float32(share) * found)
+
+    def _refit(self, seen: Floats, expected: Floats, usable: Floats, field: Floats) -> Floats:
+        """Find the field anew: medians of the cells' ratios, smooth over the picture, robust against what covers some.
+
+        First a quadratic surface, then the cells themselves where they are near it.
+        """
+        ratio = np.ones_like(field)
+        for c in range(field.shape[2]):
+            each = seen[:, c] / np.maximum(expected[:, c], 1.0)
+            for cell in range(FIELD_DOWN * FIELD_ACROSS):
+                mine = each[(self._cell == cell) & (usable[:, c] >= 1)]
+                ratio.reshape(-1, field.shape[2])[cell, c] = np.median(mine) if len(mine) >= FEW_IN_CELL else np.nan
+        ratio = np.log(np.clip(ratio, 1 / MOST_FIELD, MOST_FIELD))
+        v, u = np.meshgrid(np.linspace(-1, 1, FIELD_DOWN), np.linspace(-1, 1, FIELD_ACROSS), indexing="ij")
+        basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
+        smooth = np.empty_like(ratio)
+        for c in range(field.shape[2]):
+            y, known = np.nan_to_num(ratio[..., c].reshape(-1)), np.isfinite(ratio[..., c].reshape(-1)) * 1.0
+            weight = known
+            for _ in range(6):
+                A = (basis * weight[:, None]).T @ basis + 1e-3 * np.diag([0, 1, 1, 1, 1, 1])
+                surface = basis @ np.linalg.solve(A, (basis * weight[:, None]).T @ y)
+                off = np.abs(y - surface)
+                reach = max(3 * float(np.median(off[known > 0])) if known.any() else 0.0, FIELD_REACH)
+                weight = known / (1 + (off / reach) ** 2) ** 2
+            smooth[..., c] = surface.reshape(FIELD_DOWN, FIELD_ACROSS)
+        near = np.abs(ratio - smooth) < 2 * FIELD_REACH  # never where nothing is known
+        return np.asarray(field * np.exp(np.where(near, ratio, smooth)), np.float32)
+
+
+def _column(values: Floats, channel: int) -> Floats:
+    return np.ascontiguousarray(values[:, channel], np.float32)

@@ -1,0 +1,113 @@
+"""The noise of a camera's pixels: what a sensor, its digitisation and a codec do to an unchanged scene.
+
+Photon transfer (Janesick, "Photon Transfer", SPIE 2007): the variance of a grey level rises in a straight line with the
+level, variance = read + slope level, from read noise and photon noise. A codec hides noise where nothing moves, so that
+the noise of a decoded background says too little: it is measured again in every frame, on the places that show the
+background, where it also holds what a codec, flicker and light that is known inexactly leave.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .kernels import HALF_MEDIAN
+from .model import BackgroundModel
+
+QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
+LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
+MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person
+LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
+FEW_IN_BIN = 30
+FOLLOW_S = 1.0  # time constant
+MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
+
+Floats = npt.NDArray[np.floating]
+
+
+class Noise(NamedTuple):
+    """Variance of a pixel's grey level in each channel: read + slope level, grey levels squared.
+
+    read, slope (C,) float64. correlation : of two channels' noise: codecs err mostly in brightness.
+    """
+
+    read: npt.NDArray[np.float64]
+    slope: npt.NDArray[np.float64]
+    correlation: float = 0.0
+
+    def variance(self, level: Floats) -> Floats:
+        """Return the variance of grey levels (..., C), or of levels without channels for mono images."""
+        if len(self.read) == 1:
+            return self.read[0] + self.slope[0] * level
+        return self.read + self.slope * level
+
+    def sigma(self, level: float) -> float:
+        """Return the standard deviation at a grey level, the channels together."""
+        return math.sqrt(float((self.read + self.slope * level).mean()))
+
+    def moved(self, target: Noise, share: float) -> Noise:
+        """Return the noise moved by ``share`` of the way to ``target``."""
+        return Noise(
+            self.read + share * (target.read - self.read),
+            self.slope + share * (target.slope - self.slope),
+            self.correlation + share * (target.correlation - self.correlation),
+        )
+
+    def at_least(self, other: Noise, level: float) -> Noise:
+        """Return the noise with each channel replaced by that of ``other`` where it is less at ``level``."""
+        less = self.read + self.slope * level < other.read + other.slope * level
+        return Noise(np.where(less, other.read, self.read), np.where(less, other.slope, self.slope), self.correlation)
+
+
+def assumed_noise(sigma: float, channels: int) -> Noise:
+    """Return noise of one standard deviation at every level."""
+    return Noise(np.full(channels, sigma**2), np.zeros(channels))
+
+
+def learned_noise(model: BackgroundModel) -> Noise:
+    """Return the noise that the frames of the empty room showed."""
+    channels = 1 if model.mean.ndim == 2 else model.mean.shape[2]
+    every = max(1, model.mean.size // channels // 20000)
+    level = model.mean.reshape(-1, channels)[::every].astype(float)
+    variance = model.sigma.reshape(-1, channels)[::every].astype(float) ** 2
+    lines = [_fit(level[:, c], variance[:, c], LEARNED_BINS) for c in range(channels)]
+    return Noise(*np.array(lines).T)
+
+
+def measured_noise(level: Floats, rest: Floats) -> Noise | None:
+    """Return the noise in a frame: ``rest`` (n, C) is by how much pixels that show the background differ from it.
+
+    level (n, C) : grey levels of the background. None when there are too few pixels to tell.
+    """
+    if len(level) < 4 * FEW_IN_BIN:
+        return None
+    channels = level.shape[1]
+    lines = [_fit(level[:, c], (HALF_MEDIAN * rest[:, c]) ** 2, FRAME_BINS) for c in range(channels)]
+    noise = Noise(*np.array(lines).T)
+    if channels == 1:
+        return noise
+    scaled = rest / np.sqrt(noise.variance(level))
+    together = (HALF_MEDIAN * float(np.median(np.abs(scaled.sum(axis=1))))) ** 2  # channels (1 + (channels - 1) rho)
+    rho = (together / channels - 1) / (channels - 1)
+    return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
+
+
+def _fit(level: Floats, square: Floats, bins: int) -> tuple[float, float]:
+    """Fit read and slope by the medians of the squares over pixels of similar level."""
+    order = np.array_split(np.argsort(level, kind="stable"), bins)
+    parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
+    x, y = (np.array(each) for each in zip(*((level[p].mean(), np.median(square[p])) for p in parts), strict=True))
+    weight = 1 / np.maximum(y, LEAST_VARIANCE)
+    sw, sx, sy = (weight**2).sum(), (weight**2 * x).sum(), (weight**2 * y).sum()
+    sxx, sxy = (weight**2 * x * x).sum(), (weight**2 * x * y).sum()
+    det = sw * sxx - sx * sx
+    slope = (sw * sxy - sx * sy) / det if det > 1e-9 * sw * sxx else 0.0
+    read = (sy - slope * sx) / sw
+    if slope < 0 or read < 0:  # neither can be: the better of the two lines with one of them 0
+        flat, through = sy / sw, sxy / sxx
+        error = [((weight * (y - flat)) ** 2).sum(), ((weight * (y - through * x)) ** 2).sum()]
+        read, slope = (flat, 0.0) if error[0] <= error[1] else (0.0, through)
+    return min(max(read + QUANTISATION, LEAST_VARIANCE), MOST_VARIANCE), slope

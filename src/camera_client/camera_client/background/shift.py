@@ -1,0 +1,134 @@
+"""Measures by how much the picture of a fixed camera has moved against its background: shift and roll, a few pixels.
+
+A tripod that was touched, a wall that warms, a mount that hums: every edge of the room would become foreground. The
+displacement is fitted to the steepest places of the picture, in every frame, robustly against what stands before them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .kernels import robust_shift
+
+CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
+STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
+HOLD = 30.0  # information that holds the displacement at zero, px^-2: a picture without edges does not move
+LEAST_PX = 0.05  # a smaller displacement is not followed
+FOLLOW_PX = 0.12  # a larger one is taken over ...
+SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
+DAMPING = 0.7  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
+MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
+MOST_LEFT_PX = 0.8
+LEFT_S = 0.5  # time constant of what is left
+FEW_PLACES = 40
+LEAST_STEEPNESS = 1.5  # grey levels a pixel
+
+Floats = npt.NDArray[np.float32]
+
+
+class Displacement(NamedTuple):
+    """How the picture lies against the background: moved right and down, pixels, turned clockwise about its middle."""
+
+    right_px: float = 0.0
+    down_px: float = 0.0
+    roll_rad: float = 0.0
+
+    def most_px(self, shape: tuple[int, ...]) -> float:
+        """Return an upper bound of any pixel's displacement in a picture (H, W)."""
+        return math.hypot(self.right_px, self.down_px) + abs(self.roll_rad) * math.hypot(*shape[:2]) / 2
+
+    def further(self, by: Displacement) -> Displacement:
+        """Return the sum of two displacements; they are small, so that they add."""
+        return Displacement(*(a + b for a, b in zip(self, by, strict=True)))
+
+    def after(self, before: Displacement) -> Displacement:
+        """Return the displacement since ``before``; displacements are small, so that they add."""
+        return Displacement(*(a - b for a, b in zip(self, before, strict=True)))
+
+    def moved(self, picture: Floats) -> Floats:
+        """Return the background ``picture`` (H, W, C) as the displaced camera sees it: always a new array."""
+        if self == Displacement():
+            return picture.copy()
+        height, width = picture.shape[:2]
+        c, s = math.cos(self.roll_rad), math.sin(self.roll_rad)
+        x, y = (width - 1) / 2, (height - 1) / 2
+        A = np.array([[c, -s, x - c * x + s * y + self.right_px], [s, c, y - s * x - c * y + self.down_px]])
+        moved = cv2.warpAffine(picture, A, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(moved, np.float32).reshape(picture.shape)
+
+
+def gradients(picture: Floats) -> tuple[Floats, Floats]:
+    """Return the slopes (H, W, C) to the right and downwards, grey levels a pixel, of a slightly smoothed picture."""
+    smooth = cv2.GaussianBlur(picture, (3, 3), 0)
+    right, down = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *d, scale=1 / 8), np.float32) for d in ((1, 0), (0, 1)))
+    return right.reshape(picture.shape), down.reshape(picture.shape)
+
+
+class ShiftEstimator:
+    """Measures the displacement of frames against the background; time is that of the frames' stamps.
+
+    ``total`` is what the background has been moved by; ``left_px`` the displacement that is left, standard deviation.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._shape = shape
+        self.total, self.left_px = Displacement(), 0.1
+        self.row = self.column = np.zeros(0, np.intp)
+        self._recent: deque[tuple[float, Displacement]] = deque()
+        self._time_s = 0.0
+
+    def place(self, right: Floats, down: Floats) -> None:
+        """Choose the places: the steepest of every cell of a background with these slopes (H, W, C)."""
+        steepness = np.sqrt((right * right + down * down).sum(axis=2))
+        side = max(self._shape[1] // CELLS_ACROSS, 4)
+        peak = (steepness >= cv2.dilate(steepness, np.ones((3, 3), np.uint8))) & (steepness >= LEAST_STEEPNESS)
+        peak[:3], peak[-3:], peak[:, :3], peak[:, -3:] = False, False, False, False
+        row, column = np.nonzero(peak)
+        cell = row // side * (self._shape[1] // side + 1) + column // side
+        order = np.lexsort((-steepness[row, column], cell))
+        row, column, cell = row[order], column[order], cell[order]
+        taken = np.arange(len(cell)) - np.searchsorted(cell, cell) < IN_CELL
+        self.row, self.column = row[taken], column[taken]
+        self._right, self._down = right[self.row, self.column], down[self.row, self.column]
+        self._steep2 = self._right**2 + self._down**2
+        x, y = self.column - (self._shape[1] - 1) / 2, self.row - (self._shape[0] - 1) / 2
+        self._turned = (self._down * x[:, None] - self._right * y[:, None]).astype(np.float32)
+
+    @property
+    def measurable(self) -> bool:
+        """Whether the background has edges enough."""
+        return len(self.row) >= FEW_PLACES
+
+    def update(self, rest: Floats, gain: Floats, variance: Floats, trust: Floats, step_s: float, first: bool) -> bool:
+        """Take the frame's residuals (n, C) at the places; True when ``total`` has changed.
+
+        gain (C,) : of the light. variance (n, C) : of the noise alone. trust (n,) : 1, less where foreground is likely.
+        first : the displacement is taken over at once.
+        """
+        if not self.measurable:
+            return False
+        found = robust_shift(
+            rest, self._right * gain, self._down * gain, self._turned * gain, variance, trust, STEPS, REACH, HOLD
+        )
+        instant, left_px = Displacement(*found[:3]), float(found[3])
+        share = 1.0 if first else 1 - math.exp(-step_s / LEFT_S)
+        self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
+        self._time_s += step_s
+        self._recent.append((self._time_s, instant))
+        while self._recent[0][0] < self._time_s - SETTLE_S:
+            self._recent.popleft()
+        if not first and (len(self._recent) < 3 or self._time_s - self._recent[0][0] < SETTLED_SHARE * SETTLE_S):
+            return False
+        lasting = Displacement(*np.median([each for _, each in self._recent], axis=0) * DAMPING)
+        proposed = self.total.further(lasting)
+        if lasting.most_px(self._shape) < FOLLOW_PX or proposed.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
+            return False
+        self.total = proposed
+        self._recent.clear()
+        return True
