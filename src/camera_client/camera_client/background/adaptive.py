@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
@@ -64,7 +64,7 @@ class AdaptiveBackground:
         self._learned_noise = self._noise = learned_noise(model) if measured else assumed
         self._least_noise = self._learned_noise if measured else assumed_noise(settings.sigma_floor, channels)
         self._image = ExpectedImage(model, self._learned_noise if measured else None, settings.sigma_floor)
-        self.threshold = min(round(SCALE * float(chi2.isf(settings.risk, channels))), int(HIGHEST) - 1)
+        self.threshold = min(round(SCALE * float(chdtri(channels, settings.risk))), int(HIGHEST) - 1)
         height, width = model.shape[:2]
         step = max(1, math.isqrt(height * width // SAMPLES))
         rows, columns = np.meshgrid(
@@ -177,8 +177,7 @@ class AdaptiveBackground:
 
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
-        self._image.place(self._shift.total, self._slow.local)
-        self._shift.place(self._image.right, self._image.down)
+        self._shift.place(*self._image.place(self._shift.total, self._slow.local))
         self._renew(slice(0, self._image.shape[0]))
 
     def _renew(self, rows: slice) -> None:

@@ -26,7 +26,7 @@ At = tuple[slice, slice]
 
 
 class ExpectedImage:
-    """Levels and precision of every pixel. ``right``, ``down`` (H, W, C) : slopes of the background, grey levels / px.
+    """Levels and precision of every pixel.
 
     Changes of light and noise act on the rows that are renewed; gain and offset act at once.
     """
@@ -91,16 +91,17 @@ class ExpectedImage:
 
     # --- changes
 
-    def place(self, displacement: Displacement, local: Floats | None) -> None:
-        """Move the learned background to where the camera looks now; ``local`` (H, W, C) : departures from it, there.
+    def place(self, displacement: Displacement, local: Floats | None) -> tuple[Floats, Floats]:
+        """Move the learned background to where the camera looks now; return its slopes right and down, levels / px.
 
-        All rows have to be renewed then.
+        ``local`` (H, W, C) : departures from it, there. All rows have to be renewed then.
         """
         self._mean, self._excess = (displacement.moved(each) for each in (self._learned, self._excess_learned))
         if local is not None:
             self._mean += local
-        self.right, self.down = gradients(self._mean)
-        self._steepness2 = self.right * self.right + self.down * self.down
+        right, down = gradients(self._mean)
+        self._steepness2 = right * right + down * down
+        return right, down
 
     def change(self, rows: slice, by: Floats) -> None:
         """Add to the background's levels (h, W, C) of some rows, which have to be renewed then."""
