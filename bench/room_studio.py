@@ -60,12 +60,12 @@ class Studio:
 
     def __init__(self, look: Look) -> None:
         self.look, self.rig = look, ring(SIDE_CAMERAS)
-        self._cameras = {camera.name: VirtualCamera(camera) for camera in self.rig.cameras}
+        self.cameras = {camera.name: VirtualCamera(camera) for camera in self.rig.cameras}
         self._person = VolumetricBody(Body.from_stature(STATURE_M))
 
     def empty(self, camera: str) -> np.ndarray:
         """Return the light of the empty room, (H, W[, 3])."""
-        eye = self._cameras[camera]
+        eye = self.cameras[camera]
         return eye.empty_room_colour() if self.look.colour else eye.empty_room()
 
     def shadow(self, pose: Pose) -> tuple[Capsules, np.ndarray]:
@@ -75,7 +75,7 @@ class Studio:
 
     def seen(self, camera: str, capsules: Capsules, shadow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return light and exact mask of the person in the room."""
-        eye, outfit = self._cameras[camera], OUTFITS[self.look.outfit]
+        eye, outfit = self.cameras[camera], OUTFITS[self.look.outfit]
         if self.look.colour:
             return eye.render_colour(capsules, outfit.albedo_bgr(capsules), shadow)
         return eye.render(outfit.dress(capsules), shadow)

@@ -3,6 +3,8 @@
     python bench/rooms.py --quick                  # two minutes: one value of each disturbance
     python bench/rooms.py                          # everything
     python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record
+    python bench/rooms.py --cost                   # milliseconds a frame, in turns with MOG2 and KNN
+    python bench/rooms.py --long | --jump          # drills: ten minutes, lamp, door, touched cameras; an empty room
 
 Rows: sessions of the test data as they are; the studio with clothes and shadows of any kind (room_studio.py); a grey
 session and the studio in colour with disturbances added after decoding (room_disturbances.py). Every frame is run, with
@@ -12,13 +14,18 @@ second of a sudden change of light, and within four seconds of things moved, are
 ours : as each camera sends it, what is above 127 is the person. judged : after the cameras' joint judgement.
 MOG2, KNN : of OpenCV, learning on and frozen, shadows removed and kept: the best of these. GSOC, SuBSENSE, PAWCS, ViBe
 : see room_rivals.py, which also tells how to make PYTHON. All rivals have our majority filter and component rules.
-The last line is JSON: rows (each with clip, disturbance, and by method IoU, recall and false foreground in percent of
-the picture), worst_iou (of ours as sent), ahead_in_all (is ours as sent ahead of every rival in every row).
+Without --cost, --long and --jump the last line is JSON: rows (each with clip, disturbance, and by method IoU, recall
+and false foreground in percent of the picture), worst_iou (of ours as sent), ahead_in_all (is ours as sent ahead of
+every rival in every row).
 """
 
 from __future__ import annotations
 
+import argparse
+import itertools
 import tempfile
+import time
+from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -27,11 +34,13 @@ from typing import Any
 
 from report import Table, execute, finish, parser
 
+import cv2
 import numpy as np
 import room_rivals
-from room_clips import of_session, open_clip
+from room_clips import RoomClip, of_session, open_clip
 from room_disturbances import Disturbance
-from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_scores, rival_scores
+from room_drills import jumps, long_drills
+from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_pipeline, our_scores, rival_scores
 from room_studio import LOOKS, studio_clip
 from scenes import shared_sessions
 
@@ -41,6 +50,9 @@ QUICK_SESSIONS = SESSIONS[:3]
 MONO, COLOUR = SESSIONS[0], str(next(look for look in LOOKS if look.colour))
 STUDIO = {str(look): look for look in LOOKS}
 RIVALS = (*CV2_RIVALS, *room_rivals.METHODS)
+FRAME_NS, WARM_UP_FRAMES, COST_ROUNDS = 16_666_667, 15, 10
+"""Cost: stamps of a camera at 60 Hz; frames while compilers and caches warm up; times the clip is played."""
+LONG_S, QUICK_LONG_S = 600.0, 120.0
 STORED_NOISE = 2.0
 """Of the sensor before a codec, grey levels."""
 
@@ -128,6 +140,55 @@ def is_ahead(figures: dict[str, Any]) -> bool:
     return all(figures[SENT]["iou"] >= figures[rival]["iou"] for rival in RIVALS if rival in figures)
 
 
+# --- cost
+
+
+def cost(rounds: int) -> dict[str, Any]:
+    """Print and return milliseconds a frame of 640 x 480 of our whole chain, and of the rivals' subtraction alone."""
+    figures: dict[str, Any] = {}
+    table = Table("frames:<8 | method:<28 | mean ms:>8.2f | median ms:>9.2f | over ours:>9.2f", "one thread, in turns")
+    for kind, look in (("mono", LOOKS[0]), ("colour", STUDIO[COLOUR])):
+        clip = studio_clip(look, SECONDS)
+        times = in_turns(cost_works(clip), [*clip.there_and_back().take[clip.rig.names[0]]] * rounds)
+        ours = times[next(iter(times))].mean()
+        for name, ms in times.items():
+            table.row(kind, name, ms.mean(), np.median(ms), ms.mean() / ours)
+            figures[f"{kind}: {name}"] = {
+                "mean_ms": ms.mean(),
+                "median_ms": np.median(ms),
+                "over_ours": ms.mean() / ours,
+            }
+    return figures
+
+
+def cost_works(clip: RoomClip) -> dict[str, Callable[[np.ndarray], object]]:
+    """What is timed: an image of the clip's first camera to a mask, ours first."""
+    camera = clip.rig.names[0]
+    chain, stamps = our_pipeline(clip, {}).cameras[camera], itertools.count(clip.stamp_ns(0), FRAME_NS)
+    works: dict[str, Callable[[np.ndarray], object]] = {"ours, the whole chain": lambda i: chain.run(i, next(stamps))}
+    for name, make in CV2_RIVALS.items():
+        rival = make()
+        for image in clip.empty[camera]:
+            rival.apply(image)
+        works[f"{name}, subtraction alone"] = partial(_apply, rival)
+    return works
+
+
+def _apply(subtractor: cv2.BackgroundSubtractor, image: np.ndarray) -> object:
+    return subtractor.apply(image)
+
+
+def in_turns(works: dict[str, Callable[[np.ndarray], object]], frames: list[np.ndarray]) -> dict[str, np.ndarray]:
+    """Milliseconds of each work on each frame but the first second's; on every frame each has its turn."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for image in frames:
+        for name, work in works.items():
+            begin = time.perf_counter()
+            work(image)
+            times[name].append(1e3 * (time.perf_counter() - begin))
+    return {name: np.array(ms[WARM_UP_FRAMES:]) for name, ms in times.items()}
+
+
 def main() -> None:
     given = parser(__doc__, quick="one value of each disturbance")
     given.add_argument("--only", default="", help="rows whose clip or disturbance has this in its name")
@@ -135,7 +196,23 @@ def main() -> None:
     given.add_argument(
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
     )
+    given.add_argument("--cost", action="store_true", help="milliseconds a frame instead of the table")
+    given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
+    given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
     arguments = given.parse_args()
+    looks = [LOOKS[0]] if arguments.quick else [LOOKS[0], STUDIO[COLOUR]]
+    if arguments.cost:
+        finish(cost(1 if arguments.quick else COST_ROUNDS))
+    elif arguments.long:
+        finish(long_drills(looks, QUICK_LONG_S if arguments.quick else LONG_S))
+    elif arguments.jump:
+        finish(jumps(looks))
+    else:
+        whole_table(arguments)
+
+
+def whole_table(arguments: argparse.Namespace) -> None:
+    """Prepare the clips, measure every row."""
     if not arguments.rivals:
         print("no --rivals PYTHON: rows of codecs are left out, the field's rivals are those on record")
     clips = clip_names(arguments.quick)

@@ -22,7 +22,8 @@ from virtual_studio.rendering.capsules import (
     hit_capsule,
 )
 from virtual_studio.rig import ring
-from virtual_studio.scene.room import view_room
+from virtual_studio.scene.room import DOOR_HEIGHT_M, DOOR_Y_M, open_door, view_room
+from virtual_studio.scene.room import HALF_WIDTH_M as HALF_ROOM_M
 
 BODY = Body.from_stature(1.72)
 PERSON = VolumetricBody(BODY)
@@ -205,6 +206,26 @@ def test_clothes_change_the_light_of_the_person_and_nothing_else(name):
     contrast = light[body].mean() / camera.empty_room()[body].mean()
     low, high = {"dark": (0, 0.4), "middle": (0.4, 0.8), "light": (1.1, 2), "room": (0.8, 1.1)}[name]
     assert low < contrast < high
+
+
+def test_open_door_is_dark_and_as_large_as_a_door_from_every_camera():
+    seen = 0
+    for camera in ring(4, ceiling=False).cameras:
+        view = view_room(camera)
+        opened = open_door(camera, view)
+        changed = opened.grey != view.grey
+        assert (opened.grey[changed] < view.grey[changed]).all()
+        corners = np.array([[HALF_ROOM_M, y, z] for y in DOOR_Y_M for z in (0.0, DOOR_HEIGHT_M)])
+        pixels = camera.project(corners)
+        if (camera.R_camera_world[2] @ corners.T + camera.t_camera_world[2] > 0.5).all() and changed.any():
+            seen += 1
+            y, x = np.nonzero(changed)
+            inside = np.isfinite(pixels).all() and (pixels >= 0).all() and (pixels < [640, 480]).all()
+            if inside:
+                box = np.array([[x.min(), y.min()], [x.max(), y.max()]])
+                np.testing.assert_allclose(box, [pixels.min(0), pixels.max(0)], atol=6.0)
+    assert seen >= 1
+    np.testing.assert_array_equal(open_door(camera, view, 0.0).grey, view.grey)
 
 
 def test_rays_of_the_view_project_back_onto_their_pixels():

@@ -13,7 +13,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig
 
 from ..people import Capsules
-from ..scene.room import pixel_rays, view_room
+from ..scene.room import View, pixel_rays, view_room
 from .capsules import draw_capsules, shadow_lookup, silhouette
 
 Image = NDArray[np.uint8]
@@ -29,9 +29,10 @@ _NOISE_SAMPLES = 1 << 22
 class VirtualCamera:
     """Renders the room with a body and its shadow through one camera; what does not move is computed once."""
 
-    def __init__(self, camera: CameraModel) -> None:
+    def __init__(self, camera: CameraModel, view: View | None = None) -> None:
+        """``view`` : what it sees of a room that differs from the usual one (`scene.room.view_room`)."""
         self.camera = camera
-        self._view = view_room(camera)
+        self._view = view or view_room(camera)
         lookup = shadow_lookup(self._view.floor_xy)
         self._shadow_map = cv2.convertMaps(lookup[..., 0], lookup[..., 1], cv2.CV_16SC2)
 

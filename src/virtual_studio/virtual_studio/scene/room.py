@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ HALF_WIDTH_M, HEIGHT_M = 4.6, 3.8
 FLOOR, CEILING = 4, 5
 WALL_GREYS = (0.64, 0.59, 0.67, 0.62)
 FLOOR_GREY, CEILING_GREY = 0.56, 0.72
+DOOR_Y_M, DOOR_HEIGHT_M, CORRIDOR_GREY = (0.6, 1.5), 2.05, 0.22
+"""The door of wall +x, and what is behind it."""
 TINTS_BGR = np.array(
     [
         [1.06, 1.01, 0.93],
@@ -69,6 +71,17 @@ def view_room(camera: CameraModel) -> View:
     floor = np.where((surface == FLOOR)[:, None], hits[:, :2], np.nan)
     floor_xy = floor.reshape(h, w, 2).astype(np.float32)
     return View(pixels, grey.reshape(h, w).astype(np.float32), floor_xy, surface.reshape(h, w))
+
+
+def open_door(camera: CameraModel, view: View, share: float = 1.0) -> View:
+    """Returns the room with the door of wall +x open by a share of its width: a dim corridor is seen behind it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (HALF_WIDTH_M - camera.centre_world[0]) / view.rays[..., 0]
+        y, z = (camera.centre_world[axis] + distance * view.rays[..., axis] for axis in (1, 2))
+    left, right = DOOR_Y_M
+    open_ = (view.surface == 0) & (y > left) & (y < left + share * (right - left)) & (z < DOOR_HEIGHT_M)
+    corridor = CORRIDOR_GREY * (1.0 + 0.25 * np.clip(z, 0.0, DOOR_HEIGHT_M) / DOOR_HEIGHT_M)
+    return replace(view, grey=np.where(open_, corridor, view.grey).astype(np.float32))
 
 
 def _first_surface(origin: Array, rays: Array) -> tuple[Array, NDArray[np.int64]]:
