@@ -97,7 +97,7 @@ class HullPipeline:
         self.backend, self.backend_reason = choice.backend, choice.reason
         self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
         # who is faulty has no say, so without that test there is no report
-        self._support = SupportReporter(rig, self.views) if settings.camera_fault.enabled else None
+        self._support = SupportReporter(rig, self.views, settings.min_seeing) if settings.camera_fault.enabled else None
         self._extrinsics = ExtrinsicMonitor(rig, self.views, settings.calibration)
         self._shadows = ShadowResolver(self.views, rig.volume, settings.shadow)
         self._bodies = BodyTracker(settings.body)

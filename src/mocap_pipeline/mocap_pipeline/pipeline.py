@@ -26,6 +26,7 @@ from mocap_packets.fit import Fit
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from mocap_packets.state import BodyState, NoState, Prediction
+from mocap_packets.support import ForegroundSupport
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
@@ -83,12 +84,16 @@ class MocapPipeline:
         under_way = self.hull.begin(frame_set)
         # tell each camera where the others see a body: things that moved are seen by none, and become background
         # (consistency/foreground_support.py; camera_client/background/moved_things.py)
-        for report in under_way.support:
-            if report.camera in self.cameras:
-                self.cameras[report.camera].take_support(report)
+        self.report_support(under_way.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
         return self.hull.finish(under_way).products.as_sent()
+
+    def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:
+        """Tell the cameras that are segmented here what the others see of their foreground."""
+        for report in reports:
+            if report.camera in self.cameras:
+                self.cameras[report.camera].take_support(report)
 
 
 class BodyFollower:

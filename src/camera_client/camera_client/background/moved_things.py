@@ -35,8 +35,8 @@ STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
 OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
 TAKEN_AWAY_S = 1.0  # the outlines say enough; the picture must have come to rest
 WHOLE = 0.8  # share of a blob's blocks that must meet a rule: heads and hands move while a trunk keeps still
+MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
 GIVE_BACK_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
-BODY_S = 1.0  # the others see a body: it begins anew; for a shorter time somebody passes
 SILENT_S = 2.0  # without a report for so long, nothing is known of the others
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
@@ -71,7 +71,8 @@ class MovedThings:
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
         self._limit = _noise_limit(self._learned)
-        self._noise, self._brightness = float(np.median(noise)), 1.0
+        self._noise = self._learned_sigma = float(np.median(noise))
+        self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.given_back = 0
@@ -86,11 +87,18 @@ class MovedThings:
         self._running: npt.NDArray[np.float32] | None = None
         self._last_ns = self._report_ns = 0
         self._still_s, self._shown_s, self._unseen_s = (np.zeros(blocks, np.float32) for _ in range(3))
-        self._body_s, self._outside_s, self._learned_s = (np.zeros(blocks, np.float32) for _ in range(3))
+        self._body_s, self._outside_s = (np.zeros(blocks, np.float32) for _ in range(2))
+        self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._since_ns = np.where(self._blocks_of(self.replaced) > 0, np.int64(1), np.int64(0))
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
-        self._changed = True
+        self._sees_body = np.zeros(blocks, bool)  # the latest report
+        self._note_change()
         self._samples = 0
+
+    def _note_change(self) -> None:
+        x, y, width, height = cv2.boundingRect(self.replaced)
+        self._box = (slice(y, y + height), slice(x, x + width)) if width else None
+        self._changed = True
 
     @property
     def changed(self) -> bool:
@@ -123,14 +131,17 @@ class MovedThings:
         self._reports.append(report)
 
     def forgive(self, image: Image, values: Mask, brightness: float = 1.0, as_background: int = 0) -> None:
-        """Write ``as_background`` into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
+        """Write ``as_background``, 0 or 255, into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
 
         brightness : how many times brighter than when the background was learned the scene is now.
         """
-        x, y, width, height = cv2.boundingRect(self.replaced)
-        if width:
-            part = slice(y, y + height), slice(x, x + width)
-            values[part][self._differs(image[part], part, brightness) == 0] = as_background
+        if self._box is not None:
+            part = self._box
+            differs = self._differs(image[part], part, brightness)
+            if as_background:
+                cv2.bitwise_or(values[part], cv2.bitwise_not(differs), dst=values[part])
+            else:
+                cv2.bitwise_and(values[part], differs, dst=values[part])
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether :meth:`update` would look at a frame of this stamp."""
@@ -152,10 +163,12 @@ class MovedThings:
         light, against when it was learned. sigma : of the noise now, grey levels, where that is more than was learned.
         """
         self._brightness = brightness
+        sigma = max(sigma, self._learned_sigma)
         if abs(sigma - self._noise) > 0.2 * self._noise:
             self._noise = sigma
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
         if stamp_ns < self._last_ns:
+            self._reports.clear()
             self._restart()
         self._last_ns = stamp_ns
         step_s = self._throttle.step_s(stamp_ns)
@@ -163,16 +176,17 @@ class MovedThings:
             return
         self._apply_reports(stamp_ns)
         # which blocks show anything, and for how long they kept still
-        shown = self._blocks_of(foreground) >= BLOCK_SHARE
-        self._follow(image, step_s)
+        strange = foreground.copy()
+        self.forgive(image, strange, brightness)
+        shown = self._blocks_of(strange) >= BLOCK_SHARE
         self._shown_s = _counted(self._shown_s, shown, step_s)
+        self._follow(image, step_s)
         # what looks as it was learned is given back
-        absorbed = self._since_ns > 0
-        if absorbed.any():
-            self._give_back(image, foreground, shown, absorbed, step_s)
+        if self._box is not None:
+            self._give_back(self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
-        self._absorb(shown & ~(self._since_ns > 0), (image, foreground, background), stamp_ns)
+        self._absorb(shown, (image, strange, background), stamp_ns)
 
     # --- what the others see, and what keeps still
 
@@ -186,10 +200,11 @@ class MovedThings:
             self._unseen_s = _counted(self._unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s)
             self._outside_s = _counted(self._outside_s, levels == OUTSIDE, step_s)
             self._body_s = _counted(self._body_s, levels == BODY, step_s)
-            self._unseen_s[self._body_s >= BODY_S] = 0.0
+            self._sees_body = levels == BODY
         if due_ns - self._report_ns > SILENT_S / NS:
             for seconds in (self._unseen_s, self._outside_s, self._body_s):
                 seconds[:] = 0.0
+            self._sees_body = np.zeros_like(self._gone)
 
     def _follow(self, image: Image, step_s: float) -> None:
         """Follow the picture by a running mean, and begin anew in blocks that changed by more than noise."""
@@ -215,9 +230,9 @@ class MovedThings:
         unseen = self._is_unseen(shown)
         if unseen.any():
             for blob in _blobs(shown, unseen):
-                if not (blob & body).any() and (blob & unseen).sum() >= WHOLE * blob.sum():
+                if (blob & body).sum() <= MOST_BODY * blob.sum() and (blob & unseen).sum() >= WHOLE * blob.sum():
                     self._take_over(blob & unseen, stamp_ns)
-        rested = shown & (np.minimum(self._still_s, self._shown_s) >= TAKEN_AWAY_S) & ~(self._since_ns > 0)
+        rested = shown & (np.minimum(self._still_s, self._shown_s) >= TAKEN_AWAY_S)
         if self._samples % round(TAKEN_AWAY_S / SAMPLE_S) == 0 and rested.any():
             # a person beside the place hides a part of the outline; without her first, then bodies that may be none
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
@@ -227,9 +242,9 @@ class MovedThings:
 
     def _is_unseen(self, shown: Blocks) -> Blocks:
         """Return the blocks whose foreground nobody else has seen, and which kept still, for long enough."""
-        needed_s = np.where(self._outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
-        lasted_s = np.minimum(np.minimum(self._still_s, self._shown_s), self._unseen_s)
-        return shown & (lasted_s >= needed_s)
+        rest_s = np.where(self._outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
+        lasted = np.minimum(self._shown_s, self._unseen_s) >= STILL_S
+        return shown & lasted & (self._still_s >= rest_s)
 
     def _was_taken_away(self, blob: Blocks, pictures: Pictures) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
@@ -255,25 +270,29 @@ class MovedThings:
         self.mean[pixels], self.replaced[pixels] = self._running[pixels] / self._brightness, 255
         self._since_ns[blocks], self._learned_s[blocks] = stamp_ns, 0.0
         self.absorbed += 1
-        self._changed = True
+        self._note_change()
 
     # --- giving back
 
-    def _give_back(self, image: Image, foreground: Mask, shown: Blocks, absorbed: Blocks, step_s: float) -> None:
-        """Forget what was absorbed where the picture is as learned again, or where the others see a body in it."""
-        remaining = foreground.copy()
-        self.forgive(image, remaining, self._brightness)
-        matched = absorbed & shown & (self._blocks_of(remaining) < BLOCK_SHARE)
-        self._learned_s = np.where(absorbed & ~shown, self._learned_s + np.float32(step_s), np.float32(0))
+    def _give_back(self, unlike_learned: Blocks, strange: Blocks, step_s: float) -> None:
+        """Forget what was absorbed where the picture is as learned again, or where the others see a body in it.
+
+        unlike_learned : blocks that differ from what was learned. strange : those that differ from what was absorbed,
+        too.
+        """
+        absorbed = self._since_ns > 0
+        matched = absorbed & unlike_learned & ~strange
+        self._learned_s = np.where(absorbed & ~unlike_learned, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
-        near_thing = cv2.dilate((absorbed & shown).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        back = absorbed & (self._learned_s >= GIVE_BACK_S) & ~near_thing
-        back |= matched & (self._body_s >= STILL_S) & ~self._gone
+        beside = cv2.dilate((absorbed & unlike_learned).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        back = absorbed & (self._learned_s >= GIVE_BACK_S) & ~beside
+        self._denied_s = _counted(self._denied_s, matched & self._sees_body & ~self._gone, step_s)
+        back |= self._denied_s >= STILL_S
         if back.any():
             self._since_ns[back], self._gone[back] = 0, False
             self.replaced[self._to_pixels(back)] = 0
             self.given_back += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
-            self._changed = True
+            self._note_change()
         # light moves on
         follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))
         assert self._running is not None
@@ -330,10 +349,9 @@ def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
 
 
 def _counted(seconds: Seconds, holds: Blocks, step_s: float) -> Seconds:
-    """Count the seconds for which something holds, and twice as fast those for which it does not."""
-    longest = OUTSIDE_STILL_S + SAMPLE_S
-    step = np.where(holds, np.float32(step_s), np.float32(-2 * step_s))
-    return np.clip(seconds + step, 0.0, longest).astype(np.float32)
+    """Count the seconds for which something holds up, to a little more than STILL_S, and the others down."""
+    step = np.where(holds, np.float32(step_s), np.float32(-step_s))
+    return np.clip(seconds + step, 0.0, STILL_S + SAMPLE_S).astype(np.float32)
 
 
 def _noise_limit(sigma: npt.NDArray[np.float32]) -> Mask:

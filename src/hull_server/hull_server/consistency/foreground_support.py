@@ -1,10 +1,11 @@
 """Tells each camera where the other cameras see a body, so that what nobody else sees can become its background.
 
 Things that were moved, doors and screens are foreground in one camera's picture, and no body in the others'. The
-capture volume and its surroundings are divided into blocks. A block supports foreground of a camera when at least two
-of the other cameras, and at least half of those that look there, show foreground: a person is supported as long as
-fewer than half of the others miss her. A cell of the picture can be judged when at least two others look at the whole
-stretch of its rays inside the volume.
+capture volume and its surroundings are divided into blocks. A block supports foreground of a camera when as many of
+the others show foreground as a hull needs (in the volume, where fewer look there: all that do), and no more than one
+denies it. Near such blocks half of the others are enough, and everywhere while there are none: a person is supported
+as long as fewer than half of the others miss a part of her. A cell of the picture can be judged when at least two
+others look at the whole stretch of its rays inside the volume.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSup
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
 from ..kernel import kernel, popcount
-from ..views import Masks, RigViews
+from ..views import Masks, RigViews, min_seeing
 
 PERIOD_S = 0.25  # things are judged for seconds
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
@@ -31,7 +32,8 @@ LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
 REACH_M = 0.5  # an arm: bodies in the volume reach out of it by so much
-MARGIN_M = 0.25  # around what others see as a body: contact shadows, a hand that one of them misses
+MARGIN_M = 0.15  # around what others see as a body: blocks, contact shadows
+NEAR_M = 0.5  # an arm, or a leg from the knee down: parts of a body of which the rest is certain
 MOST_COVERED = 0.25  # share of a camera's view beyond which its foreground is no silhouette: it supports anything
 POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others may look at: rounding at its faces
 _EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
@@ -42,14 +44,15 @@ Cells = npt.NDArray[np.uint8]
 class SupportReporter:
     """Reports, a few times a second by the stamps, where each camera's foreground has support. One thread at a time."""
 
-    def __init__(self, rig: Rig, views: RigViews) -> None:
-        self._views = views
+    def __init__(self, rig: Rig, views: RigViews, requested_seeing: int = 0) -> None:
+        """``requested_seeing`` is the hull's setting ``min_seeing``."""
+        self._views, self._requested_seeing = views, requested_seeing
         self._cells = _pooled_views(views)
         grid = VoxelGrid.covering(_surroundings(rig.volume), BLOCK_M / _EDGE)
         seen_table = summed_area(self._cells.seen)
         self._boxes, self._coarse = (block_boxes(self._cells, grid, e, seen_table) for e in (_EDGE, _COARSE_EDGE))
         self._space = _Space.of(grid, rig.volume)
-        self._margins = [_margin_cells(P, rig.volume) for P in views.P]
+        self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, NEAR_M)) for P in views.P]
         self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
         self._proven = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
@@ -73,17 +76,24 @@ class SupportReporter:
     def _levels(self, shown: Cells, voters: int) -> Cells:
         """Return the level of every cell (N, h, w), from the foreground cells of the voters (bits)."""
         found = np.zeros_like(shown)
-        # bodies in the volume
-        self._proven |= self._mark(shown, voters, True, found)
-        for level, margin in zip(found, self._margins, strict=True):
-            cv2.dilate(level, margin, dst=level)
+        # bodies in the volume, and what half of the others see next to them
+        sure, half, agreed = self._vote(shown, voters, True)
+        self._proven |= agreed
+        for camera, (margin, near) in enumerate(self._reaches):
+            beside = cv2.dilate(sure[camera], near) if sure[camera].any() else np.full_like(sure[camera], 1)
+            found[camera] = cv2.dilate(sure[camera] | (half[camera] & beside), margin) * np.uint8(BODY)
         # what is left of the pictures: things and people around the volume
-        self._mark(np.where(found > 0, np.uint8(0), shown), voters, False, found)
+        outside, _, _ = self._vote(np.where(found > 0, np.uint8(0), shown), voters, False)
+        found[(outside > 0) & (found == 0)] = OUTSIDE
         return np.where(found > 0, found, self._judgeable(voters & self._proven))
 
-    def _mark(self, shown: Cells, voters: int, of_bodies: bool, found: Cells) -> int:
-        tables, votes = summed_area(shown), Votes(voters, self._proven, of_bodies)
-        return int(mark_supported(self._boxes, self._coarse, tables, votes, self._space, found))
+    def _vote(self, shown: Cells, voters: int, of_bodies: bool) -> tuple[Cells, Cells, int]:
+        """Return the cells (N, h, w), 0 or 1, that others support for certain, that half of them do, and who agrees."""
+        needed = min_seeing(int(popcount(np.uint64(voters))), self._requested_seeing) - 1
+        votes, sure, half = Votes(voters, self._proven, needed, of_bodies), np.zeros_like(shown), np.zeros_like(shown)
+        tables = summed_area(shown)
+        agreed = mark_supported(self._boxes, self._coarse, tables, votes, self._space, sure, half)
+        return sure, half, int(agreed)
 
     def _judgeable(self, witnesses: int) -> Cells:
         """Return, for every cell, what it is when nothing supports it: NOBODY, UNJUDGED, or OUTSIDE the volume."""
@@ -122,16 +132,21 @@ class _Space(NamedTuple):
 
 class Votes(NamedTuple):
     """voters, proven : bits of the cameras whose foreground counts, and of those whose empty view counts, too.
+    needed : how many others have to show foreground, where so many look.
     of_bodies : whether they vote on blocks where bodies in the volume may be, or on those around."""
 
     voters: int
     proven: int
+    needed: int
     of_bodies: bool
 
 
 @kernel
-def mark_supported(boxes, coarse_boxes, tables, votes, space, found):  # type: ignore[no-untyped-def]
-    """Mark the cells (N, h, w) of ``found`` on which supported blocks lie; return the bits of cameras that agreed."""
+def mark_supported(boxes, coarse_boxes, tables, votes, space, sure, half):  # type: ignore[no-untyped-def]
+    """Mark the cells (N, h, w) on which blocks lie that are supported for certain, and by half of the other cameras.
+
+    Returns the bits of the cameras that agreed with others for certain.
+    """
     agreed, ratio = 0, _COARSE_EDGE // _EDGE
     for at in range(space.coarse[0] * space.coarse[1] * space.coarse[2]):
         showing, _ = _look(coarse_boxes, tables, votes, at)
@@ -146,8 +161,7 @@ def mark_supported(boxes, coarse_boxes, tables, votes, space, found):  # type: i
                         block = (z * space.blocks[1] + y) * space.blocks[0] + x
                         showing, denying = _look(boxes, tables, votes, block)
                         if popcount(np.uint64(showing)) >= 2:
-                            level = BODY if votes.of_bodies else OUTSIDE
-                            agreed |= _mark_block(boxes, block, (showing, denying), level, found)
+                            agreed |= _mark_block(boxes, block, (showing, denying), votes, sure, half)
     return agreed
 
 
@@ -167,20 +181,21 @@ def _look(boxes, tables, votes, block):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _mark_block(boxes, block, seen_by, level, found):  # type: ignore[no-untyped-def]
-    """Mark a block in the pictures of the cameras whose others support it; return the bits of those that show it."""
+def _mark_block(boxes, block, seen_by, votes, sure, half):  # type: ignore[no-untyped-def]
+    """Mark a block in the pictures of the cameras whose others support it; return the bits of those that agree."""
     showing, denying = seen_by
     agreed = 0
     for camera in range(boxes.sight.shape[0]):
         if boxes.sight[camera, block] != UNSEEN:
             supporters = popcount(np.uint64(showing & ~(1 << camera)))
-            if supporters >= 2 and supporters >= popcount(np.uint64(denying & ~(1 << camera))):
-                agreed |= showing & 1 << camera
+            deniers = popcount(np.uint64(denying & ~(1 << camera)))
+            if supporters >= 2 and supporters >= deniers:
                 box = boxes.pixels[camera, block]
-                for row in range(box[1], box[3]):
-                    for column in range(box[0], box[2]):
-                        if found[camera, row, column] == 0:
-                            found[camera, row, column] = level
+                half[camera, box[1] : box[3], box[0] : box[2]] = 1
+                looking = supporters + deniers if votes.of_bodies else votes.needed
+                if deniers <= 1 and supporters >= min(votes.needed, looking):
+                    agreed |= showing & 1 << camera
+                    sure[camera, box[1] : box[3], box[0] : box[2]] = 1
     return agreed
 
 
@@ -236,10 +251,9 @@ def _pool(mask: Cells, cells: Cells) -> None:
     cv2.threshold(filled, 4 * LEAST_PX - 2, 255, cv2.THRESH_BINARY, dst=cells[:height, :width])
 
 
-def _margin_cells(P: npt.NDArray[np.float64], volume: Volume) -> Cells:
-    """Return the kernel that widens by MARGIN_M at the distance of the volume's middle, half a metre at least."""
+def _reach_cells(P: npt.NDArray[np.float64], volume: Volume, reach_m: float) -> Cells:
+    """Return the kernel that widens by ``reach_m`` at the distance of the volume's middle, half a metre at least."""
     depth_m = max(float(P[2] @ np.append((volume.low + volume.high) / 2, 1.0)), 0.5)
     focal_px = float(np.linalg.norm(np.cross(P[1, :3], P[2, :3])))
-    reach = int(np.ceil(MARGIN_M * focal_px / depth_m / CELL_PX))
-    side = 2 * reach + 1
+    side = 2 * int(np.ceil(reach_m * focal_px / depth_m / CELL_PX)) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)), np.uint8)
