@@ -151,9 +151,12 @@ class CameraChain:
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:
         s = self._settings
+        frame_checks = s.frame_checks
+        if s.source == "footage":  # a codec repeats a picture of a scene in which nothing moves, bit by bit
+            frame_checks = replace(frame_checks, frozen_s=0.0)
         if model is None:
-            return _Stages(camera, FrameChecks(s.frame_checks))
-        checks, pipeline, moved = FrameChecks(s.frame_checks, model.mean), None, None
+            return _Stages(camera, FrameChecks(frame_checks))
+        checks, pipeline, moved = FrameChecks(frame_checks, model.mean), None, None
         if camera is not None:
             silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
             pipeline = SilhouettePipeline(camera, model, silhouette, s.background_model, self._volume)

@@ -237,7 +237,7 @@ class FrameCheckSettings:
     )
     frozen_s: float = setting(
         1.0,
-        "A camera is frozen when its picture stays the same for so long; 0 never (footage)",
+        "A camera is frozen when its picture stays the same for so long; 0 never, as with footage",
         unit="s",
         low=0,
         high=3600,

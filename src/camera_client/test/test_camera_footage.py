@@ -6,9 +6,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from footage_clips import CODECS, cut_off, write_clip
+from footage_clips import scene as square_scene
 
+from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
-from camera_client.settings import FootageSettings
+from camera_client.settings import BackgroundSettings, FootageSettings
 from camera_client.sources.footage_reader import VideoReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource, Pace
 from capture_rig.errors import InputError
@@ -280,3 +283,54 @@ def test_single_still_is_read_as_footage_of_one_frame(tmp_path, images):
     reader = open_footage(tmp_path / "one.png")
     assert reader.probe() == (120, 160, 3)
     assert np.array_equal(reader.read(), images[0]) and reader.read() is None
+
+
+@pytest.mark.parametrize("first_black", [False, True])
+def test_colour_camera_whose_first_picture_is_black_is_a_colour_camera(tmp_path, scene, first_black):
+    images = scene.empty(5, colour=True)
+    images[0] = np.zeros_like(images[0]) if first_black else images[0]
+    reader = open_footage(write_clip(tmp_path / "cam01.avi", images, 50.0, "XVID"))
+    assert reader.probe() == images[0].shape
+    reader.close()
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_grey_camera_stored_as_colour_plays_as_grey_with_its_levels(tmp_path, codec):
+    images = square_scene(6)
+    with source_of(write_clip(tmp_path / f"cam01{CODECS[codec]}", images, 50.0, codec)) as source:
+        source.start()
+        frames = read_all(source)
+    assert source.fps == pytest.approx(50.0) and len(frames) == 6
+    for frame, image in zip(frames, images, strict=True):
+        assert frame.image.shape == image.shape
+        assert abs(float(frame.image.mean()) - float(image.mean())) < 1.5
+        assert np.abs(frame.image.astype(float) - image).mean() < 6.0
+
+
+def test_rate_in_the_header_that_no_camera_has_asks_for_the_setting(tmp_path):
+    source = source_of(write_clip(tmp_path / "cam01.mp4", square_scene(3), 1000.0))
+    with pytest.raises(InputError, match=r"cam01.mp4: has no frame rate of its own.*Set the parameter footage.fps"):
+        source.connect()
+    with source_of(tmp_path / "cam01.mp4", fps=50.0) as source:
+        source.start()
+        assert read(source, 2)[1].stamp_ns == EPOCH_NS + 20_000_000
+
+
+def test_footage_that_was_cut_off_ends_after_its_last_whole_frame(tmp_path):
+    path = cut_off(write_clip(tmp_path / "cam01.avi", square_scene(20), 50.0, "MJPG"), 0.6)
+    with source_of(path) as source:
+        source.start()
+        frames = read_all(source)
+    assert 6 < len(frames) < 20
+    assert [frame.frame_id for frame in frames] == list(range(len(frames)))
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_background_from_a_clip_in_any_codec_is_the_mean_picture_to_a_level(tmp_path, codec):
+    rng, still = np.random.default_rng(1), square_scene(1)[0]
+    images = [np.clip(still + np.rint(rng.normal(0, 3, still.shape)), 0, 255).astype(np.uint8) for _ in range(30)]
+    path = write_clip(tmp_path / f"cam01_background{CODECS[codec]}", images, 25.0, codec)
+    model = read_background(path, still.shape, BackgroundSettings())
+    assert np.abs(model.mean - np.mean(images, axis=0)).mean() < 1.5
+    coloured = read_background(path, (*still.shape, 3), BackgroundSettings())
+    assert coloured.shape == (*still.shape, 3)

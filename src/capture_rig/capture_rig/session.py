@@ -157,7 +157,7 @@ def _point(rows: Array, column: dict[str, int], parts: tuple[str, ...], path: Pa
     return (neck + (left_hip + right_hip) / 2) / 2
 
 
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".mpg", ".webm")  # in either case
 STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif")
 
 
@@ -180,7 +180,7 @@ def load_session(folder: str | Path) -> Session:
     if not folder.is_dir():
         raise InputError("is not a folder", where=str(folder), remedy="Give a session folder (rig.yaml, camNN.mp4).")
     rig = load_rig(folder / "rig.yaml")
-    found = {name: _find(folder, name, VIDEO_SUFFIXES) for name in rig.names}
+    found = {name: find_footage(folder, name, VIDEO_SUFFIXES) for name in rig.names}
     videos = {name: path for name, path in found.items() if path is not None}
     _check_cameras(folder, rig, videos)
     return Session(
@@ -199,12 +199,14 @@ def footage_stamp_ns(epoch_ns: int, frame: int, fps: float) -> int:
     return epoch_ns + round(frame * 1e9 / fps)
 
 
-def _find(folder: Path, stem: str, suffixes: tuple[str, ...]) -> Path | None:
-    return next((folder / (stem + s) for s in suffixes if (folder / (stem + s)).is_file()), None)
+def find_footage(folder: Path, stem: str, suffixes: tuple[str, ...]) -> Path | None:
+    """Return the file called ``stem`` with the first of the suffixes, in lower or upper case; None without one."""
+    named = (folder / (stem + cased) for suffix in suffixes for cased in (suffix, suffix.upper()))
+    return next((path for path in named if path.is_file()), None)
 
 
 def _present(folder: Path, rig: Rig, tail: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    found = {name: _find(folder, name + tail, suffixes) for name in rig.names}
+    found = {name: find_footage(folder, name + tail, suffixes) for name in rig.names}
     return {name: path for name, path in found.items() if path is not None}
 
 
@@ -216,7 +218,7 @@ def _check_cameras(folder: Path, rig: Rig, videos: dict[str, Path]) -> None:
             where=str(folder),
             remedy=f"Add {missing[0]}.mp4, or take the camera out of rig.yaml.",
         )
-    stems = {path.stem for path in folder.iterdir() if path.suffix in VIDEO_SUFFIXES}
+    stems = {path.stem for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES}
     strangers = sorted(s for s in stems - set(rig.names) if not s.endswith(("_background", "_mask")))
     strangers = [s for s in strangers if s.startswith("cam")]
     if strangers:
@@ -228,27 +230,34 @@ def _check_cameras(folder: Path, rig: Rig, videos: dict[str, Path]) -> None:
 
 
 def _frame_rate(folder: Path, videos: dict[str, Path]) -> float:
-    rates = {name: _video_rate(path) for name, path in videos.items()}
-    stated = _stated_rate(folder / "session.yaml")
+    stated = stated_rate(folder / "session.yaml")
+    rates = {name: _video_rate(path, stated is None) for name, path in videos.items()}
     if stated is not None:
         return stated
     if max(rates.values()) - min(rates.values()) > 1e-3 * max(rates.values()):
         raise InputError(
             f"the videos have different frame rates: {rates}",
             where=str(folder),
-            remedy="Give the true rate as 'fps' in session.yaml.",
+            remedy="Give the true rate as 'fps' in session.yaml; if one has a variable rate, sagoma doctor "
+            f"--session {folder} says which.",
         )
     return next(iter(rates.values()))
 
 
-def _video_rate(path: Path) -> float:
+def _video_rate(path: Path, needed: bool) -> float:
+    """Return the rate in the header; InputError where that is none of a camera and ``needed``."""
     with Video(path) as video:
-        if not 0 < video.fps < 10_000:
-            raise InputError("has no frame rate", where=str(path), remedy="Check the file, or its codec.")
+        if needed and not video.fps:
+            raise InputError(
+                f"has no frame rate that a camera has: its header says {video.header_fps:g} fps",
+                where=str(path),
+                remedy="Give the true rate as 'fps' in session.yaml.",
+            )
         return video.fps
 
 
-def _stated_rate(path: Path) -> float | None:
+def stated_rate(path: Path) -> float | None:
+    """Return the frame rate in a session.yaml; None where it states none. Raises InputError for one that is none."""
     if not path.is_file():
         return None
     fps = read_mapping(path, "It holds 'fps', 'units' and 'source', all optional.").get("fps")

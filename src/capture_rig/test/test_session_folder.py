@@ -76,6 +76,31 @@ def test_shared_sessions_are_complete(shared_data: Callable[..., Path]) -> None:
     assert session.truth is not None and session.truth.points_world.shape == (620, 15, 3)
 
 
+def test_videos_with_suffixes_in_upper_case_are_found(folder: Path) -> None:
+    for name in ("cam01", "cam02"):
+        (folder / f"{name}.mp4").rename(folder / f"{name}.MP4")
+    (folder / "cam02_background.png").rename(folder / "cam02_background.PNG")
+    session = load_session(folder)
+    assert session.videos["cam02"].name == "cam02.MP4"
+    assert session.backgrounds["cam02"].name == "cam02_background.PNG"
+    write_video(folder / "cam03.MP4".lower())
+    (folder / "cam03.mp4").rename(folder / "cam03.AVI")
+    assert "a video for cam03" in refusal(folder)
+
+
+def test_rate_that_no_camera_has_is_refused_with_file_value_and_remedy(folder: Path) -> None:
+    write_video(folder / "cam02.mp4", 1000.0)
+    text = refusal(folder)
+    assert "cam02.mp4: has no frame rate that a camera has: its header says 1000 fps" in text
+    assert "'fps' in session.yaml" in text
+
+
+def test_stated_rate_serves_where_the_headers_have_none(folder: Path) -> None:
+    write_video(folder / "cam02.mp4", 1000.0)
+    (folder / "session.yaml").write_text("fps: 50\n")
+    assert load_session(folder).fps == 50
+
+
 def test_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
     assert "is not a folder" in refusal(tmp_path / "nowhere")
 

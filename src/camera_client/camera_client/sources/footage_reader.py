@@ -10,11 +10,13 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES
-from capture_rig.video import Video
+from capture_rig.video import MONO_TOLERANCE as MONO_TOLERANCE
+from capture_rig.video import Video, is_grey
+from capture_rig.video_findings import VideoFacts
 
 from ..frame_source import Image, UndecodableFrame
 
-MONO_TOLERANCE = 3  # grey levels between the channels of a monochrome picture stored as colour (JPEG rounding)
+PROBED = 3  # first images that tell whether footage has colour: the very first may be black
 
 
 class FootageReader(ABC):
@@ -44,27 +46,42 @@ class FootageReader(ABC):
 
     def probe(self) -> tuple[int, ...]:
         """Return the images' shape, from the first one; settles whether they are mono or colour, and rewinds."""
-        try:
-            image = self._next()
-        except UndecodableFrame as error:
-            raise InputError(str(error), where=str(self.path), remedy="Check the first image.") from None
-        if image is None:
-            raise InputError(
-                "holds no image that can be decoded", where=str(self.path), remedy="Check the file with a video player."
-            )
+        first, *more = self._first_images()
         if self._channels == "auto":
-            self._channels = "mono" if is_mono(image) else "colour"
+            self._channels = "mono" if all(map(is_grey, (first, *more))) else "colour"
         self.rewind()
-        return convert_channels(image, self._channels).shape
+        return convert_channels(first, self._channels).shape
+
+    def _first_images(self) -> list[Image]:
+        """One image, or as many as tell whether there is colour."""
+        found: list[Image] = []
+        while len(found) < (PROBED if self._channels == "auto" else 1):
+            try:
+                image = self._next()
+            except UndecodableFrame as error:
+                if found:
+                    break
+                raise InputError(str(error), where=str(self.path), remedy="Check the first image.") from None
+            if image is None:
+                break
+            found.append(image)
+        if not found:
+            remedy = "Check the file with a video player."
+            raise InputError("holds no image that can be decoded", where=str(self.path), remedy=remedy)
+        return found
 
 
 class VideoReader(FootageReader):
-    """A video file, with one decoding thread (each further one holds several images)."""
+    """A video file, with one decoding thread (each further one holds several images), or OpenCV's own choice (0)."""
 
-    def __init__(self, path: str | Path, channels: str) -> None:
+    def __init__(self, path: str | Path, channels: str, *, threads: int = 1) -> None:
         super().__init__(path, channels)
-        self._video = Video(path, threads=1)
+        self._video = Video(path, threads=threads)
         self.frame_count, self.fps = self._video.frame_count, self._video.fps
+
+    def facts(self) -> VideoFacts:
+        """Return what came of the video since its beginning."""
+        return VideoFacts.of(self._video)
 
     def rewind(self) -> None:
         self._video.rewind()
@@ -100,7 +117,7 @@ class StillsReader(FootageReader):
 def open_footage(path: str | Path, channels: str = "auto") -> FootageReader:
     """The reader that fits ``path``: a video file, a still, a folder of stills, or a pattern such as ``f_*.png``.
 
-    ``channels``: "mono", "colour", or "auto" (mono when the first image has no colour). Raises InputError.
+    ``channels``: "mono", "colour", or "auto" (mono when the first images have no colour). Raises InputError.
     """
     path = Path(path)
     if any(mark in path.name for mark in "*?["):
@@ -116,14 +133,6 @@ def open_footage(path: str | Path, channels: str = "auto") -> FootageReader:
     if path.suffix.lower() in STILL_SUFFIXES:
         return StillsReader(path, [path], channels)
     return VideoReader(path, channels)
-
-
-def is_mono(image: Image) -> bool:
-    """True for (H, W), and for (H, W, 3) whose channels are equal but for rounding."""
-    if image.ndim == 2:
-        return True
-    blue, green, red = cv2.split(image)
-    return max(cv2.norm(blue, green, cv2.NORM_INF), cv2.norm(red, green, cv2.NORM_INF)) <= MONO_TOLERANCE
 
 
 def convert_channels(image: Image, channels: str) -> Image:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
+from capture_rig.video_findings import VideoFacts, ended_findings
 from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings, table_console
@@ -22,7 +24,7 @@ from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation
 from ..evaluation.track import Track, track_from_bag
 from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
-from ..recording.session_clock import clock_of_bag, frame_count, is_bag, session_of_bag
+from ..recording.session_clock import clock_of_bag, is_bag, session_of_bag
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
 """Of each row of an ablation."""
@@ -106,8 +108,13 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track
         variants = {OURS: Configuration.of(settings)}
         variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
     ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
-    progress = counter("tracking")
-    return track_variants(session, ours_first, exact_masks=args.exact_masks, progress=progress), frame_count(session)
+    came: dict[str, VideoFacts] = {}
+    tracks = track_variants(
+        session, ours_first, exact_masks=args.exact_masks, progress=counter("tracking"), ended=came.update
+    )
+    for finding in ended_findings(came):
+        print(f"sagoma: {finding}", file=sys.stderr)
+    return tracks, min(facts.passed.frames for facts in came.values())
 
 
 def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:

@@ -12,10 +12,10 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
-from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
+from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
 from capture_rig.settings import read_mapping
 from capture_rig.verdict import GOOD, REDO, USABLE
-from capture_rig.video import Video
+from capture_rig.video_findings import examine_video, session_findings
 from rig_calibration.intrinsics.verdict import UNUSED_GOOD, UNUSED_USABLE
 
 from .findings import Finding, error, graded, note, ok, on, warning
@@ -112,8 +112,18 @@ def check_footage(facts: FootageFacts, camera: CameraGeometry) -> Iterator[Findi
         yield error("background.size_differs", text, "Record the empty room at the camera's size.")
 
 
-def check_session(footage: Sequence[FootageFacts]) -> Iterator[Finding]:
-    """Check that the videos have equally many frames, and a background each."""
+def check_session(footage: Sequence[FootageFacts], stated_fps: float | None = None) -> Iterator[Finding]:
+    """Check that the videos can be read to their ends, have one rate and equally many frames, and a background each.
+
+    ``stated_fps`` : the rate in session.yaml."""
+    videos = {facts.camera: facts.video for facts in footage if facts.video is not None}
+    rates = {camera: video.fps for camera, video in videos.items()}
+    if stated_fps is None and rates and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
+        listed = ", ".join(f"{camera} {rate:g}" if rate else f"{camera} unknown" for camera, rate in rates.items())
+        remedy = "Give the true rate as 'fps' in session.yaml."
+        yield error("footage.rate", f"the videos' headers give no one frame rate ({listed})", remedy)
+    for found in session_findings(videos):
+        yield warning("footage.doubtful", found.what, found.remedy)
     frames = {facts.camera: facts.frames for facts in footage if not facts.error}
     if len(set(frames.values())) > 1:
         lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
@@ -245,13 +255,21 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
     facts = collect_rig(rig, path, intrinsics)
     yield from on(SUBJECT, check_rig(facts))
     footage = {} if session is None else {name: collect_footage(session, name) for name in rig.names}
-    yield from on(f"session {session}", check_session(list(footage.values())))
+    yield from on(f"session {session}", check_session(list(footage.values()), _stated(session)))
     for camera in facts.cameras:
         subject = f"camera {camera.name}"
         report = facts.reports.get(camera.name)
         yield from on(subject, check_camera(camera, report, facts.differing.get(camera.name, "")))
         if camera.name in footage:
             yield from on(subject, check_footage(footage[camera.name], camera))
+
+
+def _stated(session: Path | None) -> float | None:
+    """Return the frame rate that the session states, None for none, or one that loading the session refuses."""
+    try:
+        return None if session is None else stated_rate(session / "session.yaml")
+    except InputError:
+        return None
 
 
 def collect_rig(rig: Rig, path: Path, intrinsics: Path | None) -> RigFacts:
@@ -270,14 +288,14 @@ def collect_rig(rig: Rig, path: Path, intrinsics: Path | None) -> RigFacts:
 
 def collect_footage(session: Path, name: str) -> FootageFacts:
     """Return the video and the background of camera ``name``."""
-    video = _first(session, name, VIDEO_SUFFIXES)
+    video = find_footage(session, name, VIDEO_SUFFIXES)
     if video is None:
         return FootageFacts(name, f"there is no {session / name}.mp4")
     try:
-        size, background = _size(video), _first(session, f"{name}_background", STILL_SUFFIXES + VIDEO_SUFFIXES)
-        with Video(video) as footage:
-            frames = footage.frame_count
-        return FootageFacts(name, "", size, frames, None if background is None else _size(background))
+        size, background = _size(video), find_footage(session, f"{name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+        seen = examine_video(video)
+        background_size = None if background is None else _size(background)
+        return FootageFacts(name, "", size, seen.passed.frames, background_size, seen)
     except InputError as problem:
         return FootageFacts(name, f"{problem.where}: {problem.what}")
 
@@ -313,10 +331,6 @@ def _difference(path: Path, camera: CameraModel) -> str:
         f"{name} {a:.1f}, in the rig {b:.1f}" for name, a, b in zip(names, mine, rigs, strict=True) if a != b
     ]
     return f"{path} says {', '.join(differences)}"
-
-
-def _first(folder: Path, stem: str, suffixes: tuple[str, ...]) -> Path | None:
-    return next((folder / (stem + end) for end in suffixes if (folder / (stem + end)).is_file()), None)
 
 
 def _size(path: Path) -> tuple[int, int]:

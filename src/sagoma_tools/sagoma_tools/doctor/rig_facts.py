@@ -18,6 +18,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.settings import read_mapping
 from capture_rig.verdict import GOOD, REDO, USABLE
+from capture_rig.video_findings import VideoFacts
 
 Array = npt.NDArray[np.float64]
 
@@ -93,13 +94,15 @@ class RigFacts:
 
 @dataclass(frozen=True)
 class FootageFacts:
-    """One camera's footage: image size (width, height), frames, and its background's size; or why it cannot be read."""
+    """One camera's footage: image size (width, height), frames that can be decoded, its background's size, and what the
+    video's reading showed; or why it cannot be read."""
 
     camera: str
     error: str = ""
     size: tuple[int, int] = (0, 0)
     frames: int = 0
     background_size: tuple[int, int] | None = None
+    video: VideoFacts | None = None
 
 
 def geometry(rig: Rig) -> tuple[tuple[CameraGeometry, ...], tuple[float, ...]]:

@@ -12,16 +12,22 @@ import numpy as np
 
 from camera_client.background.model import read_background
 from camera_client.settings import CameraClientSettings
+from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
-from capture_rig.video import Video
+from capture_rig.video_findings import VideoFacts
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower, Masks, MocapPipeline, make_segmenter
 
 from .track import Track
 
+FootageEnded = Callable[[dict[str, VideoFacts]], None]
 EPOCH_NS = 1_000_000_000_000_000_000
+
+
+def ignore_end(facts: dict[str, VideoFacts]) -> None:
+    """Do nothing about what came of the videos."""
 
 
 def track_session(
@@ -46,17 +52,19 @@ def track_variants(
     *,
     exact_masks: bool = False,
     progress: Callable[[int], None] = lambda frame: None,
+    ended: FootageEnded = ignore_end,
 ) -> dict[str, Track]:
     """Track with several configurations over the same hulls: every frame is segmented and carved once.
 
     Cameras and hull are set as the first one says, from which the others may differ in fit and filter only; it is also
-    the one that must find a body (InputError): another's track may be empty.
+    the one that must find a body (InputError): another's track may be empty. ``ended`` : is told what came of the
+    videos when the shortest has ended.
     """
     first, *others = variants.values()
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
         raise ValueError("variants of one run differ in the settings of cameras or hull")
     pipeline = MocapPipeline(session.rig, first)
-    masks = exact_silhouettes(session) if exact_masks else segmented(session, first.camera, pipeline)
+    masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, first.camera, pipeline, ended)
     followers = [pipeline.body, *(BodyFollower.of(other, session.rig.volume) for other in others)]
     rows: list[list[tuple[int, BodyState]]] = [[] for _ in followers]
     for frame, frame_masks in enumerate(masks):
@@ -72,12 +80,14 @@ def track_variants(
     return {name: Track.of_states(states) for name, states in zip(variants, rows, strict=True)}
 
 
-def segmented(session: Session, settings: CameraClientSettings, pipeline: MocapPipeline) -> Iterator[Masks]:
+def segmented(
+    session: Session, settings: CameraClientSettings, pipeline: MocapPipeline, ended: FootageEnded = ignore_end
+) -> Iterator[Masks]:
     """Canvas masks of every camera by the cameras of ``pipeline``, which are made with the first images.
 
     They hear what the pipeline's hull server reports if each frame is carved before the next one is asked for.
     """
-    for frame, images in enumerate(_images(session.videos)):
+    for frame, images in enumerate(_images(session.videos, ended)):
         for name in [name for name in images if name not in pipeline.cameras]:
             background = read_background(session.backgrounds[name], images[name].shape, settings.background_model)
             camera = session.rig.camera(name)
@@ -94,31 +104,33 @@ def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Ma
         pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), masks)
 
 
-def exact_silhouettes(session: Session) -> Iterator[Masks]:
+def exact_silhouettes(session: Session, ended: FootageEnded = ignore_end) -> Iterator[Masks]:
     """Canvas masks of every camera from the session's exact silhouettes."""
     missing = [name for name in session.rig.names if name not in session.masks]
     if missing:
         what = f"there is no exact silhouette for {', '.join(missing)}"
         raise InputError(what, where=str(session.folder), remedy=f"Add {missing[0]}_mask.mp4, or segment the footage.")
     views = {camera.name: camera.undistorted_view() for camera in session.rig.cameras}
-    for images in _images(session.masks):
+    for images in _images(session.masks, ended):
         yield {n: views[n].undistort_mask(np.where(i > 127, np.uint8(255), np.uint8(0))) for n, i in images.items()}
 
 
-def _images(videos: dict[str, Path]) -> Iterator[dict[str, np.ndarray]]:
-    """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey."""
-    grey: dict[str, bool] = {}
+def _images(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iterator[dict[str, np.ndarray]]:
+    """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey, as the
+    camera client reads it."""
     with ExitStack() as stack:
-        opened = {name: stack.enter_context(Video(path)) for name, path in sorted(videos.items())}
+        opened: dict[str, VideoReader] = {}
+        for name, path in sorted(videos.items()):
+            opened[name] = VideoReader(path, "auto", threads=0)
+            stack.callback(opened[name].close)
+            opened[name].probe()
         while True:
-            images = {name: video.read() for name, video in opened.items()}
+            images = {name: reader.read() for name, reader in opened.items()}
             found = {name: image for name, image in images.items() if image is not None}
             if len(found) < len(images):
+                ended({name: reader.facts() for name, reader in opened.items()})
                 return
-            for name, image in found.items():
-                if name not in grey:
-                    grey[name] = bool((image == image[..., :1]).all())
-            yield {name: image[..., 0].copy() if grey[name] else image for name, image in found.items()}
+            yield found
 
 
 # ablation: from the thesis's method to ours, one part of the tracker more in every row

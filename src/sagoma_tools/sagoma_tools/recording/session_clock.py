@@ -11,6 +11,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video
+from capture_rig.video_findings import examine_video
 
 from ..graph.topics import camera_topics
 from .reader import SIDECAR_RIG, frame_tolerance_ns, read_messages, read_provenance
@@ -70,11 +71,13 @@ def silhouette_stamps(bag: str | Path, session: Session) -> dict[str, list[int]]
 
 
 def frame_count(session: Session) -> int:
-    """Frames of the session's shortest video."""
+    """Frames of the session's shortest video, by the headers; of one whose header does not tell, as many as come."""
     counts = []
     for path in session.videos.values():
         with Video(path) as video:
             counts.append(video.frame_count)
+        if not counts[-1]:
+            counts[-1] = examine_video(path).passed.frames
     return min(counts)
 
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES, Session
-from capture_rig.video import Video
+from capture_rig.video import Video, is_grey
 
 from ..rendering.camera import Image
 from .scenes import Playback
 
-MONO_TOLERANCE = 3
 """Grey levels between the channels of a grey picture that was stored as colour."""
 BACKGROUND_SHARE = 0.25
 """Of the memory, at most, for the empty room."""
@@ -73,9 +72,9 @@ def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionSce
         for name, frames, background in zip(names, footage, backgrounds, strict=True)
     }
     lengths = []
-    for name in names:
+    for name, frames in zip(names, footage, strict=True):
         with Video(session.videos[name]) as video:
-            lengths.append(video.frame_count)
+            lengths.append(max(video.frame_count, len(frames)))  # a raw stream's header does not tell
     return SessionScene(playback, views, min(lengths))
 
 
@@ -83,12 +82,12 @@ def _background(session: Session, name: str, budget: float) -> list[Image]:
     path = session.backgrounds.get(name)
     if path is None:
         return []
-    if path.suffix not in STILL_SUFFIXES:
+    if path.suffix.lower() not in STILL_SUFFIXES:
         return _decode(path, budget)
     still = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if still is None:
         raise InputError("is not a readable picture", where=str(path), remedy="Check the file.")
-    return [np.ascontiguousarray(still[..., 1] if _is_mono(still) else still, np.uint8)]
+    return [np.ascontiguousarray(still[..., 1] if is_grey(still) else still, np.uint8)]
 
 
 def _decode(path: Path, budget: float) -> list[Image]:
@@ -97,7 +96,7 @@ def _decode(path: Path, budget: float) -> list[Image]:
     with Video(path) as video:
         for picture in video:
             if not frames:
-                mono = _is_mono(picture)
+                mono = is_grey(picture)
             elif frames[0].nbytes * (len(frames) + 1) > budget:
                 break
             frames.append(np.ascontiguousarray(picture[..., 1] if mono else picture, np.uint8))
@@ -115,8 +114,3 @@ def _alike(frame: Image, background: list[Image]) -> list[Image]:
         return background
     code = cv2.COLOR_GRAY2BGR if frame.ndim == 3 else cv2.COLOR_BGR2GRAY
     return [np.asarray(cv2.cvtColor(picture, code), np.uint8) for picture in background]
-
-
-def _is_mono(picture: np.ndarray) -> bool:
-    spread = picture.max(axis=2).astype(np.int16) - picture.min(axis=2)
-    return bool(spread.max() <= MONO_TOLERANCE)

@@ -1,0 +1,119 @@
+"""Footage as people have it: codecs, rates, sizes, grey stored as colour, and files that are cut off or uneven."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from footage_clips import CODECS, cut_off, place_of_square, scene, with_late_frames, write_clip
+
+from capture_rig.errors import InputError
+from capture_rig.verdict import REDO
+from capture_rig.video import PassedFrames, Video, is_grey
+from capture_rig.video_findings import VideoFacts, ended_findings, examine_video, session_findings, video_findings
+
+
+def facts(path: str = "cam01.avi", frames: int = 100, header: int = 100, **passed: float) -> VideoFacts:
+    return VideoFacts(Path(path), header, 50.0, (644, 486), PassedFrames(frames, **passed))
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("fps", [25.0, 50.0, 59.94, 60.0])
+def test_every_codec_gives_all_frames_in_order_at_its_rate(tmp_path: Path, codec: str, fps: float) -> None:
+    path = write_clip(tmp_path / f"cam01{CODECS[codec]}", scene(20), fps, codec)
+    with Video(path) as video:
+        assert (video.size_px, video.frame_count) == ((644, 486), 20)
+        assert video.fps == pytest.approx(fps, rel=1e-4)
+        places = [place_of_square(image) for image in video]
+        assert video.passed.frames == 20
+        assert [video.passed.shortest_s, video.passed.longest_s] == pytest.approx([1 / fps, 1 / fps], abs=2e-3)
+    assert places == pytest.approx([69.5 + 6 * frame for frame in range(20)], abs=1.0)
+    assert list(video_findings(examine_video(path))) == []
+
+
+@pytest.mark.parametrize("codec", ["XVID", "MJPG"])
+def test_recording_that_was_cut_off_says_how_many_frames_there_are(tmp_path: Path, codec: str) -> None:
+    path = cut_off(write_clip(tmp_path / "cam01.avi", scene(20), 50.0, codec), 0.7)
+    seen = examine_video(path)
+    assert 8 <= seen.passed.frames < 20
+    (finding,) = video_findings(seen)
+    assert f"ends after {seen.passed.frames} frames, its header promises 20" in finding.what
+
+
+def test_mp4_that_was_cut_off_cannot_be_opened_and_the_remedy_says_what_to_try(tmp_path: Path) -> None:
+    path = cut_off(write_clip(tmp_path / "cam01.mp4", scene(10)), 0.9)
+    with pytest.raises(InputError, match=r"cam01.mp4: cannot be opened as a video.*ffmpeg -i FILE -c copy"):
+        examine_video(path)
+
+
+def test_truncated_last_frame_costs_only_that_frame(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "cam01.avi", scene(20), 50.0, "MJPG")
+    content = path.read_bytes()
+    index = content.rindex(b"idx1")
+    path.write_bytes(content[: index - 300])  # the last frame lacks its end, the file its index
+    seen = examine_video(path)
+    assert seen.passed.frames in (19, 20)
+    with Video(path) as video:
+        places = [place_of_square(image) for image in video][:19]
+    assert places == pytest.approx([69.5 + 6 * frame for frame in range(19)], abs=1.0)
+
+
+def test_variable_frame_rate_is_named_with_both_intervals_and_a_remedy(tmp_path: Path) -> None:
+    path = with_late_frames(write_clip(tmp_path / "cam01.mp4", scene(20)), 15, 5)
+    (finding,) = video_findings(examine_video(path))
+    assert "variable frame rate: its frames are 20 to 40 ms apart" in finding.what
+    assert "ffmpeg -i cam01.mp4 -fps_mode cfr" in finding.remedy
+
+
+def test_time_stamps_in_whole_milliseconds_are_no_variable_rate() -> None:
+    assert not list(video_findings(facts(shortest_s=0.016, longest_s=0.017)))
+    assert not list(video_findings(facts(shortest_s=0.0, longest_s=0.0)))  # a raw stream has none
+
+
+def test_rate_in_the_header_that_no_camera_has_is_none(tmp_path: Path) -> None:
+    with Video(write_clip(tmp_path / "cam01.mp4", scene(3), 1000.0)) as video:
+        assert (video.fps, video.header_fps) == (0.0, 1000.0)
+
+
+def test_first_frame_that_comes_twice_is_named_where_other_cameras_have_it_once(tmp_path: Path) -> None:
+    images = scene(12)
+    late = write_clip(tmp_path / "cam01.mkv", [images[0], *images], 50.0, "FFV1")
+    others = [write_clip(tmp_path / f"cam0{n}.mkv", images, 50.0, "FFV1") for n in (2, 3)]
+    seen = {path.stem: examine_video(path) for path in (late, *others)}
+    assert [one.passed.twice for one in seen.values()] == [True, False, False]
+    (finding,) = session_findings(seen)
+    assert finding.what.startswith("the first frame of cam01.mkv comes twice") and "select" in finding.remedy
+    assert not list(session_findings({name: seen["cam01"] for name in seen}))  # all alike: nobody is late
+
+
+def test_video_without_a_frame_must_be_done_again() -> None:
+    (finding,) = video_findings(facts(frames=0))
+    assert finding.grade == REDO
+
+
+def test_shortest_of_videos_read_in_step_is_named_and_the_others_promise_nothing() -> None:
+    seen = {"cam01": facts("cam01.avi", 94, 100), "cam02": facts("cam02.avi", 93, 100)}
+    cut, first = ended_findings(seen)
+    assert cut.what.startswith("cam02.avi: ends after 93 frames, its header promises 100")
+    assert first.what.startswith("cam02.avi ended after 93 frames, before the others")
+    assert not list(ended_findings({"cam01": facts(), "cam02": facts()}))
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_grey_camera_stored_as_colour_is_grey_and_a_colour_camera_is_not(tmp_path: Path, codec: str) -> None:
+    images = scene(4)
+    with Video(write_clip(tmp_path / f"grey{CODECS[codec]}", images, 50.0, codec)) as video:
+        assert all(is_grey(image) for image in video)
+    coloured = [np.stack([image, image, image], axis=-1) for image in images]
+    for image in coloured:
+        image[200:230, 300:330, 2] = 200  # somebody's red shirt: 0.3 % of the picture
+    with Video(write_clip(tmp_path / f"colour{CODECS[codec]}", coloured, 50.0, codec)) as video:
+        assert not any(is_grey(image) for image in video)
+
+
+def test_grey_with_chroma_quantised_by_one_step_is_grey() -> None:
+    grey = np.full((48, 64, 3), 100, np.uint8)
+    grey[:24] += np.array([4, 0, 0], np.uint8)  # 2 levels of chroma are 3.5 of blue
+    grey[0, 0] = (90, 100, 140)  # one damaged pixel in 3072
+    assert is_grey(grey) and is_grey(grey[..., 0])
+    grey[:, :8] += np.array([9, 0, 0], np.uint8)
+    assert not is_grey(grey)

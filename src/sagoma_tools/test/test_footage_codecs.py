@@ -1,0 +1,142 @@
+"""Sessions and calibration films in the codecs that people have: tracked, calibrated, and what is said of bad files."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from footage_clips import cut_off, transcoded, with_late_frames, write_clip
+from intrinsics_views import lens, shown
+
+from capture_rig.camera_info_file import load_camera_info
+from capture_rig.session import load_session
+from capture_rig.video import Video
+from rig_calibration.boards.board import Checkerboard
+from sagoma_tools.cli import main
+from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
+from virtual_studio.rendering.board_camera import BoardCamera, PosedBoard
+from virtual_studio.rendering.camera import Sensor
+from virtual_studio.rig import ring
+from virtual_studio.scene.boards import print_of, transform
+
+FPS, FRAMES = 25.0, 14
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Half a second of T-pose, seen by four cameras, at 25 Hz."""
+    folder = tmp_path_factory.mktemp("studio") / "standing"
+    return write_session(folder, ring(4, False), Body.from_stature(1.75), "t_pose_only", fps=FPS, seconds=FRAMES / FPS)
+
+
+def evaluated(capsys, session):
+    """The figures, and what was said on standard error."""
+    assert main(["evaluate", str(session), "--start", "session", "--json", "--set", "hull_server.backend=cpu"]) == 0
+    printed = capsys.readouterr()
+    return json.loads(printed.out.splitlines()[-1]), printed.err
+
+
+def doctor(capsys, session):
+    """Findings above ok: (severity, code, text)."""
+    main(["doctor", "--no-machine", "--json", "--rig", str(session / "rig.yaml"), "--session", str(session)])
+    found = json.loads(capsys.readouterr().out)["findings"]
+    return [(f["severity"], f["code"], f["what"]) for f in found if f["severity"] != "ok"]
+
+
+@pytest.mark.parametrize("codec", ["XVID", "MJPG", "avc1"])
+def test_session_in_another_codec_is_tracked_as_well(session, tmp_path, capsys, codec):
+    copied = transcoded(session, tmp_path / "copied", codec, FPS)
+    figures, said = evaluated(capsys, copied)
+    assert figures["frames"] == FRAMES and figures["mean_mm"] < 45.0
+    assert said == ""
+    assert not [code for severity, code, _ in doctor(capsys, copied) if code.startswith("footage")]
+
+
+def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(session, tmp_path, capsys):
+    copied = transcoded(session, tmp_path / "copied", "MJPG", FPS)
+    cut_off(copied / "cam03.avi", 0.6)
+    with Video(copied / "cam03.avi") as video:
+        left = sum(1 for _ in video)
+    figures, said = evaluated(capsys, copied)
+    assert 4 < left < FRAMES and figures["tracked"] == left
+    assert f"cam03.avi: ends after {left} frames, its header promises {FRAMES}" in said
+    assert f"cam03.avi ended after {left} frames, before the others" in said
+    codes = [code for _, code, _ in doctor(capsys, copied)]
+    assert "footage.doubtful" in codes and "footage.lengths_differ" in codes
+
+
+def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(session, tmp_path, capsys):
+    copied = tmp_path / "copied"
+    shutil.copytree(session, copied)
+    (copied / "session.yaml").unlink()
+    with_late_frames(copied / "cam02.mp4", FRAMES - 4, 4)
+    assert main(["evaluate", str(copied), "--json"]) == 2
+    assert "different frame rates" in (said := capsys.readouterr().err) and "sagoma doctor --session" in said
+    (copied / "session.yaml").write_text(f"fps: {FPS}\n")
+    figures, said = evaluated(capsys, copied)
+    assert figures["frames"] == FRAMES
+    assert "cam02.mp4: has a variable frame rate: its frames are 40 to 80 ms apart" in said
+    assert any(code == "footage.doubtful" and "40 to 80 ms" in what for _, code, what in doctor(capsys, copied))
+
+
+def test_rate_that_no_camera_has_is_an_error_until_the_true_one_is_stated(session, tmp_path, capsys):
+    copied = tmp_path / "copied"
+    shutil.copytree(session, copied)
+    (copied / "session.yaml").unlink()
+    with Video(session / "cam01.mp4") as video:
+        write_clip(copied / "cam01.mp4", list(video), 1000.0)
+    assert main(["evaluate", str(copied), "--json"]) == 2
+    assert "cam01.mp4: has no frame rate that a camera has: its header says 1000 fps" in capsys.readouterr().err
+    assert ("error", "footage.rate") in [found[:2] for found in doctor(capsys, copied)]
+    (copied / "session.yaml").write_text(f"fps: {FPS}\n")
+    assert load_session(copied).fps == FPS
+    assert "footage.rate" not in [code for _, code, _ in doctor(capsys, copied)]
+
+
+BOARD = Checkerboard(9, 6, (0.025, 0.025))
+
+
+@pytest.fixture(scope="module")
+def film():
+    """A lens, and pictures (h, w) of a board through it: 16 poses, each at rest for three frames."""
+    camera, sensor = lens(), Sensor(3.0, 0.0, 1)
+    renderer, board, images = BoardCamera(camera), print_of(BOARD), []
+    for number, view in enumerate(shown(camera, 16, 0.0, seed=31)):
+        posed = PosedBoard(board, board_pose(view, board)[None])
+        light = renderer.render([posed], None, 0.7)
+        images += [sensor.expose(light, 0, 3 * number + k) for k in range(3)]
+    return camera, images
+
+
+def board_pose(view, board):
+    """T_camera_board (4, 4) from the exact corners."""
+    import cv2
+
+    ideal = lens().ideal_points(view.pixels)
+    _, turn, t = cv2.solvePnP(BOARD.corners_board, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    return transform(cv2.Rodrigues(turn)[0], t.reshape(3))
+
+
+@pytest.mark.parametrize(("codec", "name"), [("mp4v", "cam01.mp4"), ("XVID", "cam01.AVI"), ("MJPG", "cam01.avi")])
+def test_lens_is_calibrated_from_a_film_in_that_codec(film, tmp_path, codec, name):
+    camera, images = film
+    write_clip(tmp_path / name, images, 25.0, codec)
+    output = tmp_path / "lens"
+    assert (
+        main(
+            [
+                "calibrate",
+                "intrinsics",
+                str(tmp_path / name),
+                "--board",
+                "checkerboard 9x6 25mm",
+                "--output",
+                str(output),
+            ]
+        )
+        == 0
+    )
+    found = load_camera_info(output / "cam01.yaml", camera)
+    assert np.abs(found.K.diagonal()[:2] / camera.K.diagonal()[:2] - 1).max() < 2e-3
+    assert np.abs(found.K[:2, 2] - camera.K[:2, 2]).max() < 1.0
