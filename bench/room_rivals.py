@@ -7,8 +7,8 @@ The interpreter, in a virtual environment of its own, so that the project's stay
 
 GSOC is of OpenCV's contributed modules; SuBSENSE, PAWCS and ViBe of pybgs (BGSLibrary); av encodes and decodes. Of
 relatives the table has the better one: GSOC before LSBP and CNT, SuBSENSE before LOBSTER, and PAWCS instead of it on
-colour. What rivals reach does not change with our code, but takes them the better part of an hour: their figures are
-kept in room_rivals.json, each with a checksum of the frames that it was measured on.
+colour. What rivals reach does not change with our code, but takes them the better part of an hour: their figures, and
+those of MOG2 and KNN, are kept in room_rivals.json, each with a checksum of the frames that it was measured on.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ import json
 import subprocess
 import tempfile
 import zlib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from room_clips import RoomClip
-from room_methods import CanvasTruth, Score, tidy
+from room_methods import CV2_RIVALS, CanvasTruth, Score, tidy
 
 MONO_METHODS, COLOUR_METHODS = ("GSOC", "SuBSENSE", "ViBe"), ("GSOC", "PAWCS", "ViBe")
 METHODS = ("GSOC", "SuBSENSE", "PAWCS", "ViBe")
@@ -47,19 +46,23 @@ def checksum(clip: RoomClip) -> int:
 
 def recorded(row: str, clip: RoomClip) -> dict[str, dict[str, float]]:
     """Figures of a row by method, as far as they were measured on these very frames."""
-    record = json.loads(RECORD.read_text()) if RECORD.is_file() else {}
-    found = record.get(row, {})
+    found = _record().get(row, {})
     methods = found.get("methods", {}) if found.get("checksum") == checksum(clip) else {}
-    return {name: methods[name] for name in methods_for(clip) if name in methods}
+    return {name: methods[name] for name in (*CV2_RIVALS, *methods_for(clip)) if name in methods}
 
 
-def record(rows: Iterable[tuple[str, int, dict[str, Any]]]) -> None:
-    """Keep figures: (row, checksum, figures by method)."""
-    kept = json.loads(RECORD.read_text()) if RECORD.is_file() else {}
-    for row, number, methods in rows:
-        kept[row] = {"checksum": number, "methods": methods}
-    lines = (f"{json.dumps(row)}: {json.dumps(kept[row])}" for row in sorted(kept))
+def record(row: str, number: int, methods: dict[str, Any]) -> None:
+    """Keep a row's figures by method, beside those measured on the same frames (of this checksum) before."""
+    kept = _record()
+    before = kept.get(row, {})
+    known = before["methods"] if before.get("checksum") == number else {}
+    kept[row] = {"checksum": number, "methods": known | methods}
+    lines = (f"{json.dumps(name)}: {json.dumps(kept[name])}" for name in sorted(kept))
     RECORD.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def _record() -> dict[str, Any]:
+    return json.loads(RECORD.read_text()) if RECORD.is_file() else {}
 
 
 def measure_rivals(clip: RoomClip, truth: CanvasTruth, python: str) -> dict[str, Score]:

@@ -2,7 +2,7 @@
 
     python bench/rooms.py --quick                  # two minutes: one value of each disturbance
     python bench/rooms.py                          # everything
-    python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record
+    python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record yet
     python bench/rooms.py --cost                   # milliseconds a frame, in turns with MOG2 and KNN
     python bench/rooms.py --long | --jump          # drills: ten minutes, lamp, door, touched cameras; an empty room
 
@@ -105,27 +105,32 @@ def prepare(folder: Path, name: str) -> None:
     clip.save(folder / name)
 
 
-def measure(folder: Path, python: str, row: Row) -> tuple[dict[str, Any], int | None]:
-    """Return a row's figures of every method; and the frames' checksum where rivals were measured anew."""
+def measure(folder: Path, python: str, row: Row) -> dict[str, Any]:
+    """Return a row's figures by method, and the ``checksum`` of its frames where rivals were measured anew, or None."""
     clip = row.disturbance.apply(open_clip(folder / row.clip), python)
-    truth, number = CanvasTruth(clip), None
-    scores = our_scores(clip, truth, {}) | rival_scores(clip, truth)
-    figures = {method: score.figures() for method, score in scores.items()}
-    known = room_rivals.recorded(str(row), clip)
-    if python and len(known) < len(room_rivals.methods_for(clip)):
-        number = room_rivals.checksum(clip)
-        known = {m: score.figures() for m, score in room_rivals.measure_rivals(clip, truth, python).items()}
-    return {"clip": row.clip, "disturbance": str(row.disturbance)} | figures | known, number
+    truth = CanvasTruth(clip)
+    figures = {method: score.figures() for method, score in our_scores(clip, truth, {}).items()}
+    known, scores = room_rivals.recorded(str(row), clip), {}
+    if not set(CV2_RIVALS) <= set(known):
+        scores |= rival_scores(clip, truth)
+    if python and not set(room_rivals.methods_for(clip)) <= set(known):
+        scores |= room_rivals.measure_rivals(clip, truth, python)
+    number = room_rivals.checksum(clip) if scores else None
+    known |= {method: score.figures() for method, score in scores.items()}
+    return {"clip": row.clip, "disturbance": str(row.disturbance)} | figures | known | {"checksum": number}
 
 
-def table(folder: Path, wanted: list[Row], pool: Executor, python: str) -> list[dict[str, Any]]:
+def table(folder: Path, wanted: list[Row], pool: Executor, python: str, markdown: bool = False) -> list[dict[str, Any]]:
     """Measure and print all rows."""
     heads = {"clip": "<31", "disturbance": "<20"} | {m: ">7.3f" for m in (SENT, JUDGED)} | {m: ">6.3f" for m in RIVALS}
-    shown = Table(heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6"})
+    shown = Table(
+        heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6"}, markdown=markdown
+    )
     done = []
-    for row, (figures, number) in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
-        if number is not None:
-            room_rivals.record([(str(row), number, {m: figures[m] for m in room_rivals.METHODS if m in figures})])
+    for row, figures in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
+        number = figures.pop("checksum")
+        if python and number is not None:
+            room_rivals.record(str(row), number, {rival: figures[rival] for rival in RIVALS if rival in figures})
         ious = [figures[m]["iou"] if m in figures else np.nan for m in (SENT, JUDGED, *RIVALS)]
         ours = figures[SENT]
         false = ours["false_percent"], figures[JUDGED]["false_percent"]
@@ -196,6 +201,7 @@ def main() -> None:
     given.add_argument(
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
     )
+    given.add_argument("--markdown", action="store_true", help="the table as docs/rooms.md has it")
     given.add_argument("--cost", action="store_true", help="milliseconds a frame instead of the table")
     given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
@@ -214,13 +220,13 @@ def main() -> None:
 def whole_table(arguments: argparse.Namespace) -> None:
     """Prepare the clips, measure every row."""
     if not arguments.rivals:
-        print("no --rivals PYTHON: rows of codecs are left out, the field's rivals are those on record")
+        print("no --rivals PYTHON: rows of codecs are left out; of rivals only MOG2 and KNN are there if not on record")
     clips = clip_names(arguments.quick)
     wanted = rows(clips, disturbances(arguments.quick, bool(arguments.rivals)))
     chosen = [row for row in wanted if arguments.only in str(row)]
     with tempfile.TemporaryDirectory(prefix="sagoma_rooms_") as folder, ProcessPoolExecutor(arguments.jobs) as pool:
         list(pool.map(partial(prepare, Path(folder)), dict.fromkeys(row.clip for row in chosen)))
-        measured = table(Path(folder), chosen, pool, arguments.rivals)
+        measured = table(Path(folder), chosen, pool, arguments.rivals, arguments.markdown)
     worst = min((row[SENT]["iou"] for row in measured), default=np.nan)
     finish({"rows": measured, "worst_iou": worst, "ahead_in_all": all(map(is_ahead, measured))})
 

@@ -93,7 +93,9 @@ def test_exact_masks_score_one_and_false_foreground_counts_in_percent_of_the_pic
 def test_recorded_figures_of_rivals_count_for_the_frames_they_were_measured_on_alone(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(room_rivals, "RECORD", tmp_path / "record.json")
     figures = {"GSOC": {"iou": 0.5}}
-    room_rivals.record([("a row", room_rivals.checksum(clip), figures)])
+    room_rivals.record("a row", room_rivals.checksum(clip), figures)
     assert json.loads(room_rivals.RECORD.read_text())["a row"]["methods"] == figures
     assert room_rivals.recorded("a row", clip) == figures
+    room_rivals.record("a row", room_rivals.checksum(clip), {"KNN": {"iou": 0.4}})
+    assert room_rivals.recorded("a row", clip) == figures | {"KNN": {"iou": 0.4}}
     assert room_rivals.recorded("a row", Disturbance(noise=1.0).apply(clip)) == {}
