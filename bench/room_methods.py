@@ -29,6 +29,7 @@ PERSON_ABOVE = 127
 """Of our sixteen levels those above are the person."""
 RIVAL_SHADOW = 127
 """The level by which OpenCV's subtractors mark shadows."""
+VISIBLE_SIGMAS = 3.0
 LEARNING, FROZEN = -1.0, 1e-6
 """Learning rates: the author's own; and none (at 0 OpenCV's KNN divides by it, and learns at random instead)."""
 
@@ -79,6 +80,23 @@ class CanvasTruth:
         if key not in self._masks:
             self._masks[key] = self.views[camera].undistort_mask(self.clip.truth[camera][frame])
         return self._masks[key]
+
+
+def visible_share(clip: RoomClip) -> float:
+    """Return the share of the person's pixels that differ from the room by VISIBLE_SIGMAS times the noise in a channel.
+
+    What does not is seen by nobody, but guessed from what is around it. Light and camera must not have changed.
+    """
+    seen = there = 0
+    for camera in clip.scored_cameras:
+        empty = clip.empty[camera].astype(np.float32)
+        mean, limit = empty.mean(axis=0), VISIBLE_SIGMAS * float(np.median(empty.std(axis=0)))
+        for frame in clip.scored:
+            person = clip.truth[camera][frame] > 0
+            differs = np.abs(clip.take[camera][frame] - mean) > limit
+            seen += int((differs.reshape(*person.shape, -1).any(axis=2) & person).sum())
+            there += int(person.sum())
+    return seen / max(there, 1)
 
 
 # --- ours

@@ -12,6 +12,7 @@ the stamps of 15 Hz cameras; every second one of two cameras is scored, on the u
 second of a sudden change of light, and within four seconds of things moved, are not scored.
 
 ours : as each camera sends it, what is above 127 is the person. judged : after the cameras' joint judgement.
+visible : the share of the person's pixels that differ from the room by three times the noise in any channel.
 MOG2, KNN : of OpenCV, learning on and frozen, shadows removed and kept: the best of these. GSOC, SuBSENSE, PAWCS, ViBe
 : see room_rivals.py, which also tells how to make PYTHON. All rivals have our majority filter and component rules.
 Without --cost, --long and --jump the last line is JSON: rows (each with clip, disturbance, and by method IoU, recall
@@ -40,7 +41,7 @@ import room_rivals
 from room_clips import RoomClip, of_session, open_clip
 from room_disturbances import Disturbance
 from room_drills import jumps, long_drills
-from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_pipeline, our_scores, rival_scores
+from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_pipeline, our_scores, rival_scores, visible_share
 from room_studio import LOOKS, studio_clip
 from scenes import shared_sessions
 
@@ -106,7 +107,10 @@ def prepare(folder: Path, name: str) -> None:
 
 
 def measure(folder: Path, python: str, row: Row) -> dict[str, Any]:
-    """Return a row's figures by method, and the ``checksum`` of its frames where rivals were measured anew, or None."""
+    """Return a row's figures by method, and the ``checksum`` of its frames where rivals were measured anew, or None.
+
+    Where the studio's background is that of the take, also which share of the person is visible at all.
+    """
     clip = row.disturbance.apply(open_clip(folder / row.clip), python)
     truth = CanvasTruth(clip)
     figures = {method: score.figures() for method, score in our_scores(clip, truth, {}).items()}
@@ -117,14 +121,18 @@ def measure(folder: Path, python: str, row: Row) -> dict[str, Any]:
         scores |= room_rivals.measure_rivals(clip, truth, python)
     number = room_rivals.checksum(clip) if scores else None
     known |= {method: score.figures() for method, score in scores.items()}
-    return {"clip": row.clip, "disturbance": str(row.disturbance)} | figures | known | {"checksum": number}
+    about: dict[str, Any] = {"clip": row.clip, "disturbance": str(row.disturbance), "checksum": number}
+    if row.clip in STUDIO and row.disturbance == Disturbance():
+        about["visible"] = visible_share(clip)
+    return about | figures | known
 
 
 def table(folder: Path, wanted: list[Row], pool: Executor, python: str, markdown: bool = False) -> list[dict[str, Any]]:
     """Measure and print all rows."""
     heads = {"clip": "<31", "disturbance": "<20"} | {m: ">7.3f" for m in (SENT, JUDGED)} | {m: ">6.3f" for m in RIVALS}
     shown = Table(
-        heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6"}, markdown=markdown
+        heads | {"recall": ">7.3f", "false %": ">8.2f", "judged %": ">8.2f", "ahead": ">6", "visible": ">8.2f"},
+        markdown=markdown,
     )
     done = []
     for row, figures in zip(wanted, pool.map(partial(measure, folder, python), wanted), strict=True):
@@ -135,7 +143,7 @@ def table(folder: Path, wanted: list[Row], pool: Executor, python: str, markdown
         ours = figures[SENT]
         false = ours["false_percent"], figures[JUDGED]["false_percent"]
         ahead = "yes" if is_ahead(figures) else "no"
-        shown.row(row.clip, str(row.disturbance), *ious, ours["recall"], *false, ahead)
+        shown.row(row.clip, str(row.disturbance), *ious, ours["recall"], *false, ahead, figures.get("visible"))
         done.append(figures)
     return done
 
@@ -196,7 +204,7 @@ def in_turns(works: dict[str, Callable[[np.ndarray], object]], frames: list[np.n
 
 def main() -> None:
     given = parser(__doc__, quick="one value of each disturbance")
-    given.add_argument("--only", default="", help="rows whose clip or disturbance has this in its name")
+    given.add_argument("--only", default="", help="rows and drills whose clip or disturbance has this in its name")
     given.add_argument("--jobs", type=int, default=1, help="processes")
     given.add_argument(
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
@@ -207,6 +215,7 @@ def main() -> None:
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
     arguments = given.parse_args()
     looks = [LOOKS[0]] if arguments.quick else [LOOKS[0], STUDIO[COLOUR]]
+    looks = [look for look in looks if arguments.only in str(look)]
     if arguments.cost:
         finish(cost(1 if arguments.quick else COST_ROUNDS))
     elif arguments.long:
