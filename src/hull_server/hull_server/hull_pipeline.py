@@ -118,12 +118,12 @@ class HullPipeline:
         used = {name: mask for name, mask in frames.items() if name not in faults.left_out}
         # find cameras that moved from their calibration
         errors = self._extrinsics.update(frames, frame_set.stamp_ns)
-        # tell the camera clients where their foreground has no support, so that moved things become background
-        support = self._support.update(frames, frame_set.stamp_ns, faults.left_out) if self._support else ()
         seeing = min_seeing(len(used), self.settings.min_seeing)
         watch.lap("consistency")
         # decide whether dark pixels are the person or floor in shadow
         masks = self._shadows.resolve(used, seeing)
+        # tell the camera clients where their foreground has no support, so that moved things become background
+        support = self._support.update(frames, masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         ticket = self.backend.submit(masks, seeing)

@@ -27,7 +27,8 @@ class Reports:
 
     def of(self, masks, left_out=()):
         self.sets += 1
-        reports = self.reporter.update(masks, self.sets * STEP_NS, left_out)
+        used = {name: mask for name, mask in masks.items() if name not in left_out}
+        reports = self.reporter.update(masks, used, self.sets * STEP_NS)
         return {report.camera: report for report in reports}
 
 
@@ -132,11 +133,20 @@ def test_flooded_and_excluded_cameras_have_no_say(rig):
         assert "cam04" in reports
 
 
+def test_shadow_supports_nothing_and_denies_nothing(rig):
+    masks = silhouettes(rig, capsule_person(0.4))
+    shown, thing = with_thing(rig, masks, "cam02")
+    everywhere = {name: np.full_like(mask, 60) for name, mask in masks.items() if name != "cam02"}
+    reporter = Reports(rig).reporter
+    (report,) = [r for r in reporter.update(shown | everywhere, masks, 2 * STEP_NS) if r.camera == "cam02"]
+    assert levels_at(report, masks["cam02"]) == {BODY} and NOBODY not in levels_at(report, thing)
+
+
 def test_reports_come_at_their_period_whatever_the_frame_rate(rig):
     reporter, masks = SupportReporter(rig, RigViews.from_rig(rig)), silhouettes(rig, capsule_person())
     for rate in (15, 60):
         stamps = [round(10**9 * (rate + frame / rate)) for frame in range(2 * rate)]
-        assert sum(bool(reporter.update(masks, stamp)) for stamp in stamps) in (8, 9)
+        assert sum(bool(reporter.update(masks, masks, stamp)) for stamp in stamps) in (8, 9)
 
 
 def test_pipeline_reports_unless_faulty_cameras_are_not_looked_for():

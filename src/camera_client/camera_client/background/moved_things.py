@@ -34,7 +34,8 @@ FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: sl
 STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
 OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
 TAKEN_AWAY_S = 1.0  # the outlines say enough; the picture must have come to rest
-WHOLE = 0.8  # share of a blob's blocks that must meet a rule: heads and hands move while a trunk keeps still
+WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not
+LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
 MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
 GIVE_BACK_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
 SILENT_S = 2.0  # without a report for so long, nothing is known of the others
@@ -226,11 +227,12 @@ class MovedThings:
 
     def _absorb(self, shown: Blocks, pictures: Pictures, stamp_ns: int) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
-        body = shown & (self._body_s > 0)
-        unseen = self._is_unseen(shown)
+        body, unseen, calm = shown & (self._body_s > 0), *self._is_unseen(shown)
         if unseen.any():
             for blob in _blobs(shown, unseen):
-                if (blob & body).sum() <= MOST_BODY * blob.sum() and (blob & unseen).sum() >= WHOLE * blob.sum():
+                keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
+                nobody = (blob & unseen).sum() >= LEAST_UNSEEN * blob.sum()
+                if keeps_still and nobody and (blob & body).sum() <= MOST_BODY * blob.sum():
                     self._take_over(blob & unseen, stamp_ns)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= TAKEN_AWAY_S)
         if self._samples % round(TAKEN_AWAY_S / SAMPLE_S) == 0 and rested.any():
@@ -240,11 +242,11 @@ class MovedThings:
                     self._take_over(blob, stamp_ns)
                     self._gone |= blob
 
-    def _is_unseen(self, shown: Blocks) -> Blocks:
-        """Return the blocks whose foreground nobody else has seen, and which kept still, for long enough."""
+    def _is_unseen(self, shown: Blocks) -> tuple[Blocks, Blocks]:
+        """Return the blocks whose foreground nobody else has seen for long enough, and all those that kept still."""
         rest_s = np.where(self._outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
-        lasted = np.minimum(self._shown_s, self._unseen_s) >= STILL_S
-        return shown & lasted & (self._still_s >= rest_s)
+        calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
+        return calm & (self._unseen_s >= STILL_S), calm
 
     def _was_taken_away(self, blob: Blocks, pictures: Pictures) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""

@@ -39,6 +39,7 @@ POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others 
 _EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
 
 Cells = npt.NDArray[np.uint8]
+Tables = npt.NDArray[np.int32]
 
 
 class SupportReporter:
@@ -57,42 +58,46 @@ class SupportReporter:
         self._proven = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
 
-    def update(self, masks: Masks, stamp_ns: int, left_out: tuple[str, ...] = ()) -> tuple[ForegroundSupport, ...]:
-        """Judge one frame set's canvas masks (h, w) uint8, nonzero = foreground, once a period; else return nothing.
+    def update(self, masks: Masks, resolved: Masks, stamp_ns: int) -> tuple[ForegroundSupport, ...]:
+        """Judge one frame set's canvas masks (h, w) uint8 once a period; else return nothing.
 
-        Cameras ``left_out`` get a report and have no say. InputError for an unknown camera or a wrong size.
+        masks : as they were sent, nonzero = foreground or shadow: only what is neither denies a body. resolved :
+        without the shadows, of the cameras that are used; the others get a report and have no say. InputError for an
+        unknown camera or a wrong size.
         """
         if self._throttle.step_s(stamp_ns) <= 0.0:
             return ()
-        present = self._views.present(masks)
-        shown = np.zeros_like(self._cells.seen)
+        present, names = self._views.present(masks), self._views.names
+        sent, shown = np.zeros((2, *self._cells.seen.shape), np.uint8)
         for camera in present:
-            _pool(masks[self._views.names[camera]], shown[camera])
+            _pool(masks[names[camera]], sent[camera])
+            if names[camera] in resolved:
+                _pool(resolved[names[camera]], shown[camera])
         covered = shown.mean(axis=(1, 2)) / 255
-        has_say = [c for c in present if covered[c] <= MOST_COVERED and self._views.names[c] not in left_out]
-        levels = self._levels(shown, sum(1 << int(camera) for camera in has_say))
+        has_say = [c for c in present if covered[c] <= MOST_COVERED and names[c] in resolved]
+        levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in has_say))
         return tuple(self._report(int(camera), levels[camera], stamp_ns) for camera in present)
 
-    def _levels(self, shown: Cells, voters: int) -> Cells:
-        """Return the level of every cell (N, h, w), from the foreground cells of the voters (bits)."""
+    def _levels(self, shown: Cells, sent: Tables, voters: int) -> Cells:
+        """Return the level of every cell (N, h, w), from the cells that the voters (bits) show."""
         found = np.zeros_like(shown)
         # bodies in the volume, and what half of the others see next to them
-        sure, half, agreed = self._vote(shown, voters, True)
+        sure, half, agreed = self._vote(shown, sent, voters, True)
         self._proven |= agreed
         for camera, (margin, near) in enumerate(self._reaches):
             beside = cv2.dilate(sure[camera], near) if sure[camera].any() else np.full_like(sure[camera], 1)
             found[camera] = cv2.dilate(sure[camera] | (half[camera] & beside), margin) * np.uint8(BODY)
         # what is left of the pictures: things and people around the volume
-        outside, _, _ = self._vote(np.where(found > 0, np.uint8(0), shown), voters, False)
+        outside, _, _ = self._vote(np.where(found > 0, np.uint8(0), shown), sent, voters, False)
         found[(outside > 0) & (found == 0)] = OUTSIDE
         return np.where(found > 0, found, self._judgeable(voters & self._proven))
 
-    def _vote(self, shown: Cells, voters: int, of_bodies: bool) -> tuple[Cells, Cells, int]:
+    def _vote(self, shown: Cells, sent: Tables, voters: int, of_bodies: bool) -> tuple[Cells, Cells, int]:
         """Return the cells (N, h, w), 0 or 1, that others support for certain, that half of them do, and who agrees."""
         needed = min_seeing(int(popcount(np.uint64(voters))), self._requested_seeing) - 1
-        votes, sure, half = Votes(voters, self._proven, needed, of_bodies), np.zeros_like(shown), np.zeros_like(shown)
-        tables = summed_area(shown)
-        agreed = mark_supported(self._boxes, self._coarse, tables, votes, self._space, sure, half)
+        votes = Votes(voters, self._proven, needed, of_bodies)
+        pictures, sure, half = Pictures(summed_area(shown), sent), np.zeros_like(shown), np.zeros_like(shown)
+        agreed = mark_supported(self._boxes, self._coarse, pictures, votes, self._space, sure, half)
         return sure, half, int(agreed)
 
     def _judgeable(self, witnesses: int) -> Cells:
@@ -141,15 +146,22 @@ class Votes(NamedTuple):
     of_bodies: bool
 
 
+class Pictures(NamedTuple):
+    """Summed-area tables (N, h + 1, w + 1) of the cells that show a body, and of those that show anything at all."""
+
+    shown: Tables
+    sent: Tables
+
+
 @kernel
-def mark_supported(boxes, coarse_boxes, tables, votes, space, sure, half):  # type: ignore[no-untyped-def]
+def mark_supported(boxes, coarse_boxes, pictures, votes, space, sure, half):  # type: ignore[no-untyped-def]
     """Mark the cells (N, h, w) on which blocks lie that are supported for certain, and by half of the other cameras.
 
     Returns the bits of the cameras that agreed with others for certain.
     """
     agreed, ratio = 0, _COARSE_EDGE // _EDGE
     for at in range(space.coarse[0] * space.coarse[1] * space.coarse[2]):
-        showing, _ = _look(coarse_boxes, tables, votes, at)
+        showing, _ = _look(coarse_boxes, pictures, votes, at)
         if popcount(np.uint64(showing)) < 2:
             continue
         x0, y0 = at % space.coarse[0] * ratio, at // space.coarse[0] % space.coarse[1] * ratio
@@ -159,23 +171,28 @@ def mark_supported(boxes, coarse_boxes, tables, votes, space, sure, half):  # ty
                 for x in range(x0, min(x0 + ratio, space.blocks[0])):
                     if _within(space.bodies, x, y, z) == votes.of_bodies:
                         block = (z * space.blocks[1] + y) * space.blocks[0] + x
-                        showing, denying = _look(boxes, tables, votes, block)
+                        showing, denying = _look(boxes, pictures, votes, block)
                         if popcount(np.uint64(showing)) >= 2:
                             agreed |= _mark_block(boxes, block, (showing, denying), votes, sure, half)
     return agreed
 
 
 @kernel
-def _look(boxes, tables, votes, block):  # type: ignore[no-untyped-def]
+def _look(boxes, pictures, votes, block):  # type: ignore[no-untyped-def]
     """Return the bits of the voters that show foreground in a block, and of those that see all of it without any."""
     showing, denying = 0, 0
     for camera in range(boxes.sight.shape[0]):
         if votes.voters >> camera & 1:
             sight, box = boxes.sight[camera, block], boxes.pixels[camera, block]
             if sight != UNSEEN:
-                if count_in_box(tables, camera, int(box[0]), int(box[1]), int(box[2]), int(box[3])) > 0:
+                u0, v0, u1, v1 = int(box[0]), int(box[1]), int(box[2]), int(box[3])
+                if count_in_box(pictures.shown, camera, u0, v0, u1, v1) > 0:
                     showing |= 1 << camera
-                elif sight == SEEN and votes.proven >> camera & 1:
+                elif (
+                    sight == SEEN
+                    and votes.proven >> camera & 1
+                    and count_in_box(pictures.sent, camera, u0, v0, u1, v1) == 0
+                ):
                     denying |= 1 << camera
     return showing, denying
 

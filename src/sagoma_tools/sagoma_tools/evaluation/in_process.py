@@ -87,7 +87,7 @@ def segmented(
 
     They hear what the pipeline's hull server reports if each frame is carved before the next one is asked for.
     """
-    for frame, images in enumerate(_images(session.videos, ended)):
+    for frame, images in enumerate(images_of(session.videos, ended)):
         for name in [name for name in images if name not in pipeline.cameras]:
             background = read_background(session.backgrounds[name], images[name].shape, settings.background_model)
             camera = session.rig.camera(name)
@@ -111,11 +111,11 @@ def exact_silhouettes(session: Session, ended: FootageEnded = ignore_end) -> Ite
         what = f"there is no exact silhouette for {', '.join(missing)}"
         raise InputError(what, where=str(session.folder), remedy=f"Add {missing[0]}_mask.mp4, or segment the footage.")
     views = {camera.name: camera.undistorted_view() for camera in session.rig.cameras}
-    for images in _images(session.masks, ended):
+    for images in images_of(session.masks, ended):
         yield {n: views[n].undistort_mask(np.where(i > 127, np.uint8(255), np.uint8(0))) for n, i in images.items()}
 
 
-def _images(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iterator[dict[str, np.ndarray]]:
+def images_of(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iterator[dict[str, np.ndarray]]:
     """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey, as the
     camera client reads it."""
     with ExitStack() as stack:
