@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
+from capture_rig.verdict import Finding
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
 from .background.model import BackgroundModel, load_background, read_background
-from .background.watch import BackgroundWatch
+from .background.watch import BackgroundWatch, unfit
+from .condition import Condition, ConditionWatch
 from .frame_source import Frame
 from .movement.detector import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
 from .settings import CameraClientSettings
@@ -25,14 +28,12 @@ class FrameResult:
     """Results of a frame: ``flags`` of the frame itself (see frame_checks.REMEDIES); no silhouette without background.
 
     ``canvas`` is the undistorted camera that the silhouette's mask belongs to, None of a camera whose lens is unknown:
-    it has no silhouettes; ``gain`` how much brighter than learned the scene has slowly become; ``movement`` whether the
-    camera has moved since its calibration, as far as that is known.
+    it has no silhouettes; ``movement`` whether the camera has moved since its calibration, as far as that is known.
     """
 
     canvas: CameraModel | None
     flags: tuple[str, ...]
     silhouette: Silhouette | None = None
-    gain: float = 1.0
     movement: Movement | None = None
 
 
@@ -46,6 +47,7 @@ class _Stages:
     background: BackgroundModel | None = None
     watch: BackgroundWatch | None = None
     moved: CameraMovedDetector | None = None
+    condition: ConditionWatch | None = None
 
 
 class CameraChain:
@@ -62,6 +64,8 @@ class CameraChain:
         unknown, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
         self._settings, self._volume, self._placed = settings, volume, placed
         self._stages = _Stages(camera, FrameChecks(settings.frame_checks))
+        self.refused: Finding | None = None
+        """Why the background that there is cannot serve the camera."""
 
     @property
     def camera(self) -> CameraModel | None:
@@ -83,9 +87,24 @@ class CameraChain:
         """Follows whether the background in use still fits; None without one."""
         return self._stages.watch
 
+    @property
+    def condition(self) -> Condition:
+        """How well the background in use fits the room now, as far as that was measured."""
+        watch = self._stages.condition
+        return Condition() if watch is None else watch.found
+
     def use_background(self, model: BackgroundModel | None) -> None:
         """From the next frame on. Raises InputError when it does not fit the camera's image size."""
         self._stages = self._made(self.camera, model)
+        self.refused = None
+
+    def refuse_unfit_background(self, details: Mapping[str, str]) -> Finding | None:
+        """Give up the background in use when it cannot serve the camera that told these details; returns why."""
+        reason = None if self.background is None else unfit(self.background.provenance, details)
+        if reason is not None:
+            self.use_background(None)
+            self.refused = reason
+        return reason
 
     def use_learned_background(self, model: BackgroundModel) -> BackgroundModel:
         """A background that was learned just now, from the next frame on; returns it as it should be saved: with how
@@ -141,13 +160,15 @@ class CameraChain:
         if tools.pipeline is not None:
             silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
         flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
+        if tools.condition is not None and silhouette is not None:
+            tools.condition.update(frame.stamp_ns, silhouette)
         if tools.watch is not None and not flags:
             shows = None if tools.pipeline is None else tools.pipeline.background_pixels
             tools.watch.update(frame.image, frame.stamp_ns, gain, shows)
         moved = tools.moved
         if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
             moved.update(frame.image, frame.stamp_ns)
-        return FrameResult(canvas, flags, silhouette, gain, None if moved is None else moved.movement)
+        return FrameResult(canvas, flags, silhouette, None if moved is None else moved.movement)
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:
         s = self._settings
@@ -156,10 +177,11 @@ class CameraChain:
             frame_checks = replace(frame_checks, frozen_s=0.0)
         if model is None:
             return _Stages(camera, FrameChecks(frame_checks))
-        checks, pipeline, moved = FrameChecks(frame_checks, model.mean), None, None
+        checks, pipeline, moved, condition = FrameChecks(frame_checks, model.mean), None, None, None
         if camera is not None:
             silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
             pipeline = SilhouettePipeline(camera, model, silhouette, s.background_model, self._volume)
             moved = CameraMovedDetector(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
+            condition = ConditionWatch(pipeline)
         watch = BackgroundWatch(model, model.limits(s.background_model), s.background_watch)
-        return _Stages(camera, checks, pipeline, model, watch, moved)
+        return _Stages(camera, checks, pipeline, model, watch, moved, condition)

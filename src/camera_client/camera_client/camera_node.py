@@ -33,13 +33,15 @@ from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingR
 from .background.verdict import describe_background
 from .camera_chain import CameraChain, FrameResult
 from .camera_topics_ros import CameraTopics, camera_from_message
+from .condition_findings import KEY as FINDINGS_KEY
+from .condition_findings import findings_text
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
 from .diagnostics import (
     CameraState,
     Level,
     RecentStatistics,
     assess,
-    background_concerns,
+    background_findings,
     background_mismatch,
     background_values,
     frame_values,
@@ -141,7 +143,12 @@ class CameraNode(SagomaNode):
             self.get_logger().warning(warning)
         if self.chain.camera is not None:
             check_size(source, self.chain.camera)
-        if self.chain.use_shape(source.shape) or self._takes_saved_background(source):
+        taken = self.chain.use_shape(source.shape) or self._takes_saved_background(source)
+        refused = self.chain.refuse_unfit_background(source.details)
+        if refused is not None:
+            self.health.set("background", "")
+            self.get_logger().warning(f"the background is not used: {refused.line}")
+        elif taken:
             self._show_background()
         release_free_memory()
 
@@ -300,6 +307,8 @@ class CameraNode(SagomaNode):
         values = source_values(source) | (frame_values(*last) if last else {}) | background_values(chain, time.time())
         for key, value in values.items():
             self.health.set(key, value)
+        findings = background_findings(chain, source, self.settings, time.time())
+        self.health.set(FINDINGS_KEY, findings_text(findings))
         recent = self._recent.update(time.monotonic(), source.statistics)
         state = CameraState(
             loop.state,
@@ -311,7 +320,8 @@ class CameraNode(SagomaNode):
             placed=self._calibration.placed,
             has_background=chain.background is not None,
             mismatch=background_mismatch(chain, source),
-            concerns=background_concerns(chain, source, self.settings, time.time()),
+            refused=chain.refused,
+            findings=findings,
         )
         self._say(*assess(state.with_result(last[1]) if last else state))
         if loop.state in (GrabState.ENDED, GrabState.FAILED):

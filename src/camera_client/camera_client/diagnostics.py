@@ -10,8 +10,11 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
-from .background.watch import age_h, concerns, other_camera
+from capture_rig.verdict import GOOD, Finding
+
+from .background.watch import age_h, concerns, other_setting
 from .camera_chain import CameraChain, FrameResult
+from .condition_findings import condition_findings, worst_first
 from .frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
 from .sources.frame_checks import LIGHTS, REMEDIES
@@ -38,9 +41,9 @@ class CameraState:
 
     ``connection`` is None for footage. ``recent`` counts the frames of the last seconds. ``frame_flags`` and
     ``mask_flags`` are those of the newest frame and silhouette. ``calibrated``: its lens is known, and ``placed``: its
-    pose. ``mismatch`` says why the picture cannot look like the background, if that is known; ``concerns`` what else
-    speaks against the background, the worst first; ``moved`` how the camera was moved since its calibration, if it
-    was, and ``severe`` whether that makes its silhouettes useless.
+    pose. ``mismatch`` says why the picture cannot look like the background, if that is known; ``findings`` what else
+    speaks against the background, the worst first, and ``refused`` why there is one that is not in use; ``moved`` how
+    the camera was moved since its calibration, if it was, and ``severe`` whether that makes its silhouettes useless.
     """
 
     grab: GrabState
@@ -52,7 +55,8 @@ class CameraState:
     placed: bool = True
     has_background: bool = True
     mismatch: str = ""
-    concerns: tuple[str, ...] = ()
+    refused: Finding | None = None
+    findings: tuple[Finding, ...] = ()
     frame_flags: tuple[str, ...] = ()
     mask_flags: tuple[str, ...] = ()
     moved: str = ""
@@ -88,11 +92,11 @@ def assess(state: CameraState) -> tuple[Level, str]:
     if not state.calibrated:
         return Level.WARN, UNCALIBRATED
     if not state.has_background:
-        return Level.WARN, NO_BACKGROUND
+        return Level.WARN, NO_BACKGROUND if state.refused is None else state.refused.line
     if state.moved:
         return Level.WARN, state.moved
-    if state.concerns:
-        return Level.WARN, state.concerns[0]
+    if state.findings and state.findings[0].grade != GOOD:
+        return Level.WARN, state.findings[0].line
     if not state.placed:
         return Level.WARN, UNPLACED
     if state.mask_flags:
@@ -138,7 +142,6 @@ def frame_values(frame: Frame, result: FrameResult) -> dict[str, object]:
     if result.silhouette is not None:
         values["mask_fraction"] = result.silhouette.foreground_fraction
         values["candidate_fraction"] = result.silhouette.candidate_fraction
-        values["light_gain"] = result.gain
     if result.movement is not None:
         values |= result.movement.values()
     return values
@@ -162,41 +165,43 @@ class RecentStatistics:
 # --- whether the background in use still fits
 
 
-def background_concerns(
+def background_findings(
     chain: CameraChain, source: FrameSource, settings: CameraClientSettings, now_s: float
-) -> tuple[str, ...]:
+) -> tuple[Finding, ...]:
     """Return what speaks against the background in use, the worst first; ``now_s`` is the system's clock.
 
     Footage is as old as its background, whatever the clock says.
     """
-    background, watch = chain.background, chain.watch
+    background, watch, condition = chain.background, chain.watch, chain.condition
     if background is None or watch is None:
-        return ()
-    return concerns(
+        return () if chain.refused is None else (chain.refused,)
+    found = concerns(
         background.provenance,
         source.details,
         watch.found,
         settings.background_watch,
         background.shape,
         now_s=None if source.connection is None else now_s,
-        followed=settings.background_model.rule == "adaptive",
+        corrected=condition.light_gain if settings.background_model.rule == "adaptive" else None,
     )
+    return worst_first([*found, *condition_findings(condition)])
 
 
 def background_mismatch(chain: CameraChain, source: FrameSource) -> str:
-    """Why the picture must look unlike the background in use: another camera or setting than it was learned with."""
+    """Why the picture must look unlike the background in use: another setting than it was learned with."""
     if chain.background is None:
         return ""
-    return next(iter(other_camera(chain.background.provenance, source.details)), "")
+    return next((finding.line for finding in other_setting(chain.background.provenance, source.details)), "")
 
 
 def background_values(chain: CameraChain, now_s: float) -> dict[str, object]:
-    """Return how well the background still fits: its age, the drift of the light, and the static foreground."""
+    """Return how well the background still fits: its age, what changed since, and how sure silhouettes are."""
     background, watch = chain.background, chain.watch
+    values = chain.condition.values()
     if background is None or watch is None:
-        return {}
+        return values
     found, age = watch.found, age_h(background.provenance, now_s)
-    values: dict[str, object] = {"background_static_foreground": round(found.static_share, 4)}
+    values["background_static_foreground"] = round(found.static_share, 4)
     if age is not None:
         values["background_age_h"] = round(age, 2)
     if found.gain_drift is not None:

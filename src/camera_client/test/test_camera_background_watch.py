@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundLearner, Provenance, read_background
-from camera_client.background.watch import BackgroundFit, BackgroundWatch, age_h, concerns
+from camera_client.background.watch import BackgroundFit, BackgroundWatch, age_h, concerns, unfit
 from camera_client.settings import BackgroundSettings, BackgroundWatchSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.sources.footage_reader import open_footage
+from capture_rig.verdict import REDO
 
 SETTINGS = BackgroundWatchSettings()
 NOISE = 1.5  # grey levels, of the scene's images
@@ -39,7 +40,14 @@ class Room:
         return self.watch.found
 
     def concerns(self):
-        return concerns(self.background.provenance, {}, self.watch.found, SETTINGS, self.background.shape)
+        return lines(self.background.provenance, {}, self.watch.found, SETTINGS, self.background.shape)
+
+
+def lines(*given, **more):
+    """What the concerns say, each of which has a code."""
+    found = concerns(*given, **more)
+    assert all(finding.code for finding in found)
+    return tuple(finding.line for finding in found)
 
 
 def brighter(factor):
@@ -80,15 +88,13 @@ def test_drift_that_is_followed_is_no_concern(scene):
         pipeline.run(image, stamp_ns)
         watch.update(image, stamp_ns, pipeline.gain, pipeline.background_pixels)
     assert pipeline.gain == pytest.approx(1.3, rel=0.01) and watch.found.static_share == 0
-    assert concerns(background.provenance, {}, watch.found, SETTINGS, background.shape, followed=True) == ()
+    assert lines(background.provenance, {}, watch.found, SETTINGS, background.shape, corrected=pipeline.gain) == ()
 
 
-def test_drift_beyond_what_is_followed_is_told_so(scene):
+def test_drift_of_a_background_that_follows_nothing_names_the_rule_that_does(scene):
     provenance, beyond = learned(scene.empty(5)).provenance, BackgroundFit(gain_drift=0.1, tolerance=0.05)
-    (said,) = concerns(provenance, {}, beyond, SETTINGS, (120, 160), followed=True)
-    assert "beyond what is followed" in said and "background_model.rule" not in said
-    (said,) = concerns(provenance, {}, beyond, SETTINGS, (120, 160))
-    assert "background_model.rule: adaptive" in said
+    (said,) = lines(provenance, {}, beyond, SETTINGS, (120, 160))
+    assert "the light changed by +10.0 %" in said and "background_model.rule: adaptive" in said
 
 
 def test_somebody_who_walks_about_is_neither_drift_nor_furniture(scene):
@@ -147,27 +153,45 @@ def test_person_near_the_camera_does_not_pass_for_a_change_of_light(scene):
     assert found.gain_drift is None
 
 
+LEARNED_AT = Provenance("camera", 100, 1.5, camera_serial="4711", exposure_us="5000", gain="0")
+
+
 @pytest.mark.parametrize(
     "now, text",
     [
-        ({"camera_serial": "S2"}, "learned with camera S1, this is S2"),
-        ({"exposure_us": "8000"}, "the exposure is 8000 us, the background was learned at 5000 us"),
-        ({"gain": "6"}, "the gain is 6, the background was learned at 0"),
+        (
+            {"exposure_us": "8000"},
+            "the exposure is 8000 us, the background was learned at 5000 us (corrected by x 1.60)",
+        ),
+        ({"gain": "6"}, "the gain is 6, the background was learned at 0 (corrected by x 1.60)"),
     ],
 )
-def test_camera_or_setting_that_it_was_not_learned_with_is_named(now, text):
-    provenance = Provenance("camera", 100, 1.5, camera_serial="S1", exposure_us="5000", gain="0")
-    said = concerns(provenance, now, BackgroundFit(), SETTINGS, (120, 160))
-    assert len(said) == 1 and text in said[0] and "sagoma background" in said[0]
+def test_setting_that_it_was_not_learned_at_is_named_with_the_correction(now, text):
+    (said,) = lines(LEARNED_AT, now, BackgroundFit(), SETTINGS, (120, 160), corrected=1.6)
+    assert said.startswith(text) and "sagoma background" in said
+    (said,) = lines(LEARNED_AT, now, BackgroundFit(), SETTINGS, (120, 160))
+    assert "corrected" not in said
+    assert unfit(LEARNED_AT, now) is None
 
 
-@pytest.mark.parametrize("now", [{}, {"exposure_us": "5000.02"}, {"gain": "0.005"}, {"camera_serial": "S1"}])
+@pytest.mark.parametrize(
+    "now, code",
+    [
+        ({"camera_serial": "4712"}, "background.other_camera"),  # the next one of the series
+        ({"exposure_us": "21000"}, "background.other_exposure"),
+        ({"exposure_us": "1200"}, "background.other_exposure"),
+    ],
+)
+def test_background_that_cannot_be_corrected_is_unfit(now, code):
+    reason = unfit(LEARNED_AT, now)
+    assert (reason.grade, reason.code) == (REDO, code) and "sagoma background" in reason.line
+
+
+@pytest.mark.parametrize("now", [{}, {"exposure_us": "5000.02"}, {"gain": "0.005"}, {"camera_serial": "4711"}])
 def test_settings_that_are_the_same_or_unknown_are_no_concern(now):
-    provenance = Provenance("camera", 100, 1.5, camera_serial="S1", exposure_us="5000", gain="0")
-    assert concerns(provenance, now, BackgroundFit(), SETTINGS, (120, 160)) == ()
-    assert (
-        concerns(Provenance("video", 100, 1.5), {"gain": "6", "exposure_us": "9"}, BackgroundFit(), SETTINGS, ()) == ()
-    )
+    assert concerns(LEARNED_AT, now, BackgroundFit(), SETTINGS, (120, 160)) == () and unfit(LEARNED_AT, now) is None
+    unknown, other = Provenance("video", 100, 1.5), {"camera_serial": "1", "gain": "6", "exposure_us": "90000"}
+    assert concerns(unknown, other, BackgroundFit(), SETTINGS, ()) == () and unfit(unknown, other) is None
 
 
 def test_old_background_of_a_live_camera_is_told_in_hours_and_footage_is_never_old():
@@ -175,7 +199,7 @@ def test_old_background_of_a_live_camera_is_told_in_hours_and_footage_is_never_o
     provenance = Provenance("camera", 100, 1.5, created=created.isoformat())
     now_s = created.timestamp() + 13 * 3600
     assert age_h(provenance, now_s) == pytest.approx(13.0)
-    assert "13 h old" in concerns(provenance, {}, BackgroundFit(), SETTINGS, (), now_s)[0]
+    assert "13 h old" in lines(provenance, {}, BackgroundFit(), SETTINGS, (), now_s)[0]
     assert concerns(provenance, {}, BackgroundFit(), SETTINGS, (), now_s - 2 * 3600) == ()
     assert concerns(provenance, {}, BackgroundFit(), BackgroundWatchSettings(age_h=0.0), (), now_s) == ()
     assert concerns(provenance, {}, BackgroundFit(), SETTINGS, (), None) == ()

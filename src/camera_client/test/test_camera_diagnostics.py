@@ -19,9 +19,12 @@ from camera_client.frame_source import Connection, ConnectionState, Frame, Frame
 from camera_client.sources.frame_checks import REMEDIES
 from camera_client.sources.grab_loop import GrabState
 from camera_client.sources.supervised_source import Downtime
+from capture_rig.verdict import GOOD, USABLE, Finding
 from mocap_packets.silhouette import Silhouette
 
 STREAMING = Connection(ConnectionState.STREAMING)
+OLD = Finding(USABLE, "the background is 14 h old", "learn again", "background.old")
+FLICKERS = Finding(GOOD, "the light flickers by 1.5 %", "it is followed", "light.flicker")
 RUNNING = {"grab": GrabState.RUNNING, "connection": STREAMING}
 
 
@@ -66,7 +69,9 @@ def mask(*flags):
         ({"has_background": False}, Level.WARN, "no background: run sagoma background"),
         ({"calibrated": False}, Level.WARN, "uncalibrated: no silhouettes; run sagoma calibrate"),
         ({"placed": False}, Level.WARN, "the camera's place is unknown"),
-        ({"concerns": ("old", "dark")}, Level.WARN, "old"),
+        ({"findings": (OLD, FLICKERS)}, Level.WARN, "the background is 14 h old: learn again"),
+        ({"findings": (FLICKERS,)}, Level.OK, "active"),
+        ({"has_background": False, "refused": OLD}, Level.WARN, "the background is 14 h old: learn again"),
         ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
     ],
 )
@@ -88,10 +93,10 @@ def test_gravest_trouble_is_told_alone():
 
 
 def test_setting_that_changed_explains_why_the_scene_looks_brighter():
-    changed = {"mismatch": "the exposure is 8000 us", "concerns": ("the exposure is 8000 us",)}
+    changed = {"mismatch": "the exposure is 8000 us", "findings": (OLD,)}
     assert assess(CameraState(**RUNNING, frame_flags=("lights",), **changed))[1] == "the exposure is 8000 us"
     assert assess(CameraState(**RUNNING, frame_flags=("dark",), **changed))[1].startswith("dark: ")
-    assert assess(CameraState(**RUNNING, has_background=False, concerns=("old",)))[1].startswith("no background")
+    assert assess(CameraState(**RUNNING, has_background=False, findings=(OLD,)))[1].startswith("no background")
 
 
 def test_frames_missing_in_footage_do_not_blame_the_network():
@@ -142,13 +147,12 @@ def test_last_outage_is_told_in_seconds():
 
 def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
     frame = Frame(np.zeros((2, 2), np.uint8), 5, 1, "ptp", uncertainty_ns=1500)
-    values = frame_values(frame, FrameResult(None, (), mask(), gain=1.2))
+    values = frame_values(frame, FrameResult(None, (), mask()))
     assert values == {
         "stamp_source": "ptp",
         "stamp_uncertainty_us": 1.5,
         "mask_fraction": 0.25,
         "candidate_fraction": 0.125,
-        "light_gain": 1.2,
     }
 
 

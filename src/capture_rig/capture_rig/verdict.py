@@ -10,11 +10,21 @@ GOOD, USABLE, REDO = "good", "usable", "redo"
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong, how much it matters (USABLE or REDO), and what to do."""
+    """What is wrong, how much it matters, and what to do.
+
+    grade : USABLE or REDO; GOOD for what is only worth knowing. code : "ABOUT.CONDITION", stable, for scripts; "" for
+    findings that have none.
+    """
 
     grade: str
     what: str
     remedy: str
+    code: str = ""
+
+    @property
+    def line(self) -> str:
+        """What is wrong and what to do, as a client says it."""
+        return f"{self.what}: {self.remedy}"
 
     def __str__(self) -> str:
         return f"{self.what} ({self.remedy})"

@@ -43,6 +43,7 @@ class BackgroundState:
 
     light : against that when the background was learned. noise, learned_noise : of a pixel. displacement : followed so
     far. left_px : displacement that is left, standard deviation. doubtful : share of the pixels that can tell little.
+    switches : how often the light changed suddenly.
     """
 
     light: Light
@@ -51,6 +52,7 @@ class BackgroundState:
     displacement: Displacement
     left_px: float
     doubtful: float
+    switches: int = 0
 
 
 class AdaptiveBackground:
@@ -98,7 +100,13 @@ class AdaptiveBackground:
         """What was measured in the last frame."""
         shift = self._shift
         return BackgroundState(
-            self.light, self._noise, self._learned_noise, shift.total, shift.left_px, self._image.doubtful
+            self.light,
+            self._noise,
+            self._learned_noise,
+            shift.total,
+            shift.left_px,
+            self._image.doubtful,
+            self._light.switches,
         )
 
     def distance(self, image: Image, out: Mask) -> Mask:

@@ -41,6 +41,7 @@ GIVE_BACK_S = 2.0  # as it was learned for so long: what was absorbed is forgott
 SILENT_S = 2.0  # without a report for so long, nothing is known of the others
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
+ENDLESS_S = 5.0  # it is called so for so long
 
 Seconds = npt.NDArray[np.float32]
 Blocks = npt.NDArray[np.bool_]
@@ -62,7 +63,8 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
-    absorbed, given_back : how many times things were. endless : more moved than may be absorbed.
+    absorbed, given_back : how many times things were. endless : more moved, just now, than may be absorbed. restless :
+    share of the picture that has been foreground for seconds where nobody else sees anybody, and does not keep still.
     """
 
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32]) -> None:
@@ -77,7 +79,6 @@ class MovedThings:
         self.replaced = np.zeros(self._shape, np.uint8)
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.given_back = 0
-        self.endless = False
         self._reports: deque[ForegroundSupport] = deque()
         self._restart()
 
@@ -91,6 +92,8 @@ class MovedThings:
         self._body_s, self._outside_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._since_ns = np.where(self._blocks_of(self.replaced) > 0, np.int64(1), np.int64(0))
+        self._endless_ns: int | None = None
+        self.restless = 0.0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
         self._sees_body = np.zeros(blocks, bool)  # the latest report
         self._note_change()
@@ -111,6 +114,11 @@ class MovedThings:
     def share(self) -> float:
         """Share of the picture that is absorbed."""
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
+
+    @property
+    def endless(self) -> bool:
+        """Whether more moved in the last seconds than may be absorbed."""
+        return self._endless_ns is not None and self._last_ns - self._endless_ns <= ENDLESS_S / NS
 
     def places(self) -> list[AbsorbedPlace]:
         """Return where things are absorbed, the largest first."""
@@ -188,6 +196,8 @@ class MovedThings:
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, (image, strange, background), stamp_ns)
+        nobody = (self._unseen_s >= STILL_S) & (self._outside_s <= 0) & (self._body_s <= 0)
+        self.restless = float((shown & nobody & (self._shown_s >= TAKEN_AWAY_S)).mean())
 
     # --- what the others see, and what keeps still
 
@@ -265,7 +275,7 @@ class MovedThings:
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._body_s <= 0))
         if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
-            self.endless = True
+            self._endless_ns = stamp_ns
             return
         assert self._running is not None
         pixels = self._to_pixels(blocks)

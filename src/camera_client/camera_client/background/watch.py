@@ -15,10 +15,12 @@ import cv2
 import numpy as np
 
 from capture_rig.stamps import StampThrottle
+from capture_rig.verdict import REDO, USABLE, Finding
 
 from ..frame_source import Image, Mask
 from ..settings import BackgroundWatchSettings
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_step
+from .light import MOST_GAIN
 from .model import BackgroundLimits, BackgroundModel, Provenance
 from .verdict import ImageRegion, describe_regions, find_regions
 
@@ -144,62 +146,75 @@ def concerns(
     settings: BackgroundWatchSettings,
     shape: tuple[int, ...],
     now_s: float | None = None,
-    followed: bool = False,
-) -> tuple[str, ...]:
-    """Return what speaks against the background in use, the worst first, each with its remedy; () when nothing does.
+    corrected: float | None = None,
+) -> tuple[Finding, ...]:
+    """Return what speaks against the background in use, the worst first; () when nothing does.
 
     camera : the details of the connected source. shape : of its images.
     now_s : the system's clock, s; None for footage, whose background is as old as itself.
-    followed : the light is followed already, so that what is left is more than that.
+    corrected : by which factor the light is followed now; None where it is not followed.
     """
-    found = [
-        *other_camera(provenance, camera),
-        *_drifted(watched, settings, followed),
-        *_static(watched, settings, shape),
-    ]
+    found = [*other_setting(provenance, camera, corrected)]
+    if corrected is None:
+        found += _drifted(watched, settings)
+    found += _static(watched, settings, shape)
     age = None if now_s is None else age_h(provenance, now_s)
     if age is not None and 0 < settings.age_h < age:
-        found.append(f"the background is {age:.0f} h old: {REMEDY}")
+        found.append(Finding(USABLE, f"the background is {age:.0f} h old", REMEDY, "background.old"))
     return tuple(found)
 
 
-def other_camera(learned: Provenance, camera: Mapping[str, str]) -> list[str]:
-    """A camera or setting that the background was not learned with; what is unknown of either is not compared."""
-    serial = camera.get("camera_serial", "")
-    if learned.camera_serial and serial and serial != learned.camera_serial:
-        return [f"the background was learned with camera {learned.camera_serial}, this is {serial}: {REMEDY}"]
+def unfit(provenance: Provenance, camera: Mapping[str, str]) -> Finding | None:
+    """Return why a background cannot serve a camera: learned with another one, or at quite another exposure.
+
+    What is unknown of either is not compared; None when nothing speaks against it.
+    """
+    learned, serial = provenance.camera_serial, camera.get("camera_serial", "")
+    if learned and serial and learned != serial:
+        what = f"the background was learned with camera {learned}, this is {serial}"
+        return Finding(REDO, what, REMEDY, "background.other_camera")
+    then, now = (_positive(text) for text in (provenance.exposure_us, camera.get("exposure_us", "")))
+    if then and now and not 1 / MOST_GAIN < now / then < MOST_GAIN:
+        what = f"the exposure is {now:g} us, the background was learned at {then:g} us: that cannot be corrected"
+        return Finding(REDO, what, f"{REMEDY}, or set the exposure back", "background.other_exposure")
+    return None
+
+
+def other_setting(
+    provenance: Provenance, camera: Mapping[str, str], corrected: float | None = None
+) -> tuple[Finding, ...]:
+    """Return the settings that the background was not learned at; what is unknown of either is not compared.
+
+    corrected : as in :func:`concerns`.
+    """
     found = []
     for key, unit in UNITS.items():
-        then, now = getattr(learned, key), camera.get(key, "")
+        now = camera.get(key, "")
+        then = getattr(provenance, key)
         if then and now and not _same(then, now):
             name, unit = key.partition("_")[0], f" {unit}".rstrip()
-            found.append(
-                f"the {name} is {now}{unit}, the background was learned at {then}{unit}: {REMEDY}, "
-                f"or set the {name} back"
-            )
-    return found
+            what = f"the {name} is {now}{unit}, the background was learned at {then}{unit}"
+            if corrected is not None:
+                what += f" (corrected by x {corrected:.2f})"
+            found.append(Finding(USABLE, what, f"{REMEDY}, or set the {name} back", f"background.{name}"))
+    return tuple(found)
 
 
-def _drifted(watched: BackgroundFit, settings: BackgroundWatchSettings, followed: bool) -> list[str]:
+def _drifted(watched: BackgroundFit, settings: BackgroundWatchSettings) -> list[Finding]:
     drift, limit = watched.gain_drift, settings.drift * watched.tolerance
     if drift is None or not settings.drift or abs(drift) <= limit:
         return []
-    beyond = " beyond what is followed" if followed else ""
-    follow = "" if followed else ", or let it follow the light (background_model.rule: adaptive)"
-    return [
-        f"the light changed by {100 * drift:+.1f} %{beyond}, the background bears "
-        f"{100 * watched.tolerance:.1f} %: {REMEDY}{follow}"
-    ]
+    what = f"the light changed by {100 * drift:+.1f} %, the background bears {100 * watched.tolerance:.1f} %"
+    remedy = f"{REMEDY}, or let it follow the light (background_model.rule: adaptive)"
+    return [Finding(USABLE, what, remedy, "light.drifted")]
 
 
-def _static(watched: BackgroundFit, settings: BackgroundWatchSettings, shape: tuple[int, ...]) -> list[str]:
+def _static(watched: BackgroundFit, settings: BackgroundWatchSettings, shape: tuple[int, ...]) -> list[Finding]:
     if watched.static_share <= settings.static_share or not watched.static_places:
         return []
     where = describe_regions(watched.static_places, shape)
-    return [
-        f"something has been in the picture for {settings.static_s / 60:.0f} minutes without moving: {where}; "
-        f"take it away, or {REMEDY}"
-    ]
+    what = f"something has been in the picture for {settings.static_s / 60:.0f} minutes without moving: {where}"
+    return [Finding(USABLE, what, f"take it away, or {REMEDY}", "background.static")]
 
 
 def _same(then: str, now: str) -> bool:
@@ -208,3 +223,11 @@ def _same(then: str, now: str) -> bool:
     except ValueError:
         return then == now
     return abs(a - b) <= SAME_NUMBER * max(abs(a), abs(b), 1.0)
+
+
+def _positive(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if value > 0 else None

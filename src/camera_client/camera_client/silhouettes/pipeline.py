@@ -24,6 +24,7 @@ from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
+from .certainty import Certainty, CertaintyMeter
 from .evidence import EvidenceFilter
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
 from .shadows import ALIGNMENT_PX, AttenuationMarker, Scene, make_shadow_test
@@ -63,7 +64,9 @@ class SilhouettePipeline:
         self.moved: MovedThings | None = None
         if background_settings.moved_things:
             self.moved = MovedThings(camera, np.maximum(background.sigma, background_settings.sigma_floor))
-        self._shadow = make_shadow_test(camera, len(background.shape[2:]) * 3 or 1, settings)
+        channels = len(background.shape[2:]) * 3 or 1
+        self._shadow = make_shadow_test(camera, channels, settings)
+        self._certainty = CertaintyMeter(camera.width * camera.height, channels, background_settings.rule == "adaptive")
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         min_area_px = MIN_AREA * camera.height**2
@@ -87,6 +90,11 @@ class SilhouettePipeline:
         """(H, W) 255 where the last frame showed the background, pixel by pixel, else 0."""
         return self._locator.buffer
 
+    @property
+    def certainty(self) -> Certainty:
+        """How sure a silhouette of the last half second is."""
+        return self._certainty.found
+
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
         """Return the silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
 
@@ -99,19 +107,24 @@ class SilhouettePipeline:
         self.background.follow(image, now_ns)
         box = self._find_foreground(image, now_ns)
         self.background.note_foreground(self._locator.dense)
+        measured = self._certainty.is_due(now_ns)
         if box.empty:
+            self._certainty.note_nothing()
             return self._silhouette(stamp_ns, np.zeros((0, 0), np.uint8), box)
         expected = self.background.expected(box.slices)
         scene = Scene(image[box.slices], expected, self.background.noise, box.slices)
         raw = self._decide(scene)
         shadow = self._shadow.shadow(scene, raw)
-        person = self._keep_person(cv2.subtract(raw, shadow))
+        kept = person = self._keep_person(cv2.subtract(raw, shadow))
         if self._settings.outline_contrast > 0:
             person = trim_outline(person, scene.image, expected, self._settings.outline_contrast)
+        marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
+        if measured:
+            self._certainty.note(self._distance[box.slices], raw, kept, shadow, marked)
         if self._attenuation is None:
             return self._silhouette(stamp_ns, person, box)
         levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(stamp_ns, levels, box, self._attenuation.mark(scene, person, shadow))
+        return self._silhouette(stamp_ns, levels, box, marked)
 
     def _check(self, image: Image) -> None:
         if image.shape != self._shape or image.dtype != np.uint8:

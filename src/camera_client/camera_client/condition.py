@@ -1,0 +1,173 @@
+"""Says how well a camera's background fits the room now: figures with units, for the diagnostics.
+
+:class:`ConditionWatch` collects them from the silhouette pipeline, by the frames' stamps; what they mean, and what to
+do about it, say :mod:`.condition_findings`. No silhouette depends on either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+from capture_rig.stamps import NS, StampThrottle
+from mocap_packets.silhouette import Silhouette
+
+from .background.moved_things import AbsorbedPlace
+from .background.verdict import ImageRegion, describe_regions
+from .silhouettes.certainty import LEAST_PERSON
+from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
+
+PERIOD_S = 0.5  # the figures are collected so often
+LASTING_S = 3.0  # what lasts so long is said: the time in which a thing that keeps still is absorbed
+RECENT_S = 30.0  # switches of the light within this count together
+STEADY_S, FLICKER_S = 1.0, 5.0  # time constants: of the light's own level, of the flicker about it
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How well a background fits; the fields are keys of the diagnostics, shares are of 1. None: not measured."""
+
+    light_gain: float | None = None  # how many times brighter than learned the scene is, all channels together
+    light_gains: str = ""  # the same of each channel of a colour camera: blue, green, red
+    light_unevenness: float | None = None  # standard deviation of that over the picture, share
+    light_flicker: float | None = None  # standard deviation of the light from frame to frame, share
+    light_switches: int | None = None  # how often the light changed suddenly
+    light_switches_recent: int | None = None  # the same in the last RECENT_S
+    noise_levels: float | None = None  # standard deviation of a pixel of middle grey, grey levels
+    noise_learned_levels: float | None = None  # the same when the background was learned
+    displacement_px: float | None = None  # by how much the background was moved to follow the picture
+    displacement_left_px: float | None = None  # standard deviation of what is left of it
+    background_doubtful: float | None = None  # share of the pixels that are white or black
+    things_share: float | None = None  # share of the picture where things moved or were taken away: background now
+    things_places: str = ""  # where: columns, rows, share
+    things_since_s: float | None = None  # since the last one
+    things_absorbed: int | None = None  # how many times things became background ...
+    things_given_back: int | None = None  # ... and were as learned again
+    things_endless: bool = False  # more moved than may become background
+    restless_foreground: float | None = None  # share that keeps changing where no other camera sees anybody
+    unexplained_foreground: float | None = None  # share that is no background, no person and no shadow
+    person_faint: float | None = None  # share of the person that differs by less than 4 sigmas from the background
+    person_maybe_shadow: float | None = None  # share of the person that may be floor in shadow
+    shadow_share: float | None = None  # share of the foreground that was taken for shadow
+
+    def values(self) -> dict[str, object]:
+        """Return the keys of the diagnostics; those of what was not measured are there, and empty."""
+        figures = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {key: "" if value is None else value for key, value in figures.items()}
+
+
+class Shares(NamedTuple):
+    """Shares of the picture and of the person that count when they last; as in :class:`Condition`."""
+
+    restless: float = 0.0
+    unexplained: float = 0.0
+    faint: float = 0.0
+
+
+class ConditionWatch:
+    """Collects the condition of one pipeline's background. Frames come on one thread; ``found`` may be read on any."""
+
+    def __init__(self, pipeline: SilhouettePipeline) -> None:
+        self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
+        self._last_ns: int | None = None
+        self._restart()
+        self._things_known, self._places = (0, 0), ""
+        self._newest_ns = 0
+        self.found = Condition()
+
+    def _restart(self) -> None:
+        """Forget what depends on the time, for instance when a clock was set back."""
+        self._level = self._pipeline.gain
+        self._flicker2, self._measured_s = 0.0, 0.0
+        self._lasting: deque[tuple[int, Shares]] = deque()
+        self._switches: deque[tuple[int, int]] = deque()
+
+    def update(self, stamp_ns: int, silhouette: Silhouette) -> None:
+        """Take the silhouette of the frame of ``stamp_ns``, the last one that the pipeline ran."""
+        if self._last_ns is None or stamp_ns < self._last_ns:
+            self._restart()
+            self._last_ns = stamp_ns
+        step_s = min((stamp_ns - self._last_ns) * NS, STEADY_S)
+        self._last_ns = stamp_ns
+        self._follow_flicker(step_s)
+        if self._throttle.step_s(stamp_ns) > 0:
+            self.found = self._collected(stamp_ns, silhouette)
+
+    def _follow_flicker(self, step_s: float) -> None:
+        """Follow the variance of the light about its own level, in which slow changes are no flicker."""
+        gain = self._pipeline.gain
+        share, off = 1 - math.exp(-step_s / STEADY_S), gain / max(self._level, 1e-3) - 1
+        if self._pipeline.background.light.switched:
+            self._level = gain
+            return
+        self._level += share * (gain - self._level)
+        self._flicker2 += (1 - math.exp(-step_s / FLICKER_S)) * (off * off - self._flicker2)
+        self._measured_s += step_s
+
+    def _collected(self, stamp_ns: int, silhouette: Silhouette) -> Condition:
+        state, certainty = self._pipeline.background.state, self._pipeline.certainty
+        moved, anything = self._pipeline.moved, silhouette.foreground_fraction + silhouette.candidate_fraction
+        restless = 0.0 if moved is None else moved.restless
+        lasts = self._lasts(stamp_ns, Shares(restless, certainty.unexplained, certainty.faint or 0.0))
+        things = {} if moved is None else self._things(stamp_ns)
+        return Condition(
+            light_gain=state.light.brightness,
+            light_gains=" ".join(f"{gain:.3f}" for gain in state.light.gain) if len(state.light.gain) > 1 else "",
+            light_unevenness=state.light.unevenness,
+            light_flicker=math.sqrt(self._flicker2) if self._measured_s >= STEADY_S else None,
+            light_switches=state.switches,
+            light_switches_recent=self._recent_switches(stamp_ns, state.switches),
+            noise_levels=state.noise.sigma(TYPICAL_LEVEL),
+            noise_learned_levels=state.learned_noise.sigma(TYPICAL_LEVEL),
+            displacement_px=state.displacement.most_px(self._pipeline.background_pixels.shape),
+            displacement_left_px=state.left_px,
+            background_doubtful=state.doubtful,
+            restless_foreground=lasts.restless,
+            unexplained_foreground=lasts.unexplained,
+            person_faint=None if certainty.faint is None else lasts.faint,
+            person_maybe_shadow=certainty.maybe_shadow,
+            shadow_share=silhouette.candidate_fraction / anything if anything >= LEAST_PERSON else None,
+            **things,
+        )
+
+    def _lasts(self, stamp_ns: int, now: Shares) -> Shares:
+        """Return the least of each share in the last LASTING_S; 0 while that is not over."""
+        self._lasting.append((stamp_ns, now))
+        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= LASTING_S:
+            self._lasting.popleft()
+        if (stamp_ns - self._lasting[0][0]) * NS < LASTING_S:
+            return Shares()
+        return Shares(*map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
+
+    def _recent_switches(self, stamp_ns: int, switches: int) -> int:
+        self._switches.append((stamp_ns, switches))
+        while (stamp_ns - self._switches[0][0]) * NS > RECENT_S:
+            self._switches.popleft()
+        return switches - self._switches[0][1]
+
+    def _things(self, stamp_ns: int) -> dict[str, Any]:
+        """Return the figures of what moved; places are looked for only when something was absorbed or given back."""
+        moved = self._pipeline.moved
+        assert moved is not None
+        if self._things_known != (moved.absorbed, moved.given_back):
+            self._things_known, places = (moved.absorbed, moved.given_back), moved.places()
+            self._places = describe_things(places, self._pipeline.background_pixels.shape)
+            self._newest_ns = max((place.since_ns for place in places), default=0)
+        return {
+            "things_share": moved.share,
+            "things_places": self._places,
+            "things_since_s": max(stamp_ns - self._newest_ns, 0) * NS if self._places else None,
+            "things_absorbed": moved.absorbed,
+            "things_given_back": moved.given_back,
+            "things_endless": moved.endless,
+        }
+
+
+def describe_things(places: list[AbsorbedPlace], shape: tuple[int, ...]) -> str:
+    """Return "lower left at 5..43, 70..109: 8.1 %" for the largest places in an image of that shape."""
+    if not places:
+        return ""
+    boxes = [ImageRegion(p.columns[0], p.columns[1] - 1, p.rows[0], p.rows[1] - 1, p.share) for p in places]
+    return describe_regions(boxes, shape)

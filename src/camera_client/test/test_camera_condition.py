@@ -1,0 +1,267 @@
+"""What a client says of how sure it is: each cause by its code, with its remedy, and nothing of a sound room."""
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_client.background.model import BackgroundLearner
+from camera_client.camera_chain import CameraChain
+from camera_client.condition import Condition
+from camera_client.condition_findings import condition_findings, findings_text, read_findings
+from camera_client.diagnostics import background_values
+from camera_client.frame_source import Frame
+from camera_client.settings import BackgroundSettings, CameraClientSettings
+from capture_rig.verdict import GOOD, USABLE
+from mocap_packets.support import BODY, NOBODY, ForegroundSupport
+
+FRAME_NS = 100_000_000
+
+
+def learned(images, **about):
+    learner = BackgroundLearner()
+    for image in images:
+        learner.add(image)
+    return learner.model("test", **about)
+
+
+class Room:
+    """A camera's chain on the empty scene, ten frames a second; ``see`` shows it changed frames, and reports."""
+
+    def __init__(self, scene, colour=False, rule="adaptive"):
+        self.scene, self.frames = scene, 0
+        self.empty = scene.empty(20, seed=9, colour=colour)
+        settings = CameraClientSettings(background_model=BackgroundSettings(rule=rule))
+        self.chain = CameraChain(scene.camera(), settings)
+        self.chain.use_background(learned(scene.empty(60, colour=colour)))
+
+    def see(self, seconds, change=lambda image, second: image, others=None):
+        """Show frames; ``others``: what the other cameras see everywhere. Returns the condition then."""
+        canvas = self.chain.camera.undistorted_view().camera
+        for _ in range(round(10 * seconds)):
+            self.frames += 1
+            stamp_ns = self.frames * FRAME_NS
+            if others is not None:
+                cells = np.full((-(-canvas.height // 8), canvas.width // 8), others, np.uint8)
+                self.chain.take_support(ForegroundSupport(stamp_ns, "cam01", canvas.width // cells.shape[1], cells))
+            image = change(self.empty[self.frames % 20].astype(float), self.frames / 10)
+            self.chain.run(Frame(np.clip(np.rint(image), 0, 255).astype(np.uint8), stamp_ns, self.frames, "test"))
+        return self.chain.condition
+
+    def findings(self):
+        """Code -> finding; all have a remedy."""
+        found = condition_findings(self.chain.condition)
+        assert all(finding.remedy for finding in found)
+        return {finding.code: finding for finding in found}
+
+
+def at(factor):
+    return lambda image, second: image * factor
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("others", [None, NOBODY])
+def test_sound_room_and_a_person_in_it_give_no_finding(scene, colour, others):
+    room = Room(scene, colour)
+    room.see(6, others=others)
+    assert room.findings() == {}
+    room.see(6, lambda image, second: scene.with_person(image), others=None if others is None else BODY)
+    assert room.findings() == {}
+    assert room.chain.condition.person_faint < 0.1 and room.chain.condition.unexplained_foreground < 0.001
+
+
+@pytest.mark.parametrize(
+    "factor, code, text, grade",
+    [
+        (1.12, "light.brighter", "the light is 12 % brighter than when the background was learned", GOOD),
+        (0.9, "light.darker", "the light is 10 % darker", GOOD),
+        (1.4, "light.brighter", "40 % brighter", USABLE),
+        (0.7, "light.darker", "30 % darker", USABLE),
+    ],
+)
+def test_light_that_is_followed_is_told_in_percent(scene, factor, code, text, grade):
+    room = Room(scene)
+    room.see(3, at(factor))
+    (finding,) = (finding for code, finding in room.findings().items() if code.startswith("light"))
+    assert (finding.code, finding.grade) == (code, grade) and text in finding.what
+    assert ("sagoma background" in finding.remedy) == (grade == USABLE)
+
+
+def test_light_of_another_colour_is_told_by_channel(scene):
+    room = Room(scene, colour=True)
+    room.see(3, at(np.array([0.9, 1.0, 1.1])))
+    assert "blue -10 %, green +0 %, red +10 %" in room.findings()["light.colour"].what
+    assert "light.brighter" not in room.findings()
+
+
+def test_lamps_that_are_switched_are_told_once_and_as_a_fault_when_it_does_not_end(scene):
+    room = Room(scene)
+    room.see(5)
+    room.see(3, at(1.3))
+    assert room.chain.condition.light_switches == 1
+    assert room.findings()["light.switched"].grade == GOOD
+    for factor in (1.0, 1.3, 1.0):
+        room.see(3, at(factor))
+    assert "changed suddenly 4 times" in room.findings()["light.unsteady"].what
+    room.see(40)
+    assert not {"light.unsteady", "light.switched"} & set(room.findings())
+    assert room.chain.condition.light_switches == 4
+
+
+def test_flicker_of_the_mains_is_measured_and_slow_light_is_none(scene):
+    room, rng = Room(scene), np.random.default_rng(3)
+    room.see(15, lambda image, second: image * (1 + 0.02 * rng.normal()))
+    assert room.chain.condition.light_flicker == pytest.approx(0.02, rel=0.3)
+    assert "10 ms at 50 Hz" in room.findings()["light.flicker"].remedy
+    slow = Room(scene)
+    slow.see(60, lambda image, second: image * (1 + 0.2 * second / 60))
+    assert slow.chain.condition.light_flicker < 0.005
+
+
+def test_noise_is_told_against_what_was_learned(scene):
+    room, rng = Room(scene), np.random.default_rng(3)
+    room.see(10, lambda image, second: image + 4.5 * rng.normal(size=image.shape))
+    finding = room.findings()["noise.higher"]
+    assert room.chain.condition.noise_levels == pytest.approx(np.hypot(1.5, 4.5), rel=0.1)
+    assert finding.grade == GOOD and finding.what.startswith("the noise is 4.7 grey levels, 3.0 times what was learned")
+    room.see(10, lambda image, second: image + 9 * rng.normal(size=image.shape))
+    assert room.findings()["noise.higher"].grade == USABLE
+
+
+def test_touched_camera_is_told_in_pixels(scene):
+    room = Room(scene)
+    room.see(
+        5, lambda image, second: cv2.warpAffine(image, np.array([[1, 0, 0.8], [0, 1, 0.6]]), (160, 120), borderMode=2)
+    )
+    assert room.chain.condition.displacement_px == pytest.approx(1.0, abs=0.2)
+    assert "touched" in room.findings()["moved.followed"].what
+
+
+def chair(image, second):
+    image[80:110, 110:135] = 20
+    return image
+
+
+def test_thing_that_became_background_is_told_with_its_place(scene):
+    room = Room(scene)
+    room.see(3, others=NOBODY)
+    room.see(8, chair, others=NOBODY)
+    finding, condition = room.findings()["room.things_moved"], room.chain.condition
+    assert finding.grade == GOOD and "lower right at" in finding.what
+    assert condition.things_absorbed == 1 and 0 < condition.things_since_s < 6
+    assert 30 * 25 < 160 * 120 * condition.things_share < 3 * 30 * 25  # whole blocks of 8 px, and their neighbours
+    room.see(4, others=NOBODY)
+    assert "room.things_moved" not in room.findings()
+    assert room.chain.condition.things_share == 0 and room.chain.condition.things_given_back >= 1
+
+
+def screen(image, second):
+    """A film runs on a screen on the wall."""
+    image[20:70, 100:150] = np.random.default_rng(int(10 * second)).uniform(0, 255, (10, 10)).repeat(5, 0).repeat(5, 1)
+    return image
+
+
+def test_room_that_changes_without_end_is_told_within_seconds_and_never_learned(scene):
+    room = Room(scene)
+    room.see(5, others=NOBODY)
+    room.see(8, screen, others=NOBODY)
+    finding = room.findings()["room.restless"]
+    assert finding.grade == USABLE and "keeps changing where no other camera sees anybody" in finding.what
+    room.see(60, screen, others=NOBODY)
+    assert "room.restless" in room.findings() and room.chain.condition.things_absorbed == 0
+
+
+def test_person_who_dances_is_no_restless_room(scene):
+    def dance(image, second):
+        return scene.with_person(image, np.roll(scene.person_mask(), int(30 * np.sin(3 * second)), axis=1))
+
+    room = Room(scene)
+    room.see(5, others=NOBODY)
+    for _ in range(20):
+        condition = room.see(1, dance, others=BODY)
+        assert condition.restless_foreground == 0
+    assert condition.unexplained_foreground < 0.005 and "room.restless" not in room.findings()
+
+
+def test_foreground_far_from_the_person_is_unexplained(scene):
+    def box(image, second):
+        image = scene.with_person(image)
+        image[5:25, 140:155] = 250
+        return image
+
+    room = Room(scene)
+    room.see(5, box)
+    assert room.chain.condition.unexplained_foreground == pytest.approx(20 * 15 / (160 * 120), rel=0.15)
+    assert room.findings()["room.unexplained"].grade == GOOD
+
+
+def test_clothes_of_the_background_s_brightness_are_told(scene):
+    room = Room(scene)
+
+    def alike(image, second):
+        mask = scene.person_mask() > 0
+        image[mask] = image[mask] + np.where(np.arange(160) % 4 < 2, 4, 30)[None, :].repeat(120, 0)[mask]
+        return image
+
+    room.see(6, alike)
+    assert room.chain.condition.person_faint > 0.3
+    assert "clothes.like_background" in room.findings()
+
+
+def test_white_places_are_told_by_their_share(scene):
+    room = Room(scene)
+    images = scene.empty(40)
+    for image in images:
+        image[:30, :60] = 255
+    room.chain.use_background(learned(images))
+    room.see(1, lambda image, second: np.where(images[0] == 255, 255, image))
+    assert room.chain.condition.background_doubtful == pytest.approx(30 * 60 / (160 * 120), rel=0.01)
+    assert room.findings()["levels.clipped"].what.startswith("9 % of the background is white or black")
+
+
+def test_thesis_rules_measure_no_faint_person_and_follow_no_light(scene):
+    room = Room(scene, rule="tail")
+    room.see(3, lambda image, second: scene.with_person(image))
+    assert room.chain.condition.person_faint is None and room.chain.condition.light_gain == 1.0
+
+
+def test_figures_are_keys_of_the_diagnostics_before_and_after_there_is_a_background(scene):
+    chain = CameraChain(scene.camera(), CameraClientSettings())
+    none = background_values(chain, 0.0)
+    assert set(none.values()) <= {"", False} and none["light_gain"] == ""
+    room = Room(scene)
+    room.see(1)
+    values = background_values(room.chain, 0.0)
+    assert set(none) < set(values) and values["light_gain"] == pytest.approx(1.0, abs=0.01)
+
+
+def test_same_stamps_give_the_same_figures_and_a_clock_set_back_does_no_harm(scene):
+    one, two = Room(scene), Room(scene)
+    assert one.see(6, chair, others=NOBODY) == two.see(6, chair, others=NOBODY)
+    one.frames = 0
+    one.see(6)
+    assert one.chain.condition.light_flicker < 0.002
+
+
+def test_findings_survive_their_journey(scene):
+    found = condition_findings(Condition(light_gain=1.5, noise_levels=8.0, noise_learned_levels=2.0))
+    assert [finding.code for finding in found] == ["light.brighter", "noise.higher"]
+    assert read_findings(findings_text(found)) == found
+    assert read_findings("") == read_findings("[3]") == read_findings('[{"grade": "good"}]') == ()
+
+
+def test_background_of_another_camera_is_refused_and_that_of_another_exposure_corrected(scene):
+    room = Room(scene)
+    room.chain.use_background(learned(scene.empty(60), camera_serial="A", exposure_us="5000"))
+    assert room.chain.refuse_unfit_background({"camera_serial": "A", "exposure_us": "9000"}) is None
+    person = scene.person_mask() > 0
+    room.see(0.1, lambda image, second: scene.with_person(image * 0.55))
+    silhouette = room.chain.pipeline.run(
+        scene.with_person((room.empty[3] * 0.55).astype(np.uint8)), (room.frames + 1) * FRAME_NS
+    )
+    found = silhouette.image_mask == 255
+    assert (found & person).sum() / (found | person).sum() > 0.93
+    reason = room.chain.refuse_unfit_background({"camera_serial": "B"})
+    assert reason.code == "background.other_camera" and room.chain.refused == reason
+    assert room.chain.background is None and room.chain.run(Frame(room.empty[0], 10**12, 1, "test")).silhouette is None
+    room.chain.use_background(learned(scene.empty(60), camera_serial="B"))
+    assert room.chain.refused is None
