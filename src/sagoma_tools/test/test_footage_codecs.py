@@ -2,13 +2,15 @@
 
 import json
 import shutil
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from footage_clips import cut_off, transcoded, with_late_frames, write_clip
 from intrinsics_views import lens, shown
 
-from capture_rig.camera_info_file import load_camera_info
+from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import load_session
 from capture_rig.video import Video
 from rig_calibration.boards.board import Checkerboard
@@ -111,8 +113,6 @@ def film():
 
 def board_pose(view, board):
     """T_camera_board (4, 4) from the exact corners."""
-    import cv2
-
     ideal = lens().ideal_points(view.pixels)
     _, turn, t = cv2.solvePnP(BOARD.corners_board, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     return transform(cv2.Rodrigues(turn)[0], t.reshape(3))
@@ -140,3 +140,16 @@ def test_lens_is_calibrated_from_a_film_in_that_codec(film, tmp_path, codec, nam
     found = load_camera_info(output / "cam01.yaml", camera)
     assert np.abs(found.K.diagonal()[:2] / camera.K.diagonal()[:2] - 1).max() < 2e-3
     assert np.abs(found.K[:2, 2] - camera.K[:2, 2]).max() < 1.0
+
+
+def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(film, tmp_path, capsys):
+    camera, images = film
+    (tmp_path / "lenses").mkdir()
+    for number, fps in ((1, 25.0), (2, 50.0)):
+        write_clip(tmp_path / f"cam0{number}.avi", images[:4], fps, "XVID")
+        save_camera_info(tmp_path / "lenses" / f"cam0{number}.yaml", replace(camera, name=f"cam0{number}"))
+    given = ["--intrinsics", str(tmp_path / "lenses"), "--moving", str(tmp_path), "--board", "checkerboard 9x6 25mm"]
+    assert main(["calibrate", "extrinsics", *given, "--output", str(tmp_path / "rig.yaml")]) == 2
+    said = capsys.readouterr().err
+    assert "different frame rates (cam01 25, cam02 50 fps): frame k of each is not of the same instant" in said
+    assert "ffmpeg -i IN -r RATE" in said

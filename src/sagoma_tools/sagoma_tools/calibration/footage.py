@@ -59,6 +59,15 @@ class CameraFootage:
         return reader.frame_count
 
     @property
+    def fps(self) -> float:
+        """Of a video, by its header; 0 for stills, and where the header tells no rate that a camera has."""
+        if not self.is_video:
+            return 0.0
+        reader = self._reader()
+        reader.close()
+        return reader.fps
+
+    @property
     def where(self) -> str:
         """For messages: the video or still, or the folder of the stills."""
         return str(self.files[0] if len(self.files) == 1 else self.files[0].parent)

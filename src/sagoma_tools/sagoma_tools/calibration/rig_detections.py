@@ -32,6 +32,7 @@ from .footage import CameraFootage, open_footage_of_cameras
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
 MEDIAN_FRAMES = 9
+SAME_RATE = 1e-3  # of the rate: as of a session's videos; 25 and 24.98 drift by a frame in a minute
 MAX_BLUR_PX = 2.5
 """Corners of a board that is blurred more (sigma of its edges) are not used."""
 
@@ -236,9 +237,11 @@ class FootageSources(RigSources):
         return self._search("board on the floor", self._floor, cameras, find)
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
+        _require_one_rate(self._moving, cameras)
         return self._search("carried board", self._moving, cameras, partial(find_moving, board=board))
 
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
+        _require_one_rate(self._wand, cameras)
         find = partial(find_wands, marks_m=marks_m, cameras=cameras)
         return self._search("wand", self._wand, cameras, find)
 
@@ -253,6 +256,18 @@ class FootageSources(RigSources):
             task = bar.add_task(f"looking for the {what} in {len(footage)} cameras' pictures", total=None)
             found: CamerasDetections = find(footage, progress=lambda: bar.advance(task))
         return found
+
+
+def _require_one_rate(clips: Mapping[str, CameraFootage], cameras: Container[str]) -> None:
+    """Raise InputError when videos of something carried have several frame rates: their frames do not correspond."""
+    rates = {name: clip.fps for name, clip in clips.items() if name in cameras and clip.fps}
+    if rates and max(rates.values()) - min(rates.values()) > SAME_RATE * max(rates.values()):
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        raise InputError(
+            f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant",
+            where=", ".join(clips[name].where for name in rates),
+            remedy="Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4.",
+        )
 
 
 def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:
