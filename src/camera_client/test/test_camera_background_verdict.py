@@ -118,11 +118,39 @@ def test_somebody_who_stood_still_all_the_time_is_found_by_the_background_before
     assert place.share == pytest.approx((scene.person_mask() > 0).mean(), rel=0.2)
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
-def test_empty_room_under_other_light_is_good(scene, factor):
+@pytest.mark.parametrize(
+    "factor, code, text",
+    [
+        (0.7, "light.darker", "30 % darker"),
+        (1.0, "", ""),
+        (1.3, "light.brighter", "30 % brighter than in the background"),
+    ],
+)
+def test_empty_room_under_other_light_is_good_and_told(scene, factor, code, text):
     _, before = learned(scene.empty(30))
     again = [np.clip(np.rint(image * factor), 0, 255).astype(np.uint8) for image in scene.empty(30, seed=4)]
-    assert verdict_on(again, before).grade == GOOD
+    verdict = verdict_on(again, before)
+    assert verdict.grade == GOOD and [finding.code for finding in verdict.findings] == [code] * bool(code)
+    assert text in str(verdict)
+
+
+def test_noise_that_grew_since_the_background_before_is_told(scene):
+    _, before = learned(scene.empty(30))
+    verdict = verdict_on(scene.empty(30, seed=4, noise=4.0), before)
+    assert verdict.grade == GOOD and [finding.code for finding in verdict.findings] == ["noise.higher"]
+    assert "2.6 times" in str(verdict)
+
+
+def test_every_finding_has_a_code(scene):
+    white = [np.where(np.arange(160) < 10, 255, image).astype(np.uint8) for image in scene.empty(10, noise=9.0)]
+    verdict = verdict_on(scaled(white, 1 + 0.02 * np.random.default_rng(1).normal(size=10)))
+    codes = {finding.code for finding in verdict.findings}
+    assert {"levels.white", "noise.high", "training.few_frames"} <= codes and "" not in codes
+
+
+def test_background_that_was_read_and_never_judged_is_judged_when_it_is_described(scene):
+    _, model = learned([image // 6 for image in scene.empty(60)], "empty.mp4")
+    assert describe_background(model).startswith("usable: the image is dim")
 
 
 def test_camera_that_was_bumped_a_little_is_no_sign_of_somebody(scene):

@@ -22,7 +22,7 @@ from sagoma_tools.graph.background_training import TrainingOutcome, camera_of
 from sagoma_tools.graph.ros_link import RosLink
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
-NOISE = Finding(USABLE, "the noise is high", "lower the gain")
+NOISE = Finding(USABLE, "the noise is high", "lower the gain", "noise.high")
 OUTCOMES = {GOOD: (), USABLE: (NOISE,), REDO: (MOVED, NOISE)}
 PERIOD_S = 0.1
 
@@ -99,7 +99,9 @@ def test_worst_verdict_is_the_exit_status_and_findings_come_with_remedies(client
     status, said, result = learn(capsys, clients(cam01=[GOOD], cam02=[USABLE]))
     assert status == 1
     assert "the noise is high" in said and "lower the gain" in said
-    assert result["cam02"]["findings"] == [{"grade": USABLE, "what": NOISE.what, "remedy": NOISE.remedy}]
+    assert result["cam02"]["findings"] == [
+        {"grade": USABLE, "what": NOISE.what, "remedy": NOISE.remedy, "code": "noise.high"}
+    ]
 
 
 def test_camera_that_must_be_redone_is_tried_again_alone(clients, capsys):
@@ -198,6 +200,22 @@ def test_show_prints_where_a_background_comes_from_and_draws_it(saved, tmp_path,
     brightness = sigma[12:18, 52:58].mean(), sigma[40:, :40].mean()
     assert sigma.shape == (60, 80, 3) and brightness[0] > 1.5 * brightness[1]
     assert sigma[10, 50].tolist() == [0, 0, 255]
+
+
+def test_show_names_what_speaks_against_a_background_and_what_changed_since_another(saved, tmp_path, capsys):
+    rng, learner = np.random.default_rng(1), BackgroundLearner()
+    for _ in range(40):
+        learner.add(np.clip(np.rint(rng.normal(112, 5, (60, 80))), 0, 255).astype(np.uint8))
+    learner.model("later").save(tmp_path / "later.npz")
+    assert main(["background", "show", str(saved)]) == 0
+    said = capsys.readouterr().out
+    assert "redo: something moved: upper right at 50..59, 10..19" in said and "clear the scene" in said
+    assert main(["background", "show", str(tmp_path / "later.npz")]) == 0
+    assert "brighter" not in capsys.readouterr().out
+    assert main(["background", "show", str(tmp_path / "later.npz"), "--against", str(saved)]) == 0
+    said = capsys.readouterr().out
+    assert "good: the light is 12 % brighter than in the background of 2026-03-01T08:00:00+00:00" in said
+    assert "good: the noise is 2.5 times" in said
 
 
 def test_show_refuses_what_is_no_background(tmp_path, capsys):

@@ -4,7 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from camera_client.background.model import Provenance
 from camera_client.background.training import TrainingReport
+from camera_client.background.watch import unfit
+from camera_client.condition import Condition
+from camera_client.condition_findings import condition_findings, findings_text
 from camera_client.movement.detector import MovementState
 from capture_rig.verdict import Finding
 from sagoma_tools.doctor.findings import Severity
@@ -241,6 +245,51 @@ def test_background_that_has_to_be_learned_again_is_named_with_the_reason(grade,
     found = troubles(graph([replace(C2, values={"background_training": training})]))
     assert [code for _, _, code, _ in found] == expected
     assert not found or "in the middle (clear the scene)" in found[0][3]
+
+
+CAUSES = [
+    (Condition(light_gain=1.4), "WARNING", "light.brighter", "the light is 40 % brighter than when the background"),
+    (Condition(light_gain=1.0, light_switches_recent=4), "WARNING", "light.unsteady", "4 times in half a minute"),
+    (Condition(light_gain=1.0, light_flicker=0.06), "WARNING", "light.flicker", "6.0 %"),
+    (Condition(noise_levels=8.0, noise_learned_levels=2.0), "WARNING", "noise.higher", "4.0 times what was learned"),
+    (Condition(noise_levels=8.0, noise_learned_levels=7.5), "WARNING", "noise.high", "8.0 grey levels"),
+    (Condition(noise_levels=1.0, background_doubtful=0.4), "WARNING", "levels.clipped", "40 %"),
+    (Condition(displacement_left_px=0.7), "WARNING", "moved.shakes", "0.7 px"),
+    (Condition(things_places="lower left", things_share=0.3), "WARNING", "room.things_moved", "lower left"),
+    (Condition(things_endless=True), "WARNING", "room.endless", ""),
+    (Condition(restless_foreground=0.03), "WARNING", "room.restless", "3.0 %"),
+    (Condition(unexplained_foreground=0.03), "WARNING", "room.unexplained", "3.0 %"),
+    (Condition(person_faint=0.4), "WARNING", "clothes.like_background", "40 %"),
+    (Condition(light_gain=1.12), "NOTE", "light.brighter", "12 % brighter"),
+    (Condition(light_gain=1.0, light_gains="0.9 1.0 1.1"), "NOTE", "light.colour", "blue -10 %"),
+    (Condition(light_gain=1.0, light_unevenness=0.2), "NOTE", "light.uneven", "20 %"),
+    (Condition(light_gain=1.0, light_switches_recent=1), "NOTE", "light.switched", ""),
+    (Condition(displacement_px=0.7), "NOTE", "moved.followed", "0.7 px"),
+    (Condition(shadow_share=0.7), "NOTE", "shadow.large", "70 %"),
+]
+
+
+@pytest.mark.parametrize("condition, severity, code, value", CAUSES, ids=[f"{case[1]}-{case[2]}" for case in CAUSES])
+def test_cause_that_a_client_names_is_a_finding_with_its_code_and_remedy(condition, severity, code, value):
+    found = condition_findings(condition)
+    says = {"level": 1, "message": found[0].line} if severity == "WARNING" and found else {}
+    client = replace(C2, values={"findings": findings_text(found)}, **says)
+    named = [each for each in graph_findings(graph([client]), RIG) if each.severity > Severity.OK]
+    assert [(each.severity.name, each.subject, each.code) for each in named] == [(severity, "camera cam02", code)]
+    assert all(value in each.what and each.remedy for each in named)
+
+
+def test_background_of_another_camera_is_an_error_and_an_old_one_is_told_once():
+    learned = Provenance("camera", 100, 1.5, camera_serial="S1")
+    refused = unfit(learned, {"camera_serial": "S2"})
+    (trouble,) = troubles(
+        graph([replace(C2, level=1, message=refused.line, values={"findings": findings_text([refused])})])
+    )
+    assert trouble[0] == "ERROR" and trouble[2] == "background.other_camera" and "S2" in trouble[3]
+    old = Finding("usable", "the background is 30 h old", "learn again", "background.old")
+    values = {"findings": findings_text([old]), "background_age_h": "30.2"}
+    (trouble,) = troubles(graph([replace(C2, level=1, message=old.line, values=values)]))
+    assert trouble[2] == "background.old"
 
 
 def test_machines_are_told_apart_by_the_middlewares_number():

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.verdict import REDO, USABLE, Finding, Verdict, judge
+from capture_rig.verdict import GOOD, REDO, USABLE, Finding, Verdict, judge
 
 from ..sources.frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL
 from .model import BackgroundModel, Provenance
@@ -26,6 +26,7 @@ MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
 WHITE_SHARE, WHITE_MUCH_SHARE = 0.02, 0.3
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
 FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, change from first to last
+LIGHT_CHANGED, NOISE_GREW = 0.05, 2.0  # against the background before: relative, and times; as condition_findings
 REPORTED_TURN_DEG = 0.2  # as the default of camera_moved.limit_deg
 
 
@@ -42,6 +43,7 @@ def judge_background(
             *_frame_count_findings(model),
             *_movement_findings(model),
             *_emptiness_findings(model, before),
+            *_light_findings(model, before),
             *_noise_findings(model),
             *_steadiness_findings(brightness),
         ]
@@ -49,10 +51,13 @@ def judge_background(
 
 
 def describe_background(model: BackgroundModel) -> str:
-    """Return one line on a background: the verdict on it, if there was one, and where it comes from."""
+    """Return one line on a background: the verdict on it and where it comes from.
+
+    One that was not learned here, but read from a film or a still, is judged by what can be seen of it.
+    """
     about = model.provenance
     noise = "assumed" if about.frames == 1 else "mean"
-    verdict = f"{about.verdict}; " if about.verdict else ""
+    verdict = f"{about.verdict or judge_background(model, ())}; "
     turned = "".join(f"; {finding.what}: {finding.remedy}" for finding in turn_findings(about))
     return (
         f"{verdict}{about.frames} frames of {about.source}, {noise} noise {about.mean_noise:.2f} grey levels, "
@@ -66,21 +71,21 @@ def turn_findings(about: Provenance) -> tuple[Finding, ...]:
     if turn_deg < REPORTED_TURN_DEG:
         return ()
     what = f"since it was calibrated the camera has turned by {turn_deg:.1f} degrees"
-    return (Finding(USABLE, what, "calibrate it again"),)
+    return (Finding(USABLE, what, "calibrate it again", "moved.turned"),)
 
 
 def _exposure_findings(model: BackgroundModel) -> list[Finding]:
     if float(np.percentile(model.mean, 99)) <= BLACK_LEVEL:
-        return [Finding(REDO, "the image is black", "take the lens cap off, or switch the light on")]
+        return [Finding(REDO, "the image is black", "take the lens cap off, or switch the light on", "levels.black")]
     found = []
     white, typical = float((model.mean >= WHITE_LEVEL).mean()), float(np.median(model.mean))
     if white > WHITE_SHARE:
         grade = REDO if white > WHITE_MUCH_SHARE else USABLE
         what = f"{100 * white:.0f} % of the image is white"
-        found.append(Finding(grade, what, "shorten the exposure or lower the gain"))
+        found.append(Finding(grade, what, "shorten the exposure or lower the gain", "levels.white"))
     if typical < DIM_LEVEL:
         what = f"the image is dim, {typical:.0f} grey levels on the median"
-        found.append(Finding(USABLE, what, "lengthen the exposure, open the iris, or add light"))
+        found.append(Finding(USABLE, what, "lengthen the exposure, open the iris, or add light", "levels.dim"))
     return found
 
 
@@ -88,8 +93,10 @@ def _frame_count_findings(model: BackgroundModel) -> list[Finding]:
     frames = model.provenance.frames
     if frames >= FEW_FRAMES:
         return []
-    error = 100 / np.sqrt(2 * max(frames - 1, 1))
-    return [Finding(USABLE, f"{frames} frames measure the noise to {error:.0f} % only", "set background_frames to 100")]
+    what = f"{frames} frames measure the noise to {100 / np.sqrt(2 * max(frames - 1, 1)):.0f} % only"
+    if frames == 1:
+        what = "a single picture does not tell the noise, which is assumed"
+    return [Finding(USABLE, what, "set background_frames to 100", "training.few_frames")]
 
 
 def _movement_findings(model: BackgroundModel) -> list[Finding]:
@@ -99,17 +106,21 @@ def _movement_findings(model: BackgroundModel) -> list[Finding]:
         return []
     grade = REDO if share > MOVED_MUCH_SHARE else USABLE
     what = f"something moved: {describe_regions(regions, model.shape)}"
-    return [Finding(grade, what, "clear the scene, see that the camera stands firm, and call again")]
+    remedy = "clear the scene, see that the camera stands firm, and call again"
+    return [Finding(grade, what, remedy, "training.movement")]
 
 
 def _noise_findings(model: BackgroundModel) -> list[Finding]:
     typical = float(np.median(model.sigma))
+    if model.provenance.frames == 1:
+        return []
     if typical > HIGH_NOISE:
         what = f"the noise is high, {typical:.1f} grey levels on the median"
-        return [Finding(USABLE, what, "lower the gain and add light; check that the camera stands firm")]
+        return [Finding(USABLE, what, "lower the gain and add light; check that the camera stands firm", "noise.high")]
     if typical < LOW_NOISE:
         what = f"the noise is suspiciously low, {typical:.2f} grey levels on the median"
-        return [Finding(USABLE, what, "check that the camera sends new pictures and does not smooth them")]
+        remedy = "check that the camera sends new pictures and does not smooth them"
+        return [Finding(USABLE, what, remedy, "noise.low")]
     return []
 
 
@@ -122,10 +133,11 @@ def _steadiness_findings(brightness: Sequence[float]) -> list[Finding]:
     if flicker > FLICKER:
         what = f"the brightness flickers by {100 * flicker:.1f} %"
         remedy = "expose for whole periods of the lamps: 10 ms at 50 Hz, 8.33 ms at 60 Hz"
-        found.append(Finding(USABLE, what, remedy))
+        found.append(Finding(USABLE, what, remedy, "light.flicker"))
     if abs(drift) > DRIFT:
         what = f"the brightness changed by {100 * drift:+.1f} % while it was learned"
-        found.append(Finding(USABLE, what, "wait until lamps are warm and automatic exposure is off"))
+        remedy = "wait until lamps are warm and automatic exposure is off"
+        found.append(Finding(USABLE, what, remedy, "light.drift"))
     return found
 
 
@@ -145,7 +157,7 @@ def _emptiness_findings(model: BackgroundModel, before: BackgroundModel | None) 
     since = f" of {before.provenance.created}" if before.provenance.created else ""
     what = f"something else than in the background{since}: {describe_regions(regions, model.shape)}"
     remedy = "if a person stood there, clear the room and learn again; moved furniture is all right"
-    return [Finding(USABLE, what, remedy)]
+    return [Finding(USABLE, what, remedy, "training.something_else")]
 
 
 def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[ImageRegion]:
@@ -155,8 +167,7 @@ def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[Ima
     """
     if model.shape != before.shape:
         return []
-    lit = before.mean >= MIN_LIT_LEVEL
-    gain = float(np.median(model.mean[lit] / before.mean[lit])) if lit.any() else 1.0
+    gain = light_gain(model, before)
     if gain <= 0:
         return []
     change = np.abs(model.mean / gain - before.mean)
@@ -166,6 +177,30 @@ def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[Ima
     side = max(2 * round(THIN_OF_HEIGHT * mask.shape[0] / 2) + 1, 3)
     changed = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
     return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), SMALLEST_CHANGE)
+
+
+def light_gain(model: BackgroundModel, before: BackgroundModel) -> float:
+    """Return how many times brighter than ``before`` the scene is: the median of all lit pixels."""
+    lit = before.mean >= MIN_LIT_LEVEL
+    return float(np.median(model.mean[lit] / before.mean[lit])) if lit.any() else 1.0
+
+
+def _light_findings(model: BackgroundModel, before: BackgroundModel | None) -> list[Finding]:
+    """Return what changed of light and noise since the background before: worth knowing, and no fault."""
+    if before is None or model.shape != before.shape:
+        return []
+    gain, found = light_gain(model, before), []
+    since = f" of {before.provenance.created}" if before.provenance.created else " before"
+    if abs(gain - 1) > LIGHT_CHANGED:
+        kind = "brighter" if gain > 1 else "darker"
+        what = f"the light is {100 * abs(gain - 1):.0f} % {kind} than in the background{since}"
+        found.append(Finding(GOOD, what, "nothing is to be done", f"light.{kind}"))
+    if min(model.provenance.frames, before.provenance.frames) >= FEW_FRAMES:
+        times = float(np.median(model.sigma)) / max(float(np.median(before.sigma)), LOW_NOISE)
+        if times > NOISE_GREW:
+            what = f"the noise is {times:.1f} times that of the background{since}"
+            found.append(Finding(GOOD, what, "less gain, more light, a higher bit rate of a codec", "noise.higher"))
+    return found
 
 
 # --- regions of the image: boxes around marked pixels, and words for them

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from camera_client.background.model import BackgroundModel, load_background, shape_text
-from camera_client.background.verdict import find_regions
+from camera_client.background.verdict import find_regions, judge_background, turn_findings
 from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 
@@ -66,6 +66,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     show = parser.add_subparsers(metavar="show").add_parser("show", help="what saved backgrounds (.npz) hold")
     show.add_argument("files", nargs="+", metavar="FILE", help="saved backgrounds")
     show.add_argument("--output", metavar="FOLDER", help="where pictures go (default: beside each file)")
+    show.add_argument("--against", metavar="FILE", help="an earlier one: what changed since, of light, noise and room")
     show.set_defaults(run=run_show)
 
 
@@ -227,11 +228,13 @@ def _reasons(outcome: TrainingOutcome) -> list[tuple[str, str]]:
 
 
 def run_show(args: argparse.Namespace) -> int:
-    """Print where each saved background comes from, and write its pictures."""
-    console = table_console()
+    """Print where each saved background comes from and what can be found against it, and write its pictures."""
+    console, before = table_console(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)
         console.print(provenance_table(model, str(file)))
+        for finding in judge_background(model, (), before).findings + turn_findings(model.provenance):
+            console.print(Text(f"{finding.grade}: {finding.line}", STYLE[finding.grade]))
         folder = Path(args.output) if args.output else file.parent
         mean, sigma = write_pictures(model, folder, file.stem)
         console.print(f"pictures: {mean}, {sigma} (brightest: {BRIGHTEST_SIGMA:g} grey levels of noise or more)")

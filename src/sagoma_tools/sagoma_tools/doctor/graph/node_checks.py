@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 
+from camera_client.condition_findings import KEY as FINDINGS_KEY
+from camera_client.condition_findings import read_findings
 from camera_client.movement.detector import MovementState
-from capture_rig.verdict import REDO, USABLE
+from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ...graph.diagnostics_table import NodeReport
 from ..findings import Finding, error, note, ok, warning
@@ -87,6 +89,8 @@ def check_clock(node: NodeFacts, here: str, period_s: float | None) -> Iterator[
 
 
 def _message_finding(node: NodeFacts, room_empty: bool) -> Finding:
+    if node.message in {finding.line for finding in read_findings(node.values.get(FINDINGS_KEY, ""))}:
+        return ok("says", "what its background's findings say")
     if node.level >= ERROR:
         return error("says.error", node.message, _remedy(node))
     if node.level < WARN:
@@ -122,12 +126,14 @@ def _time(seconds: float) -> str:
 
 OLD_BACKGROUND_H = 12.0
 LEARN = "sagoma background, while the room is empty"
+OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
 PUT_BACK = "Put the camera back as it was, or: sagoma calibrate extrinsics"
 
 
 def check_watch(node: NodeFacts) -> Iterator[Finding]:
-    """Check the background's age and verdict, and whether the camera moved since its background was trained."""
+    """Check whether a camera's background still fits, and whether it moved since that was trained."""
     age_h = _figure(node, "background_age_h")
+    yield from _check_findings(node)
     if age_h is not None and age_h > OLD_BACKGROUND_H:
         yield warning("background.old", f"it is {age_h:.0f} h old: the light has changed since", LEARN)
     elif age_h is not None:
@@ -141,6 +147,13 @@ def check_watch(node: NodeFacts) -> Iterator[Finding]:
         yield warning("moved.shifted", text, PUT_BACK)
     else:
         yield ok("moved", text)
+
+
+def _check_findings(node: NodeFacts) -> Iterator[Finding]:
+    """Report what the client itself finds against its background, by the client's codes; its age is checked here."""
+    for finding in read_findings(node.values.get(FINDINGS_KEY, "")):
+        if finding.code != "background.old":
+            yield OF_GRADE[finding.grade](finding.code, finding.what, finding.remedy)
 
 
 def _check_training(node: NodeFacts) -> Iterator[Finding]:
