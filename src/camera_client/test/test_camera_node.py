@@ -13,7 +13,8 @@ from sensor_msgs.msg import CompressedImage, Image
 from camera_client.background.model import load_background
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
-from sagoma_ros.images import camera_info_message, decode_silhouette
+from mocap_packets.support import NOBODY, ForegroundSupport
+from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 
 
@@ -291,3 +292,28 @@ def test_set_camera_info_that_does_not_fit_changes_nothing(bench, session, scene
     assert not (session.folder / "info.yaml").exists()
     camera.until(lambda: len(camera.heard["camera_info"]) == FRAMES)
     assert {message.k[0] for message in camera.heard["camera_info"]} == {150.0}
+
+
+def test_what_the_others_do_not_see_becomes_background(bench, session, scene):
+    """Frames of a thing, a fifth of a second apart; the peer answers each with a report of the same stamp."""
+    thing = np.zeros((scene.height, scene.width), np.uint8)
+    thing[24:64, 24:56] = 255
+    images = [scene.with_person(image, thing) for image in scene.empty(30, seed=5)]
+    path = scene.write_video(session.folder / "thing.avi", images)
+    camera = bench(**session.parameters | {"footage.path": path, "footage.fps": 5.0, "footage.window": 1})
+    reports, canvas = (
+        camera.peer.create_publisher(Image, "silhouette/support", RESULT),
+        scene.camera().undistorted_view(),
+    )
+    camera.acknowledging = False
+    camera.start()
+    camera.until(lambda: reports.get_subscription_count() == 1 == camera.predictions.get_subscription_count())
+    for count in range(1, 31):
+        camera.until(lambda count=count: len(camera.masks) == count)
+        stamp_ns = camera.stamps_ns()[-1]
+        cells = np.full((canvas.camera.height // 8, canvas.camera.width // 8), NOBODY, np.uint8)
+        reports.publish(support_message(ForegroundSupport(stamp_ns, "cam01", 8, cells)))
+        camera.acknowledge(stamp_ns)
+    size = canvas.camera.width, canvas.camera.height
+    first, last = (decode_silhouette(camera.masks[k], *size, "test") for k in (0, -1))
+    assert (first[thing > 0] > 0).mean() > 0.9 and not last.any()

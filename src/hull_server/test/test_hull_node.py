@@ -12,7 +12,7 @@ from hull_scenes import capsule_person, ring_rig, silhouettes
 from node_probe import FAILURE, PATIENCE_S, SUCCESS, NodeProbe, values_of
 from plyfile import PlyData
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_srvs.srv import Trigger
 
 from capture_rig import load_rig, save_rig
@@ -22,7 +22,7 @@ from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
-from sagoma_ros.images import camera_info_message, silhouette_message
+from sagoma_ros.images import camera_info_message, read_support, silhouette_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import read_packet
 from sagoma_ros.qos import SILHOUETTE_PUBLISHER
@@ -447,3 +447,21 @@ def test_save_mesh_without_a_hull_says_why(make_bench, scene, tmp_path, sets, wh
         bench.answers(k + 1)
     answer = bench.ask(Trigger, "hull_server/save_mesh")
     assert not answer.success and why in answer.message and not list(tmp_path.iterdir())
+
+
+def test_node_tells_every_camera_what_the_others_see(make_bench, scene):
+    _, rig, masks = scene
+    bench, topics = make_bench(), [f"{name}/silhouette/support" for name in rig.names]
+    for topic in topics:
+        bench.listen(Image, topic)
+    bench.start(rig).send(masks, 0)
+    bench.answers(1)
+    bench.until(lambda: all(bench.heard[topic] for topic in topics))
+    expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(
+        FrameSet.of_instant(stamp(0), masks)
+    )
+    for report, topic in zip(expected.support, topics, strict=True):
+        width = rig.camera(report.camera).undistorted_view().camera.width
+        heard = read_support(bench.heard[topic][0], report.camera, width, topic)
+        assert (heard.stamp_ns, heard.cell_px) == (stamp(0), report.cell_px)
+        np.testing.assert_array_equal(heard.cells, report.cells)
