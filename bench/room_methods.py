@@ -31,7 +31,7 @@ RIVAL_SHADOW = 127
 """The level by which OpenCV's subtractors mark shadows."""
 VISIBLE_SIGMAS = 3.0
 LEARNING, FROZEN = -1.0, 1e-6
-"""Learning rates: the author's own; and none (at 0 OpenCV's KNN divides by it, and learns at random instead)."""
+"""Learning rates: the author's own; and none (at 0 OpenCV's KNN divides by log(1 - rate) and goes on to learn)."""
 
 CV2_RIVALS: Mapping[str, Callable[..., cv2.BackgroundSubtractor]] = {
     "MOG2": cv2.createBackgroundSubtractorMOG2,

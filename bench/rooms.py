@@ -196,9 +196,9 @@ def in_turns(works: dict[str, Callable[[np.ndarray], object]], frames: list[np.n
     times: dict[str, list[float]] = {name: [] for name in works}
     for image in frames:
         for name, work in works.items():
-            begin = time.thread_time()
+            begin = time.process_time()
             work(image)
-            times[name].append(1e3 * (time.thread_time() - begin))
+            times[name].append(1e3 * (time.process_time() - begin))
     return {name: np.array(ms[WARM_UP_FRAMES:]) for name, ms in times.items()}
 
 

@@ -53,6 +53,8 @@ from virtual_studio.rig import ring
 
 TRAINING_FRAMES = 90
 MOG2_SHADOW = 127
+FROZEN = 1e-6
+"""Learning rate of a rival that stays as it is: at 0 OpenCV's KNN divides by log(1 - rate) and goes on to learn."""
 RULES = ("adaptive", "tail")
 TINT = np.array([0.7, 0.9, 1.0], np.float32)  # makes a colour image of a grey one
 
@@ -133,7 +135,7 @@ def methods(clip: Clip) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
     settings = SilhouetteSettings()
 
     def of(subtractor: cv2.BackgroundSubtractor, image: np.ndarray) -> np.ndarray:
-        raw = subtractor.apply(image, None, 0)
+        raw = subtractor.apply(image, None, FROZEN)
         mask = majority(np.where(raw > MOG2_SHADOW, np.uint8(255), np.uint8(0)), settings.median_px)
         area = image.shape[0] ** 2
         return keep_person(mask, MIN_AREA * area, settings.near * image.shape[0], settings.max_hole * area)
@@ -224,8 +226,8 @@ def cost(kind: str, clip: Clip, rounds: int) -> dict[str, float]:
             "  of it: distance from the background": lambda image: background.distance(image, distance),
             "whole chain, the thesis's rule": thesis.run,
             "subtraction alone, the thesis's rule": limits.subtract,
-            "MOG2 (subtraction alone)": lambda image: mog2.apply(image, None, 0),
-            "KNN (subtraction alone)": lambda image: knn.apply(image, None, 0),
+            "MOG2 (subtraction alone)": lambda image: mog2.apply(image, None, FROZEN),
+            "KNN (subtraction alone)": lambda image: knn.apply(image, None, FROZEN),
             "frame checks": lambda image: checks.check(image, now_ns[0]),
         },
         clip.frames,
