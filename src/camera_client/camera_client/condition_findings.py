@@ -132,8 +132,11 @@ def _displacement_findings(c: Condition) -> Iterator[Finding]:
         remedy = "it is followed; fasten the mount, and see whether its calibration still holds"
         yield Finding(GOOD, what, remedy, "moved.followed")
     if (c.displacement_left_px or 0.0) > LEFT_MUCH_PX:
-        what = f"the picture shakes: {c.displacement_left_px:.1f} px of its movement cannot be followed"
-        yield Finding(USABLE, what, "fasten the mount; keep fans and doors off its wall", "moved.shakes")
+        what = (
+            f"edges of the room lie {c.displacement_left_px:.1f} px beside the background's, which cannot be followed"
+        )
+        remedy = "fasten the mount, keep fans and doors off its wall; when it stands firm, learn the background again"
+        yield Finding(USABLE, what, remedy, "moved.unfollowed")
 
 
 def _room_findings(c: Condition) -> Iterator[Finding]:

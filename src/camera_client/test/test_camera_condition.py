@@ -4,13 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.model import BackgroundLearner
+from camera_client.background.model import BackgroundLearner, load_background
 from camera_client.camera_chain import CameraChain
 from camera_client.condition import Condition
+from camera_client.condition_findings import KEY as FINDINGS_KEY
 from camera_client.condition_findings import condition_findings, findings_text, read_findings
 from camera_client.diagnostics import background_values
 from camera_client.frame_source import Frame
 from camera_client.settings import BackgroundSettings, CameraClientSettings
+from camera_client.sources.footage_source import FootageSource
 from capture_rig.verdict import GOOD, USABLE
 from mocap_packets.support import BODY, NOBODY, ForegroundSupport
 
@@ -247,6 +249,43 @@ def test_findings_survive_their_journey(scene):
     assert [finding.code for finding in found] == ["light.brighter", "noise.higher"]
     assert read_findings(findings_text(found)) == found
     assert read_findings("") == read_findings("[3]") == read_findings('[{"grade": "good"}]') == ()
+
+
+@pytest.fixture
+def looping(session):
+    """Parameters of a node whose footage comes at its own rate, for ever."""
+    return {**session.parameters, "footage.rate": 1.0, "footage.loop": True, "footage.wait_for_consumer_s": 0.1}
+
+
+def test_node_says_the_worst_cause_and_publishes_figures_and_findings(bench, session, scene, looping):
+    images = [np.clip(np.rint(1.4 * image), 0, 255).astype(np.uint8) for image in scene.empty(25, seed=5)]
+    footage = scene.write_video(session.folder / "bright.avi", [scene.with_person(image) for image in images])
+    camera = bench(**{**looping, "footage.path": footage}).start()
+    camera.until_said("the light is 40 % brighter than when the background was learned")
+    values = camera.values()
+    assert float(values["light_gain"]) == pytest.approx(1.4, rel=0.03)
+    assert float(values["noise_learned_levels"]) == pytest.approx(1.5, rel=0.15)
+    assert values["things_endless"] == "False" and float(values["unexplained_foreground"]) < 0.005
+    assert "light.brighter" in [finding.code for finding in read_findings(values[FINDINGS_KEY])]
+    assert camera.diagnostics[-1].status[0].level == b"\1" and camera.masks
+
+
+def test_node_refuses_the_background_of_another_camera_until_it_learned_its_own(
+    bench, scene, session, looping, monkeypatch
+):
+    saved = session.folder / "learned.npz"
+    learned(scene.empty(30), camera_serial="A").save(saved)
+    monkeypatch.setattr(FootageSource, "details", {"camera_serial": "B"})
+    empty = scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))
+    files = {"background": "", "background_file": str(saved), "footage.path": empty, "background_frames": 20}
+    camera = bench(**{**looping, **files}).start()
+    camera.until_said("the background was learned with camera A, this is B: clear the room and run sagoma background")
+    assert [finding.code for finding in read_findings(camera.values()[FINDINGS_KEY])] == ["background.other_camera"]
+    assert camera.masks == [] and camera.values()["background"] == ""
+    assert camera.ask_to_learn().success
+    camera.until(lambda: camera.masks)
+    assert load_background(saved).provenance.camera_serial == "B"
+    camera.until(lambda: read_findings(camera.values()[FINDINGS_KEY]) == ())
 
 
 def test_background_of_another_camera_is_refused_and_that_of_another_exposure_corrected(scene):

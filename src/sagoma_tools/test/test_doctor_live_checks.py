@@ -254,7 +254,7 @@ CAUSES = [
     (Condition(noise_levels=8.0, noise_learned_levels=2.0), "WARNING", "noise.higher", "4.0 times what was learned"),
     (Condition(noise_levels=8.0, noise_learned_levels=7.5), "WARNING", "noise.high", "8.0 grey levels"),
     (Condition(noise_levels=1.0, background_doubtful=0.4), "WARNING", "levels.clipped", "40 %"),
-    (Condition(displacement_left_px=0.7), "WARNING", "moved.shakes", "0.7 px"),
+    (Condition(displacement_left_px=0.7), "WARNING", "moved.unfollowed", "0.7 px"),
     (Condition(things_places="lower left", things_share=0.3), "WARNING", "room.things_moved", "lower left"),
     (Condition(things_endless=True), "WARNING", "room.endless", ""),
     (Condition(restless_foreground=0.03), "WARNING", "room.restless", "3.0 %"),
