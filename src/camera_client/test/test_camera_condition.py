@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.model import BackgroundLearner, load_background
+from camera_client.background.model import BackgroundLearner, load_background, read_background
 from camera_client.camera_chain import CameraChain
 from camera_client.condition import Condition
 from camera_client.condition_findings import KEY as FINDINGS_KEY
@@ -12,7 +12,9 @@ from camera_client.condition_findings import condition_findings, findings_text, 
 from camera_client.diagnostics import background_values
 from camera_client.frame_source import Frame
 from camera_client.settings import BackgroundSettings, CameraClientSettings
+from camera_client.sources.footage_reader import open_footage
 from camera_client.sources.footage_source import FootageSource
+from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, USABLE
 from mocap_packets.support import BODY, NOBODY, ForegroundSupport
 
@@ -304,3 +306,17 @@ def test_background_of_another_camera_is_refused_and_that_of_another_exposure_co
     assert room.chain.background is None and room.chain.run(Frame(room.empty[0], 10**12, 1, "test")).silhouette is None
     room.chain.use_background(learned(scene.empty(60), camera_serial="B"))
     assert room.chain.refused is None
+
+
+@pytest.mark.parametrize("session, name", [("walk_ring5top", "cam03"), ("charleston2_ring5top_drift", "cam02")])
+def test_rendered_sessions_give_no_finding_that_costs_silhouettes(shared_data, session, name):
+    folder = shared_data("sessions", session)
+    rig, video = load_rig(folder / "rig.yaml"), open_footage(folder / f"{name}.mp4")
+    chain = CameraChain(rig.camera(name), CameraClientSettings(), rig.volume)
+    chain.use_background(read_background(folder / f"{name}_background.mp4", video.probe(), BackgroundSettings()))
+    grades = set()
+    for k in range(120):
+        chain.run(Frame(video.read(), 1 + k * 40_000_000, k, "test"))
+        grades |= {finding.grade for finding in condition_findings(chain.condition)}
+    video.close()
+    assert grades <= {GOOD}
