@@ -28,7 +28,7 @@ MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
 FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
 MOST_FIELD = 3.0
 FEW_IN_CELL = 8
-SWITCHED_GAIN = 0.05  # ... or the whole picture is brighter or darker by more than flicker makes it
+SWITCHED_GAIN, SWITCHED_FLICKERS = 0.06, 5.0  # ... or is brighter or darker by so much, and so many times its flicker
 
 Floats = npt.NDArray[np.float32]
 
@@ -65,14 +65,17 @@ class Light:
 
 
 class LightEstimator:
-    """Estimates the light from samples (n, C) of the picture. ``switches`` counts the sudden changes so far."""
+    """Estimates the light from samples (n, C) of the picture.
+
+    switches : sudden changes so far. flicker2 : mean square of the gain's relative change within about a second.
+    """
 
     def __init__(self, cell: npt.NDArray[np.intp], channels: int) -> None:
         """``cell`` (n,) : the field's cell of each sample."""
         self._cell, self.light = cell, Light.unchanged(channels)
         self._outliers, self._switched_s, self._usual_gain = 0.0, math.inf, np.ones(channels)
         self._trust_before = np.ones(len(cell), np.float32)
-        self._first, self.switches = True, 0
+        self._first, self.switches, self.flicker2 = True, 0, 0.0
 
     def update(self, seen: Floats, expected: Floats, precision: Floats, trust: Floats, step_s: float) -> Floats:
         """Take the samples of a frame; return what is left of them (n, C): seen - gain expected - offset.
@@ -121,9 +124,13 @@ class LightEstimator:
     def _jump(self, gain: Floats, step_s: float) -> float:
         """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
         change = float(np.abs(gain / self._usual_gain - 1).max())
+        least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
         share = 1.0 if self._first else 1 - math.exp(-step_s / OUTLIER_S)
         self._usual_gain = self._usual_gain + share * (gain - self._usual_gain)
-        return 2 * SWITCHED_SCALE if change > SWITCHED_GAIN and not self._first else 1.0
+        if self._first or change > least:
+            return 1.0 if self._first else 2 * SWITCHED_SCALE
+        self.flicker2 += share * (change**2 - self.flicker2)
+        return 1.0
 
     def _note_switch(self, rest: Floats, precision: Floats, usable: Floats, scale: float, step_s: float) -> None:
         """Notice that half of the picture, or suddenly much more of it than before, departs from the background."""

@@ -21,6 +21,7 @@ from ..frame_source import Image, Mask
 
 BLOCK_PX = 8
 MOST_IN_BLOCK_PX = 8
+SECOND_PERSON = 0.1  # of the largest component's area: a person at three times the distance
 _PIXEL_OF_BLOCK = 4  # what one pixel of 255 adds to the mean of its block, halved three times
 
 
@@ -137,9 +138,10 @@ class _Part:
 def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float) -> Mask:
     """Mask (H, W) without specks, far components and small holes.
 
-    A component counts from ``min_area_px`` on. Kept are the largest, and every one whose bounding box lies within
-    ``near_px`` of a kept one: dark clothes on a dark floor cut legs from the trunk, and they must survive. Holes
-    below ``max_hole_px`` are filled; larger ones stay, or the gap between the legs would be lost.
+    A component counts from ``min_area_px`` on. Kept are the largest, others that may be a second person by their size,
+    and every one whose bounding box lies within ``near_px`` of a kept one: dark clothes on a dark floor cut legs from
+    the trunk, and they must survive. Holes below ``max_hole_px`` are filled; larger ones stay, or the gap between the
+    legs would be lost.
     """
     contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not contours:
@@ -147,7 +149,7 @@ def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: flo
     is_outer = hierarchy.reshape(-1, 4)[:, 3] < 0
     parts = _parts([c for c, outer in zip(contours, is_outer, strict=True) if outer], min_area_px)
     kept = np.zeros_like(mask)
-    cv2.drawContours(kept, [part.contour for part in _near_the_largest(parts, near_px)], -1, 255, cv2.FILLED)
+    cv2.drawContours(kept, [part.contour for part in _near_the_large(parts, near_px)], -1, 255, cv2.FILLED)
     cv2.bitwise_and(kept, mask, dst=kept)
     holes = [c for c, outer in zip(contours, is_outer, strict=True) if not outer and _hole_area_px(c) < max_hole_px]
     holes = [hole for hole in holes if kept[hole.reshape(-1, 2)[0, 1], hole.reshape(-1, 2)[0, 0]]]
@@ -164,9 +166,9 @@ def _parts(outers: list[np.ndarray], min_area_px: float) -> list[_Part]:
     return sorted(parts, key=lambda part: -part.area_px)
 
 
-def _near_the_largest(parts: list[_Part], near_px: float) -> list[_Part]:
-    kept, waiting = parts[:1], parts[1:]
-    frontier = kept
+def _near_the_large(parts: list[_Part], near_px: float) -> list[_Part]:
+    kept = [part for part in parts if part.area_px >= SECOND_PERSON * parts[0].area_px]
+    frontier, waiting = kept, parts[len(kept) :]
     while frontier and waiting:
         frontier = [part for part in waiting if any(_gap_px(part.box, other.box) <= near_px for other in frontier)]
         waiting = [part for part in waiting if part not in frontier]
@@ -189,6 +191,7 @@ def _hole_area_px(contour: np.ndarray) -> float:
 # --- the outline: at half contrast, not where the background ends
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+_DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)), np.uint8)
 
 
 def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float) -> Mask:
@@ -197,16 +200,21 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
     that notices a few grey levels calls all of it foreground, and people become a pixel wider all around. So a pixel
     that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
+    Colour is measured at half the resolution (Bayer sensors, 4:2:0 video), which spreads it twice as far: there the
+    outline is two pixels thick, and what is around reaches to where the colour is whole.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """
     difference = cv2.absdiff(image, np.rint(mean).astype(np.uint8))
+    layers, around = 1, _CROSS
     if difference.ndim == 3:
         blue, green, red = cv2.split(difference)
-        difference = cv2.max(cv2.max(blue, green), red)
-    difference = cv2.bitwise_and(difference, person)
-    inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
-    wanted = cv2.convertScaleAbs(cv2.dilate(difference, _CROSS), alpha=least_share)
-    return cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
+        difference, layers, around = cv2.max(cv2.max(blue, green), red), 2, _DISC
+    for _ in range(layers):
+        difference = cv2.bitwise_and(difference, person)
+        inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+        wanted = cv2.convertScaleAbs(cv2.dilate(difference, around), alpha=least_share)
+        person = cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
+    return person
 
 
 # --- undistortion of a part of the image, without looking at the rest of the canvas
