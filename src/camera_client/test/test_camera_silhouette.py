@@ -103,8 +103,8 @@ def shadows(test, empty, image, mask=EVERYWHERE):
     return test.shadow(Scene(image, background.mean, learned_noise(background), (slice(0, None), slice(0, None))), mask)
 
 
-def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not():
-    test = ColourShadow(ColourShadowSettings())
+def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not(scene):
+    test = ColourShadow(scene.camera(), ColourShadowSettings())
     image = coloured_scene(1, 1)[0]
     image[:, :80] = np.rint(image[:, :80] * 0.75)
     image[:40, :80] = (130, 60, 60)  # a person in blue
@@ -114,22 +114,25 @@ def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not():
     assert found[:, 84:].mean() < 0.1  # undarkened: lighter than any shadow but for noise
 
 
-def test_shadow_is_looked_for_only_within_the_mask():
-    test = ColourShadow(ColourShadowSettings())
+def test_shadow_is_looked_for_only_within_the_mask(scene):
+    test = ColourShadow(scene.camera(), ColourShadowSettings())
     mask = np.zeros((120, 160), np.uint8)
     mask[:, :40] = 255
     found = shadows(test, coloured_scene(50, 0), np.rint(coloured_scene(1, 1)[0] * 0.75).astype(np.uint8), mask)
     assert found[:, :40].any() and not found[:, 40:].any()
 
 
-def test_black_clothes_before_a_black_background_are_no_shadow():
-    test, image = ColourShadow(ColourShadowSettings()), np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8)
+def test_black_clothes_before_a_black_background_are_no_shadow(scene):
+    test, image = (
+        ColourShadow(scene.camera(), ColourShadowSettings()),
+        np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8),
+    )
     assert not shadows(test, coloured_scene(50, 0, brightness=15.0), image).any()
 
 
-def test_odd_image_sizes_are_taken():
+def test_odd_image_sizes_are_taken(scene):
     images = [image[:119, :159] for image in coloured_scene(10, 0)]
-    test, image = ColourShadow(ColourShadowSettings()), np.rint(images[0] * 0.75).astype(np.uint8)
+    test, image = ColourShadow(scene.camera(), ColourShadowSettings()), np.rint(images[0] * 0.75).astype(np.uint8)
     found = shadows(test, images, image, EVERYWHERE[:119, :159])
     assert found.shape == (119, 159) and (found > 0).mean() > 0.9
 

@@ -16,7 +16,7 @@ from .kernels import current_levels, refresh_rows, squared_distance, squared_dis
 from .light import FIELD_DOWN, Light
 from .model import BackgroundModel
 from .noise import Noise
-from .shift import Displacement, gradients
+from .shift import Displacement, gradients, steepness2
 
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
 WHITE, BLACK = 250.0, 3.0  # grey levels beyond which a background pixel tells one bound only
@@ -100,7 +100,7 @@ class ExpectedImage:
         if local is not None:
             self._mean += local
         right, down = gradients(self._mean)
-        self._steepness2 = right * right + down * down
+        self._steepness2 = steepness2(self._mean)
         return right, down
 
     def change(self, rows: slice, by: Floats) -> None:

@@ -200,21 +200,19 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
     that notices a few grey levels calls all of it foreground, and people become a pixel wider all around. So a pixel
     that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
-    Colour is measured at half the resolution (Bayer sensors, 4:2:0 video), which spreads it twice as far: there the
-    outline is two pixels thick, and what is around reaches to where the colour is whole.
+    Colour is measured at half the resolution (Bayer sensors, 4:2:0 video), which spreads it further: what is around
+    reaches to where the colour is whole.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """
     difference = cv2.absdiff(image, np.rint(mean).astype(np.uint8))
-    layers, around = 1, _CROSS
+    around = _CROSS
     if difference.ndim == 3:
         blue, green, red = cv2.split(difference)
-        difference, layers, around = cv2.max(cv2.max(blue, green), red), 2, _DISC
-    for _ in range(layers):
-        difference = cv2.bitwise_and(difference, person)
-        inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
-        wanted = cv2.convertScaleAbs(cv2.dilate(difference, around), alpha=least_share)
-        person = cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
-    return person
+        difference, around = cv2.max(cv2.max(blue, green), red), _DISC
+    difference = cv2.bitwise_and(difference, person)
+    inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
+    wanted = cv2.convertScaleAbs(cv2.dilate(difference, around), alpha=least_share)
+    return cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
 
 
 # --- undistortion of a part of the image, without looking at the rest of the canvas

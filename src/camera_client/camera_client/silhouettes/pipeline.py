@@ -65,7 +65,7 @@ class SilhouettePipeline:
         if background_settings.moved_things:
             self.moved = MovedThings(camera, np.maximum(background.sigma, background_settings.sigma_floor))
         channels = len(background.shape[2:]) * 3 or 1
-        self._shadow = make_shadow_test(camera, channels, settings)
+        self._shadow = make_shadow_test(camera, channels, settings, volume)
         self._certainty = CertaintyMeter(camera.width * camera.height, channels, background_settings.rule == "adaptive")
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)

@@ -39,6 +39,13 @@ TEXTURE_BLOCKS = 7  # a square of so many blocks decides whether texture persist
 PATCH_PERSISTENCE = 0.4, 1.5  # the whole patch keeps a share of it between these, ...
 MIN_EVIDENCE_SIGMAS = 10.0  # ... and not by chance: a floor so plain that its texture could not be seen proves nothing
 MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
+SHADOW_REACH_M = 1.5  # around the capture volume: a person's shadow by a lamp at 50 degrees
+WALL_DARKEST = 0.6  # a shadow off the floor leaves more: a hole in the person costs more than a shadow beside them
+TEXTURE_WINDOW_PX = 9  # of the halved image
+TEXTURE_SIGMAS, TEXTURE_LEFT = (
+    3.0,
+    0.1,
+)  # a texture that noise and codec do not hide; the share of it that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 _THREE = np.ones((3, 3), np.uint8)
 
@@ -72,12 +79,14 @@ class ShadowTest(Protocol):
         """255 at pixels of ``mask`` (h, w) that are shadow, else 0."""
 
 
-def make_shadow_test(camera: CameraModel, channels: int, settings: SilhouetteSettings) -> ShadowTest:
-    """Return the test for mono or colour images, or none, as the settings ask."""
+def make_shadow_test(
+    camera: CameraModel, channels: int, settings: SilhouetteSettings, volume: Volume | None = None
+) -> ShadowTest:
+    """Return the test for mono or colour images, or none, as the settings ask; ``volume``: the capture volume."""
     if settings.shadow == "keep":
         return NoShadow()
     if channels == 3:
-        return ColourShadow(settings.colour_shadow)
+        return ColourShadow(camera, settings.colour_shadow, volume)
     return FloorShadow(camera, settings.floor_shadow)
 
 
@@ -246,21 +255,29 @@ class ColourShadow:
 
     alignment_px = 2
 
-    def __init__(self, settings: ColourShadowSettings) -> None:
+    def __init__(self, camera: CameraModel, settings: ColourShadowSettings, volume: Volume | None = None) -> None:
+        """``volume``: the capture volume; far from it rays meet walls before the floor."""
         self._settings = settings
+        on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
+        self._darkest = np.where(
+            on_floor, np.float32(settings.darkest), np.float32(max(settings.darkest, WALL_DARKEST))
+        )
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
         """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""
-        half = halve(mask)
+        half, image, expected = halve(mask), halve(scene.image), halve(scene.expected)
         row, column = np.nonzero(half)
-        fits = self._fits(halve(scene.image)[row, column], halve(scene.expected)[row, column], scene.noise)
+        fits = self._fits(image[row, column], expected[row, column], scene.noise)
+        darkest = self._darkest[row + scene.at[0].start // 2, column + scene.at[1].start // 2]
+        fits &= (self._factor >= darkest) & (self._factor <= LIGHTEST)
         found = np.zeros_like(half)
         found[row[fits], column[fits]] = 255
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
+        found = cv2.bitwise_and(found, self._texture_persists(image, expected, found, scene.noise))
         return cv2.bitwise_and(_enlarged(found, 2, mask.shape), mask)
 
     def _fits(self, x: np.ndarray, mean: np.ndarray, noise: Noise) -> np.ndarray:
-        """Which pixels x (n, 3) are a darkened background ``mean`` (n, 3)."""
+        """Which pixels x (n, 3) have the colour of a darkened background ``mean`` (n, 3)."""
         s, variance = self._settings, noise.variance(mean) * np.float32(HALVED_NOISE)
         mu, weight = mean, 1 / variance
         power = np.einsum("ij,ij,ij->i", mu, mu, weight)
@@ -268,8 +285,28 @@ class ColourShadow:
         tint = np.float32(s.tint) * (1 - factor)[:, None] * mu
         departure = x - factor[:, None] * mu
         distance2 = (departure * departure / (variance + tint * tint)).sum(axis=1)
-        stands_out = power >= s.min_contrast**2
-        return (factor >= s.darkest) & (factor <= LIGHTEST) & (distance2 <= s.chromaticity**2) & stands_out
+        self._factor = factor
+        return (distance2 <= s.chromaticity**2) & (power >= s.min_contrast**2)
+
+    def _texture_persists(self, image: np.ndarray, expected: np.ndarray, found: Mask, noise: Noise) -> Mask:
+        """Return 0 where the background has a texture that the image has lost: something stands before it."""
+        box = Box.around(found)
+        keeps = np.full(found.shape, 255, np.uint8)
+        if box.empty:
+            return keeps
+        part = box.grown(TEXTURE_WINDOW_PX, found.shape).slices
+        window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
+        own = (found[part] > 0).astype(np.float32)
+        x, mean = (each[part].astype(np.float32).mean(axis=2) * own for each in (image, expected))
+        count = np.maximum(cv2.blur(own, window), np.float32(1e-3))
+        X, M = cv2.blur(x, window) / count, cv2.blur(mean, window) / count
+        darker = X / np.maximum(M, 1)
+        shared = darker * (cv2.blur(x * mean, window) / count - X * M)
+        power = darker**2 * (cv2.blur(mean * mean, window) / count - M * M)
+        variance = HALVED_NOISE * noise.sigma(float(np.median(expected[part]))) ** 2
+        lost = (power > TEXTURE_SIGMAS**2 * variance) & (shared < TEXTURE_LEFT * power)
+        keeps[part][lost] = 0
+        return keeps
 
 
 def halve(image: np.ndarray) -> np.ndarray:
