@@ -67,13 +67,14 @@ class Light:
 class LightEstimator:
     """Estimates the light from samples (n, C) of the picture.
 
-    switches : sudden changes so far. flicker2 : mean square of the gain's relative change within about a second.
+    switches : sudden changes so far. flicker2 : variance of the gain from frame to frame, relative.
     """
 
     def __init__(self, cell: npt.NDArray[np.intp], channels: int) -> None:
         """``cell`` (n,) : the field's cell of each sample."""
         self._cell, self.light = cell, Light.unchanged(channels)
-        self._outliers, self._switched_s, self._usual_gain = 0.0, math.inf, np.ones(channels)
+        self._outliers, self._switched_s = 0.0, math.inf
+        self._usual_gain = self._last_gain = np.ones(channels)
         self._trust_before = np.ones(len(cell), np.float32)
         self._first, self.switches, self.flicker2 = True, 0, 0.0
 
@@ -123,14 +124,16 @@ class LightEstimator:
 
     def _jump(self, gain: Floats, step_s: float) -> float:
         """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
-        change = float(np.abs(gain / self._usual_gain - 1).max())
+        if self._first:
+            self._usual_gain = self._last_gain = gain
+            return 1.0
+        change, step = (float(np.abs(gain / other - 1).max()) for other in (self._usual_gain, self._last_gain))
         least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
-        share = 1.0 if self._first else 1 - math.exp(-step_s / OUTLIER_S)
-        self._usual_gain = self._usual_gain + share * (gain - self._usual_gain)
-        if self._first or change > least:
-            return 1.0 if self._first else 2 * SWITCHED_SCALE
-        self.flicker2 += share * (change**2 - self.flicker2)
-        return 1.0
+        share = 1 - math.exp(-step_s / OUTLIER_S)
+        self._usual_gain, self._last_gain = self._usual_gain + share * (gain - self._usual_gain), gain
+        if step < least:
+            self.flicker2 += share * (0.5 * step * step - self.flicker2)
+        return 2 * SWITCHED_SCALE if change > least else 1.0
 
     def _note_switch(self, rest: Floats, precision: Floats, usable: Floats, scale: float, step_s: float) -> None:
         """Notice that half of the picture, or suddenly much more of it than before, departs from the background."""

@@ -21,7 +21,7 @@ from ..frame_source import Image, Mask
 
 BLOCK_PX = 8
 MOST_IN_BLOCK_PX = 8
-SECOND_PERSON = 0.1  # of the largest component's area: a person at three times the distance
+SECOND_PERSON = 0.25  # of the largest component's area: a person at twice the distance
 _PIXEL_OF_BLOCK = 4  # what one pixel of 255 adds to the mean of its block, halved three times
 
 
