@@ -110,6 +110,21 @@ def test_white_and_black_places_tell_bounds_only(scene):
     assert iou(silhouette.image_mask, np.roll(person, 40, axis=1)) > 0.93
 
 
+@pytest.mark.parametrize("colour", [False, True])
+def test_what_turns_white_in_brighter_light_stays_background(scene, colour):
+    """A pale wall of 210 grey levels would be 294 when the lamps are brighter by two fifths."""
+    images = scene.empty(60, colour=colour)
+    for image in images:
+        image[:70, 90:] = image[:70, 90:] // 8 + 194
+    person = scene.person_mask()
+    pipeline = SilhouettePipeline(scene.camera(), learned(images[:40]))
+    for k, image in enumerate(images[40:]):
+        frame = lit(image.astype(float), 1.4)
+        frame[person > 0] = 40
+        assert (frame[:70, 95:] == 255).all()
+        assert iou(pipeline.run(frame, k * SECOND_NS).image_mask, person) > 0.95
+
+
 def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost(scene):
     room, person = Room(scene), scene.person_mask()
     for _ in range(50):

@@ -28,11 +28,12 @@ HALF_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median
 def squared_distance(image, expected, precision, gain, offset, out):  # type: ignore[no-untyped-def]
     """Write min(255, SCALE z^2) of every pixel of a mono image, z^2 = (image - gain expected - offset)^2 precision.
 
+    What would be brighter than white is white, whatever the light.
     image (n,) uint8; expected, precision (n,) float32; gain, offset (1,) float32; out (n,) uint8.
     """
     g, b = gain[0], offset[0]
     for i in range(len(out)):
-        rest = F32(image[i]) - (g * expected[i] + b)
+        rest = F32(image[i]) - min(g * expected[i] + b, F32(HIGHEST))
         out[i] = np.uint8(min(rest * rest * precision[i] * F32(SCALE), F32(HIGHEST)))
 
 
@@ -40,6 +41,7 @@ def squared_distance(image, expected, precision, gain, offset, out):  # type: ig
 def squared_distance_of_colours(image, expected, precision, gain, offset, rho, out):  # type: ignore[no-untyped-def]
     """Write min(255, SCALE z^2) of every pixel of a colour image, z the Mahalanobis distance.
 
+    What would be brighter than white is white, whatever the light.
     image (3 n,) uint8; expected, precision (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
     channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), with common = rho / (1 + 2 rho) in every
     place of the matrix; out (n,) uint8.
@@ -48,9 +50,9 @@ def squared_distance_of_colours(image, expected, precision, gain, offset, rho, o
     g0, g1, g2, b0, b1, b2 = gain[0], gain[1], gain[2], offset[0], offset[1], offset[2]
     for i in range(len(out)):
         k = 3 * i
-        r0 = (F32(image[k]) - (g0 * expected[k] + b0)) * np.sqrt(precision[k])
-        r1 = (F32(image[k + 1]) - (g1 * expected[k + 1] + b1)) * np.sqrt(precision[k + 1])
-        r2 = (F32(image[k + 2]) - (g2 * expected[k + 2] + b2)) * np.sqrt(precision[k + 2])
+        r0 = (F32(image[k]) - min(g0 * expected[k] + b0, F32(HIGHEST))) * np.sqrt(precision[k])
+        r1 = (F32(image[k + 1]) - min(g1 * expected[k + 1] + b1, F32(HIGHEST))) * np.sqrt(precision[k + 1])
+        r2 = (F32(image[k + 2]) - min(g2 * expected[k + 2] + b2, F32(HIGHEST))) * np.sqrt(precision[k + 2])
         whole = r0 + r1 + r2
         total = r0 * r0 + r1 * r1 + r2 * r2 - common * whole * whole
         out[i] = np.uint8(min(total * scale, F32(HIGHEST)))
