@@ -6,7 +6,6 @@ do about it, say :mod:`.condition_findings`. No silhouette depends on either.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
@@ -22,7 +21,6 @@ from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
 PERIOD_S = 0.5  # the figures are collected so often
 LASTING_S = 3.0  # what lasts so long is said: the time in which a thing that keeps still is absorbed
 RECENT_S = 30.0  # switches of the light within this count together
-STEADY_S, FLICKER_S = 1.0, 5.0  # time constants: of the light's own level, of the flicker about it
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class ConditionWatch:
 
     def __init__(self, pipeline: SilhouettePipeline) -> None:
         self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
-        self._last_ns: int | None = None
+        self._last_ns = 0
         self._restart()
         self._things_known, self._places = (0, 0), ""
         self._newest_ns = 0
@@ -79,34 +77,16 @@ class ConditionWatch:
 
     def _restart(self) -> None:
         """Forget what depends on the time, for instance when a clock was set back."""
-        self._level = self._pipeline.gain
-        self._flicker2, self._measured_s = 0.0, 0.0
         self._lasting: deque[tuple[int, Shares]] = deque()
         self._switches: deque[tuple[int, int]] = deque()
 
     def update(self, stamp_ns: int, silhouette: Silhouette) -> None:
         """Take the silhouette of the frame of ``stamp_ns``, the last one that the pipeline ran."""
-        if self._last_ns is None or stamp_ns < self._last_ns:
+        if stamp_ns < self._last_ns:
             self._restart()
-            self._last_ns = stamp_ns
-        step_s = min((stamp_ns - self._last_ns) * NS, STEADY_S)
         self._last_ns = stamp_ns
-        self._follow_flicker(step_s)
         if self._throttle.step_s(stamp_ns) > 0:
             self.found = self._collected(stamp_ns, silhouette)
-
-    def _follow_flicker(self, step_s: float) -> None:
-        """Follow the variance of the light about its own level, in which slow changes are no flicker."""
-        light = self._pipeline.background.light
-        gains: list[float] = light.gain.tolist()  # in every frame: NumPy's mean of three takes ten times as long
-        gain = sum(gains) / len(gains)
-        if light.switched:
-            self._level = gain
-            return
-        share, off = 1 - math.exp(-step_s / STEADY_S), gain / max(self._level, 1e-3) - 1
-        self._level += share * (gain - self._level)
-        self._flicker2 += (1 - math.exp(-step_s / FLICKER_S)) * (off * off - self._flicker2)
-        self._measured_s += step_s
 
     def _collected(self, stamp_ns: int, silhouette: Silhouette) -> Condition:
         state, certainty = self._pipeline.background.state, self._pipeline.certainty
@@ -118,7 +98,7 @@ class ConditionWatch:
             light_gain=state.light.brightness,
             light_gains=" ".join(f"{gain:.3f}" for gain in state.light.gain) if len(state.light.gain) > 1 else "",
             light_unevenness=state.light.unevenness,
-            light_flicker=math.sqrt(self._flicker2) if self._measured_s >= STEADY_S else None,
+            light_flicker=state.flicker,
             light_switches=state.switches,
             light_switches_recent=self._recent_switches(stamp_ns, state.switches),
             noise_levels=state.noise.sigma(TYPICAL_LEVEL),

@@ -43,7 +43,7 @@ class BackgroundState:
 
     light : against that when the background was learned. noise, learned_noise : of a pixel. displacement : followed so
     far. left_px : displacement that is left, standard deviation. doubtful : share of the pixels that can tell little.
-    switches : how often the light changed suddenly.
+    switches : how often the light changed suddenly. flicker : its standard deviation between frames, as a share.
     """
 
     light: Light
@@ -53,6 +53,7 @@ class BackgroundState:
     left_px: float
     doubtful: float
     switches: int = 0
+    flicker: float = 0.0
 
 
 class AdaptiveBackground:
@@ -107,6 +108,7 @@ class AdaptiveBackground:
             shift.left_px,
             self._image.doubtful,
             self._light.switches,
+            math.sqrt(self._light.flicker2),
         )
 
     def distance(self, image: Image, out: Mask) -> Mask:

@@ -74,7 +74,8 @@ class LightEstimator:
         """``cell`` (n,) : the field's cell of each sample."""
         self._cell, self.light = cell, Light.unchanged(channels)
         self._outliers, self._switched_s = 0.0, math.inf
-        self._usual_gain = self._last_gain = np.ones(channels)
+        self._usual_gain: Floats = np.ones(channels, np.float32)
+        self._last_gain = self._usual_gain
         self._trust_before = np.ones(len(cell), np.float32)
         self._first, self.switches, self.flicker2 = True, 0, 0.0
 
