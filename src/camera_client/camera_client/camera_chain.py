@@ -160,7 +160,7 @@ class CameraChain:
         if tools.pipeline is not None:
             silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
         flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
-        if tools.condition is not None and silhouette is not None:
+        if tools.condition is not None and silhouette is not None and not flags:
             tools.condition.update(frame.stamp_ns, silhouette)
         if tools.watch is not None and not flags:
             shows = None if tools.pipeline is None else tools.pipeline.background_pixels

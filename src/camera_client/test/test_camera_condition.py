@@ -211,6 +211,14 @@ def test_clothes_of_the_background_s_brightness_are_told(scene):
     assert "clothes.like_background" in room.findings()
 
 
+def test_picture_that_is_none_tells_nothing_of_the_background(scene):
+    room = Room(scene)
+    room.see(3)
+    before = room.chain.condition
+    room.see(5, at(0.05))  # the lens cap
+    assert room.chain.condition == before and room.findings() == {}
+
+
 def test_white_places_are_told_by_their_share(scene):
     room = Room(scene)
     images = scene.empty(40)
