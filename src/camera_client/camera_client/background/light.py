@@ -131,7 +131,7 @@ class LightEstimator:
         change, step = (float(np.abs(gain / other - 1).max()) for other in (self._usual_gain, self._last_gain))
         least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
         share = 1 - math.exp(-step_s / OUTLIER_S)
-        self._usual_gain, self._last_gain = self._usual_gain + share * (gain - self._usual_gain), gain
+        self._usual_gain, self._last_gain = self._usual_gain + np.float32(share) * (gain - self._usual_gain), gain
         if step < least:
             self.flicker2 += share * (0.5 * step * step - self.flicker2)
         return 2 * SWITCHED_SCALE if change > least else 1.0

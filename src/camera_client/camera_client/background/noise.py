@@ -22,6 +22,9 @@ LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs 
 MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
+TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # a normal distribution has so much within so many sigmas; codecs change whole blocks
+TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
+MOST_TAIL = 2.5
 FOLLOW_S = 1.0  # time constant
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
 
@@ -87,9 +90,12 @@ def measured_noise(level: Floats, rest: Floats) -> Noise | None:
     channels = level.shape[1]
     lines = [_fit(level[:, c], (HALF_MEDIAN * rest[:, c]) ** 2, FRAME_BINS) for c in range(channels)]
     noise = Noise(*np.array(lines).T)
+    scaled = rest / np.sqrt(noise.variance(level))
+    tail = float(np.clip(np.quantile(np.abs(scaled), TAIL_SHARE) / TAIL_SIGMAS - TAIL_ALLOWED, 1.0, MOST_TAIL))
+    noise = Noise(noise.read * tail**2, noise.slope * tail**2)
     if channels == 1:
         return noise
-    scaled = rest / np.sqrt(noise.variance(level))
+    scaled /= tail
     together = (HALF_MEDIAN * float(np.median(np.abs(scaled.sum(axis=1))))) ** 2  # channels (1 + (channels - 1) rho)
     rho = (together / channels - 1) / (channels - 1)
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))

@@ -87,7 +87,7 @@ def make_shadow_test(
         return NoShadow()
     if channels == 3:
         return ColourShadow(camera, settings.colour_shadow, volume)
-    return FloorShadow(camera, settings.floor_shadow)
+    return FloorShadow(camera, settings.floor_shadow, volume)
 
 
 class NoShadow:
@@ -114,12 +114,13 @@ class FloorShadow:
     border of a shadow, where windows reach out of it, is thin, and goes with its patch.
     """
 
-    def __init__(self, camera: CameraModel, settings: FloorShadowSettings) -> None:
+    def __init__(self, camera: CameraModel, settings: FloorShadowSettings, volume: Volume | None = None) -> None:
+        """``volume``: the capture volume; far from it rays meet walls before the floor."""
         side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
         self._settings, self._window = settings, (side, side)
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
         self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
-        self._floor = floor_pixels(camera)
+        self._floor = floor_pixels(camera, volume, SHADOW_REACH_M)
         self._min_area_px = max(settings.min_area * camera.height**2, MIN_PATCH_WINDOWS * side**2)
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
