@@ -161,7 +161,7 @@ class FloorShadowSettings:
 
     darkest: float = setting(0.45, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
     residual: float = setting(
-        2.0,
+        3.0,
         "In a shadow, image and darkened background differ by at most this many sigma (root mean square)",
         low=0.1,
         high=100,

@@ -33,7 +33,8 @@ DOUBTED = 0.02  # weight of samples that were foreground a frame ago
 BANDS, SWEEP_S = 8, 0.15  # the expected image is renewed in so many frames, or sooner when frames are rare
 NOISE_FRAMES = 4  # the noise is measured in every so many frames
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
-FIRST_STEPS = 4  # a large displacement takes more than one linear step
+MOST_STEPS = 4  # a large displacement takes more than one linear step
+CLIPPED = 250.0  # grey levels from which a sample tells nothing of noise and displacement
 WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
 
 
@@ -135,12 +136,12 @@ class AdaptiveBackground:
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(picture, step_s)
         self._follow_noise(rest, step_s, first)
-        steps = FIRST_STEPS if first else 1
-        while steps and self._follow_shift(picture, step_s, first):
+        steps, at_once = MOST_STEPS, first
+        while steps and self._follow_shift(picture, step_s, at_once):
             self._place()
             if first:
                 self._follow_light(picture, step_s)
-            steps -= 1
+            steps, at_once = steps - 1, True
         if first or self.light.switched:
             self._renew(slice(0, self._image.shape[0]))
         self._renew_next(image, step_s)
@@ -155,9 +156,10 @@ class AdaptiveBackground:
         self._since_noise_s += step_s
         if not first and self._frames % NOISE_FRAMES:
             return
-        sure = self._trust(self._row, self._column) >= 1
-        level = self._image.samples(self._row, self._column)[0][sure] * self.light.gain
-        found = measured_noise(level, rest[sure])
+        level = self._image.samples(self._row, self._column)[0] * self.light.gain
+        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
+        level = level[sure]
+        found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
         if found is None:
             return
         found = found.at_least(self._least_noise, float(np.median(level)))
@@ -172,7 +174,8 @@ class AdaptiveBackground:
         rest = picture[at].astype(np.float32) - level - self.light.offset
         variance = (self._noise.variance(level) + self._image.excess(*at)).astype(np.float32)
         before = self._shift.total
-        moved = self._shift.update(rest, self.light.gain, variance, self._trust(*at), step_s, first)
+        trust = self._trust(*at) * (picture[at] < CLIPPED).all(axis=1)
+        moved = self._shift.update(rest, self.light.gain, variance, trust, step_s, first)
         if moved:
             self._slow.local = self._shift.total.after(before).moved(self._slow.local)
         return moved

@@ -24,9 +24,12 @@ SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, b
 SWITCHED_SHARE = 0.15  # ... or so much of it more than before: a lamp lights a part of the room
 SWITCHED_S = 0.5  # the field is found anew for so long
 OUTLIER_SIGMAS, OUTLIER_S = 4.0, 1.0
+WEAK, WEAK_SIGMAS = 0.5, 6.0  # weight at least of foreground that differs by fewer sigmas
 MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
 FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
+LIT_SPREAD, LIT_REACH = 0.05, 0.35  # relative: a cell's samples agree on their ratio; how far it may depart then
 MOST_FIELD = 3.0
+FIELD_PRIOR = 0.1  # holds a cell to its neighbours as a tenth of a typical cell's samples would
 FEW_IN_CELL = 8
 SWITCHED_GAIN, SWITCHED_FLICKERS = 0.06, 5.0  # ... or is brighter or darker by so much, and so many times its flicker
 
@@ -90,8 +93,11 @@ class LightEstimator:
         weight = np.empty_like(seen)
         if self._switched_s > SWITCHED_S:
             self._trust_before = trust  # what foreground is just after a switch is not known: it is as it was before
-        usable = ((seen < 250) & (expected < 245) & (expected > 3)) * self._trust_before[:, None]
-        usable = usable.astype(np.float32)
+        before = (
+            seen - gain * expected - offset
+        ) ** 2 * precision  # light that is wrong a little looks like foreground
+        trust = np.where(before.max(axis=1) < WEAK_SIGMAS**2, np.maximum(self._trust_before, WEAK), self._trust_before)
+        usable = ((seen < 250) & (expected < 245) & (expected > 3)) * trust[:, None].astype(np.float32)
         for c in range(channels):
             gain[c], offset[c], found = robust_gain(
                 _column(seen, c),
@@ -147,34 +153,38 @@ class LightEstimator:
         self._outliers += (1.0 if self._first else share) * (outliers - self._outliers)
 
     def _follow(self, rest: Floats, expected: Floats, weight: Floats, field: Floats, step_s: float) -> Floats:
-        """Move each cell of the field towards what its samples say; cells without any follow their neighbours."""
+        """Move each cell of the field towards what its own samples say; where they say little, towards its neighbours.
+
+        What neighbours lack is not added up in a cell without samples: it would drift away behind a person.
+        """
         cells = FIELD_DOWN * FIELD_ACROSS
-        share, found = 1 - math.exp(-step_s / FIELD_S), np.empty_like(field)
+        share, found = np.float32(1 - math.exp(-step_s / FIELD_S)), np.empty_like(field)
         for c in range(field.shape[2]):
             power = weight[:, c] * expected[:, c]
             change, known = (
-                cv2.GaussianBlur(
-                    np.bincount(self._cell, power * each[:, c], cells).reshape(FIELD_DOWN, FIELD_ACROSS),
-                    (3, 3),
-                    0,
-                    borderType=cv2.BORDER_CONSTANT,
-                )
+                np.bincount(self._cell, power * each[:, c], cells).reshape(FIELD_DOWN, FIELD_ACROSS)
                 for each in (rest, expected)
             )
-            found[..., c] = change / (known + 0.1 * np.median(known) + 1e-9)
-        return field * (1 + np.float32(share) * found)
+            prior = FIELD_PRIOR * np.median(known) + 1e-9
+            own = field[..., c]
+            around = cv2.blur(own, (3, 3), borderType=cv2.BORDER_REPLICATE)
+            found[..., c] = (own * change + prior * (around - own)) / (known + prior)
+        return np.asarray(field + share * found, np.float32)
 
     def _refit(self, seen: Floats, expected: Floats, usable: Floats, field: Floats) -> Floats:
         """Find the field anew: medians of the cells' ratios, smooth over the picture, robust against what covers some.
 
         First a quadratic surface, then the cells themselves where they are near it.
         """
-        ratio = np.ones_like(field)
+        ratio, spread = np.full_like(field, np.nan), np.zeros_like(field)
         for c in range(field.shape[2]):
             each = seen[:, c] / np.maximum(expected[:, c], 1.0)
             for cell in range(FIELD_DOWN * FIELD_ACROSS):
                 mine = each[(self._cell == cell) & (usable[:, c] >= 1)]
-                ratio.reshape(-1, field.shape[2])[cell, c] = np.median(mine) if len(mine) >= FEW_IN_CELL else np.nan
+                if len(mine) >= FEW_IN_CELL:
+                    at = cell // FIELD_ACROSS, cell % FIELD_ACROSS, c
+                    ratio[at] = np.median(mine)
+                    spread[at] = np.median(np.abs(mine / ratio[at] - 1))
         ratio = np.log(np.clip(ratio, 1 / MOST_FIELD, MOST_FIELD))
         v, u = np.meshgrid(np.linspace(-1, 1, FIELD_DOWN), np.linspace(-1, 1, FIELD_ACROSS), indexing="ij")
         basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
@@ -189,7 +199,9 @@ class LightEstimator:
                 reach = max(3 * float(np.median(off[known > 0])) if known.any() else 0.0, FIELD_REACH)
                 weight = known / (1 + (off / reach) ** 2) ** 2
             smooth[..., c] = surface.reshape(FIELD_DOWN, FIELD_ACROSS)
-        near = np.abs(ratio - smooth) < 2 * FIELD_REACH  # never where nothing is known
+        # nearer lamps light a place by more than a smooth surface says; what covers it would not keep its texture
+        reach = np.where(spread < LIT_SPREAD, LIT_REACH, 2 * FIELD_REACH)
+        near = np.abs(ratio - smooth) < reach  # never where nothing is known
         return np.asarray(field * np.exp(np.where(near, ratio, smooth)), np.float32)
 
 

@@ -22,7 +22,10 @@ LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs 
 MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
-TAIL_SHARE, TAIL_SIGMAS = 0.95, 1.96  # a normal distribution has so much within so many sigmas; codecs change whole blocks
+TAIL_SHARE, TAIL_SIGMAS = (
+    0.95,
+    1.96,
+)  # a normal distribution has so much within so many sigmas; codecs change whole blocks
 TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
 MOST_TAIL = 2.5
 FOLLOW_S = 1.0  # time constant
@@ -80,10 +83,11 @@ def learned_noise(model: BackgroundModel) -> Noise:
     return Noise(*np.array(lines).T)
 
 
-def measured_noise(level: Floats, rest: Floats) -> Noise | None:
+def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -> Noise | None:
     """Return the noise in a frame: ``rest`` (n, C) is by how much pixels that show the background differ from it.
 
-    level (n, C) : grey levels of the background. None when there are too few pixels to tell.
+    level (n, C) : grey levels of the background. foreground_known : the pixels are known to show it; if not, the tails
+    are not looked at. None when there are too few pixels to tell.
     """
     if len(level) < 4 * FEW_IN_BIN:
         return None
@@ -91,7 +95,10 @@ def measured_noise(level: Floats, rest: Floats) -> Noise | None:
     lines = [_fit(level[:, c], (HALF_MEDIAN * rest[:, c]) ** 2, FRAME_BINS) for c in range(channels)]
     noise = Noise(*np.array(lines).T)
     scaled = rest / np.sqrt(noise.variance(level))
-    tail = float(np.clip(np.quantile(np.abs(scaled), TAIL_SHARE) / TAIL_SIGMAS - TAIL_ALLOWED, 1.0, MOST_TAIL))
+    tail = 1.0
+    if foreground_known:
+        beyond = float(np.quantile(np.abs(scaled), TAIL_SHARE)) / TAIL_SIGMAS - TAIL_ALLOWED
+        tail = min(max(beyond, 1.0), MOST_TAIL)
     noise = Noise(noise.read * tail**2, noise.slope * tail**2)
     if channels == 1:
         return noise

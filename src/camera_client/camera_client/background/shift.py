@@ -27,6 +27,7 @@ MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, an
 MOST_LEFT_PX = 0.8
 LEFT_S = 0.5  # time constant of what is left
 FEW_PLACES = 40
+FEWEST = 3  # frames whose median counts
 LEAST_STEEPNESS = 1.5  # grey levels a pixel
 
 Floats = npt.NDArray[np.float32]
@@ -136,9 +137,9 @@ class ShiftEstimator:
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
         self._time_s += step_s
         self._recent.append((self._time_s, instant))
-        while self._recent[0][0] < self._time_s - SETTLE_S:
+        while len(self._recent) > FEWEST and self._recent[0][0] < self._time_s - SETTLE_S:
             self._recent.popleft()
-        if not first and (len(self._recent) < 3 or self._time_s - self._recent[0][0] < SETTLED_SHARE * SETTLE_S):
+        if not first and (len(self._recent) < FEWEST or self._time_s - self._recent[0][0] < SETTLED_SHARE * SETTLE_S):
             return False
         lasting = Displacement(*np.median([each for _, each in self._recent], axis=0) * DAMPING)
         proposed = self.total.further(lasting)
