@@ -97,7 +97,8 @@ class LightEstimator:
             seen - gain * expected - offset
         ) ** 2 * precision  # light that is wrong a little looks like foreground
         trust = np.where(before.max(axis=1) < WEAK_SIGMAS**2, np.maximum(self._trust_before, WEAK), self._trust_before)
-        usable = ((seen < 250) & (expected < 245) & (expected > 3)) * trust[:, None].astype(np.float32)
+        bounded = (seen < 250) & (expected < 245) & (expected > 3)
+        usable = np.asarray(bounded * trust[:, None], np.float32)
         for c in range(channels):
             gain[c], offset[c], found = robust_gain(
                 _column(seen, c),
@@ -200,8 +201,8 @@ class LightEstimator:
                 weight = known / (1 + (off / reach) ** 2) ** 2
             smooth[..., c] = surface.reshape(FIELD_DOWN, FIELD_ACROSS)
         # nearer lamps light a place by more than a smooth surface says; what covers it would not keep its texture
-        reach = np.where(spread < LIT_SPREAD, LIT_REACH, 2 * FIELD_REACH)
-        near = np.abs(ratio - smooth) < reach  # never where nothing is known
+        most = np.where(spread < LIT_SPREAD, LIT_REACH, 2 * FIELD_REACH)
+        near = np.abs(ratio - smooth) < most  # never where nothing is known
         return np.asarray(field * np.exp(np.where(near, ratio, smooth)), np.float32)
 
 
