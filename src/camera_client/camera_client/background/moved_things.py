@@ -33,6 +33,7 @@ NOISE_SIGMAS = 4.0  # a pixel changed, or differs from what was absorbed: 1 in 1
 FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
 OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
+LIKELY_S = 1.0  # the same for so long: a thing rather than the person, when one of both must be chosen
 TAKEN_AWAY_S = 1.0  # the outlines say enough; the picture must have come to rest
 WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
@@ -63,6 +64,7 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
+    likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
     absorbed, given_back : how many times things were. endless : more moved, just now, than may be absorbed. restless :
     share of the picture that has been foreground for seconds where nobody else sees anybody, and does not keep still.
     """
@@ -77,6 +79,7 @@ class MovedThings:
         self._noise = self._learned_sigma = float(np.median(noise))
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
+        self.likely: Mask | None = None
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.given_back = 0
         self._reports: deque[ForegroundSupport] = deque()
@@ -193,6 +196,8 @@ class MovedThings:
         # what looks as it was learned is given back
         if self._box is not None:
             self._give_back(self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
+        doubted = shown & (np.minimum(self._still_s, self._unseen_s) >= LIKELY_S)
+        self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, (image, strange, background), stamp_ns)

@@ -21,7 +21,6 @@ from ..frame_source import Image, Mask
 
 BLOCK_PX = 8
 MOST_IN_BLOCK_PX = 8
-SECOND_PERSON = 0.25  # of the largest component's area: a person at twice the distance
 _PIXEL_OF_BLOCK = 4  # what one pixel of 255 adds to the mean of its block, halved three times
 
 
@@ -135,21 +134,23 @@ class _Part:
     box: Sequence[int]
 
 
-def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float) -> Mask:
+def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float, things: Mask | None = None) -> Mask:
     """Mask (H, W) without specks, far components and small holes.
 
-    A component counts from ``min_area_px`` on. Kept are the largest, others that may be a second person by their size,
-    and every one whose bounding box lies within ``near_px`` of a kept one: dark clothes on a dark floor cut legs from
-    the trunk, and they must survive. Holes below ``max_hole_px`` are filled; larger ones stay, or the gap between the
-    legs would be lost.
+    A component counts from ``min_area_px`` on. Kept are the largest, and every one whose bounding box lies within
+    ``near_px`` of a kept one: dark clothes on a dark floor cut legs from the trunk, and they must survive. Holes
+    below ``max_hole_px`` are filled; larger ones stay, or the gap between the legs would be lost. Components that lie
+    mostly on ``things`` (H, W), 255 where foreground is hardly a person, are left out unless there are no others.
     """
     contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return np.zeros_like(mask)
     is_outer = hierarchy.reshape(-1, 4)[:, 3] < 0
     parts = _parts([c for c, outer in zip(contours, is_outer, strict=True) if outer], min_area_px)
+    if things is not None:
+        parts = [part for part in parts if not _lies_on(part, mask, things)] or parts
     kept = np.zeros_like(mask)
-    cv2.drawContours(kept, [part.contour for part in _near_the_large(parts, near_px)], -1, 255, cv2.FILLED)
+    cv2.drawContours(kept, [part.contour for part in _near_the_largest(parts, near_px)], -1, 255, cv2.FILLED)
     cv2.bitwise_and(kept, mask, dst=kept)
     holes = [c for c, outer in zip(contours, is_outer, strict=True) if not outer and _hole_area_px(c) < max_hole_px]
     holes = [hole for hole in holes if kept[hole.reshape(-1, 2)[0, 1], hole.reshape(-1, 2)[0, 0]]]
@@ -166,9 +167,16 @@ def _parts(outers: list[np.ndarray], min_area_px: float) -> list[_Part]:
     return sorted(parts, key=lambda part: -part.area_px)
 
 
-def _near_the_large(parts: list[_Part], near_px: float) -> list[_Part]:
-    kept = [part for part in parts if part.area_px >= SECOND_PERSON * parts[0].area_px]
-    frontier, waiting = kept, parts[len(kept) :]
+def _lies_on(part: _Part, mask: Mask, places: Mask) -> bool:
+    """Whether more than half of the foreground in a component's bounding box lies on ``places``."""
+    x, y, width, height = part.box
+    box = slice(y, y + height), slice(x, x + width)
+    return 2 * cv2.countNonZero(cv2.bitwise_and(mask[box], places[box])) > cv2.countNonZero(mask[box])
+
+
+def _near_the_largest(parts: list[_Part], near_px: float) -> list[_Part]:
+    kept, waiting = parts[:1], parts[1:]
+    frontier = kept
     while frontier and waiting:
         frontier = [part for part in waiting if any(_gap_px(part.box, other.box) <= near_px for other in frontier)]
         waiting = [part for part in waiting if part not in frontier]

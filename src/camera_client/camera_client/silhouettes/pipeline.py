@@ -115,7 +115,7 @@ class SilhouettePipeline:
         scene = Scene(image[box.slices], expected, self.background.noise, box.slices)
         raw = self._decide(scene)
         shadow = self._shadow.shadow(scene, raw)
-        kept = person = self._keep_person(cv2.subtract(raw, shadow))
+        kept = person = self._keep_person(cv2.subtract(raw, shadow), box)
         if self._settings.outline_contrast > 0:
             person = trim_outline(person, scene.image, expected, self._settings.outline_contrast)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
@@ -162,11 +162,12 @@ class SilhouettePipeline:
             return majority(mask, self._settings.median_px)
         return self._evidence.decide(distance, scene.image, scene.expected, scene.noise)
 
-    def _keep_person(self, mask: Mask) -> Mask:
+    def _keep_person(self, mask: Mask, box: Box) -> Mask:
         s, height = self._settings, self._shape[0]
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
         area = height * height
-        return keep_person(mask, MIN_AREA * area, s.near * height, s.max_hole * area)
+        things = None if self.moved is None or self.moved.likely is None else self.moved.likely[box.slices]
+        return keep_person(mask, MIN_AREA * area, s.near * height, s.max_hole * area, things)
 
     def _silhouette(
         self, stamp_ns: int | None, levels: Mask, box: Box, canvas_levels: Mask | None = None
