@@ -17,7 +17,6 @@ SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a varia
 HIGHEST = 255.0
 F32 = np.float32
 
-NORMAL, WHITE, BLACK = 0, 1, 2  # kinds of background pixels
 BINS = 256
 BIN_SIGMAS = 0.125  # of the histogram that a median is read from
 LEVER_PX = 200.0  # how far from the middle a roll shows: about half of a picture

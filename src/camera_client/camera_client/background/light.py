@@ -17,7 +17,7 @@ import numpy.typing as npt
 from .kernels import robust_gain
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
-FIELD_S, SWITCHED_FIELD_S = 0.3, 0.02  # time constants of the field
+FIELD_S = 0.3  # time constant of the field
 STEPS, REACH = 3, 2.5  # of the robust fit; sigmas
 OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the samples would
 SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, but other lights

@@ -142,18 +142,14 @@ class MovedThings:
         """Take what the others see, for frames from APPLY_AFTER_S after its stamp on. From any thread."""
         self._reports.append(report)
 
-    def forgive(self, image: Image, values: Mask, brightness: float = 1.0, as_background: int = 0) -> None:
-        """Write ``as_background``, 0 or 255, into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
+    def forgive(self, image: Image, values: Mask, brightness: float = 1.0) -> None:
+        """Write 0 into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
 
         brightness : how many times brighter than when the background was learned the scene is now.
         """
         if self._box is not None:
             part = self._box
-            differs = self._differs(image[part], part, brightness)
-            if as_background:
-                cv2.bitwise_or(values[part], cv2.bitwise_not(differs), dst=values[part])
-            else:
-                cv2.bitwise_and(values[part], differs, dst=values[part])
+            cv2.bitwise_and(values[part], self._differs(image[part], part, brightness), dst=values[part])
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether :meth:`update` would look at a frame of this stamp."""

@@ -19,8 +19,7 @@ from .kernels import robust_shift
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 HOLD = 30.0  # information that holds the displacement at zero, px^-2: a picture without edges does not move
-LEAST_PX = 0.05  # a smaller displacement is not followed
-FOLLOW_PX = 0.12  # a larger one is taken over ...
+FOLLOW_PX = 0.12  # a larger displacement is taken over ...
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
 DAMPING = 0.7  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed

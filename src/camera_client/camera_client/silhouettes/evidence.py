@@ -22,9 +22,7 @@ from ..frame_source import Mask
 
 REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a forearm
 EDGE_SIGMAS = 8.0  # a step of the difference of so many sigmas of the noise counts as a distance of the whole reach
-CLEAR = (
-    2.4  # times the least evidence, beyond which a pixel is no surer: a bright speck must not outvote its surroundings
-)
+CLEAR = 2.4  # times the least evidence is as sure as a pixel can be: a bright speck must not outvote its surroundings
 PASSES = 2
 STEP_TABLE = 256
 STEPS_PER_SIGMA = 8.0

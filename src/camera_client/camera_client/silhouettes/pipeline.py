@@ -1,7 +1,7 @@
 """Segments a frame: the silhouette of the person on the undistorted canvas (thesis 6.1, 6.3).
 
-:meth:`SilhouettePipeline.run` is the recipe: subtract the background, filter, find shadow, keep the person, trim the
-outline, mark what may be floor in shadow, undistort.
+:meth:`SilhouettePipeline.run` is the recipe: follow the background, measure every pixel's distance from it, decide with
+the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, undistort.
 """
 
 from __future__ import annotations
@@ -140,15 +140,15 @@ class SilhouettePipeline:
 
     def _find_foreground(self, image: Image, stamp_ns: int) -> Box:
         """Measure every pixel's distance from the background; return a box around all that may be foreground."""
-        within, distance = self._locator.buffer, self.background.distance(image, self._distance)
-        cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY_INV, dst=within)
+        distance, limit = self.background.distance(image, self._distance), self.background.threshold
         if self.moved is not None:
             light, everywhere = self.background.light.brightness, (slice(None), slice(None))
             if self.moved.is_due(stamp_ns):
                 background, sigma = self.background.expected(everywhere), self.background.noise.sigma(TYPICAL_LEVEL)
-                self.moved.update(image, cv2.bitwise_not(within), background, stamp_ns, light, sigma)
+                foreground = np.asarray(cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
+                self.moved.update(image, foreground, background, stamp_ns, light, sigma)
             self.moved.forgive(image, distance, light)
-            self.moved.forgive(image, within, light, 255)
+        cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY_INV, dst=self._locator.buffer)
         dense = self._locator.box()
         if dense.empty:
             return Box(0, 0, 0, 0)

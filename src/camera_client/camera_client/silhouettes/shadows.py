@@ -268,17 +268,17 @@ class ColourShadow:
         """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""
         half, image, expected = halve(mask), halve(scene.image), halve(scene.expected)
         row, column = np.nonzero(half)
-        fits = self._fits(image[row, column], expected[row, column], scene.noise)
+        fits, factor = self._fits(image[row, column], expected[row, column], scene.noise)
         darkest = self._darkest[row + scene.at[0].start // 2, column + scene.at[1].start // 2]
-        fits &= (self._factor >= darkest) & (self._factor <= LIGHTEST)
+        fits &= (factor >= darkest) & (factor <= LIGHTEST)
         found = np.zeros_like(half)
         found[row[fits], column[fits]] = 255
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         found = cv2.bitwise_and(found, self._texture_persists(image, expected, found, scene.noise))
         return cv2.bitwise_and(_enlarged(found, 2, mask.shape), mask)
 
-    def _fits(self, x: np.ndarray, mean: np.ndarray, noise: Noise) -> np.ndarray:
-        """Which pixels x (n, 3) have the colour of a darkened background ``mean`` (n, 3)."""
+    def _fits(self, x: np.ndarray, mean: np.ndarray, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+        """Tell which pixels x (n, 3) have the colour of a darkened ``mean`` (n, 3), and each one's factor."""
         s, variance = self._settings, noise.variance(mean) * np.float32(HALVED_NOISE)
         mu, weight = mean, 1 / variance
         power = np.einsum("ij,ij,ij->i", mu, mu, weight)
@@ -286,8 +286,7 @@ class ColourShadow:
         tint = np.float32(s.tint) * (1 - factor)[:, None] * mu
         departure = x - factor[:, None] * mu
         distance2 = (departure * departure / (variance + tint * tint)).sum(axis=1)
-        self._factor = factor
-        return (distance2 <= s.chromaticity**2) & (power >= s.min_contrast**2)
+        return (distance2 <= s.chromaticity**2) & (power >= s.min_contrast**2), factor
 
     def _texture_persists(self, image: np.ndarray, expected: np.ndarray, found: Mask, noise: Noise) -> Mask:
         """Return 0 where the background has a texture that the image has lost: something stands before it."""
