@@ -1,0 +1,153 @@
+"""What the live server costs and holds: hull, ICP and EKF nodes fed the silhouettes of several cameras in real time.
+
+    python bench/live.py --quick                     # 6 cameras at 60 Hz, 10 s, this tree and the one before
+    python bench/live.py --seconds 60                # the whole minute
+    python bench/live.py --hz 100 --cameras 5        # faster
+    python bench/live.py --processes three           # a process a node
+
+A player sends every camera's silhouette and camera_info over loopback, all of an instant at once and stamped then; the
+server is what `sagoma up` starts. Beside it the server of an older commit (--before) runs in a domain of its own, and
+the two are played to in turns, so that whatever else the machine does hits both. Processor time is the server
+processes' own (user and system) over the counted turns; per answered set, as sets that are dropped cost less. Latency
+runs from the stamp to the joint state's arrival at a subscriber in another process. Silhouettes: a session of the test
+data as camera clients segment it or, where there is none, exact ones of the built-in studio. The last line is JSON: this
+tree's figures, and those of the older one under "before".
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from report import Table, add_settings, execute, finish, parser
+
+import numpy as np
+import psutil
+from live_servers import PROCESSES, TREE, Server, running, tree_of
+from scenes import SHARED, Clip, session_clip, studio_clip
+
+from capture_rig import Rig
+from sagoma_tools.arguments import parse_settings
+
+SESSION = "walk_ring5top"
+BEFORE = "c7539e6"  # three processes, every message converted, before the server was made to hold full rate
+STUDIO_S = 4.0
+FIRST_DOMAIN = 90  # of the servers; beside another bench, give --domain
+QUICK_S, QUICK_TURNS = 10.0, 2
+
+
+@dataclass(frozen=True)
+class Figures:
+    """All turns of one server together; ms and Hz as in the JSON line, ``dropped`` the sets never answered."""
+
+    server_ms_per_set: float
+    hz_sent: float
+    hz_sustained: float
+    latency_p50_ms: float
+    latency_p95_ms: float
+    sent: int
+    answered: int
+    tracked: int
+    incomplete: int
+    dropped: int
+
+    @classmethod
+    def of(cls, turns: Sequence[dict[str, Any]]) -> Figures:
+        """From the fields of `live_player.Turn`."""
+        total = {key: sum(turn[key] for turn in turns) for key in turns[0] if key != "ages_ms"}
+        ages = np.array([age for turn in turns for age in turn["ages_ms"]])
+        p50, p95 = np.percentile(ages, (50, 95)) if len(ages) else (np.nan, np.nan)
+        sent, answered = total["sent"], total["answered"]
+        return cls(
+            server_ms_per_set=round(1e3 * total["cpu_s"] / max(answered, 1), 2),
+            hz_sent=round(sent / total["span_s"], 1),
+            hz_sustained=round(answered / total["span_s"], 1),
+            latency_p50_ms=round(float(p50), 2),
+            latency_p95_ms=round(float(p95), 2),
+            sent=sent,
+            answered=answered,
+            tracked=total["tracked"],
+            incomplete=total["incomplete"],
+            dropped=sent - answered,
+        )
+
+
+def clip_of(session: Path, cameras: int) -> Clip:
+    """The silhouettes of a session's first cameras or, without the session, of the studio's."""
+    if not session.is_dir():
+        print(f"{session} is not there: the studio's person instead")
+        return studio_clip("walk", STUDIO_S, cameras)
+    clip = session_clip(session, exact=False)
+    kept = clip.rig.names[:cameras]
+    rig = Rig(tuple(clip.rig.camera(name) for name in kept), clip.rig.volume)
+    packed = [{name: frame[name] for name in kept} for frame in clip.packed]
+    return Clip(clip.name, rig, clip.fps, packed, clip.truth, clip.start)
+
+
+def measure(servers: Sequence[Server], hz: float, seconds: float, turns: int) -> list[Figures]:
+    """Play to the servers in turns, ``seconds`` to each in total."""
+    played: list[list[dict[str, Any]]] = [[] for _ in servers]
+    for _ in range(turns):
+        for server, own in zip(servers, played, strict=True):
+            own.append(server.play(hz, seconds / turns))
+    return [Figures.of(own) for own in played]
+
+
+def arguments() -> argparse.ArgumentParser:
+    """Of this bench."""
+    given = parser(__doc__, quick=f"{QUICK_S:g} s a server")
+    given.add_argument("--hz", type=float, default=60.0)
+    given.add_argument("--cameras", type=int, default=6)
+    given.add_argument("--seconds", type=float, default=60.0, help="counted time a server, all its turns together")
+    given.add_argument("--turns", type=int, default=QUICK_TURNS)
+    given.add_argument("--processes", choices=PROCESSES, default=next(iter(PROCESSES)), help="of this tree's server")
+    given.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"older commit ({BEFORE}); '': none")
+    given.add_argument("--session", type=Path, default=SHARED / "sessions" / SESSION, help="what the cameras see")
+    given.add_argument(
+        "--domain", type=int, default=FIRST_DOMAIN, help="ROS domain of the first server; the other's + 1"
+    )
+    add_settings(given)
+    return given
+
+
+def main() -> None:
+    """Measure, print a row a server, and the JSON line."""
+    args = arguments().parse_args()
+    clip = clip_of(args.session, args.cameras)
+    settings, seconds = parse_settings(args.settings), QUICK_S if args.quick else args.seconds
+    folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_live_"))
+    trees = [("now", TREE, args.processes, settings)]
+    trees += [(args.before, tree_of(args.before), "three", {})] if args.before else []
+    try:
+        with contextlib.ExitStack() as stack:
+            servers = [
+                stack.enter_context(running(name, tree, processes, clip, folder / name, args.domain + k, own))
+                for k, (name, tree, processes, own) in enumerate(trees)
+            ]
+            figures = measure(servers, args.hz, seconds, args.turns)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    table = Table(
+        "server:<9 | processes:>9 | ms/set:>7.2f | Hz sent:>8.1f | Hz answered:>11.1f | latency p50 ms:>14.1f | p95 ms:>8.1f"
+        " | sets:>7d | answered:>8d | tracked:>8d | incomplete:>10d | dropped:>8d",
+        f"{clip.name}, {len(clip.rig.names)} cameras at {args.hz:g} Hz -> server -> joint states",
+    )
+    for (name, _, processes, _), f in zip(trees, figures, strict=True):
+        table.row(name, processes, *asdict(f).values())
+    print(
+        f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
+        f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}"
+    )
+    finish(asdict(figures[0]) | ({"before": asdict(figures[1])} if args.before else {}))
+
+
+if __name__ == "__main__":
+    execute(main)
