@@ -25,9 +25,12 @@ from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .hull_ros import SaveMeshService, calibration_mismatch, calibration_values, frame_set_message, summarise
 from .settings import NodeSettings
 
-POLL_PERIOD_S = (0.002, 0.05)  # shortest and longest; a fifth of the deadline between them
+POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
+SHORTEST_POLL_NS = 200_000
+GIVE_UP_SETS = 5  # a camera missing from so many in a row is not waited for: more than packet loss takes by chance
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
+NEVER_NS = 1 << 62
 LOG_EVERY_S = 5.0
 COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
     name: f"sets_{name}" for name in ("complete", "incomplete")
@@ -102,6 +105,7 @@ class HullNode(SagomaNode):
             tolerance_ns=round(settings.tolerance_s * 1e9),
             deadline_ns=round(settings.deadline_s * 1e9),
             max_open=MAX_OPEN_SETS,
+            give_up=0 if settings.reliable else GIVE_UP_SETS,
         )
 
     def deactivate(self) -> None:
@@ -145,10 +149,9 @@ class HullNode(SagomaNode):
             ):
                 subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos)
                 self._handles.append((self.destroy_subscription, subscription))
-        shortest, longest = POLL_PERIOD_S
-        period_s = min(max(self.settings.deadline_s / 5, shortest), longest)
-        timer = self.create_timer(period_s, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._handles.append((self.destroy_timer, timer))
+        self._poll = self.create_timer(POLL_S, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._polled_at_ns = 0
+        self._handles.append((self.destroy_timer, self._poll))
 
     def _on_silhouette(self, camera: str, topic: str, message: CompressedImage) -> None:
         if self._collector is None:
@@ -168,6 +171,7 @@ class HullNode(SagomaNode):
             self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
             return
         self._dispatch(self._collector.add(camera, to_ns(message.header.stamp), mask, now_ns))
+        self._poll_at_deadline(now_ns)
 
     def _on_camera_info(self, camera: str, topic: str, info: CameraInfo) -> None:
         """Refuse a camera whose images are not made with the rig's calibration, until they are."""
@@ -199,6 +203,18 @@ class HullNode(SagomaNode):
             self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self.refused.items())}")
         elif silent:
             self.health.status(WARN, f"no silhouettes from {', '.join(silent)}")
+        self._poll_at_deadline(now_ns)
+
+    def _poll_at_deadline(self, now_ns: int) -> None:
+        """Let the timer call when the next frame set is due, if that is sooner than it would."""
+        if self._collector is None:
+            return
+        deadline_ns = self._collector.next_deadline_ns()
+        due_ns = min(now_ns + round(POLL_S * 1e9), deadline_ns or NEVER_NS)
+        if not now_ns < self._polled_at_ns <= due_ns:
+            self._polled_at_ns = due_ns
+            self._poll.timer_period_ns = max(due_ns - now_ns, SHORTEST_POLL_NS)
+            self._poll.reset()
 
     def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
         for frame_set in closed:

@@ -1,9 +1,10 @@
 """Frame sets: one silhouette a camera, all of one instant (thesis 6.2; tolerance and deadline are ours).
 
-A set is identified by capture stamp: all stamps of a set lie within the tolerance of each other. A set closes when
-every expected camera has delivered, or when its deadline has passed since its first arrival. Sets leave in stamp
-order; a frame that comes after its set has left is late: counted, never mixed into another set. A camera's stamps may
-not go back.
+A set is identified by capture stamp: all stamps of a set lie within the tolerance of each other. A set closes the
+moment its last camera has come, or when its deadline has passed since its first arrival. A camera that lacks is not
+waited for once it has delivered a later stamp, for stamps may not go back; nor, where the collector may give up, once
+it has been missing from several sets in a row, until it is heard again. Sets leave in stamp order; a frame that comes
+after its set has left is late: counted, never mixed into another set.
 
 A stamp that leaps by more than a quarter of a second is put to the vote, so that one camera with a wrong clock cannot
 silence the others: such frames wait as a candidate timeline, and the rig moves to it when more cameras deliver there
@@ -43,16 +44,20 @@ class OpenSet(Generic[T]):
 class Timeline(Generic[T]):
     """The open sets in stamp order. Stamps never go back: not a camera's own, not past a set that has left."""
 
-    def __init__(self, camera_count: int, tolerance_ns: int, deadline_ns: int, max_open: int) -> None:
-        self.camera_count = camera_count
+    def __init__(
+        self, names: tuple[str, ...], tolerance_ns: int, deadline_ns: int, max_open: int, give_up: int
+    ) -> None:
+        self.names, self.give_up = names, give_up
         self.tolerance_ns, self.deadline_ns, self.max_open = tolerance_ns, deadline_ns, max_open
         self.open: list[OpenSet[T]] = []
         self.head_ns: int | None = None  # the latest stamp taken
         self.last_stamp_ns: dict[str, int] = {}  # of each camera that has delivered
         self._last_closed_ns: int | None = None
+        self._absent = dict.fromkeys(names, 0)  # sets in a row that each camera is missing from
 
     def refusal(self, camera: str, stamp_ns: int) -> str | None:
         """Why a frame cannot be taken: DUPLICATE, BACKWARDS or LATE; None when it can."""
+        self._absent[camera] = 0  # heard, if late: it is waited for again
         last = self.last_stamp_ns.get(camera)
         if last is not None and stamp_ns == last:
             return DUPLICATE
@@ -76,14 +81,14 @@ class Timeline(Generic[T]):
         self.head_ns = stamp_ns if self.head_ns is None else max(self.head_ns, stamp_ns)
 
     def is_complete(self, candidate: OpenSet[T]) -> bool:
-        return len(candidate.frames) == self.camera_count
+        return len(candidate.frames) == len(self.names)
 
     def close_due(self, now_ns: int) -> list[OpenSet[T]]:
-        """Take out the sets that are complete or past their deadline; a complete one never overtakes an older one."""
+        """Take out the sets that wait for nobody or are past their deadline; none overtakes an older one."""
         closing = 0
         for index, candidate in enumerate(self.open):
             expired = now_ns - candidate.opened_ns >= self.deadline_ns
-            if expired or (closing == index and self.is_complete(candidate)):
+            if expired or (closing == index and not self._is_awaited(candidate)):
                 closing = index + 1
         return self._close(max(closing, len(self.open) - self.max_open))
 
@@ -93,10 +98,24 @@ class Timeline(Generic[T]):
     def next_deadline_ns(self) -> int | None:
         return min(s.opened_ns for s in self.open) + self.deadline_ns if self.open else None
 
+    def _is_awaited(self, candidate: OpenSet[T]) -> bool:
+        """Return whether a camera that the set lacks may still deliver its frame."""
+        return any(
+            not (self._has_passed(name, candidate) or 0 < self.give_up <= self._absent[name])
+            for name in self.names
+            if name not in candidate.frames
+        )
+
+    def _has_passed(self, camera: str, candidate: OpenSet[T]) -> bool:
+        last_ns = self.last_stamp_ns.get(camera)
+        return last_ns is not None and last_ns >= candidate.stamp_ns + self.tolerance_ns
+
     def _close(self, count: int) -> list[OpenSet[T]]:
         closed, self.open = self.open[:count], self.open[count:]
-        if closed:
-            self._last_closed_ns = closed[-1].stamp_ns
+        for each in closed:
+            self._last_closed_ns = each.stamp_ns
+            for name in self.names:
+                self._absent[name] = 0 if name in each.frames else self._absent[name] + 1
         return closed
 
 
@@ -154,11 +173,15 @@ class FrameSetCollector(Generic[T]):
     tolerance_ns : stamps of one set differ by at most this much (half a frame period).
     deadline_ns : how long after its first frame arrived a set waits for the others.
     max_open : at most this many sets are open at once; the oldest is closed beyond that.
+    give_up : a camera that is missing from so many sets in a row is not waited for until it is heard; 0: always. Which
+        set its first frame then joins depends on when it arrives, so a replay that must repeat itself never gives up.
     """
 
-    def __init__(self, camera_names: Iterable[str], *, tolerance_ns: int, deadline_ns: int, max_open: int = 8) -> None:
+    def __init__(
+        self, camera_names: Iterable[str], *, tolerance_ns: int, deadline_ns: int, max_open: int = 8, give_up: int = 0
+    ) -> None:
         self.names = tuple(sorted(camera_names))
-        self.tolerance_ns, self.deadline_ns, self.max_open = tolerance_ns, deadline_ns, max_open
+        self.tolerance_ns, self.deadline_ns, self.max_open, self.give_up = tolerance_ns, deadline_ns, max_open, give_up
         self.counters = Counters()
         self._leap_ns = max(LEAP_NS, LEAP_TOLERANCES * tolerance_ns)
         self._present = self._new_timeline()
@@ -180,7 +203,7 @@ class FrameSetCollector(Generic[T]):
         return self.poll(arrival_ns)
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
-        """Close the sets that are complete or past their deadline; a complete set never overtakes an older one."""
+        """Close the sets that wait for nobody or are past their deadline; none overtakes an older one."""
         closed = self._vote(now_ns)
         return closed + self._emit(self._present.close_due(now_ns))
 
@@ -198,7 +221,7 @@ class FrameSetCollector(Generic[T]):
         return closed
 
     def _new_timeline(self) -> Timeline[T]:
-        return Timeline(len(self.names), self.tolerance_ns, self.deadline_ns, self.max_open)
+        return Timeline(self.names, self.tolerance_ns, self.deadline_ns, self.max_open, self.give_up)
 
     def _timeline_of(self, camera: str, stamp_ns: int, arrival_ns: int) -> Timeline[T] | None:
         """Return the timeline that the stamp is near to; a new candidate when there is none yet."""

@@ -24,8 +24,12 @@ Frame = tuple[str, int]  # camera and instant: what a test frame carries
 Sent = tuple[str, int, int, int]  # camera, stamp, instant, arrival
 
 
-def make_collector(cameras: Iterable[str] = CAMERAS, deadline_ns: int = DEADLINE, max_open: int = 8):
-    return FrameSetCollector[Frame](cameras, tolerance_ns=TOLERANCE, deadline_ns=deadline_ns, max_open=max_open)
+def make_collector(
+    cameras: Iterable[str] = CAMERAS, deadline_ns: int = DEADLINE, max_open: int = 8, give_up: int = 0
+) -> FrameSetCollector[Frame]:
+    return FrameSetCollector(
+        cameras, tolerance_ns=TOLERANCE, deadline_ns=deadline_ns, max_open=max_open, give_up=give_up
+    )
 
 
 def send(collector: FrameSetCollector, instants: Iterable[int], cameras: Iterable[str] = CAMERAS, shift: int = 0):
@@ -194,11 +198,39 @@ def test_frame_that_comes_twice_counts_once() -> None:
 
 def test_complete_set_does_not_overtake_an_older_one() -> None:
     collector = make_collector()
-    send(collector, [0], cameras=["cam01", "cam02"])
-    assert send(collector, [1]) == []
-    closed = collector.add("cam03", EPOCH, ("cam03", 0), PERIOD + 5000)
-    assert closed == []  # cam03 went back to instant 0 after instant 1: its stamps may not
-    assert instants_of(collector.poll(DEADLINE)) == [0, 1]
+    send(collector, [0], cameras=["cam01"])
+    assert send(collector, [1], cameras=["cam02"]) == []
+    assert send(collector, [1], cameras=["cam01"]) == []  # instant 0 still waits for cam03
+    assert instants_of(send(collector, [1], cameras=["cam03"])) == [0, 1]
+
+
+def test_set_does_not_wait_for_a_camera_that_has_sent_a_later_frame() -> None:
+    collector = make_collector(deadline_ns=HOUR)
+    assert send(collector, [0], cameras=["cam01", "cam02"]) == []  # the network loses the frame of cam03
+    closed = send(collector, [1], cameras=["cam03"])
+    assert instants_of(closed) == [0] and closed[0].missing == ("cam03",)
+    assert instants_of(send(collector, [1], cameras=["cam01", "cam02"])) == [1]
+
+
+def test_camera_of_half_the_rate_delays_no_set_by_a_deadline() -> None:
+    collector = make_collector(deadline_ns=HOUR)
+    sets = []
+    for k in range(20):
+        sets += send(collector, [k], cameras=CAMERAS if k % 2 == 0 else CAMERAS[:2])
+    assert instants_of(sets) == list(range(19))  # the last one may still become whole
+    assert [each.missing for each in sets] == [() if k % 2 == 0 else ("cam03",) for k in range(19)]
+
+
+def test_camera_missing_from_several_sets_in_a_row_is_waited_for_again_once_heard() -> None:
+    collector = make_collector(deadline_ns=HOUR, give_up=3)
+    sets = send(collector, range(3)) + send(collector, range(3, 6), cameras=["cam01", "cam02"])
+    sets += collector.poll(2 * HOUR)  # the deadline of the three sets
+    assert instants_of(sets) == list(range(6))
+    assert instants_of(send(collector, range(6, 9), cameras=["cam01", "cam02"])) == [6, 7, 8]  # at once
+    assert send(collector, [8], cameras=["cam03"]) == [] and collector.counters.late == 1
+    assert send(collector, [9], cameras=["cam01", "cam02"]) == []
+    (whole,) = send(collector, [9], cameras=["cam03"])
+    assert whole.missing == ()
 
 
 def test_older_set_completed_late_releases_the_complete_ones_behind_it() -> None:
