@@ -10,8 +10,8 @@ server is what `sagoma up` starts. Beside it the server of an older commit (--be
 the two are played to in turns, so that whatever else the machine does hits both. Processor time is the server
 processes' own (user and system) over the counted turns; per answered set, as sets that are dropped cost less. Latency
 runs from the stamp to the joint state's arrival at a subscriber in another process. Silhouettes: a session of the test
-data as camera clients segment it or, where there is none, exact ones of the built-in studio. The last line is JSON: this
-tree's figures, and those of the older one under "before".
+data as camera clients segment it or, where there is none, exact ones of the built-in studio. The last line is JSON:
+this tree's figures, and those of the older one under "before".
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def arguments() -> argparse.ArgumentParser:
     given.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"older commit ({BEFORE}); '': none")
     given.add_argument("--session", type=Path, default=SHARED / "sessions" / SESSION, help="what the cameras see")
     given.add_argument(
-        "--domain", type=int, default=FIRST_DOMAIN, help="ROS domain of the first server; the other's + 1"
+        "--domain", type=int, default=FIRST_DOMAIN, help="ROS domain of this tree's server; the other: + 1"
     )
     add_settings(given)
     return given
@@ -136,8 +136,8 @@ def main() -> None:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     table = Table(
-        "server:<9 | processes:>9 | ms/set:>7.2f | Hz sent:>8.1f | Hz answered:>11.1f | latency p50 ms:>14.1f | p95 ms:>8.1f"
-        " | sets:>7d | answered:>8d | tracked:>8d | incomplete:>10d | dropped:>8d",
+        "server:<9 | processes:>9 | ms/set:>7.2f | Hz sent:>8.1f | Hz answered:>11.1f | latency p50 ms:>14.1f"
+        " | p95 ms:>8.1f | sets:>7d | answered:>8d | tracked:>8d | incomplete:>10d | dropped:>8d",
         f"{clip.name}, {len(clip.rig.names)} cameras at {args.hz:g} Hz -> server -> joint states",
     )
     for (name, _, processes, _), f in zip(trees, figures, strict=True):

@@ -1,9 +1,9 @@
-"""Plays a clip of silhouettes to a running server at a fixed rate, and listens to its answers: the cameras of bench/live.py.
+"""Plays a clip of silhouettes to a running server at a fixed rate and takes its answers: the cameras of bench/live.py.
 
     python bench/live_player.py CLIP PID...
 
-A process of its own, so that its processor time is not the server's. CLIP is a pickle: fps, cameras (parameters of each
-`CameraModel` canvas), frames (masks of every camera). Every line on standard input is a turn to play, as JSON
+A process of its own, so that its processor time is not the server's. CLIP is a pickle: the rig's file, and the frames
+of a `scenes.Clip`. Every line on standard input is a turn to play, as JSON
 {"hz", "seconds"}; every line on standard output its `Turn`. Messages are serialised beforehand as a camera client sends
 them, camera_info with every silhouette, and get a fresh stamp when they are sent: all cameras' the same.
 """
@@ -44,7 +44,7 @@ STAMP_OFFSET, NS_PER_S = 4, 1_000_000_000
 
 @dataclass(frozen=True)
 class Turn:
-    """The server's figures over one turn: ``sent`` sets over ``span_s``, ``answered`` by the filter, ``tracked`` of them.
+    """A server's figures of one turn: sets ``sent`` over ``span_s``, ``answered`` by the filter, ``tracked`` of those.
 
     cpu_s : processor time of all server processes. ages_ms : capture stamp to joint state. incomplete : sets that the
     hull server closed without a camera.

@@ -1,4 +1,4 @@
-"""Servers for bench/live.py: hull, ICP and EKF nodes of this tree or of another commit's, each in a domain of its own."""
+"""Servers for bench/live.py: hull, ICP and EKF nodes of this tree or another commit's, each in its own ROS domain."""
 
 from __future__ import annotations
 
