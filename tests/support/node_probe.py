@@ -13,12 +13,12 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
+from sagoma_ros.process import make_executor
 from sagoma_ros.qos import RESULT
 
 PATIENCE_S = 20.0  # only ever reached by a failing test
@@ -35,13 +35,14 @@ class Spinner:
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self.executor = SingleThreadedExecutor(context=context)
+        self.executor = make_executor(context)
         self._nodes: list[Node] = []
 
     def add(self, node: Node) -> Node:
         """Spin this node too; it is destroyed by `close`."""
         self._nodes.append(node)
         self.executor.add_node(node)
+        node.executor = self.executor
         return node
 
     def until(self, happened: Callable[[], object], what: str = "the awaited event") -> None:

@@ -25,7 +25,8 @@ from capture_rig.errors import InputError
 from mocap_packets.silhouette import Silhouette
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
-from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.process import run_node
 from sagoma_ros.qos import RESULT
 
 from .background.model import BackgroundModel

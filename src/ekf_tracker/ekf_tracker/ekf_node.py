@@ -19,7 +19,7 @@ from mocap_packets.fit import NOTHING_SEEN, ReferencePoints
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.health import ERROR, OK, WARN
 from sagoma_ros.messages import to_ns
-from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import (
     covariance_message,
     joint_state_message,
@@ -27,6 +27,7 @@ from sagoma_ros.packets import (
     prediction_message,
     read_reference_points,
 )
+from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body_file import load_body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES

@@ -318,7 +318,7 @@ def test_suspended_node_is_silent_and_goes_on_where_it_was(bench, body_file, per
     b.fit(stamp(2), person.points(2 / 60))
     assert b.node.trigger_deactivate() == SUCCESS
     assert b.node.trigger_cleanup() == SUCCESS
-    assert b.node.count_publishers("/ekf/prediction") == 0
+    b.until(lambda: b.node.count_publishers("/ekf/prediction") == 0)
     b.start()
     b.fit(stamp(0), person.points(0.0))
 
@@ -336,7 +336,7 @@ def test_bad_parameter_fails_the_configuration_with_a_clear_error(bench, paramet
     b = bench(**parameters)
     assert b.node.trigger_configure() == FAILURE
     b.until_said(words)
-    assert b.node.count_publishers("/ekf/prediction") == 0
+    b.until(lambda: b.node.count_publishers("/ekf/prediction") == 0)
 
 
 def test_humans_topics_carry_the_person_under_its_id(bench, body_file, person):

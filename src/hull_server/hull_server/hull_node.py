@@ -16,8 +16,9 @@ from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette, support_message
 from sagoma_ros.messages import to_ns
-from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
+from sagoma_ros.process import run_node
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 

@@ -18,8 +18,9 @@ from mocap_packets.fit import Fit
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
 from sagoma_ros.health import OK, WARN
 from sagoma_ros.messages import key_values, to_ns, to_stamp
-from sagoma_ros.node import SagomaNode, run_node
+from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud, read_finite, read_prediction
+from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_ros.worker import Mailbox, Worker
 from stick_figure.body import Body

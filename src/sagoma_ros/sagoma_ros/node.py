@@ -1,4 +1,4 @@
-"""The lifecycle node that all nodes of the graph derive from, their common main, and their parameters.
+"""The lifecycle node that all nodes of the graph derive from, and its parameters; their common main is in `process`.
 
 configure / activate / deactivate / cleanup are the thesis's connect / start / suspend / stop (6.2). Parameters come
 from a settings class: declared with description and range, read back typed; unknown ones are refused.
@@ -6,22 +6,19 @@ from a settings class: declared with description and range, read back typed; unk
 
 from __future__ import annotations
 
-import signal
-import sys
-import threading
+import inspect
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, TypeVar
 
-import rclpy
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
+from rclpy.service import Service
 
 from capture_rig.errors import InputError
 from capture_rig.settings import Leaf, build_settings, leaves, resolve_renamed, setting
@@ -31,7 +28,6 @@ from .health import ERROR, OK, NodeHealth
 T = TypeVar("T")
 
 RCLError = rclpy_implementation.RCLError
-SIGNAL_LATENCY_S = 0.2  # Python sees a signal only when the wait for the next event returns
 FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made, possibly later than we look
 
 
@@ -106,12 +102,18 @@ class SagomaNode(LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._attempt(self.cleanup, None)
 
-    def autostart(self) -> bool:
-        """Configure and activate by oneself when the parameter ``autostart`` says so; False when that failed."""
-        if not read_declared(self, AutostartSettings).autostart:
-            return True
-        steps = (self.trigger_configure, self.trigger_activate)
-        return all(step() == TransitionCallbackReturn.SUCCESS for step in steps)
+    @property
+    def starts_itself(self) -> bool:
+        """The parameter ``autostart``."""
+        return read_declared(self, AutostartSettings).autostart
+
+    def configured(self) -> bool:
+        """Configure by oneself; False when that failed."""
+        return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
+
+    def activated(self) -> bool:
+        """Activate by oneself; False when that failed."""
+        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
         """Release everything before the process ends, in whatever state the node is."""
@@ -122,6 +124,28 @@ class SagomaNode(LifecycleNode):
         self.get_logger().error("".join(traceback.format_exception(error)))
         self.health.count("unexpected_errors")
         self.health.status(ERROR, repr(error))
+
+    def create_service(self, *args: Any, **options: Any) -> Service:
+        """As of every node; the callback may be a coroutine function under any executor."""
+        service = super().create_service(*args, **options)
+        if inspect.iscoroutinefunction(service.callback):
+            send = partial(self._respond, service.send_response)  # EventsExecutor awaits no callback
+            service.send_response = send  # type: ignore[method-assign]
+        return service
+
+    def _respond(self, send: Callable[[Any, Any], None], response: Any, header: Any) -> None:
+        """Send a response now, or that of a coroutine when it is done."""
+        if not inspect.iscoroutine(response):
+            return send(response, header)
+
+        async def respond() -> None:
+            try:
+                send(await response, header)
+            except Exception as error:
+                self.report(error)
+
+        assert self.executor is not None
+        self.executor.create_task(respond)
 
     def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:
         # rclpy raises here when the present state has no such transition: the process would end, the caller wait
@@ -150,57 +174,6 @@ class SagomaNode(LifecycleNode):
         if done is not None:
             self.health.status(OK, done)
         return TransitionCallbackReturn.SUCCESS
-
-
-def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -> int:
-    """Main of every node: spin until SIGINT or SIGTERM, then release everything.
-
-    Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when the node could not be made at all.
-    """
-    ending = threading.Event()
-
-    def interrupt(number: int, frame: object) -> None:
-        ending.set()
-        raise KeyboardInterrupt
-
-    # our own handlers: rclpy's shut the context down first, and a node could no longer say or release anything
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, interrupt)
-    status = 0
-    node: SagomaNode | None = None
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        node = factory()
-        if node.autostart():
-            _spin(node, ending)
-        else:
-            status = 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except (InputError, RCLError) as error:  # RCLError: a parameter file or --ros-args that cannot be read
-        print(error, file=sys.stderr)
-        status = 2
-    finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        if node is not None:
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
-    return status
-
-
-def _spin(node: SagomaNode, ending: threading.Event) -> None:
-    with SingleThreadedExecutor() as executor:  # shut down here: garbage collection may come after the context's end
-        executor.add_node(node)
-        while rclpy.ok() and not ending.is_set():
-            try:
-                executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
-            except ExternalShutdownException:
-                raise
-            except Exception as error:  # in a callback: one bad message may not end the process
-                if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
-                    node.report(error)
 
 
 # --- parameters -----------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from capture_rig.errors import InputError
 from capture_rig.settings import setting
 from sagoma_ros.health import ERROR, OK
 from sagoma_ros.node import SagomaNode
+from sagoma_ros.process import autostart
 
 if TYPE_CHECKING:
     from node_probe import Spinner
@@ -176,26 +177,26 @@ def test_close_releases_everything_without_a_transition(ros: Spinner) -> None:
 
 def test_autostart_is_off_unless_asked_for(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
-    assert node.autostart()
+    assert autostart([node])
     assert (node.state, node.hooks) == ("unconfigured", [])
 
 
 def test_autostart_configures_and_activates(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml", autostart=True)
-    assert node.autostart()
+    assert autostart([node])
     assert node.state == "active"
 
 
 def test_autostart_that_cannot_configure_does_not_activate(ros: Spinner) -> None:
     node = make_node(ros, autostart=True)
-    assert not node.autostart()
+    assert not autostart([node])
     assert "activate" not in node.hooks
 
 
 def test_autostart_of_a_wrong_type_is_refused_by_name(ros: Spinner) -> None:
     node = make_node(ros, autostart="yes")
     with pytest.raises(InputError, match="autostart = 'yes' is not of type bool"):
-        node.autostart()
+        autostart([node])
 
 
 def change_state(ros: Spinner, node: Example, transition: int) -> bool:

@@ -20,8 +20,8 @@ NODE = textwrap.dedent("""
 
     from capture_rig.errors import InputError
     from capture_rig.settings import setting
-    from sagoma_ros.node import run_node
     from sagoma_ros.node import SagomaNode
+    from sagoma_ros.process import run_node
 
 
     @dataclass(frozen=True)

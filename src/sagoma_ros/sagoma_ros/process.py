@@ -1,0 +1,112 @@
+"""The common main of our nodes: one node in a process or several, one executor, and an end in order on a signal."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.signals import SignalHandlerOptions
+
+from capture_rig.errors import InputError
+
+from .node import SagomaNode
+
+try:  # is told what has come, where the other asks every entity of every node for each message
+    from rclpy.experimental import EventsExecutor
+except ImportError:  # rclpy before Kilted
+    EventsExecutor = SingleThreadedExecutor
+
+RCLError = rclpy_implementation.RCLError
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNAL_LATENCY_S = 0.2  # Python sees a signal only when the wait for the next event returns
+
+
+def make_executor(context: Context | None = None) -> Executor:
+    """Return the cheapest executor that this rclpy has; callbacks run on the thread that spins it."""
+    return EventsExecutor(context=context)
+
+
+def run_node(factory: Callable[[], SagomaNode], args: list[str] | None = None) -> int:
+    """Main of a node: as :func:`run_nodes` with it alone."""
+    return run_nodes([factory], args)
+
+
+def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | None = None) -> int:
+    """Spin nodes in one process until SIGINT or SIGTERM, then release everything.
+
+    Those with the parameter ``autostart`` configure in the order given and activate in the opposite one: a node is
+    active before the one that sends to it. Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when a
+    node could not be made at all.
+    """
+    ending = threading.Event()
+
+    def interrupt(number: int, frame: object) -> None:
+        ending.set()
+        raise KeyboardInterrupt
+
+    # our own handlers: rclpy's shut the context down first, and a node could no longer say or release anything
+    for number in SIGNALS:
+        signal.signal(number, interrupt)
+    status = 0
+    nodes: list[SagomaNode] = []
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        nodes.extend(factory() for factory in factories)
+        if autostart(nodes):
+            _spin(nodes, ending)
+        else:
+            status = 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (InputError, RCLError) as error:  # RCLError: a parameter file or --ros-args that cannot be read
+        print(error, file=sys.stderr)
+        status = 2
+    finally:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        for node in nodes:
+            node.close()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return status
+
+
+def autostart(nodes: Sequence[SagomaNode]) -> bool:
+    """Bring the nodes whose parameter ``autostart`` says so to active, as :func:`run_nodes` does; False: it failed."""
+    starting = [node for node in nodes if node.starts_itself]
+    return all(node.configured() for node in starting) and all(node.activated() for node in reversed(starting))
+
+
+def _spin(nodes: Sequence[SagomaNode], ending: threading.Event) -> None:
+    with _executing(nodes) as executor:
+        while rclpy.ok() and not ending.is_set():
+            try:
+                executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
+            except ExternalShutdownException:
+                raise
+            except Exception as error:  # in a callback: one bad message may not end the process
+                if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
+                    nodes[0].report(error)
+
+
+@contextmanager
+def _executing(nodes: Sequence[SagomaNode]) -> Iterator[Executor]:
+    """An executor of these nodes, shut down at the end: garbage collection may come after the context's end."""
+    executor = make_executor()
+    for node in nodes:
+        executor.add_node(node)
+        node.executor = executor
+    try:
+        yield executor
+    finally:
+        for node in nodes:
+            executor.remove_node(node)
+        executor.shutdown()
