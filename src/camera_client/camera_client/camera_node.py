@@ -23,6 +23,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from mocap_packets.silhouette import Silhouette
+from sagoma_ros import mask_png
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
@@ -93,6 +94,7 @@ class CameraNode(SagomaNode):
         self.chain = CameraChain(known.camera, settings, known.volume, known.placed)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
         self.source = connect_source(settings, self._accept)
+        mask_png.warm_up()
         if not self.source.shape:
             self.chain.check_background_file()
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report))

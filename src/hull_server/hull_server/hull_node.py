@@ -14,6 +14,7 @@ from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from sagoma_ros.health import ERROR, WARN
+from sagoma_ros import mask_png
 from sagoma_ros.images import decode_silhouette, support_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
@@ -88,6 +89,7 @@ class HullNode(SagomaNode):
         self._canvases = {camera.name: camera.undistorted_view().camera for camera in rig.cameras}
         self._pipeline = HullPipeline(rig, settings)
         self._pipeline.warm_up()
+        mask_png.warm_up()
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
         self.health.set("backend", f"{self._pipeline.backend.name} ({self._pipeline.backend.device})")
         self._advertise()

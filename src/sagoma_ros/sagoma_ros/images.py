@@ -19,8 +19,7 @@ from . import mask_png
 from .messages import to_ns, to_stamp
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
-PNG_DEPTH_AND_COLOUR = slice(24, 26)  # of the header chunk, which always comes first
-MONO_PNG = ([1, 0], [2, 0], [4, 0], [8, 0])
+MONO_PNG = ((1, 0), (2, 0), (4, 0), (8, 0))  # bits a pixel, colour type
 # encoding -> channels, type, conversion to grey or BGR
 ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "mono8": (1, "u1", None),
@@ -42,7 +41,7 @@ ENCODINGS: dict[str, tuple[int, str, int | None]] = {
 
 
 def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
-    """Mask (h, w) uint8 as a PNG of 2 to 5 KB that rviz, Foxglove and image_transport show.
+    """Mask (h, w) uint8 as a PNG of 2 to 6 KB that rviz, Foxglove and image_transport show.
 
     The levels are those of ``capture_rig.mask_levels``. The PNG has one bit a pixel; two with shadow candidates, four
     with degrees of darkness.
@@ -66,38 +65,39 @@ def decode_silhouette(
     all degrees of darkness as they were sent.
     Raises InputError when it is no grey PNG, cannot be decoded, or has another size than the camera's canvas.
     """
-    data = np.frombuffer(message.data, np.uint8)
-    if data[:8].tobytes() != mask_png.SIGNATURE:
+    data = bytes(message.data)
+    if not data.startswith(mask_png.SIGNATURE):
         raise InputError(
             f"format '{message.format}' is not a PNG silhouette",
             where=where,
             remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.",
         )
-    mask = mask_png.decode(data.tobytes(), candidates)
-    if mask is None:
-        mask = _decode_other(data, where, candidates)
-    if mask.shape != (height, width):
+    header = mask_png.read_header(data)
+    if header is None:
+        raise _damaged(where)
+    if (header.depth, header.colour_type) not in MONO_PNG:
         raise InputError(
-            f"the silhouette is {mask.shape[1]} x {mask.shape[0]} pixels, the undistorted canvas {width} x {height}",
-            where=where,
-            remedy="Give camera client and hull server the same rig file.",
-        )
-    return mask
-
-
-def _decode_other(data: np.ndarray, where: str, candidates: int) -> np.ndarray:
-    """Return a mask that another program encoded."""
-    mask = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-    if mask is None:
-        raise InputError("the PNG cannot be decoded", where=where, remedy="The message is damaged; check the network.")
-    depth_and_colour = data[PNG_DEPTH_AND_COLOUR].tolist()
-    if depth_and_colour not in MONO_PNG:
-        raise InputError(
-            f"the PNG is not mono8: its bit depth and colour type are {depth_and_colour}",
+            f"the PNG is not mono8: its bit depth and colour type are {[header.depth, header.colour_type]}",
             where=where,
             remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.",
         )
-    return cv2.LUT(mask, _levels(candidates))
+    if (header.width, header.height) != (width, height):  # before any memory is taken for it
+        raise InputError(
+            f"the silhouette is {header.width} x {header.height} pixels, the undistorted canvas {width} x {height}",
+            where=where,
+            remedy="Give camera client and hull server the same rig file.",
+        )
+    mask = mask_png.decode(data, candidates)
+    if mask is not None:
+        return mask
+    other = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)  # another program wrote it
+    if other is None or other.shape != (height, width):
+        raise _damaged(where)
+    return cv2.LUT(other, _levels(candidates))
+
+
+def _damaged(where: str) -> InputError:
+    return InputError("the PNG cannot be decoded", where=where, remedy="The message is damaged; check the network.")
 
 
 def image_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Image:

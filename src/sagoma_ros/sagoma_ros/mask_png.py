@@ -1,7 +1,8 @@
-"""Masks of two, three or sixteen levels as PNG of one, two or four bits a pixel, faster than a general encoder.
+"""Masks of two, three or sixteen levels as PNG of one, two or four bits a pixel, a tenth of a general encoder's work.
 
-The files are plain PNG (ISO/IEC 15948): grey, no row filters, run-length deflate. Whatever other program wrote a mask
-is left to OpenCV: :func:`decode` knows only its own kind.
+The files are plain PNG (ISO/IEC 15948): grey, no row filters, deflated run by run (:mod:`.run_deflate`). Files of the
+same kind by any other deflate are read, too, as recordings of former versions are; what else there is, is left to
+OpenCV.
 """
 
 from __future__ import annotations
@@ -9,135 +10,278 @@ from __future__ import annotations
 import struct
 import zlib
 from functools import cache
+from typing import NamedTuple
 
-import cv2
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 
 from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
 
+from .run_deflate import OPTIONS, deflate, inflate, match_lengths, most_bytes, run_code
+
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
+MOST_PIXELS = 1 << 26  # no camera has more; what claims more is damaged, or wants all our memory
+DEPTHS = (1, 2, 4)  # bits a pixel
 _HEADER = struct.Struct(">IIBBBBB")  # width, height, bit depth, colour type, compression, filter, interlace
 _GREY_AS_WE_WRITE_IT = (0, 0, 0, 0)
-_PIXELS = 4  # of two bits in a byte, the first one highest; unpacked, they are the bytes of one uint32
-_TWO_HIGHEST_BITS = np.uint32(0xC0C0C0C0)  # of each of those bytes: 00 background, 01 candidate, 11 foreground
-_GATHER = np.uint32(1 << 24 | 1 << 14 | 1 << 4)  # brings those of the first three bytes together in the highest one
-_ONES = np.uint32(0x01010101)
-_NEEDS_FOUR_BITS = np.isin(np.arange(256), sorted(set(LEVELS) - {BACKGROUND, SHADOW_CANDIDATE, FOREGROUND})).view(
-    np.uint8
-)
+_WORD_PX = 8  # pixels of one uint64, which become as many bytes as they have bits each
+_FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-def encode(mask: np.ndarray) -> bytes:
+def encode(mask: npt.NDArray[np.uint8]) -> bytes:
     """Mask (h, w) uint8 of the levels of ``capture_rig.mask_levels``; of any other its two highest bits count.
 
     One bit a pixel when there are background and foreground only, two with shadow candidates of level 127, four with
     degrees of darkness.
     """
-    left, top, width, height = cv2.boundingRect(mask) if mask.size else (0, 0, 0, 0)
-    left, right = left & ~7, left + width  # whole bytes of any depth
-    used = mask[top : top + height, left:right]  # a person fills a part of the image
-    if used.size == 0:
-        return _png(mask.shape, 1, np.zeros((0, 0), np.uint8), 0, 0)
-    if cv2.countNonZero(cv2.LUT(used, _NEEDS_FOUR_BITS)):
-        return _png(mask.shape, 4, _four_bits(used), top, left)
-    packed = _two_bits(used)
-    if not (packed & 0x55 & ~(packed >> 1)).any():
-        return _png(mask.shape, 1, np.packbits(used, axis=1), top, left)
-    return _png(mask.shape, 2, packed, top, left)
+    height, width = mask.shape
+    pixels = _whole_words(mask)
+    words, used = pixels.view(np.uint64), np.empty((height, 2), np.int64)
+    depth, most_runs = find_used(words, pixels, _depth_of_level(), used)
+    value, count = np.empty(most_runs, np.uint8), np.empty(most_runs, np.int64)
+    row_bytes, code = -(-width * depth // 8), run_code(depth)
+    runs = find_runs(pixels.view(np.uint16), used, _packed_pairs(depth), depth, row_bytes, value, count)
+    stream = np.empty(most_bytes(code, height * (1 + row_bytes), runs), np.uint8)
+    body = stream[: deflate(value[:runs], count[:runs], code, stream)].tobytes()
+    header = _HEADER.pack(width, height, depth, *_GREY_AS_WE_WRITE_IT)
+    return SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
 
 
-def decode(data: bytes, candidates: int = BACKGROUND) -> np.ndarray | None:
-    """Mask (h, w) uint8 of 0, 255 and, for shadow candidates, ``candidates``; None unless :func:`encode` wrote it.
+def decode(data: bytes, candidates: int = BACKGROUND) -> npt.NDArray[np.uint8] | None:
+    """Mask (h, w) uint8 of 0, 255 and, for shadow candidates, ``candidates``; None for other kinds of PNG, or damage.
 
     With ``candidates`` SHADOW_CANDIDATE all levels come back as they were sent; otherwise dark pixels are foreground.
     """
     try:
         chunks = _chunks(data)
         width, height, depth, *kind = _HEADER.unpack(chunks[b"IHDR"])
-        row_bytes = -(-width * depth // 8)
-        size = height * (1 + row_bytes)
-        unpacker = zlib.decompressobj()
-        rows = np.frombuffer(unpacker.decompress(chunks[b"IDAT"], size), np.uint8)
-        sound = unpacker.eof and tuple(kind) == _GREY_AS_WE_WRITE_IT and depth in (1, 2, 4) and rows.size == size
-    except (KeyError, ValueError, struct.error, zlib.error):
+        stream = chunks[b"IDAT"]
+    except (KeyError, ValueError, struct.error):
         return None
-    if not sound or (rows := rows.reshape(height, 1 + row_bytes))[:, 0].any():
+    if tuple(kind) != _GREY_AS_WE_WRITE_IT or depth not in DEPTHS or not 0 < width * height <= MOST_PIXELS:
         return None
-    if depth == 1:
-        bits = np.unpackbits(rows[:, 1:], axis=1, count=width)
-        return np.negative(bits, out=bits)  # 0 - 1 is 255
-    levels = _unpacked(rows[:, 1:], candidates) if depth == 2 else _halves(rows[:, 1:], candidates)
-    return np.ascontiguousarray(levels[:, :width])
+    packed, row_bytes = np.frombuffer(stream, np.uint8), -(-width * depth // 8)
+    value, count = np.empty(len(packed), np.uint8), np.empty(len(packed), np.int64)
+    runs = inflate(packed, run_code(depth), *match_lengths(), value, count)
+    cells = np.empty((height, row_bytes), _cells(depth, candidates).dtype)
+    if runs >= 0:
+        sound = paint_runs(value[:runs], count[:runs], _cells(depth, candidates), cells)
+    else:
+        rows = _inflated(stream, height, row_bytes)
+        sound = rows is not None and paint_rows(rows, _cells(depth, candidates), cells)
+    mask = cells.view(np.uint8)
+    return np.ascontiguousarray(mask[:, :width]) if sound else None
 
 
-def _four_bits(mask: np.ndarray) -> np.ndarray:
-    """Return (h, ceil(w / 2)) uint8: the places of each pixel's level among the sixteen."""
-    padded = np.pad(mask, ((0, 0), (0, 1))) if mask.shape[1] % 2 else np.ascontiguousarray(mask)
-    two = cv2.LUT(padded, _places()).view("<u2")
-    return (two << np.uint16(4) | two >> np.uint16(8)).astype(np.uint8)
+class Header(NamedTuple):
+    """What a PNG says of itself."""
+
+    width: int
+    height: int
+    depth: int
+    colour_type: int
+
+
+def read_header(data: bytes) -> Header | None:
+    """Return what the header says, undamaged; None when it does not."""
+    start = len(SIGNATURE)
+    body = data[start + 8 : start + 8 + _HEADER.size]
+    if data[: start + 8] != SIGNATURE + struct.pack(">I4s", _HEADER.size, b"IHDR") or len(body) < _HEADER.size:
+        return None
+    if data[start + 8 + _HEADER.size : start + 12 + _HEADER.size] != struct.pack(">I", zlib.crc32(b"IHDR" + body)):
+        return None
+    return Header(*_HEADER.unpack(body)[:4])
+
+
+def warm_up() -> None:
+    """Encode and decode a small mask of each depth, so that the first real one does not wait for the compiler."""
+    for level in (FOREGROUND, SHADOW_CANDIDATE, LEVELS[1]):
+        mask = np.full((1, 1), level, np.uint8)
+        decode(encode(mask), SHADOW_CANDIDATE)
+
+
+# --- runs of packed bytes, and pixels
+
+
+@njit(**OPTIONS)
+def find_used(words, pixels, depth_of_level, used):  # type: ignore[no-untyped-def]
+    """Find which words of each row are not blank; return the depth that all levels need, and a bound of the runs.
+
+    words (h, n) uint64, pixels (h, 8 n) uint8 : the same memory. depth_of_level (256,) : bits a pixel. used (h, 2) :
+    written: first word, and the last one's successor; both 0 in a blank row.
+    """
+    depth, changes = 1, 1
+    for y in range(len(words)):
+        row, first, end, last = words[y], 0, 0, np.uint64(0)
+        for x in range(len(row)):
+            word = row[x]
+            if word == 0:
+                changes += last != word
+                last = word
+                continue
+            if end == 0:
+                first = x
+            end = x + 1
+            if word != _FULL:
+                changes += 1 + 4  # bytes of a word, at most
+                for k in range(8 * x, 8 * x + 8):
+                    depth = max(depth, depth_of_level[pixels[y, k]])
+            else:
+                changes += last != word
+            last = word
+        changes += 2
+        used[y, 0], used[y, 1] = first, end
+    return depth, changes
+
+
+@njit(**OPTIONS)
+def find_runs(pairs, used, packed_pairs, depth, row_bytes, value, count):  # type: ignore[no-untyped-def]
+    """Find the runs of equal bytes in the rows of a PNG without row filters; return their number.
+
+    pairs (h, 4 n) uint16 : two pixels each. used (h, 2) : of :func:`find_used`. packed_pairs (65536,) uint8 : the 2
+    ``depth`` bits that each pair is sent as. row_bytes : of a packed row. value, count : written.
+    """
+    packed = np.empty(pairs.shape[1], np.uint8)
+    last, v, c = 0, np.uint8(0), 0  # the run that goes on
+    for y in range(len(pairs)):
+        first, end = used[y, 0] * depth, min(used[y, 1] * depth, row_bytes)
+        if end == 0:
+            first = end = row_bytes
+        _pack(pairs[y], first, end, packed_pairs, depth, packed)
+        if v != 0:
+            value[last], count[last] = v, c
+            last, v, c = last + 1, np.uint8(0), 0
+        c += 1 + first  # each row begins with its filter: none
+        for x in range(first, end):
+            byte = packed[x]
+            if byte == v:
+                c += 1
+            else:
+                value[last], count[last] = v, c
+                last, v, c = last + 1, byte, 1
+        if end == row_bytes:
+            continue
+        if v != 0:
+            value[last], count[last] = v, c
+            last, v, c = last + 1, np.uint8(0), 0
+        c += row_bytes - end
+    value[last], count[last] = v, c
+    return last + 1
+
+
+@njit(**OPTIONS)
+def _pack(pairs, first, end, packed_pairs, depth, packed):  # type: ignore[no-untyped-def]
+    """Write the bytes ``first`` to ``end`` of one row."""
+    if depth == 4:
+        for x in range(first, end):
+            packed[x] = packed_pairs[pairs[x]]
+    elif depth == 2:
+        for x in range(first, end):
+            packed[x] = packed_pairs[pairs[2 * x]] << 4 | packed_pairs[pairs[2 * x + 1]]
+    else:
+        for x in range(first, end):
+            high = packed_pairs[pairs[4 * x]] << 6 | packed_pairs[pairs[4 * x + 1]] << 4
+            packed[x] = high | packed_pairs[pairs[4 * x + 2]] << 2 | packed_pairs[pairs[4 * x + 3]]
+
+
+@njit(**OPTIONS)
+def paint_runs(value, count, cells_of_byte, cells):  # type: ignore[no-untyped-def]
+    """Write the pixels that runs of packed bytes stand for; False unless they are exactly the rows, without filters.
+
+    cells_of_byte (256,) : the pixels of each byte, as one number. cells (h, row_bytes) of the same type : written.
+    """
+    height, row_bytes = cells.shape
+    y, x = 0, -1  # -1: the row's filter
+    for k in range(len(value)):
+        left, cell = count[k], cells_of_byte[value[k]]
+        while left > 0:
+            if y == height:
+                return False
+            if x < 0:
+                if value[k] != 0:
+                    return False
+                x, left = 0, left - 1
+                continue
+            end = min(x + left, row_bytes)
+            cells[y, x:end] = cell
+            left -= end - x
+            x = end
+            if x == row_bytes:
+                y, x = y + 1, -1
+    return y == height and x < 0
+
+
+@njit(**OPTIONS)
+def paint_rows(rows, cells_of_byte, cells):  # type: ignore[no-untyped-def]
+    """As :func:`paint_runs`, from the rows (h, 1 + row_bytes) uint8 themselves."""
+    for y in range(len(rows)):
+        if rows[y, 0] != 0:
+            return False
+        for x in range(cells.shape[1]):
+            cells[y, x] = cells_of_byte[rows[y, x + 1]]
+    return True
+
+
+# --- tables of levels
 
 
 @cache
-def _places() -> np.ndarray:
-    """The place (256,) of each level among the sixteen; a level that is none of them counts by its two highest bits."""
-    places = np.repeat(np.array([0, 5, 15, 15], np.uint8), 64)
-    places[list(LEVELS)] = range(len(LEVELS))
-    return places
-
-
-def _halves(packed: np.ndarray, candidates: int) -> np.ndarray:
-    """Return the levels (h, 2 n) of n bytes a row."""
-    first, second = _levels_of_byte(candidates)
-    packed = np.ascontiguousarray(packed)
-    return cv2.merge([cv2.LUT(packed, first), cv2.LUT(packed, second)]).reshape(len(packed), -1)
+def _depth_of_level() -> npt.NDArray[np.int64]:
+    """Return how many bits a pixel (256,) each level needs."""
+    depth = np.ones(256, np.int64)
+    depth[64:128] = 2
+    depth[sorted(set(LEVELS) - {BACKGROUND, SHADOW_CANDIDATE, FOREGROUND})] = 4
+    return depth
 
 
 @cache
-def _levels_of_byte(candidates: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the two levels, (256,) uint8 each, that a byte of four-bit pixels stands for."""
-    levels = np.array(LEVELS, np.uint8)
-    if candidates != SHADOW_CANDIDATE:
-        levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
-        levels[levels > SHADOW_CANDIDATE] = FOREGROUND
-    byte = np.arange(256)
-    return levels[byte >> 4], levels[byte & 15]
+def _packed_pairs(depth: int) -> npt.NDArray[np.uint8]:
+    """Return the bits (65536,) that each two levels are sent as; see :func:`encode` for foreign levels."""
+    of_two_bits = {1: [0, 0, 1, 1], 2: [0, 1, 3, 3], 4: [0, LEVELS.index(SHADOW_CANDIDATE), 15, 15]}
+    places = np.repeat(np.array(of_two_bits[depth], np.uint8), 64)
+    if depth == 4:
+        places[list(LEVELS)] = range(len(LEVELS))
+    pair = np.arange(1 << 16, dtype=np.uint16).view(np.uint8).reshape(-1, 2)
+    return np.asarray(places[pair[:, 0]] << depth | places[pair[:, 1]], np.uint8)
 
 
-def _two_bits(mask: np.ndarray) -> np.ndarray:
-    """Return (h, ceil(w / 4)) uint8: the two highest bits of each pixel."""
-    missing = -mask.shape[1] % _PIXELS
-    padded = np.pad(mask, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(mask)
-    four = padded.view("<u4") & _TWO_HIGHEST_BITS
-    gathered = four * _GATHER
-    four >>= np.uint32(6)
-    gathered |= four
-    gathered >>= np.uint32(24)
-    return gathered.astype(np.uint8)
+@cache
+def _cells(depth: int, candidates: int) -> npt.NDArray[np.unsignedinteger]:
+    """Return the pixels (256,) that a byte of some depth stands for, 8, 4 or 2 levels as one number."""
+    if depth == 4:
+        levels = np.array(LEVELS, np.uint8)
+        if candidates != SHADOW_CANDIDATE:
+            levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
+            levels[levels > SHADOW_CANDIDATE] = FOREGROUND
+    else:
+        levels = np.array({1: [0, FOREGROUND], 2: [0, candidates, FOREGROUND, FOREGROUND]}[depth], np.uint8)
+    places = np.arange(256)[:, None] >> np.arange(8 - depth, -1, -depth) & (1 << depth) - 1
+    return np.ascontiguousarray(levels[places]).view({1: np.uint64, 2: np.uint32, 4: np.uint16}[depth]).reshape(256)
 
 
-def _unpacked(packed: np.ndarray, candidates: int) -> np.ndarray:
-    """Return the levels (h, 4 n) of n bytes a row."""
-    four = packed.astype("<u4")
-    high = four >> np.uint32(7) | four << np.uint32(3) | four << np.uint32(13) | four << np.uint32(23)
-    high &= _ONES
-    levels = high * np.uint32(FOREGROUND)
-    if candidates != BACKGROUND:
-        low = four >> np.uint32(6) | four << np.uint32(4) | four << np.uint32(14) | four << np.uint32(24)
-        low &= _ONES & ~high
-        levels |= low * np.uint32(candidates)
-    return levels.view(np.uint8)
+# --- files
 
 
-def _png(shape: tuple[int, ...], depth: int, packed: np.ndarray, top: int, left: int) -> bytes:
-    """``packed`` are the pixels from row ``top`` and column ``left`` on; all others are background."""
-    height, width = shape
-    rows = np.zeros((height, 1 + -(-width * depth // 8)), np.uint8)  # each row begins with its filter: none
-    first = 1 + left * depth // 8
-    rows[top : top + packed.shape[0], first : first + packed.shape[1]] = packed
-    packer = zlib.compressobj(2, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
-    body = packer.compress(rows.data) + packer.flush()
-    header = _HEADER.pack(width, height, depth, *_GREY_AS_WE_WRITE_IT)
-    return SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
+def _whole_words(mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return a mask as wide as whole words, blank beyond its own width; the kernels are compiled for one layout."""
+    missing = -mask.shape[1] % _WORD_PX
+    if missing:
+        padded = np.zeros((mask.shape[0], mask.shape[1] + missing), np.uint8)
+        padded[:, : mask.shape[1]] = mask
+        return padded
+    mask = np.require(mask, np.uint8, ["C", "W"])
+    return mask if mask.ctypes.data % _WORD_PX == 0 else mask.copy()
+
+
+def _inflated(stream: bytes, height: int, row_bytes: int) -> npt.NDArray[np.uint8] | None:
+    """Return the rows (height, 1 + row_bytes) of a zlib stream, filters first; None when it holds anything else."""
+    size, unpacker = height * (1 + row_bytes), zlib.decompressobj()
+    try:
+        rows = np.frombuffer(bytearray(unpacker.decompress(stream, size)), np.uint8)
+    except zlib.error:
+        return None
+    return rows.reshape(height, -1) if unpacker.eof and rows.size == size else None
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

@@ -1,0 +1,207 @@
+"""Masks as PNG: round trips, other programs, former versions' files, damage."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
+from sagoma_ros import mask_png
+from sagoma_ros.run_deflate import deflate, inflate, match_lengths, most_bytes, run_code
+
+mask_png.warm_up()  # property tests have deadlines, compilers have none
+
+KINDS = {1: [BACKGROUND, FOREGROUND], 2: [BACKGROUND, SHADOW_CANDIDATE, FOREGROUND], 4: list(LEVELS)}
+
+
+def person(depth: int, height: int = 480, width: int = 640) -> np.ndarray:
+    """Return a body with a shadow (2 bits), and attenuated patches in it (4 bits)."""
+    mask, unit = np.zeros((height, width), np.uint8), height / 120
+    if depth > 1:
+        cv2.ellipse(mask, (int(0.6 * width), int(0.8 * height)), (int(35 * unit), int(9 * unit)), 20, 0, 360, 127, -1)
+    cv2.ellipse(mask, (width // 2, height // 2), (int(20 * unit), int(45 * unit)), 10, 0, 360, 255, -1)
+    if depth == 4:
+        patches = np.random.default_rng(0).choice(np.array(LEVELS[5:], np.uint8), (height // 8 + 1, width // 8))
+        mask[mask == 255] = np.kron(patches, np.ones((8, 8), np.uint8))[:height][mask == 255]
+        mask[0, :2] = LEVELS[1], LEVELS[-2]
+    return mask
+
+
+def written_by_zlib(mask: np.ndarray, depth: int) -> bytes:
+    """Return the PNG that former versions wrote: the same rows, deflated by zlib's run-length strategy."""
+    ours = mask_png.encode(mask)
+    assert ours[24] == depth
+    length = struct.unpack(">I", ours[33:37])[0]
+    packer = zlib.compressobj(2, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
+    body = packer.compress(zlib.decompress(ours[41 : 41 + length])) + packer.flush()
+    checksum = struct.pack(">I", zlib.crc32(b"IDAT" + body))
+    return ours[:33] + struct.pack(">I", len(body)) + b"IDAT" + body + checksum + ours[-12:]
+
+
+@given(st.integers(1, 41), st.integers(1, 9), st.integers(0, 2**32), st.sampled_from([0, 127, 255]), st.booleans())
+def test_masks_of_any_width_come_back_and_other_programs_see_them(width, height, seed, candidates, doubt) -> None:
+    levels = np.array([BACKGROUND, FOREGROUND, SHADOW_CANDIDATE] if doubt else [BACKGROUND, FOREGROUND], np.uint8)
+    mask = np.random.default_rng(seed).choice(levels, (height, width))
+    data = mask_png.encode(mask)
+    assert np.array_equal(mask_png.decode(data, candidates), np.where(mask == SHADOW_CANDIDATE, candidates, mask))
+    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(shown, np.where(mask == SHADOW_CANDIDATE, 85, mask))
+
+
+@given(st.integers(2, 41), st.integers(1, 9), st.integers(0, 2**32))
+def test_degrees_of_darkness_come_back_in_four_bits_or_as_the_camera_judged_them(width, height, seed) -> None:
+    mask = np.random.default_rng(seed).choice(np.array(LEVELS, np.uint8), (height, width))
+    mask[0, :2] = LEVELS[1], LEVELS[-2]
+    data = mask_png.encode(mask)
+    assert data[24] == 4  # bits a pixel
+    assert np.array_equal(mask_png.decode(data, SHADOW_CANDIDATE), mask)
+    for candidates in (BACKGROUND, FOREGROUND):
+        expected = np.where(np.isin(mask, CANDIDATE_LEVELS), candidates, np.where(mask > 0, 255, 0))
+        assert np.array_equal(mask_png.decode(data, candidates), expected)
+    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)  # sixteen greys, in the same order
+    assert np.array_equal(shown, 17 * np.searchsorted(LEVELS, mask))
+
+
+def test_png_that_another_program_wrote_is_left_to_the_general_decoder() -> None:
+    assert mask_png.decode(cv2.imencode(".png", person(1))[1].tobytes()) is None
+    assert mask_png.decode(mask_png.encode(person(1))[:-20]) is None
+
+
+@given(st.integers(1, 90), st.integers(1, 30), st.integers(0, 2**32), st.integers(1, 3))
+def test_small_patch_anywhere_comes_back(width, height, seed, kinds) -> None:
+    rng = np.random.default_rng(seed)
+    mask = np.zeros((height, width), np.uint8)
+    top, left = rng.integers(height), rng.integers(width)
+    patch = mask[top : top + rng.integers(1, 9), left : left + rng.integers(1, 20)]
+    levels = [FOREGROUND, SHADOW_CANDIDATE, LEVELS[7]][:kinds]
+    patch[:] = rng.choice(np.array(levels, np.uint8), patch.shape)
+    assert np.array_equal(mask_png.decode(mask_png.encode(mask), SHADOW_CANDIDATE), mask)
+
+
+@pytest.mark.parametrize("depth", KINDS)
+def test_stream_is_what_zlib_reads_and_no_longer_than_its_own_by_half(depth: int) -> None:
+    mask = person(depth)
+    data, former = mask_png.encode(mask), written_by_zlib(mask, depth)
+    rows = zlib.decompress(data[41:-16])
+    assert len(rows) == 480 * (1 + 640 * depth // 8)
+    assert len(data) <= 1.5 * len(former)
+
+
+@pytest.mark.parametrize("depth", KINDS)
+@pytest.mark.parametrize("width", [1, 7, 13, 640])
+def test_files_of_former_versions_and_blank_and_full_masks_are_read(depth: int, width: int) -> None:
+    mask = np.random.default_rng(width).choice(np.array(KINDS[depth], np.uint8), (5, width))
+    mask[0, 0] = {1: FOREGROUND, 2: SHADOW_CANDIDATE, 4: LEVELS[1]}[depth]
+    assert np.array_equal(mask_png.decode(written_by_zlib(mask, depth), SHADOW_CANDIDATE), mask)
+    for level in (BACKGROUND, KINDS[depth][1], FOREGROUND):
+        even = np.full((5, width), level, np.uint8)
+        assert np.array_equal(mask_png.decode(mask_png.encode(even), SHADOW_CANDIDATE), even)
+
+
+def test_mask_that_lies_anywhere_in_memory_is_sent_as_it_looks() -> None:
+    buffer = np.random.default_rng(0).choice(np.array(LEVELS, np.uint8), (50, 90))
+    for view in (buffer[3:40, 5:77], buffer[::2, ::3], buffer.T, buffer.reshape(-1)[3:1603].reshape(20, 80)):
+        view.flags.writeable = False
+        assert np.array_equal(mask_png.decode(mask_png.encode(view), SHADOW_CANDIDATE), view)
+
+
+@pytest.mark.parametrize("level", [1, 63, 64, 126, 128, 134, 254])
+def test_level_that_no_mask_has_counts_by_its_two_highest_bits(level: int) -> None:
+    expected = BACKGROUND if level < 64 else SHADOW_CANDIDATE if level < 128 else FOREGROUND
+    for others in KINDS.values():
+        mask = np.array([[level, *others[1:]]], np.uint8)
+        assert mask_png.decode(mask_png.encode(mask), SHADOW_CANDIDATE)[0, 0] == expected
+
+
+@pytest.mark.parametrize("depth", KINDS)
+def test_runs_of_all_lengths_come_back_and_the_bound_of_the_length_holds(depth: int) -> None:
+    rng, code = np.random.default_rng(depth), run_code(depth)
+    runs = 700
+    value = np.cumsum(rng.integers(1, 256, runs)).astype(np.uint8)  # no two neighbours alike
+    for count in (np.arange(1, runs + 1), np.ones(runs, int), np.full(runs, 258 + 2), np.full(runs, 259 + 257)):
+        out = np.empty(most_bytes(code, int(count.sum()), runs), np.uint8)
+        stream = out[: deflate(value, count, code, out)]
+        assert zlib.decompress(stream.tobytes()) == np.repeat(value, count).tobytes()
+        read, times = np.empty(len(stream), np.uint8), np.empty(len(stream), np.int64)
+        assert inflate(stream, code, *match_lengths(), read, times) == runs
+        assert np.array_equal(read[:runs], value) and np.array_equal(times[:runs], count)
+
+
+# --- damage
+
+
+def with_body(data: bytes, body: bytes) -> bytes:
+    """Return a PNG with another stream, its checksum right, so that the stream itself is read."""
+    return (
+        data[:33]
+        + struct.pack(">I", len(body))
+        + b"IDAT"
+        + body
+        + struct.pack(">I", zlib.crc32(b"IDAT" + body))
+        + data[-12:]
+    )
+
+
+@pytest.mark.parametrize("depth", KINDS)
+def test_damaged_streams_are_refused_or_of_the_right_size_and_nothing_is_written_beyond_them(depth: int) -> None:
+    rng, data = np.random.default_rng(depth), mask_png.encode(person(depth, 60, 80))
+    body = np.frombuffer(data[41:-16], np.uint8)
+    code, guard = run_code(depth), 64
+    refused = 0
+    for _ in range(3000):
+        damaged = body.copy()
+        for _ in range(rng.integers(1, 4)):
+            damaged[rng.integers(len(damaged))] = rng.integers(256)
+        stream = damaged[: rng.integers(len(damaged)) if rng.random() < 0.3 else len(damaged)]
+        value, count = np.full(len(stream) + guard, 77, np.uint8), np.full(len(stream) + guard, -7)
+        runs = inflate(stream, code, *match_lengths(), value[: len(stream)], count[: len(stream)])
+        assert runs <= len(stream) and (value[len(stream) :] == 77).all() and (count[len(stream) :] == -7).all()
+        mask = mask_png.decode(with_body(data, stream.tobytes()))
+        assert mask is None or mask.shape == (60, 80)
+        refused += mask is None
+    assert refused > 2500  # the rest: what hit nothing, or was put back
+
+
+@pytest.mark.parametrize("depth", KINDS)
+def test_rows_too_many_too_few_or_with_a_filter_are_refused_by_the_painter(depth: int) -> None:
+    cells_of_byte = mask_png._cells(depth, SHADOW_CANDIDATE)
+    buffer = np.full((6, 5), 9, cells_of_byte.dtype)
+    cells = buffer[1:5]  # a row before and one behind it, which stay
+    for value, count in (
+        ([0], [24 + 1]),
+        ([0], [24 - 1]),
+        ([0, 1], [6, 1]),
+        ([255], [24]),
+        ([0, 255], [1, 10**9]),
+        ([0], [1 << 60]),
+    ):
+        assert not mask_png.paint_runs(np.array(value, np.uint8), np.array(count), cells_of_byte, cells)
+    assert (buffer[[0, 5]] == 9).all()
+    assert mask_png.paint_runs(np.array([0, 255, 0], np.uint8), np.array([19, 1, 4]), cells_of_byte, cells)
+    assert np.argwhere(cells).tolist() == [[3, 0]] and cells[3, 0] == cells_of_byte[255]
+
+
+def test_bomb_and_absurd_size_are_refused_without_taking_memory() -> None:
+    bomb = zlib.compress(bytes(50_000_000), 9)
+    data = with_body(mask_png.encode(person(1, 60, 80)), bomb)
+    assert mask_png.decode(data) is None
+    header = struct.pack(">IIBBBBB", 1 << 31, 1 << 31, 1, 0, 0, 0, 0)
+    absurd = data[:16] + header + struct.pack(">I", zlib.crc32(b"IHDR" + header)) + data[33:]
+    assert mask_png.decode(absurd) is None
+    for size in ((0, 5), (5, 0)):
+        header = struct.pack(">IIBBBBB", *size, 1, 0, 0, 0, 0)
+        empty = data[:16] + header + struct.pack(">I", zlib.crc32(b"IHDR" + header)) + data[33:]
+        assert mask_png.decode(empty) is None
+
+
+def test_header_is_read_only_when_it_is_whole() -> None:
+    data = mask_png.encode(person(4, 60, 80))
+    assert mask_png.read_header(data) == (80, 60, 4, 0)
+    for damaged in (b"", data[:20], data[:30], data[:17] + b"\1" + data[18:], b"\0" + data[1:]):
+        assert mask_png.read_header(damaged) is None
