@@ -13,8 +13,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
-from sagoma_ros.health import ERROR, WARN
 from sagoma_ros import mask_png
+from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette, support_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode

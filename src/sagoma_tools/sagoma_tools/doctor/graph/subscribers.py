@@ -121,7 +121,7 @@ class SilhouetteSubscriber:
                 self._look(data)
 
     def _look(self, data: bytes) -> None:
-        mask = mask_png.decode(data)
+        mask: np.ndarray | None = mask_png.decode(data)
         if mask is None:
             mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
         if mask is None:
