@@ -40,8 +40,9 @@ from capture_rig import Rig
 from capture_rig.session import Session, load_session
 from hull_server.carve_backends import make_backend
 from hull_server.grid import VoxelGrid
+from hull_server.level_stack import binary_mask
 from hull_server.settings import ShadowSettings
-from hull_server.shadows import ShadowResolver, binary_mask
+from hull_server.shadows import ShadowResolver
 from hull_server.views import RigViews, min_seeing
 from sagoma_ros.mask_png import encode
 from stick_figure.body import Body

@@ -21,15 +21,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from capture_rig import Volume
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FLOOR_REACH_M, FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FLOOR_REACH_M
 
 from .kernel import kernel
+from .level_stack import BLIND, Box, LevelStack, Mask
 from .settings import ShadowSettings
 from .views import Masks, RigViews
 
@@ -39,12 +39,10 @@ TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ an
 RAY_STEP_M = 0.06  # a leg is thicker
 LEAST_SHARE = 0.6  # of the neighbours must agree
 
-BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
 YES = 1
 
 Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.uint8]
 
 
 class ShadowResolver:
@@ -52,10 +50,11 @@ class ShadowResolver:
 
     def __init__(self, views: RigViews, volume: Volume, settings: ShadowSettings) -> None:
         self._views, self._settings = views, settings
-        self._blind = np.where(views.seen > 0, np.uint8(0), np.uint8(BLIND))
-        self._levels = np.full_like(views.seen, BLIND)
+        self._stack = LevelStack(views)
         self._scene = floor_scene(views, volume)
         self._floor_px = np.empty((len(views.names), 3))
+        height, width = views.seen.shape[1:]
+        self._labels = PixelLabels.zeros((0, 0, width, height))
 
     def resolve(self, masks: Masks, seeing: int) -> dict[str, Mask]:
         """Resolve masks of one instant, of the levels of ``capture_rig.mask_levels``, to masks of 0 and 255.
@@ -64,41 +63,19 @@ class ShadowResolver:
         they are binary. InputError for a camera that is not in the rig, and for a mask of the wrong size.
         """
         self._views.present(masks)
-        boxes = {
-            name: cv2.boundingRect(where)
-            for name, mask in sorted(masks.items())
-            if cv2.countNonZero(where := cv2.inRange(mask, CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]))  # type: ignore[call-overload]
-        }
-        binary = {name: binary_mask(mask) if name in boxes else mask for name, mask in masks.items()}
-        if not boxes or not self._settings.enabled:
-            return binary
-        self._stack(masks)
-        for name, (x, y, width, height) in boxes.items():
-            self._resolve(self._views.number[name], (x, y, x + width, y + height), seeing, binary[name])
+        boxes = self._stack.take(masks)
+        binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in masks.items()}
+        if self._settings.enabled:
+            for name, box in boxes.items():
+                self._resolve(self._views.number[name], box, seeing, binary[name])
         return binary
 
-    def _stack(self, masks: Masks) -> None:
-        """Copy all masks to one array; pixels of absent cameras, and unseen ones, are blind."""
-        for index, name in enumerate(self._views.names):
-            if name not in masks:
-                self._levels[index] = BLIND
-                continue
-            width, height = self._views.sizes[index]
-            own = self._levels[index, :height, :width]
-            cv2.bitwise_or(masks[name], self._blind[index, :height, :width], dst=own)
-
-    def _resolve(self, camera: int, box: tuple[int, int, int, int], seeing: int, binary: Mask) -> None:
-        """Correct the camera's ``binary`` mask within the box (left, top, right, bottom)."""
+    def _resolve(self, camera: int, box: Box, seeing: int, binary: Mask) -> None:
+        """Correct the camera's ``binary`` mask within the box."""
         min_height_m, scene = self._settings.min_height_m, self._scene
         if scene.centres[camera, 2] > max(min_height_m, LEAST_CENTRE_Z_M):
-            labels = PixelLabels.zeros(box)
-            label_pixels(scene, self._levels, camera, box, seeing, min_height_m, self._floor_px, labels)
-            apply_labels(scene.kind, self._levels[camera], box, labels, binary)
-
-
-def binary_mask(mask: Mask) -> Mask:
-    """Make a mask of 0 and 255 as a camera alone would: candidates are background, attenuated pixels the person."""
-    return np.asarray(cv2.threshold(mask, SHADOW_CANDIDATE, FOREGROUND, cv2.THRESH_BINARY)[1], np.uint8)
+            levels = self._stack.levels
+            _resolve(scene, levels, camera, box, (seeing, min_height_m), self._floor_px, self._labels, binary)
 
 
 class FloorScene(NamedTuple):
@@ -134,8 +111,8 @@ class PixelLabels(NamedTuple):
     applied: Mask
 
     @classmethod
-    def zeros(cls, box: tuple[int, int, int, int]) -> PixelLabels:
-        """Labels for a box: left, top, right, bottom."""
+    def zeros(cls, box: Box) -> PixelLabels:
+        """Labels for a box."""
         left, top, right, bottom = box
         return cls(*np.zeros((len(cls._fields), -(-(bottom - top) // STRIDE), -(-(right - left) // STRIDE)), np.uint8))
 
@@ -168,6 +145,22 @@ def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _resolve(scene, levels, camera, box, limits, floor_px, scratch, mask):
+    """Correct one camera's ``mask`` (h, w) of 0 and 255 in a box; limits : cameras that must see a voxel, least height.
+
+    scratch : labels for a whole canvas.
+    """
+    (left, top, right, bottom), (seeing, min_height) = box, limits
+    h, w = (bottom - top + STRIDE - 1) // STRIDE, (right - left + STRIDE - 1) // STRIDE
+    foreground, shadow, candidate = scratch.foreground[:h, :w], scratch.shadow[:h, :w], scratch.candidate[:h, :w]
+    labels = PixelLabels(foreground, shadow, candidate, scratch.body[:h, :w], scratch.applied[:h, :w])
+    for label in labels:
+        label[:] = 0
+    label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, labels)
+    apply_labels(scene.kind, levels[camera], box, labels, mask)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, labels):
     """Write the ``labels`` of one camera's attenuated pixels and candidates by rules 1 and 2.
 
@@ -197,10 +190,7 @@ def label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, label
                 continue
             if not (scene.low[1] - FLOOR_REACH_M < y < scene.high[1] + FLOOR_REACH_M):
                 continue
-            agree, contradict = _count_agreement(scene, levels, camera, level, x, y, floor_px)
-            if contradict > agree if kind == ATTENUATED else contradict <= agree:
-                continue  # nothing contradicts the camera's own label
-            if kind == ATTENUATED and agree == 0:
+            if not _is_in_question(scene, levels, camera, level, x, y, floor_px):
                 continue
             on_body = _meets_hull(scene, levels, camera, x, y, seeing, min_height, floor_px)
             if kind == ATTENUATED and not on_body:
@@ -253,12 +243,18 @@ def _most(found, among, row, column):
 
 
 @kernel
-def _count_agreement(scene, levels, camera, own, x, y, floor_px):
-    """Count the other cameras that see that floor place as attenuated as level ``own``, and those that do not."""
-    agree, contradict = 0, 0
-    for other in range(len(levels)):
+def _is_in_question(scene, levels, camera, own, x, y, floor_px):
+    """Check whether the other cameras' view of a floor place speaks against the kind of level ``own`` (rule 1).
+
+    The person (attenuated) is in question when a camera agrees that it is floor so attenuated, and no more contradict;
+    shadow (a candidate) when more contradict than agree. Cameras that can change nothing any more are not asked.
+    """
+    attenuated, cameras = scene.kind[own] == ATTENUATED, len(levels)
+    agree, contradict, left = 0, 0, cameras - 1
+    for other in range(cameras):
         if other == camera:
             continue
+        left -= 1
         for k in range(3):
             floor_px[other, k] = scene.P[other, k, 0] * x + scene.P[other, k, 1] * y + scene.P[other, k, 3]
         level = _level_at(scene, levels, other, camera, floor_px, 0.0)
@@ -272,7 +268,9 @@ def _count_agreement(scene, levels, camera, own, x, y, floor_px):
                 contradict += 1
             else:
                 agree += 1
-    return agree, contradict
+        if contradict > agree + left if attenuated else contradict + left <= agree:
+            return False
+    return agree > 0 or not attenuated
 
 
 @kernel

@@ -1,0 +1,161 @@
+"""The silhouettes of one frame set in one array, of which only the part that has or had foreground is written anew.
+
+A person takes a twentieth of a picture. So each mask is read once, eight pixels at a time, to find the box of its
+foreground; whatever follows (levels, binary masks, the places of pixels that may be shadow) stays inside that box.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE
+
+from .kernel import kernel
+from .views import Masks, RigViews
+
+BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
+DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from and to of pixels that may be shadow
+
+FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte of a word
+NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
+
+Mask = npt.NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+
+
+class LevelStack:
+    """Levels of all cameras of a rig, for one frame set after another. One thread at a time.
+
+    levels (N, H, W) uint8: of ``capture_rig.mask_levels``; BLIND where a camera is absent or does not see.
+    """
+
+    def __init__(self, views: RigViews) -> None:
+        self._views = views
+        self._blind = np.where(views.seen > 0, np.uint8(0), np.uint8(BLIND))
+        self.levels = np.full_like(views.seen, BLIND)
+        words = self._words = self.levels.view(np.uint64)
+        blind_words = self._blind.view(np.uint64)
+        n = len(views.names)
+        self._absent = np.ones(n, bool)
+        self._shown, self._doubtful = np.zeros((n, 4), np.int64), np.zeros((n, 4), np.int64)
+        self._of_camera = [
+            (blind_words[c], words[c], self.levels[c], self._shown[c], self._doubtful[c]) for c in range(n)
+        ]
+
+    def take(self, masks: Masks) -> dict[str, Box]:
+        """Take the masks (h, w) of one frame set; return the box of the pixels that may be shadow, where there are any.
+
+        By camera, in name order: left, top, right, bottom (exclusive). The masks must be those of the rig's canvases.
+        """
+        boxes = {}
+        for camera, name in enumerate(self._views.names):
+            if name in masks:
+                if self._absent[camera]:
+                    self.levels[camera], self._shown[camera], self._absent[camera] = self._blind[camera], 0, False
+                if _take(np.ascontiguousarray(masks[name]).view(np.uint64), *self._of_camera[camera]):
+                    left, top, right, bottom = self._doubtful[camera].tolist()
+                    boxes[name] = left, top, right, bottom
+            elif not self._absent[camera]:
+                self.levels[camera], self._absent[camera] = BLIND, True
+        return boxes
+
+    def binary(self, name: str, mask: Mask) -> Mask:
+        """Return :func:`binary_mask` of a mask that was taken with the last set."""
+        camera, binary = self._views.number[name], np.zeros_like(mask)
+        _threshold(self._words[camera], self._shown[camera], binary.view(np.uint64))
+        return binary
+
+
+def binary_mask(mask: Mask) -> Mask:
+    """Make a mask of 0 and 255 as a camera alone would: candidates are background, attenuated pixels the person."""
+    return np.where(mask > SHADOW_CANDIDATE, np.uint8(FOREGROUND), np.uint8(0))
+
+
+@kernel
+def _take(mask_words, blind_words, level_words, levels, shown, doubtful):  # type: ignore[no-untyped-def]
+    """Write the levels of one mask (h, w / 8), and the boxes (4,) of what it shows and of what may be shadow.
+
+    The words are pixels, eight to a word; levels (H, W) are the same as level_words. ``shown`` comes with the box of
+    the mask before, whose levels are forgotten. Returns whether any pixel may be shadow.
+    """
+    left, top, right, bottom = bounds_of_words(mask_words)
+    for v in range(shown[1], shown[3]):
+        first, last = shown[0] // 8, shown[2] // 8
+        _copy(blind_words[v, first:last], level_words[v, first:last])
+    shown[0], shown[1], shown[2], shown[3] = 8 * left, top, 8 * right, bottom
+    first, last, above, below = levels.shape[1], 0, levels.shape[0], 0
+    for v in range(top, bottom):
+        graded = _write_row(mask_words[v, left:right], blind_words[v, left:right], level_words[v, left:right])
+        if graded & NEITHER_SURE_NOR_BLIND:
+            first_here, last_here = _doubtful_part(levels[v, 8 * left : 8 * right])
+            if last_here > 0:
+                first, last = min(first, 8 * left + first_here), max(last, 8 * left + last_here)
+                above, below = min(above, v), v + 1
+    doubtful[0], doubtful[1], doubtful[2], doubtful[3] = first, above, last, below
+    return below > 0
+
+
+@kernel
+def _copy(source, target):  # type: ignore[no-untyped-def]
+    for word in range(source.size):
+        target[word] = source[word]
+
+
+@kernel
+def _write_row(mask_words, blind_words, level_words):  # type: ignore[no-untyped-def]
+    """Write the levels of a part of a row; return the bits of its pixels' distances from 0 or FOREGROUND."""
+    graded = np.uint64(0)
+    for word in range(mask_words.size):
+        pixels = mask_words[word] | blind_words[word]
+        level_words[word] = pixels
+        graded |= pixels ^ _spread_high_bits(pixels)
+    return graded
+
+
+@kernel
+def _spread_high_bits(pixels):  # type: ignore[no-untyped-def]
+    """Return 255 in every byte of a word that is above SHADOW_CANDIDATE = 127, 0 in the others."""
+    high = pixels >> np.uint64(7) & FIRST_BITS
+    return (high << np.uint64(8)) - high
+
+
+@kernel
+def _doubtful_part(row):  # type: ignore[no-untyped-def]
+    """Bound the pixels of a row that may be shadow: first, and last (exclusive); 0, 0 where there are none."""
+    for first in range(row.size):
+        if DARKEST <= row[first] <= LIGHTEST:
+            last = row.size
+            while not DARKEST <= row[last - 1] <= LIGHTEST:
+                last -= 1
+            return first, last
+    return 0, 0
+
+
+@kernel
+def _threshold(level_words, box, binary_words):  # type: ignore[no-untyped-def]
+    """Write FOREGROUND where levels (H, W / 8) in the box are above SHADOW_CANDIDATE, 0 elsewhere in it."""
+    for v in range(box[1], box[3]):
+        levels, binary = level_words[v, box[0] // 8 : box[2] // 8], binary_words[v, box[0] // 8 : box[2] // 8]
+        for word in range(levels.size):
+            binary[word] = _spread_high_bits(levels[word])
+
+
+@kernel
+def bounds_of_words(words):  # type: ignore[no-untyped-def]
+    """Bound all that is nonzero in (h, words): left, top, right, bottom, in words and rows; zeros where nothing is."""
+    left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
+    for v in range(words.shape[0]):
+        row = words[v]
+        filled = np.uint64(0)
+        for word in range(row.size):
+            filled |= row[word]
+        if filled != 0:
+            top, bottom = min(top, v), v + 1
+            first, last = 0, row.size
+            while row[first] == 0:
+                first += 1
+            while row[last - 1] == 0:
+                last -= 1
+            left, right = min(left, first), max(right, last)
+    return (left, top, right, bottom) if bottom else (0, 0, 0, 0)
