@@ -25,7 +25,8 @@ from sagoma_tools.graph.processes import Child, stop_children
 TREE = Path(__file__).resolve().parents[1]
 GRACE_S = 8.0
 PROCESSES: Mapping[str, tuple[str, ...]] = {
-    "three": ("hull_server.hull_node", "icp_tracker.icp_node", "ekf_tracker.ekf_node")
+    "one": ("mocap_pipeline.server_node",),
+    "three": ("hull_server.hull_node", "icp_tracker.icp_node", "ekf_tracker.ekf_node"),
 }
 """Modules to run, one a process."""
 

@@ -17,4 +17,5 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=True,
+    entry_points={"console_scripts": ["mocap_server = mocap_pipeline.server_node:main"]},
 )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+import threading
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -16,11 +18,12 @@ from visualization_msgs.msg import MarkerArray
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import NOTHING_SEEN, ReferencePoints
-from mocap_packets.state import BodyState, NoState, Tracking
+from mocap_packets.state import BodyState, NoState, Prediction, Tracking
+from sagoma_ros.exchange import Delivery, HeardPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.health import ERROR, OK, WARN
-from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import (
+    Text,
     covariance_message,
     joint_state_message,
     packet_cloud,
@@ -51,7 +54,8 @@ class EkfNode(SagomaNode):
 
     def __init__(self, **options: object) -> None:
         super().__init__("ekf_tracker", **options)
-        self._entities: list[tuple[str, object]] = []
+        self._closing: list[Callable[[], object]] = []  # releases what configure has opened
+        self._answering = threading.RLock()  # points may come on the tracker's thread, body and requests on ours
         self._humans: Humans = NoHumans()
         self._filter = ArticulatedEkf()
         self._active = False
@@ -66,35 +70,38 @@ class EkfNode(SagomaNode):
         warm_up()
         self._humans = make_humans(self, self.settings.publish_humans, self.settings.body_id, self.settings.frame_id)
         self._open_publishers()
-        if body is None:
-            self._keep("subscription", self.create_subscription(String, BODY_TOPIC, self._on_body, LATCHED))
-        self._keep("subscription", self.create_subscription(PointCloud2, POINTS_TOPIC, self._on_points, RESULT))
-        self._keep("service", self.create_service(Trigger, "~/reset", self._on_reset))
+        service = self.create_service(Trigger, "~/reset", self._on_reset)
         wall_time = Clock(clock_type=ClockType.STEADY_TIME)  # a person waits, whatever time the sets are of
         wait_s = max(self.settings.body_wait_s, 1e-3)
         self._body_timeout = self.create_timer(wait_s, self._answer_waiting, clock=wall_time, autostart=False)
-        self._keep("timer", self._body_timeout)
+        self._closing += [partial(self.destroy_service, service), partial(self.destroy_timer, self._body_timeout)]
+        if body is None:
+            self._closing.append(PacketSubscription(self, String, BODY_TOPIC, self._on_body, LATCHED).close)
+        self._closing.append(PacketSubscription(self, PointCloud2, POINTS_TOPIC, self._on_points).close)
 
     def activate(self) -> None:
         """Answer sets from now on."""
-        self._active = True
+        with self._answering:
+            self._active = True
 
     def deactivate(self) -> None:
         """Ignore sets from now on; the state is kept."""
-        self._active = False
+        with self._answering:
+            self._active = False
 
     def cleanup(self) -> None:
         """Close topics, forget body and state."""
-        for kind, entity in self._entities:
-            getattr(self, f"destroy_{kind}")(entity)
-        self._entities.clear()
-        self._humans.close()
-        self._humans, self._filter = NoHumans(), ArticulatedEkf()
+        for close in self._closing:
+            close()
+        self._closing.clear()
+        with self._answering:
+            self._humans.close()
+            self._humans, self._filter = NoHumans(), ArticulatedEkf()
 
     def _open_publishers(self) -> None:
-        def publisher(kind: type, topic: str) -> Publisher:
-            opened = self.create_publisher(kind, topic, RESULT)
-            self._keep("publisher", opened)
+        def publisher(kind: type, topic: str) -> HeardPublisher:
+            opened = HeardPublisher(self, kind, topic)
+            self._closing.append(opened.close)
             return opened
 
         self._joint_states = publisher(JointState, "mocap/joint_states")
@@ -103,28 +110,30 @@ class EkfNode(SagomaNode):
         self._reference_points = publisher(PointCloud2, "mocap/reference_points")
         self._skeleton = publisher(MarkerArray, "mocap/skeleton")
         self._state = publisher(DiagnosticStatus, "mocap/state")
-        self._prediction = publisher(JointState, "ekf/prediction")
+        self._prediction = PacketPublisher[Prediction](self, JointState, "ekf/prediction", _prediction_message)
+        self._closing.append(self._prediction.close)
 
-    def _keep(self, kind: str, entity: object) -> None:
-        self._entities.append((kind, entity))
+    def _on_body(self, delivery: Delivery[Text]) -> None:
+        text = (delivery.packet or delivery.message).data
+        with self._answering:
+            if text == self._body_text:
+                return
+            try:
+                body = parse_body(text, BODY_TOPIC)
+            except InputError as error:
+                self._drop("bad_body", error)
+                return
+            self._body_text = text
+            self._filter.follow(body)
+            self.get_logger().info(f"body of {BODY_TOPIC}: stature {body.stature:.2f} m")
+            self._answer_waiting()
 
-    def _on_body(self, message: String) -> None:
-        if message.data == self._body_text:
-            return
-        try:
-            body = parse_body(message.data, BODY_TOPIC)
-        except InputError as error:
-            self._drop("bad_body", error)
-            return
-        self._body_text = message.data
-        self._filter.follow(body)
-        self.get_logger().info(f"body of {BODY_TOPIC}: stature {body.stature:.2f} m")
-        self._answer_waiting()
+    def _on_points(self, points: Delivery[ReferencePoints]) -> None:
+        with self._answering:
+            if self._active:
+                self._take(points.stamp_ns, self._read(points))
 
-    def _on_points(self, cloud: PointCloud2) -> None:
-        if not self._active:
-            return
-        stamp_ns, measured = to_ns(cloud.header.stamp), self._read(cloud)
+    def _take(self, stamp_ns: int, measured: ReferencePoints) -> None:
         if self._filter.body is None and measured.visible.any():  # the body was measured with this set, and will come
             self._waiting.append((stamp_ns, measured))
             if len(self._waiting) > RESULT.depth:
@@ -134,17 +143,20 @@ class EkfNode(SagomaNode):
         self._answer(stamp_ns, measured)
 
     def _answer_waiting(self) -> None:
-        self._body_timeout.cancel()
-        while self._waiting:
-            self._answer(*self._waiting.popleft())
+        with self._answering:
+            self._body_timeout.cancel()
+            while self._waiting:
+                self._answer(*self._waiting.popleft())
 
-    def _read(self, cloud: PointCloud2) -> ReferencePoints:
-        """Points, covariances, visibility of a cloud; of one that cannot be used, that nothing was seen."""
+    def _read(self, delivery: Delivery[ReferencePoints]) -> ReferencePoints:
+        """Points, covariances, visibility; of a cloud that cannot be used, that nothing was seen."""
         try:
-            if cloud.header.frame_id != self.settings.frame_id:
+            if delivery.frame_id != self.settings.frame_id:
                 remedy = f"Publish in '{self.settings.frame_id}', or set the parameter frame_id."
-                raise InputError(f"frame_id is '{cloud.header.frame_id}'", where=POINTS_TOPIC, remedy=remedy)
-            return read_reference_points(cloud, POINTS_TOPIC)
+                raise InputError(f"frame_id is '{delivery.frame_id}'", where=POINTS_TOPIC, remedy=remedy)
+            if delivery.packet is not None:
+                return delivery.packet.as_sent()
+            return read_reference_points(delivery.message, POINTS_TOPIC)
         except InputError as error:
             self._drop("bad_points", error)
             return NOTHING_SEEN
@@ -156,8 +168,8 @@ class EkfNode(SagomaNode):
             self._publish_body(result)
         else:
             self._humans.absent(stamp_ns)
-        self._state.publish(state_message(result, self.get_fully_qualified_name()))
-        self._prediction.publish(prediction_message(result.prediction, self.settings.frame_id))
+        self._state.publish(state_message, result, self.get_fully_qualified_name())
+        self._prediction.publish(result.prediction, stamp_ns, self.settings.frame_id)
         self.health.status(HEALTH[result.tracking], f"{result.tracking}: {result.reason}")
         self.health.tick(stamp_ns)
 
@@ -185,15 +197,15 @@ class EkfNode(SagomaNode):
     def _publish_body(self, state: BodyState) -> None:
         frame, body = self.settings.frame_id, self._filter.body
         assert body is not None
-        self._joint_states.publish(joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame))
-        self._torso.publish(torso_message(state, frame))
-        self._joint_covariance.publish(covariance_message(TANGENT_NAMES, state.covariance[POSE, POSE]))
-        self._reference_points.publish(packet_cloud(state.reference_points, state.stamp_ns, frame))
+        self._joint_states.publish(joint_state_message, ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame)
+        self._torso.publish(torso_message, state, frame)
+        self._joint_covariance.publish(covariance_message, TANGENT_NAMES, state.covariance[POSE, POSE])
+        self._reference_points.publish(packet_cloud, state.reference_points, state.stamp_ns, frame)
         if state.stamp_ns >= self._next_skeleton_ns:
             rate = self.settings.skeleton_rate_hz
             self._next_skeleton_ns = state.stamp_ns + (round(NS_PER_S / rate) if rate else 0)
             with_ellipsoids = self.settings.skeleton_covariance
-            self._skeleton.publish(skeleton_markers(state, body, frame, with_ellipsoids))
+            self._skeleton.publish(skeleton_markers, state, body, frame, with_ellipsoids)
         self._humans.present(state, body)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -202,12 +214,17 @@ class EkfNode(SagomaNode):
         return response
 
     def _start_anew(self) -> None:
-        self._backwards, self._next_skeleton_ns = 0, 0
-        self._filter.reset()
+        with self._answering:
+            self._backwards, self._next_skeleton_ns = 0, 0
+            self._filter.reset()
 
     def _drop(self, counter: str, error: InputError) -> None:
         self.health.count(counter)
         self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+
+def _prediction_message(prediction: Prediction, stamp_ns: int, frame_id: str) -> JointState:
+    return prediction_message(prediction, frame_id)
 
 
 def main(args: list[str] | None = None) -> None:

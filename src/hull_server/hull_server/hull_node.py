@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from time import monotonic_ns
@@ -13,14 +14,16 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
+from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from sagoma_ros import mask_png
+from sagoma_ros.exchange import HeardPublisher, PacketPublisher
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette, support_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
 from sagoma_ros.process import run_node
-from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
+from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
@@ -74,7 +77,7 @@ class HullNode(SagomaNode):
         self._heard_ns: dict[str, int] = {}
         self._left_out: tuple[str, ...] = ()
         self._moved: set[str] = set()
-        self._handles: list = []
+        self._closing: list[Callable[[], object]] = []  # releases what configure has opened
 
     def configure(self) -> None:
         """Load the rig, compute the calibration's tables, subscribe."""
@@ -121,9 +124,9 @@ class HullNode(SagomaNode):
 
     def cleanup(self) -> None:
         """Release subscriptions, publishers and the backend."""
-        for destroy, handle in self._handles:
-            destroy(handle)
-        self._handles = []
+        for close in self._closing:
+            close()
+        self._closing = []
         if self._mesh is not None:
             self._mesh.close()
             self._mesh = None
@@ -133,15 +136,15 @@ class HullNode(SagomaNode):
         self.refused = {}
 
     def _advertise(self) -> None:
-        self._contour_rays = self.create_publisher(PointCloud2, "hull/contour_rays", RESULT)
-        self._centerline = self.create_publisher(PointCloud2, "hull/centerline", RESULT)
-        self._voxels = self.create_publisher(PointCloud2, "hull/voxels", RESULT)
-        self._frame_set = self.create_publisher(DiagnosticArray, "hull/frame_set", RESULT)
+        self._contour_rays = PacketPublisher[ContourRays](self, PointCloud2, "hull/contour_rays", packet_cloud)
+        self._centerline = PacketPublisher[Centerline](self, PointCloud2, "hull/centerline", packet_cloud)
+        self._voxels = PacketPublisher[VoxelSamples](self, PointCloud2, "hull/voxels", packet_cloud)
+        self._frame_set = HeardPublisher(self, DiagnosticArray, "hull/frame_set")
         self._supports = {
-            camera: self.create_publisher(Image, f"{camera}/silhouette/support", RESULT) for camera in self._canvases
+            camera: HeardPublisher(self, Image, f"{camera}/silhouette/support") for camera in self._canvases
         }
-        publishers = self._contour_rays, self._centerline, self._voxels, self._frame_set, *self._supports.values()
-        self._handles += [(self.destroy_publisher, publisher) for publisher in publishers]
+        self._closing += [self._contour_rays.close, self._centerline.close, self._voxels.close, self._frame_set.close]
+        self._closing += [publisher.close for publisher in self._supports.values()]
 
     def _subscribe(self) -> None:
         qos = SILHOUETTE_RELIABLE_SUBSCRIBER if self.settings.reliable else SILHOUETTE_SUBSCRIBER
@@ -151,10 +154,10 @@ class HullNode(SagomaNode):
                 (CameraInfo, f"{camera}/camera_info", self._on_camera_info),
             ):
                 subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos)
-                self._handles.append((self.destroy_subscription, subscription))
+                self._closing.append(partial(self.destroy_subscription, subscription))
         self._poll = self.create_timer(POLL_S, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._polled_at_ns = 0
-        self._handles.append((self.destroy_timer, self._poll))
+        self._closing.append(partial(self.destroy_timer, self._poll))
 
     def _on_silhouette(self, camera: str, topic: str, message: CompressedImage) -> None:
         if self._collector is None:
@@ -238,12 +241,12 @@ class HullNode(SagomaNode):
         self._mesh.keep(result)
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:
-            self._supports[report.camera].publish(support_message(report))
+            self._supports[report.camera].publish(support_message, report)
         # the centerline last but one: the tracker starts to fit when it arrives, with the contour rays that it has
         products = result.products
-        self._contour_rays.publish(packet_cloud(products.contour_rays, products.stamp_ns, frame_id))
-        self._centerline.publish(packet_cloud(products.centerline, products.stamp_ns, frame_id))
-        self._voxels.publish(packet_cloud(products.voxels, products.stamp_ns, frame_id))
+        self._contour_rays.publish(products.contour_rays, products.stamp_ns, frame_id)
+        self._centerline.publish(products.centerline, products.stamp_ns, frame_id)
+        self._voxels.publish(products.voxels, products.stamp_ns, frame_id)
         published_ns = self.get_clock().now().nanoseconds
         times_ms = {
             "spread_ms": frame_set.spread_ns / 1e6,
@@ -252,7 +255,7 @@ class HullNode(SagomaNode):
             "hull_ms": (published_ns - carved.begun_ns) / 1e6,
             "published_ms": (published_ns - frame_set.stamp_ns) / 1e6,  # capture to published
         }
-        self._frame_set.publish(frame_set_message(result, times_ms))
+        self._frame_set.publish(frame_set_message, result, times_ms)
         self._report(result)
         self.health.tick(frame_set.stamp_ns)
 

@@ -14,14 +14,16 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
-from mocap_packets.fit import Fit
+from mocap_packets.fit import Fit, ReferencePoints
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
+from mocap_packets.state import Prediction
+from sagoma_ros.exchange import Delivery, HeardPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.health import OK, WARN
-from sagoma_ros.messages import key_values, to_ns, to_stamp
+from sagoma_ros.messages import key_values, to_stamp
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import packet_cloud, read_finite, read_prediction
+from sagoma_ros.packets import Text, packet_cloud, read_finite, read_prediction
 from sagoma_ros.process import run_node
-from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.qos import LATCHED
 from sagoma_ros.worker import Mailbox, Worker
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
@@ -43,9 +45,9 @@ class IcpNode(SagomaNode):
     def __init__(self, name: str = "icp_tracker", **options: object) -> None:
         super().__init__(name, **options)
         self._tracker: IcpTracker | None = None
-        self._worker: Worker[PointCloud2] | None = None
-        self._subscriptions_held: list = []
-        self._publishers_held: list = []
+        self._worker: Worker[Delivery[Centerline]] | None = None
+        self._subscriptions_held: list[PacketSubscription] = []
+        self._publishers_held: list[PacketPublisher | HeardPublisher] = []
         self._lock = threading.Lock()  # tracker and last stamp: worker against ~/reset
         self._last_stamp_ns = -1
         self._state = ""
@@ -57,9 +59,11 @@ class IcpNode(SagomaNode):
         settings: IcpNodeSettings = self.settings
         self._tracker = make_tracker(settings)
         warm_up(settings)
-        self._points_publisher = self.create_publisher(PointCloud2, "icp/reference_points", RESULT)
-        self._fit_publisher = self.create_publisher(DiagnosticArray, "icp/fit", RESULT)
-        self._body_publisher = self.create_publisher(String, "icp/body", LATCHED)
+        self._points_publisher = PacketPublisher[ReferencePoints](
+            self, PointCloud2, "icp/reference_points", packet_cloud
+        )
+        self._fit_publisher = HeardPublisher(self, DiagnosticArray, "icp/fit")
+        self._body_publisher = PacketPublisher[Text](self, String, "icp/body", Text.to_message, LATCHED)
         self._publishers_held = [self._points_publisher, self._fit_publisher, self._body_publisher]
         self._reset_service = self.create_service(Trigger, "~/reset", self._on_reset)
         self._save_body = SaveBodyService(self, settings.bodies)
@@ -67,8 +71,8 @@ class IcpNode(SagomaNode):
     def activate(self) -> None:
         settings: IcpNodeSettings = self.settings
         self._feedback = FilterFeedback(settings.prediction_wait_s)
-        self._voxels: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
-        self._contour_rays: Mailbox[PointCloud2] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
+        self._voxels: Mailbox[Delivery[VoxelSamples]] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
+        self._contour_rays: Mailbox[Delivery[ContourRays]] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
         self._last_stamp_ns = -1
         self._worker = Worker(
             "icp",
@@ -78,15 +82,15 @@ class IcpNode(SagomaNode):
             on_error=self._on_error,
         )
         self._subscriptions_held = [
-            self.create_subscription(PointCloud2, "hull/centerline", self._on_centerline, RESULT),
-            self.create_subscription(PointCloud2, "hull/voxels", self._on_voxels, RESULT),
-            self.create_subscription(PointCloud2, "hull/contour_rays", self._on_contour_rays, RESULT),
-            self.create_subscription(JointState, "ekf/prediction", self._on_prediction, RESULT),
+            PacketSubscription(self, PointCloud2, "hull/centerline", self._on_centerline),
+            PacketSubscription(self, PointCloud2, "hull/voxels", self._on_voxels),
+            PacketSubscription(self, PointCloud2, "hull/contour_rays", self._on_contour_rays),
+            PacketSubscription(self, JointState, "ekf/prediction", self._on_prediction),
         ]
 
     def deactivate(self) -> None:
         for subscription in self._subscriptions_held:
-            self.destroy_subscription(subscription)
+            subscription.close()
         self._subscriptions_held = []
         if self._worker is not None:
             self._feedback.mailbox.close()
@@ -97,7 +101,7 @@ class IcpNode(SagomaNode):
 
     def cleanup(self) -> None:
         for publisher in self._publishers_held:
-            self.destroy_publisher(publisher)
+            publisher.close()
         if self._publishers_held:
             self.destroy_service(self._reset_service)
             self._save_body.close()
@@ -107,21 +111,24 @@ class IcpNode(SagomaNode):
 
     # --- callbacks -----------------------------------------------------------------------------------------------
 
-    def _on_centerline(self, message: PointCloud2) -> None:
+    def _on_centerline(self, line: Delivery[Centerline]) -> None:
         if self._worker is not None:
-            self._worker.put(message)
+            self._worker.put(line)
 
-    def _on_voxels(self, message: PointCloud2) -> None:
+    def _on_voxels(self, voxels: Delivery[VoxelSamples]) -> None:
         if self._tracker is not None and self._tracker.needs_voxels:
-            self._voxels.put(to_ns(message.header.stamp), message)
+            self._voxels.put(voxels.stamp_ns, voxels)
 
-    def _on_contour_rays(self, message: PointCloud2) -> None:
+    def _on_contour_rays(self, rays: Delivery[ContourRays]) -> None:
         if self._tracker is not None and self._tracker.needs_contour_rays:
-            self._contour_rays.put(to_ns(message.header.stamp), message)
+            self._contour_rays.put(rays.stamp_ns, rays)
 
-    def _on_prediction(self, message: JointState) -> None:
+    def _on_prediction(self, prediction: Delivery[Prediction]) -> None:
+        if prediction.packet is not None:
+            self._feedback.put(prediction.packet.as_sent())
+            return
         try:
-            self._feedback.put(read_prediction(message, self.resolve_topic_name("ekf/prediction")))
+            self._feedback.put(read_prediction(prediction.message, self.resolve_topic_name("ekf/prediction")))
         except InputError as error:
             self._refuse("bad_predictions", error)
 
@@ -136,12 +143,12 @@ class IcpNode(SagomaNode):
 
     # --- one frame set, on the worker's thread -------------------------------------------------------------------
 
-    def _process(self, message: PointCloud2) -> None:
-        stamp_ns = to_ns(message.header.stamp)
+    def _process(self, centerline: Delivery[Centerline]) -> None:
+        stamp_ns = centerline.stamp_ns
         if stamp_ns <= self._last_stamp_ns:
             self.health.count("backward_stamps")
             return
-        line = self._read(message, Centerline, "centerline")
+        line = self._read(centerline, Centerline, "centerline")
         seen = HullProducts(stamp_ns, line, self._voxels_of(stamp_ns), self._contour_rays_of(stamp_ns))
         prediction = self._feedback.after_previous_set()
         with self._lock:
@@ -154,33 +161,35 @@ class IcpNode(SagomaNode):
             self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
         self._feedback.asked(stamp_ns)
         self._publish_body(stamp_ns, body)
-        self._publish(result, message.header.frame_id)
+        self._publish(result, centerline.frame_id)
 
     def _voxels_of(self, stamp_ns: int) -> VoxelSamples:
         """Return the set's voxels, if they are wanted and there."""
         if self._tracker is None or not self._tracker.needs_voxels:
             return NO_VOXELS
-        message = self._voxels.take(stamp_ns)
-        if message is None:
+        voxels = self._voxels.take(stamp_ns)
+        if voxels is None:
             self.health.count("sets_without_voxels")
             return NO_VOXELS
-        return self._read(message, VoxelSamples, "voxels")
+        return self._read(voxels, VoxelSamples, "voxels")
 
     def _contour_rays_of(self, stamp_ns: int) -> ContourRays:
         """Return the set's contour rays, if they are wanted and there."""
         if self._tracker is None or not self._tracker.needs_contour_rays:
             return NO_CONTOUR_RAYS
-        message = self._contour_rays.take(stamp_ns)
-        if message is None:
+        rays = self._contour_rays.take(stamp_ns)
+        if rays is None:
             self.health.count("sets_without_contour_rays")
             return NO_CONTOUR_RAYS
-        return self._read(message, ContourRays, "contour_rays")
+        return self._read(rays, ContourRays, "contour_rays")
 
-    def _read(self, message: PointCloud2, kind: type[T], name: str) -> T:
-        """A cloud's rows of finite numbers; none when the cloud is damaged: the set still gets its answer, so that
-        nobody waits for it."""
+    def _read(self, delivery: Delivery[T], kind: type[T], name: str) -> T:
+        """A packet as it was sent; of a cloud, its rows of finite numbers, none when it is damaged: the set still gets
+        its answer, so that nobody waits for it."""
+        if delivery.packet is not None:
+            return delivery.packet.as_sent()
         try:
-            packet, dropped = read_finite(message, kind, self.resolve_topic_name(f"hull/{name}"))
+            packet, dropped = read_finite(delivery.message, kind, self.resolve_topic_name(f"hull/{name}"))
         except InputError as error:
             self._refuse(f"bad_{name}", error)
             return kind.from_table(np.empty(0, kind.LAYOUT))
@@ -191,15 +200,15 @@ class IcpNode(SagomaNode):
     def _publish_body(self, stamp_ns: int, body: Body | None) -> None:
         """The body as latched YAML, before the first points that were fitted with it: the filter takes the same."""
         if body is not None and body is not self._published_body:
-            self._body_publisher.publish(String(data=format_body(body, source="icp_tracker")))
+            self._body_publisher.publish(Text(format_body(body, source="icp_tracker")), stamp_ns, "")
             self._published_body = body
             refined = self._tracker.refined_body if self._tracker is not None else None
             known = refined is not None and refined.keyframes > 0  # else thickness is but the average's
             self._save_body.keep(SavedBody(stamp_ns, body, refined.girths if refined and known else None))
 
     def _publish(self, result: Fit, frame_id: str) -> None:
-        self._fit_publisher.publish(fit_message(result, self.settings.method))
-        self._points_publisher.publish(packet_cloud(result.reference_points, result.stamp_ns, frame_id))
+        self._points_publisher.publish(result.reference_points, result.stamp_ns, frame_id)
+        self._fit_publisher.publish(fit_message, result, self.settings.method)
         self.health.tick(result.stamp_ns)
         self.health.set("late_predictions", self._feedback.mailbox.timeouts)
         summary = f"{result.state}: {result.reason}" if result.reason else result.state

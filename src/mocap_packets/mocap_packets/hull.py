@@ -77,6 +77,10 @@ class Centerline:
             table["body"].astype(np.int32),
         )
 
+    def as_sent(self) -> Centerline:
+        """Return the same, rounded to float32 as its cloud is."""
+        return Centerline.from_table(self.to_table())
+
 
 @dataclass(frozen=True, eq=False)
 class VoxelSamples:
@@ -120,6 +124,10 @@ class VoxelSamples:
     def from_table(cls, table: np.ndarray) -> VoxelSamples:
         """Return the inverse of :meth:`to_table`."""
         return cls(columns(table, "x", "y", "z"), table["surface"] > 0.5, table["body"].astype(np.int32))
+
+    def as_sent(self) -> VoxelSamples:
+        """Return the same, rounded to float32 as its cloud is."""
+        return VoxelSamples.from_table(self.to_table())
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +188,10 @@ class ContourRays:
             table["camera"].astype(np.int32),
         )
 
+    def as_sent(self) -> ContourRays:
+        """Return the same, rounded to float32 as its cloud is."""
+        return ContourRays.from_table(self.to_table())
+
 
 NO_CENTERLINE = Centerline.of_points(np.empty((0, 3)))
 NO_VOXELS = VoxelSamples(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
@@ -209,10 +221,8 @@ class HullProducts:
 
     def as_sent(self) -> HullProducts:
         """Return the same, rounded to float32 as the clouds between the nodes are."""
-        line, voxels, rays = self.centerline.to_table(), self.voxels.to_table(), self.contour_rays.to_table()
-        return HullProducts(
-            self.stamp_ns, Centerline.from_table(line), VoxelSamples.from_table(voxels), ContourRays.from_table(rays)
-        )
+        line, voxels, rays = self.centerline.as_sent(), self.voxels.as_sent(), self.contour_rays.as_sent()
+        return HullProducts(self.stamp_ns, line, voxels, rays)
 
     def finite(self) -> tuple[HullProducts, int]:
         """Return the same with the centerline points that are finite numbers, and how many were not."""

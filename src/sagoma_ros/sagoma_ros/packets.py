@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
@@ -30,6 +31,17 @@ class Table(Protocol):
 
 
 T = TypeVar("T", bound=Table)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A packet that is a document, such as a body's YAML."""
+
+    data: str
+
+    def to_message(self, stamp_ns: int, frame_id: str) -> String:
+        """Return it as a message, which has no stamp."""
+        return String(data=self.data)
 
 
 def packet_cloud(packet: Table, stamp_ns: int, frame_id: str) -> PointCloud2:

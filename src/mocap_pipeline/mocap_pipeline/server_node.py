@@ -1,0 +1,24 @@
+"""The server in one process: hull, ICP and EKF nodes on one executor, which hand their packets over in memory.
+
+The nodes keep their names, parameters, services and topics; what they send each other is on the wire only when
+somebody else listens. The filter answers on the tracker's thread, so that a set changes threads three times: from the
+executor to the carver, the slicer and the tracker.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from ekf_tracker.ekf_node import EkfNode
+from hull_server.hull_node import HullNode
+from icp_tracker.icp_node import IcpNode
+from sagoma_ros.process import run_nodes
+
+
+def main(args: list[str] | None = None) -> None:
+    """Entry point of the executable ``mocap_server``."""
+    sys.exit(run_nodes([HullNode, IcpNode, EkfNode], args))
+
+
+if __name__ == "__main__":
+    main()
