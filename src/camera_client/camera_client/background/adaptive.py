@@ -21,7 +21,7 @@ from scipy.special import chdtri
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from .expected_image import At, ExpectedImage, Floats
-from .kernels import HIGHEST, SCALE
+from .kernels import HIGHEST, SCALE, take_residuals, take_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
@@ -31,7 +31,8 @@ from .slow_changes import SlowChanges
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
 BANDS, SWEEP_S = 8, 0.15  # the expected image is renewed in so many frames, or sooner when frames are rare
-NOISE_FRAMES = 4  # the noise is measured in every so many frames
+NOISE_FRAMES, NOISE_S = 4, 0.12  # the noise is measured in every so many frames, and not more often
+SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 4  # a large displacement takes more than one linear step
 CLIPPED = 250.0  # grey levels from which a sample tells nothing of noise and displacement
@@ -79,10 +80,12 @@ class AdaptiveBackground:
         self._light = LightEstimator(cell, channels)
         self._shift = ShiftEstimator((height, width))
         self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
+        self._blocks = -(-height // block_px), -(-width // block_px)
+        self._sampled = self._indices(self._row, self._column)
         self._dense: Mask | None = None
         self._last_ns: int | None = None
         self._next_row, self._sweep_s, self._last_sweep_s = 0, 0.0, 0.0
-        self._frames, self._since_noise_s = 0, 0.0
+        self._frames, self._since_noise_s, self._since_shift_s = 0, 0.0, 0.0
         self._place()
 
     # --- the frame's answer
@@ -136,8 +139,9 @@ class AdaptiveBackground:
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(picture, step_s)
         self._follow_noise(rest, step_s, first)
-        steps, at_once = MOST_STEPS, first
-        while steps and self._follow_shift(picture, step_s, at_once):
+        self._since_shift_s += step_s
+        steps, at_once = MOST_STEPS if first or self._since_shift_s >= SHIFT_S else 0, first
+        while steps and self._follow_shift(picture, at_once):
             self._place()
             if first:
                 self._follow_light(picture, step_s)
@@ -148,13 +152,17 @@ class AdaptiveBackground:
         self._frames += 1
 
     def _follow_light(self, picture: Image, step_s: float) -> Floats:
-        at = self._row, self._column
-        return self._light.update(picture[at].astype(np.float32), *self._image.samples(*at), self._trust(*at), step_s)
+        """Return what is left of the samples (n, C), grey levels."""
+        shape, n = self._image.shape, len(self._row)
+        samples, trust = np.empty((3, shape[2], n), np.float32), np.empty(n, np.float32)
+        pixels, (levels, precision, _) = picture.reshape(-1, shape[2]), self._image.flat()
+        take_samples(pixels, levels, precision, *self._sampled, self._doubted(), DOUBTED, samples, trust)
+        return self._light.update(samples, trust, step_s).T
 
     def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
         self._since_noise_s += step_s
-        if not first and self._frames % NOISE_FRAMES:
+        if not first and (self._frames % NOISE_FRAMES or self._since_noise_s < NOISE_S):
             return
         level = self._image.samples(self._row, self._column)[0] * self.light.gain
         sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
@@ -166,19 +174,31 @@ class AdaptiveBackground:
         self._noise = self._noise.moved(found, 1 - math.exp(-self._since_noise_s / FOLLOW_S))
         self._since_noise_s = 0.0
 
-    def _follow_shift(self, picture: Image, step_s: float, first: bool) -> bool:
+    def _follow_shift(self, picture: Image, first: bool) -> bool:
         if not self._shift.measurable:
             return False
-        at = self._shift.row, self._shift.column
-        level = self._image.samples(*at)[0] * self.light.gain
-        rest = picture[at].astype(np.float32) - level - self.light.offset
-        variance = (self._noise.variance(level) + self._image.excess(*at)).astype(np.float32)
+        step_s, self._since_shift_s = self._since_shift_s, 0.0
+        at, channels = self._indices(self._shift.row, self._shift.column), self._image.shape[2]
+        out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
+        pixels, (levels, _, excess) = picture.reshape(-1, channels), self._image.flat()
+        light, noise = (
+            np.stack(pair) for pair in ((self.light.gain, self.light.offset), (self._noise.read, self._noise.slope))
+        )
+        take_residuals(pixels, levels, excess, at, self._doubted(), DOUBTED, light, noise, CLIPPED, out, trust)
         before = self._shift.total
-        trust = self._trust(*at) * (picture[at] < CLIPPED).all(axis=1)
-        moved = self._shift.update(rest, self.light.gain, variance, trust, step_s, first)
+        moved = self._shift.update(out[0], self.light.gain, out[1], trust, step_s, first)
         if moved:
             self._slow.local = self._shift.total.after(before).moved(self._slow.local)
         return moved
+
+    def _indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Return the index of each pixel in the picture, and of its block in the picture's blocks, (2, n)."""
+        side = self._block_px
+        return np.stack([row * self._image.shape[1] + column, row // side * self._blocks[1] + column // side])
+
+    def _doubted(self) -> Mask:
+        """Return the blocks (n,) near foreground of a frame ago, not 0."""
+        return np.zeros(math.prod(self._blocks), np.uint8) if self._dense is None else self._dense.reshape(-1)
 
     def _trust(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
         if self._dense is None:

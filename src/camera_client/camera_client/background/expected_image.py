@@ -57,9 +57,10 @@ class ExpectedImage:
         """Return level / gain, without the offset, and precision of some pixels, both (n, C)."""
         return self._levels[row, column], self._precision[row, column]
 
-    def excess(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
-        """Return the variance of some pixels (n, C) beyond the noise's."""
-        return self._excess[row, column]
+    def flat(self) -> tuple[Floats, Floats, Floats]:
+        """Return level / gain without the offset, precision, and variance beyond the noise's, (H W, C)."""
+        shape = -1, self.shape[2]
+        return self._levels.reshape(shape), self._precision.reshape(shape), self._excess.reshape(shape)
 
     def levels(self, at: At, light: Light) -> Floats:
         """Return the grey levels of a part: (h, w), of colour images (h, w, 3)."""

@@ -149,6 +149,93 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
 
 
 @njit(**OPTIONS)
+def take_samples(picture, levels, precision, place, block, doubted, weight, out, trust):  # type: ignore[no-untyped-def]
+    """Collect what the light is fitted to, at some places of the picture.
+
+    picture (H W, C) uint8, levels, precision (H W, C) float32; place, block (n,) : index of each sample, and of its
+    block in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, precision. trust (n,) float32 :
+    written: ``weight`` where the block is doubted, else 1.
+    """
+    for i in range(len(place)):
+        at = place[i]
+        for c in range(picture.shape[1]):
+            out[0, c, i], out[1, c, i], out[2, c, i] = picture[at, c], levels[at, c], precision[at, c]
+        trust[i] = F32(weight) if doubted[block[i]] else F32(1)
+
+
+@njit(**OPTIONS)
+def take_residuals(picture, levels, excess, at, doubted, weight, light, noise, white, out, trust):  # type: ignore[no-untyped-def]
+    """Collect what the displacement is fitted to, at some places of the picture.
+
+    picture (H W, C) uint8, levels, excess (H W, C) float32; at (2, n) : index of each place, and of its block in
+    ``doubted`` (blocks,) uint8. light (2, C) : gain and offset; noise (2, C) : read and slope. out (2, n, C) float32 :
+    written: picture - gain level - offset, and the variance of that. trust (n,) float32 : written: ``weight`` where the
+    block is doubted, 0 from the level ``white`` on, else 1.
+    """
+    for i in range(at.shape[1]):
+        k = at[0, i]
+        trust[i] = F32(weight) if doubted[at[1, i]] else F32(1)
+        for c in range(picture.shape[1]):
+            level = light[0, c] * levels[k, c]
+            out[0, i, c] = picture[k, c] - level - light[1, c]
+            out[1, i, c] = noise[0, c] + noise[1, c] * level + excess[k, c]
+            if picture[k, c] >= white:
+                trust[i] = F32(0)
+
+
+@njit(**OPTIONS)
+def weigh_samples(samples, trust, gain, offset, least, near2, usable):  # type: ignore[no-untyped-def]
+    """Write each sample's weight ``usable`` (C, n) float32 for the fit of the light; see ``LightEstimator.update``.
+
+    samples (3, C, n) : of :func:`take_samples`. trust (n,). least : weight at least of what lies within the squared
+    distance ``near2`` of the light until now, gain and offset (C,).
+    """
+    seen, expected, precision = samples[0], samples[1], samples[2]
+    for i in range(len(trust)):
+        most = F32(0)
+        for c in range(len(seen)):
+            rest = seen[c, i] - gain[c] * expected[c, i] - offset[c]
+            most = max(most, rest * rest * precision[c, i])
+        share = max(trust[i], F32(least)) if most < near2 else trust[i]
+        for c in range(len(seen)):
+            bounded = seen[c, i] < 250 and 3 < expected[c, i] < 245
+            usable[c, i] = share if bounded else F32(0)
+
+
+@njit(**OPTIONS)
+def leave_residuals(samples, usable, gain, offset, far2, rest):  # type: ignore[no-untyped-def]
+    """Write seen - gain expected - offset (C, n); return the share of samples that differ by more than ``far2``.
+
+    Only samples of full weight ``usable`` (C, n) differ. samples (3, C, n) : of :func:`take_samples`.
+    """
+    seen, expected, precision = samples[0], samples[1], samples[2]
+    beyond = 0
+    for i in range(seen.shape[1]):
+        most = F32(0)
+        for c in range(len(seen)):
+            left = seen[c, i] - gain[c] * expected[c, i] - offset[c]
+            rest[c, i] = left
+            if usable[c, i] >= 1:
+                most = max(most, left * left * precision[c, i])
+        beyond += most > far2
+    return beyond / seen.shape[1]
+
+
+@njit(**OPTIONS)
+def sum_by_cell(cell, weight, expected, gain, rest, change, known):  # type: ignore[no-untyped-def]
+    """Add up, cell by cell, what the samples say of the light's field: change and known (C, cells), zeros before.
+
+    cell (n,) : of each sample. weight, expected, rest (C, n); gain (C,).
+    """
+    for c in range(len(rest)):
+        for i in range(len(cell)):
+            level = gain[c] * expected[c, i]
+            power = weight[c, i] * level
+            change[c, cell[i]] += power * rest[c, i]
+            known[c, cell[i]] += power * level
+
+
+@njit(**OPTIONS)
 def robust_shift(rest, right, down, turned, variance, trust, steps, reach, hold):  # type: ignore[no-untyped-def]
     """Fit rest = -right dx - down dy - turned roll: by how much the picture moved.
 

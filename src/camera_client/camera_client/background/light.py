@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import robust_gain
+from .kernels import leave_residuals, robust_gain, sum_by_cell, weigh_samples
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 FIELD_S = 0.3  # time constant of the field
@@ -68,7 +68,7 @@ class Light:
 
 
 class LightEstimator:
-    """Estimates the light from samples (n, C) of the picture.
+    """Estimates the light from samples of the picture.
 
     switches : sudden changes so far. flicker2 : variance of the gain from frame to frame, relative.
     """
@@ -82,53 +82,39 @@ class LightEstimator:
         self._trust_before = np.ones(len(cell), np.float32)
         self._first, self.switches, self.flicker2 = True, 0, 0.0
 
-    def update(self, seen: Floats, expected: Floats, precision: Floats, trust: Floats, step_s: float) -> Floats:
-        """Take the samples of a frame; return what is left of them (n, C): seen - gain expected - offset.
+    def update(self, samples: Floats, trust: Floats, step_s: float) -> Floats:
+        """Take the samples of a frame; return what is left of them (C, n): seen - gain expected - offset.
 
-        seen, expected, precision (n, C) : grey levels, those of the background with the field of :attr:`light`, and
-        1 / variance. trust (n,) : 1, less where foreground is likely. step_s : since the frame before.
+        samples (3, C, n) : grey levels seen, those of the background with the field of :attr:`light`, and 1 / variance.
+        trust (n,) : 1, less where foreground is likely. step_s : since the frame before.
         """
-        light, channels = self.light, seen.shape[1]
+        light, (seen, expected, precision) = self.light, samples
         gain, offset, scale = light.gain.copy(), light.offset.copy(), 1.0
-        weight = np.empty_like(seen)
+        usable, weight, rest = np.empty((3, *seen.shape), np.float32)
         if self._switched_s > SWITCHED_S:
             self._trust_before = trust  # what foreground is just after a switch is not known: it is as it was before
-        before = (
-            seen - gain * expected - offset
-        ) ** 2 * precision  # light that is wrong a little looks like foreground
-        trust = np.where(before.max(axis=1) < WEAK_SIGMAS**2, np.maximum(self._trust_before, WEAK), self._trust_before)
-        bounded = (seen < 250) & (expected < 245) & (expected > 3)
-        usable = np.asarray(bounded * trust[:, None], np.float32)
-        for c in range(channels):
-            gain[c], offset[c], found = robust_gain(
-                _column(seen, c),
-                _column(expected, c),
-                _column(precision, c),
-                _column(usable, c),
-                np.array([gain[c], offset[c]]),
-                OFFSET_PRIOR,
-                STEPS,
-                REACH,
-                part := np.empty(len(seen), np.float32),
-            )
-            weight[:, c] = part
+        # light that is wrong a little looks like foreground
+        weigh_samples(samples, self._trust_before, gain, offset, WEAK, WEAK_SIGMAS**2, usable)
+        for c, start in enumerate(np.stack([gain, offset], axis=1)):
+            fitted = seen[c], expected[c], precision[c], usable[c], start, OFFSET_PRIOR, STEPS, REACH, weight[c]
+            gain[c], offset[c], found = robust_gain(*fitted)
             scale = max(scale, found)
         sound = (gain > 1 / MOST_GAIN) & (gain < MOST_GAIN) & np.isfinite(offset)
         if not sound.all():
             gain, offset = np.where(sound, gain, light.gain), np.where(sound, offset, light.offset)
-        rest = seen - gain * expected - offset
-        self._note_switch(rest, precision, usable, max(scale, self._jump(gain, step_s)), step_s)
+        outliers = leave_residuals(samples, usable, gain, offset, OUTLIER_SIGMAS**2, rest)
+        self._note_switch(outliers, max(scale, self._jump(gain, step_s)), step_s)
         field = light.field
         if self._switched_s < SWITCHED_S:
-            field = self._refit(seen - offset, gain * expected, usable, field)
+            field = self._refit(seen - offset[:, None], gain[:, None] * expected, usable, field)
         else:
-            field = self._follow(rest, gain * expected, weight, field, step_s)
+            field = self._follow(rest, gain, expected, weight, field, step_s)
         mean = field.mean(axis=(0, 1))
         field = np.clip(field / mean, 1 / MOST_FIELD, MOST_FIELD).astype(np.float32)
         switched = self._switched_s < SWITCHED_S and not self._first
         self._first = False
-        self.light = Light(gain.astype(np.float32), offset.astype(np.float32), field, scale, switched)
-        return np.asarray(rest, np.float32)
+        self.light = Light(gain, offset, field, scale, switched)
+        return rest
 
     def _jump(self, gain: Floats, step_s: float) -> float:
         """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
@@ -143,29 +129,25 @@ class LightEstimator:
             self.flicker2 += share * (0.5 * step * step - self.flicker2)
         return 2 * SWITCHED_SCALE if change > least else 1.0
 
-    def _note_switch(self, rest: Floats, precision: Floats, usable: Floats, scale: float, step_s: float) -> None:
+    def _note_switch(self, outliers: float, scale: float, step_s: float) -> None:
         """Notice that half of the picture, or suddenly much more of it than before, departs from the background."""
-        z2 = (rest * rest * precision * (usable >= 1)).max(axis=1)
-        outliers = float((z2 > OUTLIER_SIGMAS**2).mean())
         sudden = outliers > self._outliers + SWITCHED_SHARE or scale > SWITCHED_SCALE
         self.switches += sudden and self._switched_s > SWITCHED_S and not self._first
         self._switched_s = 0.0 if sudden else self._switched_s + step_s
         share = 1 - math.exp(-step_s / OUTLIER_S)
         self._outliers += (1.0 if self._first else share) * (outliers - self._outliers)
 
-    def _follow(self, rest: Floats, expected: Floats, weight: Floats, field: Floats, step_s: float) -> Floats:
+    def _follow(
+        self, rest: Floats, gain: Floats, expected: Floats, weight: Floats, field: Floats, step_s: float
+    ) -> Floats:
         """Move each cell of the field towards what its own samples say; where they say little, towards its neighbours.
 
         What neighbours lack is not added up in a cell without samples: it would drift away behind a person.
         """
-        cells = FIELD_DOWN * FIELD_ACROSS
+        sums = np.zeros((2, field.shape[2], FIELD_DOWN, FIELD_ACROSS))
+        sum_by_cell(self._cell, weight, expected, gain, rest, *sums.reshape(2, field.shape[2], -1))
         share, found = np.float32(1 - math.exp(-step_s / FIELD_S)), np.empty_like(field)
-        for c in range(field.shape[2]):
-            power = weight[:, c] * expected[:, c]
-            change, known = (
-                np.bincount(self._cell, power * each[:, c], cells).reshape(FIELD_DOWN, FIELD_ACROSS)
-                for each in (rest, expected)
-            )
+        for c, (change, known) in enumerate(zip(*sums, strict=True)):
             prior = FIELD_PRIOR * np.median(known) + 1e-9
             own = field[..., c]
             around = cv2.blur(own, (3, 3), borderType=cv2.BORDER_REPLICATE)
@@ -179,9 +161,9 @@ class LightEstimator:
         """
         ratio, spread = np.full_like(field, np.nan), np.zeros_like(field)
         for c in range(field.shape[2]):
-            each = seen[:, c] / np.maximum(expected[:, c], 1.0)
+            each = seen[c] / np.maximum(expected[c], 1.0)
             for cell in range(FIELD_DOWN * FIELD_ACROSS):
-                mine = each[(self._cell == cell) & (usable[:, c] >= 1)]
+                mine = each[(self._cell == cell) & (usable[c] >= 1)]
                 if len(mine) >= FEW_IN_CELL:
                     at = cell // FIELD_ACROSS, cell % FIELD_ACROSS, c
                     ratio[at] = np.median(mine)
@@ -204,7 +186,3 @@ class LightEstimator:
         most = np.where(spread < LIT_SPREAD, LIT_REACH, 2 * FIELD_REACH)
         near = np.abs(ratio - smooth) < most  # never where nothing is known
         return np.asarray(field * np.exp(np.where(near, ratio, smooth)), np.float32)
-
-
-def _column(values: Floats, channel: int) -> Floats:
-    return np.ascontiguousarray(values[:, channel], np.float32)
