@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import cv2
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -23,12 +24,15 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from mocap_packets.silhouette import Silhouette
+from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.process import run_node
-from sagoma_ros.qos import RESULT
+from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.thinning import TOPIC as THINNING_TOPIC
+from sagoma_ros.thinning import read_thinning
 
 from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
@@ -74,6 +78,7 @@ class CameraNode(SagomaNode):
         self.loop: GrabLoop | None = None
         self.chain: CameraChain | None = None
         self.trainer = BackgroundTrainer(self._use_background)
+        self.selector = FrameSelector()  # which frames the hull server can take
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
@@ -99,7 +104,10 @@ class CameraNode(SagomaNode):
             self.chain.check_background_file()
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report))
         self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
-        if settings.source == "footage" and settings.footage.rate == 0:
+        if settings.source != "footage" or settings.footage.rate > 0:
+            rules = self.create_subscription(DiagnosticArray, THINNING_TOPIC, self._on_thinning, LATCHED)
+            self._hold(self.destroy_subscription, rules)
+        else:
             topic = settings.footage.pace_topic
             self._hold(
                 self.destroy_subscription, self.create_subscription(JointState, topic, self._on_acknowledgement, RESULT)
@@ -183,8 +191,11 @@ class CameraNode(SagomaNode):
     def _on_frame(self, frame: Frame) -> None:
         assert self.chain is not None
         began = time.perf_counter()
-        self._topics.publish_image(frame)
         self.trainer.add(frame.image)
+        if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
+            self.health.count("frames_thinned")
+            return
+        self._topics.publish_image(frame)
         seen = self.chain.run(frame)
         self._last = (frame, seen)
         for flag in seen.flags:
@@ -219,6 +230,13 @@ class CameraNode(SagomaNode):
     def _on_acknowledgement(self, message: JointState) -> None:
         if self.source is not None:
             self.source.acknowledge(to_ns(message.header.stamp))
+
+    def _on_thinning(self, message: DiagnosticArray) -> None:
+        try:
+            self.selector.follow(read_thinning(message, THINNING_TOPIC), time.monotonic_ns())
+        except InputError as error:
+            self.health.count("bad_rules")
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
     def _on_support(self, message: Image) -> None:
         if self.chain is None or self.chain.camera is None:

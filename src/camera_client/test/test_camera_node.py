@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from camera_probe import EPOCH_NS, FRAMES, NAMESPACE, set_camera_info
+from diagnostic_msgs.msg import DiagnosticArray
 from node_probe import FAILURE, SUCCESS
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
@@ -14,8 +15,10 @@ from camera_client.background.model import load_background
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
 from mocap_packets.support import NOBODY, ForegroundSupport
+from mocap_packets.thinning import Thinning
 from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_ros.thinning import thinning_message
 
 
 def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene):
@@ -67,6 +70,24 @@ def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, sess
     camera.until(lambda: len(camera.masks) == 9)  # a new window of two
     assert camera.stamps_ns() == [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(9)]
     assert camera.values()["pace_timeouts"] == "0"
+
+
+def test_camera_keeps_the_exposures_that_the_hull_server_tells_it(bench, session, scene):
+    camera = bench(**{**session.parameters, "footage.rate": 1.0})  # its epoch is long past: all frames are due
+    told = camera.peer.create_publisher(DiagnosticArray, "/hull/thinning", LATCHED)
+    assert camera.node.trigger_configure() == SUCCESS
+    stamps = [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(FRAMES)]
+    told.publish(thinning_message(Thinning(stamps[10], stamps[10], stamps[0], 1e9 / scene.fps, 2, 3)))
+    camera.until(lambda: camera.node.selector.newest.of == 3)
+    assert camera.node.trigger_activate() == SUCCESS
+    camera.until_said(f"end of footage after {FRAMES} frames")
+    assert camera.stamps_ns() == stamps[:10] + [stamps[k] for k in range(10, FRAMES) if 2 * k % 3 < 2]
+    assert camera.values()["frames_thinned"] == str(FRAMES - len(camera.masks))
+
+
+def test_camera_that_plays_footage_as_fast_as_it_is_answered_follows_no_rule(bench, session):
+    camera = bench(**session.parameters).start()
+    assert camera.peer.count_subscribers("/hull/thinning") == 0
 
 
 def test_suspended_node_publishes_nothing_and_cleanup_lets_it_configure_again(bench, session):

@@ -28,6 +28,7 @@ from sagoma_ros.worker import Worker
 
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .hull_ros import SaveMeshService, calibration_mismatch, calibration_values, frame_set_message, summarise
+from .overload.overload_ros import NoOverloadControl, OverloadControl
 from .settings import NodeSettings
 
 POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
@@ -52,10 +53,11 @@ class ClosedSet:
 
 @dataclass(frozen=True)
 class CarvedSet:
-    """A frame set on its way to the slicer, and when it was closed and its carve begun, by the ROS clock."""
+    """A frame set on its way to the slicer, when its carve was begun and ended, by the ROS clock."""
 
     closed: ClosedSet
     begun_ns: int
+    carved_ns: int
     under_way: SetUnderWay
 
 
@@ -77,6 +79,7 @@ class HullNode(SagomaNode):
         self._heard_ns: dict[str, int] = {}
         self._left_out: tuple[str, ...] = ()
         self._moved: set[str] = set()
+        self._overload = NoOverloadControl()
         self._closing: list[Callable[[], object]] = []  # releases what configure has opened
 
     def configure(self) -> None:
@@ -97,6 +100,8 @@ class HullNode(SagomaNode):
         self.health.set("backend", f"{self._pipeline.backend.name} ({self._pipeline.backend.device})")
         self._advertise()
         self._mesh = SaveMeshService(self, self.settings.mesh)
+        if settings.thin_out and not settings.reliable:
+            self._overload = OverloadControl(self)
         self._subscribe()
 
     def activate(self) -> None:
@@ -127,6 +132,8 @@ class HullNode(SagomaNode):
         for close in self._closing:
             close()
         self._closing = []
+        self._overload.close()
+        self._overload = NoOverloadControl()
         if self._mesh is not None:
             self._mesh.close()
             self._mesh = None
@@ -168,7 +175,9 @@ class HullNode(SagomaNode):
         if camera in self.refused:
             self.health.count("frames_refused")
             return
-        canvas = self._canvases[camera]
+        canvas, stamp_ns = self._canvases[camera], to_ns(message.header.stamp)
+        if not self._overload.admits(camera, stamp_ns, now_ns):
+            return
         try:
             mask = decode_silhouette(message, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
         except InputError as error:
@@ -176,7 +185,7 @@ class HullNode(SagomaNode):
             self.health.set("last_bad_image", error)
             self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
             return
-        self._dispatch(self._collector.add(camera, to_ns(message.header.stamp), mask, now_ns))
+        self._dispatch(self._collector.add(camera, stamp_ns, mask, now_ns))
         self._poll_at_deadline(now_ns)
 
     def _on_camera_info(self, camera: str, topic: str, info: CameraInfo) -> None:
@@ -225,18 +234,22 @@ class HullNode(SagomaNode):
     def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
         for frame_set in closed:
             if self._carver is not None:
-                self._carver.put(ClosedSet(frame_set, self.get_clock().now().nanoseconds))
+                closed_ns = self.get_clock().now().nanoseconds
+                self._overload.closed(frame_set, closed_ns - frame_set.stamp_ns)
+                self._carver.put(ClosedSet(frame_set, closed_ns))
 
     def _begin(self, closed: ClosedSet) -> None:
         """Begin to carve one frame set, on the carver's thread."""
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
-        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self._pipeline.begin(closed.frame_set)))
+        under_way = self._pipeline.begin(closed.frame_set)
+        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self.get_clock().now().nanoseconds, under_way))
 
     def _finish(self, carved: CarvedSet) -> None:
         """Finish, convert and publish one frame set, on the slicer's thread."""
         assert self._pipeline is not None and self._mesh is not None
         frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
+        taken_ns = monotonic_ns()
         result = self._pipeline.finish(carved.under_way)
         self._mesh.keep(result)
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
@@ -244,6 +257,7 @@ class HullNode(SagomaNode):
             self._supports[report.camera].publish(support_message, report)
         # the centerline last but one: the tracker starts to fit when it arrives, with the contour rays that it has
         products = result.products
+        self._overload.hand_over(products.stamp_ns)
         self._contour_rays.publish(products.contour_rays, products.stamp_ns, frame_id)
         self._centerline.publish(products.centerline, products.stamp_ns, frame_id)
         self._voxels.publish(products.voxels, products.stamp_ns, frame_id)
@@ -258,6 +272,7 @@ class HullNode(SagomaNode):
         self._frame_set.publish(frame_set_message, result, times_ms)
         self._report(result)
         self.health.tick(frame_set.stamp_ns)
+        self._overload.finished(frame_set.stamp_ns, carved.carved_ns - carved.begun_ns, monotonic_ns() - taken_ns)
 
     def _report(self, result: HullResult) -> None:
         """Update the diagnostics; log what has changed."""
@@ -281,7 +296,9 @@ class HullNode(SagomaNode):
             self.get_logger().warning(result.extrinsic_errors.suspects[camera])
         self._moved = {*result.extrinsic_errors.suspects}
         if not self.refused:
-            self.health.status(*summarise(result))
+            level, text = summarise(result)
+            thinned = self._overload.summary
+            self.health.status(max(level, WARN), f"{thinned}; {text}") if thinned else self.health.status(level, text)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -147,6 +147,11 @@ class NodeSettings(HullSettings):
     queue_depth: int = setting(
         4, "closed frame sets that may wait for the carver; one more drops the oldest", low=1, high=1_000_000
     )
+    thin_out: bool = setting(
+        True, "leave out frame sets, the same ones in all cameras, while the graph cannot process them all"
+    )
     reliable: bool = setting(
-        False, "subscribe reliably: for replay and lockstep; live, a lost silhouette should cost one view, not a wait"
+        False,
+        "subscribe reliably, thin nothing out: for replay and lockstep; live, a lost silhouette should cost one view, "
+        "not a wait",
     )

@@ -19,13 +19,16 @@ from capture_rig import load_rig, save_rig
 from hull_server import hull_node
 from hull_server.hull_node import HullNode
 from hull_server.hull_pipeline import HullPipeline
+from hull_server.overload.thinning_control import ThinningControl
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
+from mocap_packets.thinning import EVERY_FRAME, Thinning
 from sagoma_ros.images import camera_info_message, read_support, silhouette_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import read_packet
-from sagoma_ros.qos import SILHOUETTE_PUBLISHER
+from sagoma_ros.qos import LATCHED, SILHOUETTE_PUBLISHER
+from sagoma_ros.thinning import read_thinning
 
 PERIOD_NS = 16_666_667
 EPOCH_NS = 7_000_000_000
@@ -419,6 +422,37 @@ def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, te
     assert bench.node.trigger_configure() == FAILURE
     bench.until_said(text)
     assert bench.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
+
+
+def test_node_tells_the_cameras_its_rule_and_leaves_out_what_it_does_not_keep(make_bench, scene, monkeypatch):
+    _, rig, masks = scene
+    half = Thinning(stamp(2), stamp(2), stamp(0), PERIOD_NS, 1, 2)
+    rules = iter([EVERY_FRAME, half])
+
+    def update(control, load, now_ns):
+        rule = next(rules, None)
+        if rule is not None:
+            control._selector.follow(rule, now_ns)
+        return rule
+
+    monkeypatch.setattr(ThinningControl, "update", update)
+    bench = make_bench(reliable=False)
+    bench.listen(DiagnosticArray, "/hull/thinning", LATCHED)
+    bench.start(rig)
+    bench.until(lambda: len(bench.heard["/hull/thinning"]) == 2)
+    assert [read_thinning(message, "test") for message in bench.heard["/hull/thinning"]] == [EVERY_FRAME, half]
+    for k in range(6):  # cameras that do not know the rule
+        bench.send(masks, k)
+    bench.until_values(frames_thinned="8")
+    assert [values["missing"] for values in bench.answers(4)] == [""] * 4
+    stamps = [to_ns(message.header.stamp) for message in bench.heard["hull/frame_set"]]
+    assert stamps == [stamp(k) for k in (0, 1, 2, 4)]
+
+
+@pytest.mark.parametrize("parameters", [{"reliable": True}, {"reliable": False, "thin_out": False}])
+def test_node_of_a_replay_thins_nothing_out(make_bench, scene, parameters):
+    bench = make_bench(**parameters).start(scene[1])
+    assert bench.peer.count_publishers("/hull/thinning") == 0
 
 
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):

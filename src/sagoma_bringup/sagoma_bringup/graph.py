@@ -155,7 +155,9 @@ def session_graph(
         for name in session.rig.names
     ]
     graph = server_graph(rig_file, body=body) + cameras
-    waits = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
+    waits: dict[str, Any] = {"hull_server.deadline_s": FOOTAGE_DEADLINE_S}
+    if rate != 1.0:
+        waits["hull_server.thin_out"] = False  # stamps that run slower or faster than time look like a queue
     if rate == 0:
         waits = {**LOSSLESS_SETTINGS, f"{ALL_CAMERAS}.footage.pace_timeout_s": 20.0}
     return apply_settings(graph, {"hull_server.tolerance_s": 0.5 / session.fps, **waits})

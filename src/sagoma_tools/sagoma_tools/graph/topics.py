@@ -48,6 +48,7 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/hull/centerline", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/voxels", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/frame_set", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
+    Topic("/hull/thinning", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False, latched=True),  # live only
     Topic("/icp/reference_points", "sensor_msgs/msg/PointCloud2"),
     Topic("/icp/fit", "diagnostic_msgs/msg/DiagnosticArray"),
     Topic("/icp/body", "std_msgs/msg/String", latched=True),

@@ -1,0 +1,1 @@
+"""What the hull server does when the graph cannot process every frame set: all clients thin out by one rule."""

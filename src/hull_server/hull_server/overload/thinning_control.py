@@ -1,0 +1,158 @@
+"""Watches what becomes of the frame sets, and says which exposures all clients shall keep."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import replace
+
+from mocap_packets.thinning import EVERY_FRAME, FrameSelector, Thinning, nearest_fraction
+
+from .busy_stages import BusyStages
+from .frame_clock import Exposures, FrameClock
+from .load_control import NS_PER_S, LoadControl
+
+REFRESH_S = 1.0  # a rule in force is told again, with the phase that the last stamps give: clocks drift
+LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
+LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
+SEEN, SEEN_S, LEAST_SETS = 0.6, 0.4, 8  # fewer of the sets of that time: the cameras' rate has changed
+SETS_KEPT = 200
+LOADS_KEPT = 5  # of the last half second
+
+
+class ThinningControl:
+    """Keeps the frame sets of one rig within what the graph answers in time; safe to call from any thread.
+
+    Times called ``now_ns`` are monotonic. :meth:`update` is called about ten times a second.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._clock, self._load, self._busy = FrameClock(), LoadControl(), BusyStages()
+        self._selector = FrameSelector(lapse_ns=None)
+        self._closed: deque[tuple[int, int, int]] = deque(maxlen=SETS_KEPT)  # when, stamp, cameras
+        self._machine_loads: deque[float] = deque(maxlen=LOADS_KEPT)
+        self._head_ns = 0
+        self._told_ns: int | None = None
+        self._adopted_ns = 0
+        self._offered_hz: float | None = None
+
+    @property
+    def rule(self) -> Thinning:
+        """The rule told last."""
+        return self._selector.newest
+
+    @property
+    def summary(self) -> str:
+        """What is thinned out, in words; empty while nothing is."""
+        rule, offered_hz = self.rule, self._offered_hz
+        if rule.keep == rule.of or offered_hz is None:
+            return ""
+        held = f"the graph holds {rule.fraction * offered_hz:.0f} Hz of {offered_hz:.0f}"
+        return f"thinned to {rule.keep} of {rule.of}: {held} ({self._load.cause})"
+
+    # --- what happens --------------------------------------------------------------------------------------------
+
+    def admits(self, camera: str, stamp_ns: int, now_ns: int) -> bool:
+        """Take note of a frame; False when its exposure is thinned out, so that it belongs to no set."""
+        with self._lock:
+            if not self._selector.keeps(stamp_ns, now_ns):
+                return False
+            self._clock.add(camera, stamp_ns)
+            if self._closed and 0 < stamp_ns - self._closed[-1][1] < NS_PER_S:  # else another clock than the others'
+                self._head_ns = max(self._head_ns, stamp_ns)
+            return True
+
+    def closed(self, stamp_ns: int, frames: Iterable[str], missing: Iterable[str], age_ns: int, now_ns: int) -> None:
+        """Take note of a frame set that has closed, ``age_ns`` after its exposure."""
+        with self._lock:
+            if self._closed and not 0 < stamp_ns - self._closed[-1][1] < NS_PER_S:  # a pause, or footage began again
+                self._begin_anew(stamp_ns, now_ns)
+            self._head_ns = max(self._head_ns, stamp_ns)
+            cameras = frozenset(frames)
+            self._load.closed(stamp_ns, cameras, frozenset(missing), age_ns, now_ns)
+            self._closed.append((now_ns, stamp_ns, len(cameras)))
+
+    def hand_over(self, stamp_ns: int, now_ns: int) -> None:
+        """Take note that the tracker has a set from now on."""
+        with self._lock:
+            self._busy.hand_over(stamp_ns, now_ns)
+
+    def worked(self, carver_ns: int, slicer_ns: int, now_ns: int) -> None:
+        """Take note of what carver and slicer took for a set."""
+        with self._lock:
+            self._busy.worked(carver_ns, slicer_ns, now_ns)
+
+    def answered(self, stamp_ns: int, now_ns: int) -> None:
+        """Take note of the tracker's answer to a set; without a tracker, of its products."""
+        with self._lock:
+            self._busy.answered(stamp_ns, now_ns)
+            self._load.answered(stamp_ns, now_ns)
+
+    # --- the rule ------------------------------------------------------------------------------------------------
+
+    def update(self, machine_load: float, now_ns: int) -> Thinning | None:
+        """Return the rule to tell: a new one, or the present one again; None when there is nothing to tell.
+
+        machine_load : busy share (0 to 1) of this machine's processors since the last call.
+        """
+        with self._lock:
+            rule = self.rule
+            if self._told_ns is None:
+                return self._tell(rule, now_ns)
+            if self._has_lost_the_cameras(now_ns):
+                self._clock.forget()
+                return self._tell(replace(EVERY_FRAME, from_ns=self._head_ns + LEAD_NS), now_ns)
+            grid = self._clock.estimate(rule)
+            if grid is None:
+                return None
+            self._offered_hz, rate_hz = grid.hz, rule.fraction * grid.hz
+            self._machine_loads.append(machine_load)
+            load = max(sum(self._machine_loads) / len(self._machine_loads), self._busy.share(now_ns))
+            changed = self._load.decide(grid.hz, rate_hz, load, now_ns)
+            if changed or (rule.keep == rule.of and nearest_fraction(self._load.limit_hz / grid.hz) != (1, 1)):
+                return self._adopt(grid, rate_hz, now_ns)
+            if rule.keep == rule.of or now_ns - self._told_ns < REFRESH_S * NS_PER_S:
+                return None
+            patterns = rule.exposure_of(self._head_ns) // rule.of
+            phase_ns = grid.phase_ns + round(patterns * rule.of * grid.period_ns)
+            return self._tell(replace(rule, phase_ns=phase_ns, period_ns=grid.period_ns), now_ns)
+
+    def _adopt(self, grid: Exposures, rate_hz: float, now_ns: int) -> Thinning:
+        """Make a rule of the present limit; when the rate falls, nothing is kept until the queues are empty."""
+        keep, of = nearest_fraction(self._load.limit_hz / grid.hz)
+        from_ns = resume_ns = self._head_ns + LEAD_NS
+        if keep / of * grid.hz < rate_hz:
+            from_ns, resume_ns = self._head_ns, resume_ns + min(self._load.standing_ns, LONGEST_PAUSE_NS)
+        self._adopted_ns = now_ns
+        self._load.begin_at(resume_ns, now_ns)
+        # a camera of half the rate delivers at every second exposure: keep those that all deliver at
+        whole_ns = max(self._closed, key=lambda closed: (closed[2], closed[1]))[1] if self._closed else grid.phase_ns
+        phase_ns = grid.phase_ns + round(round((whole_ns - grid.phase_ns) / grid.period_ns) * grid.period_ns)
+        return self._tell(Thinning(from_ns, resume_ns, phase_ns, grid.period_ns, keep, of), now_ns)
+
+    def _tell(self, rule: Thinning, now_ns: int) -> Thinning:
+        self._selector.follow(rule, now_ns)
+        self._told_ns = now_ns
+        return rule
+
+    def _begin_anew(self, stamp_ns: int, now_ns: int) -> None:
+        """Take up a new run of stamps: until its exposures are known, every frame is kept."""
+        self._clock.forget()
+        self._closed.clear()
+        self._head_ns, self._told_ns = stamp_ns, None
+        self._load.begin_at(stamp_ns, now_ns)
+        self._selector.follow(replace(EVERY_FRAME, from_ns=stamp_ns), now_ns)
+
+    def _has_lost_the_cameras(self, now_ns: int) -> bool:
+        """Return whether far fewer sets come than the rule keeps: it was made for another rate of the cameras."""
+        rule = self.rule
+        if rule.keep == rule.of:
+            return False
+        hz = rule.fraction * NS_PER_S / rule.period_ns
+        span_ns = round(max(SEEN_S, LEAST_SETS / hz) * NS_PER_S)
+        if now_ns - self._adopted_ns < span_ns + LONGEST_PAUSE_NS + LEAD_NS:
+            return False
+        seen = sum(now_ns - when <= span_ns for when, _, _ in self._closed)
+        return seen < SEEN * hz * span_ns / NS_PER_S

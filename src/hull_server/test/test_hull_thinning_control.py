@@ -1,0 +1,153 @@
+"""Overload of a simulated graph: sets stay whole, latency bounded, most of what is possible is answered."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from overload_simulation import MS, Answer, S, Simulation
+
+
+def rate_hz(answers: list[Answer], seconds: float) -> float:
+    return sum(each.whole for each in answers) / seconds
+
+
+def p95_ms(answers: list[Answer]) -> float:
+    return float(np.percentile([each.latency_ms for each in answers], 95))
+
+
+def whole_share(answers: list[Answer]) -> float:
+    return sum(each.whole for each in answers) / len(answers)
+
+
+def test_graph_that_keeps_up_is_left_alone() -> None:
+    graph = Simulation()
+    answers = graph.run(20)
+    assert graph.fraction == 1.0 and len(graph.rules) == 1  # "every frame", once
+    assert len(answers) > 1190 and all(each.whole for each in answers)
+
+
+@pytest.mark.parametrize("stage", ["hull_ms", "tracker_ms"])
+def test_twice_the_rate_of_a_stage_is_thinned_to_what_it_holds(stage: str) -> None:
+    graph = Simulation(**{stage: 1000 / 30})
+    answers = graph.run(20)
+    assert rate_hz(answers, 20) > 0.85 * 30
+    assert whole_share(answers) > 0.98 and p95_ms(answers) < 150
+
+
+def test_twice_the_rate_of_the_clients_is_thinned_until_their_sets_are_whole() -> None:
+    graph = Simulation(client_ms=1000 / 30)
+    answers = graph.run(30)
+    assert whole_share(answers) > 0.95
+    assert rate_hz(answers, 30) > 0.85 * 30 and p95_ms(answers) < 150
+
+
+@pytest.mark.parametrize("lighter_ms", [5.0, 12.0])
+def test_two_seconds_after_the_load_falls_every_frame_is_processed(lighter_ms: float) -> None:
+    graph = Simulation(hull_ms=30.0)
+    graph.run(15)
+    assert graph.fraction < 0.6
+    graph.hull_ms = lighter_ms
+    graph.run(2)
+    assert graph.fraction == 1.0
+    assert rate_hz(graph.run(5), 5) > 59
+
+
+def test_two_seconds_after_the_cameras_slow_down_every_frame_is_processed() -> None:
+    graph = Simulation(hull_ms=30.0)
+    graph.run(15)
+    graph.hz = 15.0
+    graph.run(2)
+    assert graph.fraction == 1.0
+    assert rate_hz(graph.run(4), 4) > 14.5
+
+
+def test_burst_of_a_few_slow_sets_changes_nothing() -> None:
+    graph = Simulation()
+    graph.run(3)
+    graph.hull_ms = 40.0
+    graph.run(0.1)
+    graph.hull_ms = 5.0
+    graph.run(5)
+    assert graph.fraction == 1.0 and len(graph.rules) == 1
+
+
+def test_rate_does_not_oscillate_where_the_load_stays() -> None:
+    graph = Simulation(hull_ms=26.0)
+    graph.run(60)
+    changes = sum(a.fraction != b.fraction for a, b in pairwise(graph.rules))
+    later = len(graph.rules)
+    answers = graph.run(60)
+    patterns = [rule.fraction for rule in graph.rules[later:]]
+    assert changes < 25
+    assert sum(a != b for a, b in pairwise(patterns)) <= 4  # a trial a minute
+    assert rate_hz(answers, 60) > 0.85 * 1000 / 26 and p95_ms(answers) < 150
+
+
+@pytest.mark.parametrize(
+    "trouble",
+    [
+        {"dead": {"cam02"}},
+        {"dead": {"cam02", "cam04"}},
+        {"half": {"cam03"}},
+        {"loss": {"cam05": 0.3}},
+        {"loss": dict.fromkeys(["cam01", "cam02", "cam03", "cam04", "cam05"], 0.03)},
+        {"offset_ns": {"cam01": 7 * MS}},
+        {"clock_error_ns": 3600 * S},
+    ],
+    ids=["a dead camera", "two dead", "half the rate", "a bad cable", "loss everywhere", "apart", "wrong clock"],
+)
+def test_trouble_with_cameras_is_no_overload(trouble: dict) -> None:
+    graph = Simulation(**trouble)
+    graph.run(20)
+    assert graph.fraction == 1.0
+
+
+def test_camera_that_dies_and_returns_under_overload_changes_little() -> None:
+    graph = Simulation(hull_ms=30.0)
+    graph.run(10)
+    before = graph.fraction
+    graph.dead = {"cam02"}
+    graph.run(5)
+    graph.dead = set()
+    answers = graph.run(10)
+    assert graph.fraction > 0.8 * before and whole_share(answers) > 0.95
+
+
+def test_client_that_ignores_the_rule_spoils_no_set() -> None:
+    graph = Simulation(hull_ms=30.0, deaf={"cam03"})
+    answers = graph.run(20)
+    assert whole_share(answers) > 0.98 and rate_hz(answers, 20) > 0.85 * 1000 / 30
+
+
+def test_camera_of_half_the_rate_stays_in_the_sets_of_a_graph_that_is_thinned_to_half() -> None:
+    graph = Simulation(hull_ms=30.0, half={"cam03"})
+    graph.run(5)
+    answers = graph.run(20)
+    assert whole_share(answers) > 0.4
+
+
+def test_clock_that_is_set_thins_nothing_for_long() -> None:
+    graph = Simulation()
+    graph.run(5)
+    graph.clock_error_ns = 400 * MS
+    graph.run(5)
+    assert graph.fraction == 1.0
+
+
+def test_footage_that_begins_again_is_thinned_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = Simulation(hull_ms=30.0)
+    graph.run(10)
+    monkeypatch.setattr("overload_simulation.EPOCH_NS", 1_780_000_000_000_000_000)
+    graph.run(3)
+    graph.answers.clear()
+    answers = graph.run(10)
+    assert len(answers) > 0.85 * 10 * 1000 / 30 and whole_share(answers) > 0.98
+
+
+def test_summary_names_rate_and_cause() -> None:
+    graph = Simulation(hull_ms=30.0)
+    assert graph.control.summary == ""
+    graph.run(10)
+    assert "the graph holds" in graph.control.summary and "Hz of 60" in graph.control.summary
