@@ -24,6 +24,7 @@ REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a fo
 EDGE_SIGMAS = 8.0  # a step of the difference of so many sigmas of the noise counts as a distance of the whole reach
 CLEAR = 2.4  # times the least evidence is as sure as a pixel can be: a bright speck must not outvote its surroundings
 PASSES = 2
+TYPICAL_SAMPLES = 1000
 STEP_TABLE = 256
 STEPS_PER_SIGMA = 8.0
 
@@ -36,12 +37,8 @@ class EvidenceFilter:
         reach = REACH_OF_HEIGHT * height
         steps = np.arange(STEP_TABLE) / STEPS_PER_SIGMA
         length = 1 + reach / EDGE_SIGMAS * steps
-        self._tables = np.stack(
-            [
-                np.exp(-math.sqrt(2) * length / (reach * math.sqrt(3) * 2 ** (PASSES - i) / math.sqrt(4**PASSES - 1)))
-                for i in range(1, PASSES + 1)
-            ]
-        ).astype(np.float32)
+        first = reach * math.sqrt(3) * 2 ** (PASSES - 1) / math.sqrt(4**PASSES - 1)
+        self._table = np.exp(-math.sqrt(2) * length / first).astype(np.float32)
 
     def decide(self, distance: Mask, image: Mask, expected: npt.NDArray[np.float32], noise: Noise) -> Mask:
         """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
@@ -49,20 +46,29 @@ class EvidenceFilter:
         distance (h, w) uint8 : SCALE z^2. image, expected (h, w[, 3]) : the part of the frame, and of the background.
         """
         height, width = distance.shape
-        sigma = noise.sigma(float(np.median(expected[::4, ::4])))
+        sigma = noise.sigma(typical_level(expected))
         least = 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
         evidence = np.minimum(distance, np.uint8(min(2 * SCALE * CLEAR * least, 255))).astype(np.float32)
         evidence *= np.float32(0.5 / SCALE)
         rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
         across, down = np.zeros((2, height, width), np.uint8)
         steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), across, down)
-        steps_across = cv2.transpose(across)
-        for table in self._tables:
+        # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
+        along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
+        for number in range(PASSES):
+            if number:
+                along, below = cv2.multiply(along, along), cv2.multiply(below, below)
             turned = cv2.transpose(evidence)
-            smooth_columns(turned, cv2.LUT(steps_across, table))
+            smooth_columns(turned, along)
             evidence = cv2.transpose(turned)
-            smooth_columns(evidence, cv2.LUT(down, table))
+            smooth_columns(evidence, below)
         return np.where(evidence > np.float32(least), np.uint8(255), np.uint8(0))
+
+
+def typical_level(expected: npt.NDArray[np.float32]) -> float:
+    """Return the median grey level of about a thousand pixels of a part (h, w[, 3])."""
+    every = max(1, math.isqrt(expected.shape[0] * expected.shape[1] // TYPICAL_SAMPLES))
+    return float(np.median(expected[every // 2 :: every, every // 2 :: every]))
 
 
 def least_squared_distance(sigma: float, correlation: float, channels: int) -> float:
@@ -83,31 +89,30 @@ def steps_between(rest, scale, across, down):  # type: ignore[no-untyped-def]
     """
     height, width = across.shape
     channels = rest.shape[1] // width
+    step = np.zeros(rest.shape[1], np.float32)
     for y in range(height):
-        row, to = rest[y], across[y]
-        if channels == 1:
-            for x in range(1, width):
-                to[x] = np.uint8(min(abs(row[x] - row[x - 1]) * scale, np.float32(255)))
-        else:
-            for x in range(1, width):
-                k = channels * x
-                most = abs(row[k] - row[k - 3])
-                most = max(most, abs(row[k + 1] - row[k - 2]))
-                most = max(most, abs(row[k + 2] - row[k - 1]))
-                to[x] = np.uint8(min(most * scale, np.float32(255)))
+        row = rest[y]
+        for k in range(channels, len(row)):
+            step[k] = abs(row[k] - row[k - channels]) * scale
+        _write_largest(step, 1, across[y])
         if y == 0:
             continue
-        above, to = rest[y - 1], down[y]
-        if channels == 1:
-            for x in range(width):
-                to[x] = np.uint8(min(abs(row[x] - above[x]) * scale, np.float32(255)))
-        else:
-            for x in range(width):
-                k = channels * x
-                most = abs(row[k] - above[k])
-                most = max(most, abs(row[k + 1] - above[k + 1]))
-                most = max(most, abs(row[k + 2] - above[k + 2]))
-                to[x] = np.uint8(min(most * scale, np.float32(255)))
+        above = rest[y - 1]
+        for k in range(len(row)):
+            step[k] = abs(row[k] - above[k]) * scale
+        _write_largest(step, 0, down[y])
+
+
+@njit(**OPTIONS)
+def _write_largest(step, first, out):  # type: ignore[no-untyped-def]
+    """Write the largest of each pixel's channels, 255 at most, from the pixel ``first`` on."""
+    most = np.float32(255)
+    if len(step) == len(out):
+        for x in range(first, len(out)):
+            out[x] = np.uint8(min(step[x], most))
+    else:
+        for x in range(first, len(out)):
+            out[x] = np.uint8(min(max(max(step[3 * x], step[3 * x + 1]), step[3 * x + 2]), most))
 
 
 @njit(**OPTIONS)

@@ -14,9 +14,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from capture_rig.camera import UndistortedView
 
+from ..background.kernels import OPTIONS
 from ..frame_source import Image, Mask
 
 BLOCK_PX = 8
@@ -212,8 +214,7 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     reaches to where the colour is whole.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """
-    difference = cv2.absdiff(image, np.rint(mean).astype(np.uint8))
-    around = _CROSS
+    difference, around = cv2.absdiff(image, cv2.convertScaleAbs(mean)), _CROSS
     if difference.ndim == 3:
         blue, green, red = cv2.split(difference)
         difference, around = cv2.max(cv2.max(blue, green), red), _DISC
@@ -226,7 +227,7 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
 # --- undistortion of a part of the image, without looking at the rest of the canvas
 
 CELL_PX = 16
-BAND_PX = 4 * CELL_PX  # arms make a person wide, but only in few rows
+_UNSEEN = np.uint32(0xFFFFFFFF)
 
 
 class BoxUndistorter:
@@ -239,33 +240,46 @@ class BoxUndistorter:
         rows, columns = np.indices(view.image_shape, np.int16)
         nearest = np.stack([view.undistort_mask(columns), view.undistort_mask(rows)], axis=2)
         nearest[~view.seen] = -1
-        self._nearest = nearest
+        place = nearest[..., 1].astype(np.uint32) * np.uint32(view.image_shape[1]) + nearest[..., 0].astype(np.uint32)
+        self._place = np.where(view.seen, place, _UNSEEN)
         self._low, self._high = _canvas_of_cells(nearest, view.image_shape)
 
     def undistort(self, mask: Mask, box: Box) -> Mask:
         """``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
-        canvas = np.zeros(self._nearest.shape[:2], np.uint8)
-        for top in range(box.top // BAND_PX * BAND_PX, box.bottom, BAND_PX):
-            band = Box(max(top, box.top), box.left, min(top + BAND_PX, box.bottom), box.right)
-            marked = Box.around(mask[band.slices])
-            if not marked.empty:
-                self._look_up(mask, marked.moved_into(band), canvas)
+        canvas = np.zeros(self._place.shape, np.uint8)
+        look_up(mask, *box, self._place, self._low, self._high, canvas)
         return canvas
 
-    def _look_up(self, mask: Mask, box: Box, canvas: Mask) -> None:
-        """Fill that part of the canvas which looks into ``box``."""
-        cells = tuple(slice(s.start // CELL_PX, -(-s.stop // CELL_PX)) for s in box.slices)
-        (top, left), (bottom, right) = self._low[cells].min(axis=(0, 1)), self._high[cells].max(axis=(0, 1))
-        if top < bottom:
-            part = slice(top, bottom), slice(left, right)
-            canvas[part] = cv2.remap(
-                mask,
-                self._nearest[part],
-                np.empty(0, np.uint16),
-                cv2.INTER_NEAREST,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=0,
-            )
+
+@njit(**OPTIONS)
+def look_up(mask, top, left, bottom, right, place, low, high, canvas):  # type: ignore[no-untyped-def]
+    """Fill the parts of the canvas that look into what ``mask`` (H, W) holds within a box; see :class:`BoxUndistorter`.
+
+    place (h, w) uint32 : index of the pixel that each pixel of the canvas shows, or _UNSEEN. low, high : of
+    :func:`_canvas_of_cells`. canvas (h, w) uint8 : written, zeros before.
+    """
+    pixels = mask.reshape(-1)
+    for row in range(top // CELL_PX, -(-bottom // CELL_PX)):
+        first, last = right, left - 1  # columns that hold anything: arms make a person wide, but only in few rows
+        for y in range(max(top, row * CELL_PX), min(bottom, (row + 1) * CELL_PX)):
+            x = left
+            while x < first and mask[y, x] == 0:
+                x += 1
+            first, x = x, right - 1
+            while x > last and mask[y, x] == 0:
+                x -= 1
+            last = x
+        if last < first:
+            continue
+        v0, u0 = canvas.shape
+        v1, u1 = 0, 0
+        for cell in range(first // CELL_PX, last // CELL_PX + 1):
+            v0, u0 = min(v0, low[row, cell, 0]), min(u0, low[row, cell, 1])
+            v1, u1 = max(v1, high[row, cell, 0]), max(u1, high[row, cell, 1])
+        for v in range(v0, v1):
+            for u in range(u0, u1):
+                if place[v, u] != _UNSEEN:
+                    canvas[v, u] = pixels[place[v, u]]
 
 
 def _canvas_of_cells(nearest: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -179,7 +179,10 @@ class SilhouettePipeline:
         if canvas_levels is not None:
             source = self._levels
             source[box.slices] = canvas_levels
-        anything, person = int(np.count_nonzero(levels)), int(np.count_nonzero(levels == FOREGROUND))
+        anything, person = 0, 0
+        if levels.size:
+            anything = cv2.countNonZero(levels)
+            person = cv2.countNonZero(cv2.inRange(levels, FOREGROUND, FOREGROUND))
         fraction = person / image_mask.size
         canvas = self._undistorter.undistort(source, box)
         self._levels[box.slices] = 0  # as it was
