@@ -21,6 +21,7 @@ from scipy.special import chdtri
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from .expected_image import At, ExpectedImage, Floats
+from .grain import GrainMeter
 from .kernels import HIGHEST, SCALE, take_residuals, take_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
@@ -77,7 +78,7 @@ class AdaptiveBackground:
         )
         self._row, self._column = rows.reshape(-1), columns.reshape(-1)
         cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
-        self._light = LightEstimator(cell, channels)
+        self._light, self._grain = LightEstimator(cell, channels), GrainMeter(self._row, self._column, width)
         self._shift = ShiftEstimator((height, width))
         self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
@@ -138,7 +139,7 @@ class AdaptiveBackground:
         step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(picture, step_s)
-        self._follow_noise(rest, step_s, first)
+        self._follow_noise(picture, rest, step_s, first)
         self._since_shift_s += step_s
         steps, at_once = MOST_STEPS if first or self._since_shift_s >= SHIFT_S else 0, first
         while steps and self._follow_shift(picture, at_once):
@@ -159,20 +160,27 @@ class AdaptiveBackground:
         take_samples(pixels, levels, precision, *self._sampled, self._doubted(), DOUBTED, samples, trust)
         return self._light.update(samples, trust, step_s).T
 
-    def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
+    def _follow_noise(self, picture: Image, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
         self._since_noise_s += step_s
         if not first and (self._frames % NOISE_FRAMES or self._since_noise_s < NOISE_S):
             return
         level = self._image.samples(self._row, self._column)[0] * self.light.gain
         sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
+        grain = self._follow_grain(picture, sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
         if found is None:
             return
         found = found.at_least(self._least_noise, float(np.median(level)))
-        self._noise = self._noise.moved(found, 1 - math.exp(-self._since_noise_s / FOLLOW_S))
+        self._noise = self._noise.moved(found, 1 - math.exp(-self._since_noise_s / FOLLOW_S))._replace(grain=grain)
         self._since_noise_s = 0.0
+
+    def _follow_grain(self, picture: Image, sure: npt.NDArray[np.bool_]) -> float:
+        at = self._grain.row, self._grain.column
+        seen = picture[at].astype(np.float32)
+        rest = seen - self._image.samples(*at)[0] * self.light.gain - self.light.offset
+        return self._grain.update(seen, rest, sure, self._since_noise_s)
 
     def _follow_shift(self, picture: Image, first: bool) -> bool:
         if not self._shift.measurable:

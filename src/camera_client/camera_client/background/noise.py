@@ -37,12 +37,14 @@ Floats = npt.NDArray[np.floating]
 class Noise(NamedTuple):
     """Variance of a pixel's grey level in each channel: read + slope level, grey levels squared.
 
-    read, slope (C,) float64. correlation : of two channels' noise: codecs err mostly in brightness.
+    read, slope (C,) float64. correlation : of two channels' noise: codecs err mostly in brightness. grain : share that
+    neighbours have in common (:mod:`.grain`).
     """
 
     read: npt.NDArray[np.float64]
     slope: npt.NDArray[np.float64]
     correlation: float = 0.0
+    grain: float = 0.0
 
     def variance(self, level: Floats) -> Floats:
         """Return the variance of grey levels (..., C), or of levels without channels for mono images."""
@@ -65,7 +67,7 @@ class Noise(NamedTuple):
     def at_least(self, other: Noise, level: float) -> Noise:
         """Return the noise with each channel replaced by that of ``other`` where it is less at ``level``."""
         less = self.read + self.slope * level < other.read + other.slope * level
-        return Noise(np.where(less, other.read, self.read), np.where(less, other.slope, self.slope), self.correlation)
+        return self._replace(read=np.where(less, other.read, self.read), slope=np.where(less, other.slope, self.slope))
 
 
 def assumed_noise(sigma: float, channels: int) -> Noise:
@@ -102,7 +104,6 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     noise = Noise(noise.read * tail**2, noise.slope * tail**2)
     if channels == 1:
         return noise
-    scaled /= tail
     together = (HALF_MEDIAN * float(np.median(np.abs(scaled.sum(axis=1))))) ** 2  # channels (1 + (channels - 1) rho)
     rho = (together / channels - 1) / (channels - 1)
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))

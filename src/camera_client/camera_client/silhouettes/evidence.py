@@ -40,10 +40,18 @@ class EvidenceFilter:
         first = reach * math.sqrt(3) * 2 ** (PASSES - 1) / math.sqrt(4**PASSES - 1)
         self._table = np.exp(-math.sqrt(2) * length / first).astype(np.float32)
 
-    def decide(self, distance: Mask, image: Mask, expected: npt.NDArray[np.float32], noise: Noise) -> Mask:
+    def decide(
+        self,
+        distance: Mask,
+        image: Mask,
+        expected: npt.NDArray[np.float32],
+        noise: Noise,
+        spill: npt.NDArray[np.float32] | None = None,
+    ) -> Mask:
         """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
 
         distance (h, w) uint8 : SCALE z^2. image, expected (h, w[, 3]) : the part of the frame, and of the background.
+        spill (h, w) : standard deviation of a codec's errors, None without one.
         """
         height, width = distance.shape
         sigma = noise.sigma(typical_level(expected))
@@ -52,6 +60,10 @@ class EvidenceFilter:
         evidence *= np.float32(0.5 / SCALE)
         rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
         across, down = np.zeros((2, height, width), np.uint8)
+        if spill is not None:
+            evidence = less_spilled(
+                evidence, np.abs(rest.reshape(height, width, -1)).max(axis=2), spill, len(noise.read)
+            )
         steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), across, down)
         # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
@@ -79,6 +91,18 @@ def least_squared_distance(sigma: float, correlation: float, channels: int) -> f
     """
     determinant = (1 - correlation) ** (channels - 1) * (1 + (channels - 1) * correlation)
     return 2 * channels * math.log(256 / (math.sqrt(2 * math.pi) * sigma)) - math.log(determinant)
+
+
+def less_spilled(
+    evidence: npt.NDArray[np.float32], change: npt.NDArray[np.float32], spill: npt.NDArray[np.float32], channels: int
+) -> npt.NDArray[np.float32]:
+    """Return z^2 / 2 (h, w) with the variance of a codec's errors added to the noise's.
+
+    evidence (h, w) : z^2 / 2 of the noise alone. change (h, w) : difference of the channel that differs most. spill
+    (h, w) : standard deviation in each of the ``channels``.
+    """
+    by_spill = np.square(change) * np.float32(0.5 * channels)
+    return np.asarray(evidence * by_spill / np.maximum(by_spill + evidence * spill * spill, np.float32(1e-6)))
 
 
 @njit(**OPTIONS)

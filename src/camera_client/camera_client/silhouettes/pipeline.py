@@ -28,6 +28,7 @@ from .certainty import Certainty, CertaintyMeter
 from .evidence import EvidenceFilter
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
 from .shadows import ALIGNMENT_PX, AttenuationMarker, Scene, make_shadow_test
+from .spill import codec_spill
 
 EMPTY, FULL = "empty", "full"
 TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
@@ -112,7 +113,8 @@ class SilhouettePipeline:
             self._certainty.note_nothing()
             return self._silhouette(stamp_ns, np.zeros((0, 0), np.uint8), box)
         expected = self.background.expected(box.slices)
-        scene = Scene(image[box.slices], expected, self.background.noise, box.slices)
+        part, noise = image[box.slices], self.background.noise
+        scene = Scene(part, expected, noise, box.slices, codec_spill(part, expected, noise))
         raw = self._decide(scene)
         shadow = self._shadow.shadow(scene, raw)
         kept = person = self._keep_person(cv2.subtract(raw, shadow), box)
@@ -160,7 +162,7 @@ class SilhouettePipeline:
         if self._evidence is None:
             mask = cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
             return majority(mask, self._settings.median_px)
-        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise)
+        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.spill)
 
     def _keep_person(self, mask: Mask, box: Box) -> Mask:
         s, height = self._settings, self._shape[0]

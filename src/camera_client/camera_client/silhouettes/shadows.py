@@ -28,6 +28,7 @@ from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from .masks import Box
+from .spill import COLOUR_SHARE
 
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
@@ -54,19 +55,22 @@ class Scene(NamedTuple):
     """A part of a frame, and what the background looks like there now.
 
     image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
-    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
+    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends. spill (h, w)
+    float32 : standard deviation of a codec's errors, None without one.
     """
 
     image: Image
     expected: npt.NDArray[np.float32]
     noise: Noise
     at: tuple[slice, slice]
+    spill: npt.NDArray[np.float32] | None = None
 
     def part(self, box: Box) -> Scene:
         """Return a part of it; ``box`` counts from its own corner."""
         top, left = self.at[0].start, self.at[1].start
         at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
-        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at)
+        spill = None if self.spill is None else self.spill[box.slices]
+        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, spill)
 
 
 class ShadowTest(Protocol):
@@ -268,7 +272,10 @@ class ColourShadow:
         """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""
         half, image, expected = halve(mask), halve(scene.image), halve(scene.expected)
         row, column = np.nonzero(half)
-        fits, factor = self._fits(image[row, column], expected[row, column], scene.noise)
+        variance = scene.noise.variance(expected[row, column]) * np.float32(HALVED_NOISE)
+        if scene.spill is not None:
+            variance += np.square(COLOUR_SHARE * halve(scene.spill)[row, column])[:, None]
+        fits, factor = self._fits(image[row, column], expected[row, column], variance)
         darkest = self._darkest[row + scene.at[0].start // 2, column + scene.at[1].start // 2]
         fits &= (factor >= darkest) & (factor <= LIGHTEST)
         found = np.zeros_like(half)
@@ -277,10 +284,9 @@ class ColourShadow:
         found = cv2.bitwise_and(found, self._texture_persists(image, expected, found, scene.noise))
         return cv2.bitwise_and(_enlarged(found, 2, mask.shape), mask)
 
-    def _fits(self, x: np.ndarray, mean: np.ndarray, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    def _fits(self, x: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tell which pixels x (n, 3) have the colour of a darkened ``mean`` (n, 3), and each one's factor."""
-        s, variance = self._settings, noise.variance(mean) * np.float32(HALVED_NOISE)
-        mu, weight = mean, 1 / variance
+        s, mu, weight = self._settings, mean, 1 / variance
         power = np.einsum("ij,ij,ij->i", mu, mu, weight)
         factor = np.einsum("ij,ij,ij->i", x, mu, weight) / np.maximum(power, 1e-9)
         tint = np.float32(s.tint) * (1 - factor)[:, None] * mu

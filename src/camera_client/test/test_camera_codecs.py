@@ -1,0 +1,75 @@
+"""Codecs: their noise is coarse, and what they draw anew beside a person is no person."""
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_client.background.adaptive import AdaptiveBackground
+from camera_client.background.model import BackgroundLearner
+from camera_client.background.noise import assumed_noise
+from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.silhouettes.spill import FINE_GRAIN, codec_spill
+from virtual_studio.rig import ring
+
+HEIGHT, WIDTH, NOISE, QUALITY, FPS = 480, 640, 2.0, 30, 30.0
+
+
+def through_jpeg(picture):
+    """Return a picture as a Motion JPEG of low rate gives it back."""
+    flags = cv2.IMREAD_COLOR if picture.ndim == 3 else cv2.IMREAD_GRAYSCALE
+    return cv2.imdecode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1], flags)
+
+
+def room(colour, rng):
+    """Return the light of a room with soft patches and a few edges, (H, W[, 3])."""
+    patches = cv2.resize(rng.uniform(90, 160, (12, 16)), (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    cv2.rectangle(patches, (60, 50), (180, 150), 60.0, 3)
+    return patches[..., None] * [0.8, 1.0, 1.1] if colour else patches
+
+
+def exposed(light, rng):
+    return np.rint(light + rng.normal(0, NOISE, light.shape)).clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("codec", [False, True])
+def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(colour, codec):
+    rng = np.random.default_rng(5)
+    light, learner = room(colour, rng), BackgroundLearner()
+    for _ in range(30):
+        image = exposed(light, rng)
+        learner.add(through_jpeg(image) if codec else image)
+    background = AdaptiveBackground(learner.model("room"), BackgroundSettings(), 8)
+    for frame in range(40):
+        image = exposed(np.roll(light, 30 * (frame >= 20), axis=1), rng)
+        background.follow(through_jpeg(image) if codec else image, round(frame * 1e9 / FPS))
+        if frame >= 8:
+            assert (background.noise.grain > FINE_GRAIN) == codec, (frame, background.noise.grain)
+
+
+def test_spill_reaches_a_block_far_and_is_there_with_codecs_only():
+    expected = np.full((60, 80), 100, np.float32)
+    image = expected.astype(np.uint8)
+    image[:, 60:] = 200
+    assert codec_spill(image, expected, assumed_noise(2.0, 1)) is None
+    spill = codec_spill(image, expected, assumed_noise(2.0, 1)._replace(grain=0.6))
+    assert (spill[:, 52:] > 2).all() and (spill[:, :52] == 0).all()
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_blocks_beside_a_person_are_no_person(colour):
+    """A tall ellipse through JPEG is found whole and hardly wider: by 0.13 and 0.23 of its area without the spill."""
+    camera, rng = ring(2).cameras[0], np.random.default_rng(6)
+    light, learner = room(colour, rng), BackgroundLearner()
+    for _ in range(30):
+        learner.add(through_jpeg(exposed(light, rng)))
+    truth = cv2.ellipse(np.zeros((HEIGHT, WIDTH), np.uint8), (330, 160), (35, 110), 10, 0, 360, 255, cv2.FILLED)
+    pipeline = SilhouettePipeline(camera, learner.model("room"), SilhouetteSettings(shadow="keep"))
+    person = light.copy()
+    person[truth > 0] = [40, 70, 190] if colour else 205
+    for frame in range(40):
+        found = pipeline.run(through_jpeg(exposed(person, rng)), round(frame * 1e9 / FPS)).image_mask > 127
+    assert pipeline.background.noise.grain > FINE_GRAIN
+    assert np.count_nonzero(found & (truth > 0)) > 0.97 * np.count_nonzero(truth)
+    assert np.count_nonzero(found & (truth == 0)) < 0.06 * np.count_nonzero(truth)
