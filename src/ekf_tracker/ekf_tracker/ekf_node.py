@@ -37,6 +37,7 @@ from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
 from .filter import ArticulatedEkf, warm_up
 from .humans_ros import Humans, NoHumans, make_humans
+from .latency_ros import LatencyReport
 from .settings import EkfNodeSettings
 from .state import POSE
 from .state_ros import skeleton_markers, state_message, torso_message
@@ -62,7 +63,7 @@ class EkfNode(SagomaNode):
 
     def configure(self) -> None:
         """Load the body if a file names it, compile the filter, open topics."""
-        self._waiting: deque[tuple[int, ReferencePoints]] = deque()
+        self._waiting: deque[tuple[int, ReferencePoints, int]] = deque()
         self._body_text = ""
         self._backwards, self._next_skeleton_ns = 0, 0
         body = load_body(self.settings.body_file) if self.settings.body_file else None
@@ -70,6 +71,8 @@ class EkfNode(SagomaNode):
         warm_up()
         self._humans = make_humans(self, self.settings.publish_humans, self.settings.body_id, self.settings.frame_id)
         self._open_publishers()
+        self._latency = LatencyReport(self)
+        self._closing.append(self._latency.close)
         service = self.create_service(Trigger, "~/reset", self._on_reset)
         wall_time = Clock(clock_type=ClockType.STEADY_TIME)  # a person waits, whatever time the sets are of
         wait_s = max(self.settings.body_wait_s, 1e-3)
@@ -131,16 +134,16 @@ class EkfNode(SagomaNode):
     def _on_points(self, points: Delivery[ReferencePoints]) -> None:
         with self._answering:
             if self._active:
-                self._take(points.stamp_ns, self._read(points))
+                self._take(points.stamp_ns, self._read(points), self._latency.now_ns())
 
-    def _take(self, stamp_ns: int, measured: ReferencePoints) -> None:
+    def _take(self, stamp_ns: int, measured: ReferencePoints, fitted_ns: int) -> None:
         if self._filter.body is None and measured.visible.any():  # the body was measured with this set, and will come
-            self._waiting.append((stamp_ns, measured))
+            self._waiting.append((stamp_ns, measured, fitted_ns))
             if len(self._waiting) > RESULT.depth:
                 self._answer(*self._waiting.popleft())
             self._body_timeout.reset()
             return
-        self._answer(stamp_ns, measured)
+        self._answer(stamp_ns, measured, fitted_ns)
 
     def _answer_waiting(self) -> None:
         with self._answering:
@@ -161,7 +164,7 @@ class EkfNode(SagomaNode):
             self._drop("bad_points", error)
             return NOTHING_SEEN
 
-    def _answer(self, stamp_ns: int, measured: ReferencePoints) -> None:
+    def _answer(self, stamp_ns: int, measured: ReferencePoints, fitted_ns: int) -> None:
         """Publish the one answer that every set gets."""
         result = self._filtered(stamp_ns, measured)
         if isinstance(result, BodyState) and result.tracking != Tracking.LOST:
@@ -170,6 +173,7 @@ class EkfNode(SagomaNode):
             self._humans.absent(stamp_ns)
         self._state.publish(state_message, result, self.get_fully_qualified_name())
         self._prediction.publish(result.prediction, stamp_ns, self.settings.frame_id)
+        self._latency.answered(stamp_ns, fitted_ns)
         self.health.status(HEALTH[result.tracking], f"{result.tracking}: {result.reason}")
         self.health.tick(stamp_ns)
 

@@ -4,21 +4,23 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from ekf_person import ALL, NONE, isotropic, stamp
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_probe import FAILURE, SUCCESS, NodeProbe
 from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray, Int64MultiArray, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ekf_tracker.ekf_node import EkfNode
 from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.fit import ReferencePoints
+from mocap_packets.latency import POINTS, HullTimes
 from sagoma_ros.clouds import to_cloud
+from sagoma_ros.latency import LATENCY_TOPIC, TIMES_TOPIC, times_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import packet_cloud, read_prediction, read_reference_points
 from sagoma_ros.qos import LATCHED, RESULT
@@ -355,3 +357,30 @@ def test_humans_topics_carry_the_person_under_its_id(bench, body_file, person):
     assert named["l_elbow_anna"] == pytest.approx(-true.hinges[0], abs=0.05)
     assert named["r_knee_anna"] == pytest.approx(-true.hinges[3], abs=0.05)
     assert 'name="body_anna"' in b.latest("/humans/bodies/anna/urdf").data
+
+
+def test_latency_of_every_set_is_published_while_somebody_listens(bench, body_file, person):
+    bench = bench(body_file=body_file).start()
+    assert bench.node.count_subscribers("hull/times") == 0
+    bench.listen(DiagnosticArray, LATENCY_TOPIC)
+    times = bench.peer.create_publisher(Int64MultiArray, TIMES_TOPIC, RESULT)
+    bench.until(times.get_subscription_count)
+    for k in range(3):
+        times.publish(times_message(HullTimes(stamp(k), stamp(k) + 9_000_000, stamp(k) + 15_500_000)))
+        bench.fit(stamp(k), person.points(k / 60))
+    bench.until(lambda: sum(topic == LATENCY_TOPIC for topic, _ in bench.arrived) == 3)
+    heard = [message for topic, message in bench.arrived if topic == LATENCY_TOPIC]
+    assert [to_ns(message.header.stamp) for message in heard] == [stamp(k) for k in range(3)]
+    for message in heard:
+        ages = {pair.key: float(pair.value) for pair in message.status[0].values}
+        assert list(ages) == [f"{point}_ms" for point in POINTS]
+        assert ages["received_ms"] == 9.0 and ages["hull_ms"] == 15.5 and ages["fitted_ms"] <= ages["published_ms"]
+
+
+def test_times_that_are_none_are_counted(bench):
+    bench = bench().start()
+    bench.listen(DiagnosticArray, LATENCY_TOPIC)
+    times = bench.peer.create_publisher(Int64MultiArray, TIMES_TOPIC, RESULT)
+    bench.until(times.get_subscription_count)
+    times.publish(Int64MultiArray(data=[1]))
+    bench.until(lambda: bench.node.health.counter("bad_times") == 1)

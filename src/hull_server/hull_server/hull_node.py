@@ -10,15 +10,18 @@ from time import monotonic_ns
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import Int64MultiArray
 
 from capture_rig import CameraModel, InputError, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
+from mocap_packets.latency import HullTimes
 from sagoma_ros import mask_png
 from sagoma_ros.exchange import HeardPublisher, PacketPublisher
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette, support_message
+from sagoma_ros.latency import TIMES_TOPIC, times_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
@@ -146,12 +149,13 @@ class HullNode(SagomaNode):
         self._contour_rays = PacketPublisher[ContourRays](self, PointCloud2, "hull/contour_rays", packet_cloud)
         self._centerline = PacketPublisher[Centerline](self, PointCloud2, "hull/centerline", packet_cloud)
         self._voxels = PacketPublisher[VoxelSamples](self, PointCloud2, "hull/voxels", packet_cloud)
+        self._times = PacketPublisher[HullTimes](self, Int64MultiArray, TIMES_TOPIC, times_message)
         self._frame_set = HeardPublisher(self, DiagnosticArray, "hull/frame_set")
         self._supports = {
             camera: HeardPublisher(self, Image, f"{camera}/silhouette/support") for camera in self._canvases
         }
         self._closing += [self._contour_rays.close, self._centerline.close, self._voxels.close, self._frame_set.close]
-        self._closing += [publisher.close for publisher in self._supports.values()]
+        self._closing += [self._times.close, *(publisher.close for publisher in self._supports.values())]
 
     def _subscribe(self) -> None:
         qos = SILHOUETTE_RELIABLE_SUBSCRIBER if self.settings.reliable else SILHOUETTE_SUBSCRIBER
@@ -258,6 +262,8 @@ class HullNode(SagomaNode):
         # the centerline last but one: the tracker starts to fit when it arrives, with the contour rays that it has
         products = result.products
         self._overload.hand_over(products.stamp_ns)
+        times = HullTimes(products.stamp_ns, carved.closed.closed_ns, self.get_clock().now().nanoseconds)
+        self._times.publish(times, products.stamp_ns, frame_id)
         self._contour_rays.publish(products.contour_rays, products.stamp_ns, frame_id)
         self._centerline.publish(products.centerline, products.stamp_ns, frame_id)
         self._voxels.publish(products.voxels, products.stamp_ns, frame_id)

@@ -13,6 +13,7 @@ from node_probe import FAILURE, PATIENCE_S, SUCCESS, NodeProbe, values_of
 from plyfile import PlyData
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import Trigger
 
 from capture_rig import load_rig, save_rig
@@ -25,6 +26,7 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from mocap_packets.thinning import EVERY_FRAME, Thinning
 from sagoma_ros.images import camera_info_message, read_support, silhouette_message
+from sagoma_ros.latency import read_times
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import read_packet
 from sagoma_ros.qos import LATCHED, SILHOUETTE_PUBLISHER
@@ -453,6 +455,17 @@ def test_node_tells_the_cameras_its_rule_and_leaves_out_what_it_does_not_keep(ma
 def test_node_of_a_replay_thins_nothing_out(make_bench, scene, parameters):
     bench = make_bench(**parameters).start(scene[1])
     assert bench.peer.count_publishers("/hull/thinning") == 0
+
+
+def test_node_says_when_a_set_was_closed_and_when_its_hull_left(make_bench, scene):
+    _, rig, masks = scene
+    bench = make_bench()
+    heard = bench.listen(Int64MultiArray, "hull/times")
+    bench.start(rig).send(masks, 0)
+    bench.answers(1)
+    bench.until(lambda: heard)
+    times = read_times(heard[0], "test")
+    assert times.stamp_ns == stamp(0) and stamp(0) < times.received_ns < times.hull_ns <= time.time_ns()
 
 
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):

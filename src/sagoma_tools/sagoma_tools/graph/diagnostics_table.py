@@ -15,6 +15,8 @@ from rich.text import Text
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
 STALE_S = 3.0
+BUDGET_PERIODS = 1.5  # from exposure to joint state, in periods of the frame sets, for 95 % of them
+POINTS_OF = {"hull_server": "hull", "icp_tracker": "fit", "ekf_tracker": "joint state"}
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
 LOSS_WORDS = (*_LOSSES.split(), "control_losses")
 LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
@@ -76,6 +78,8 @@ class DiagnosticsTable:
         table.add_column("says", ratio=2)
         for name, label in names.items():
             table.add_row(label, *_row(states.get(name, "?"), self.report(name), now_s))
+        table.caption = latency_line({name: report for name in names if (report := self.report(name)) is not None})
+        table.caption_justify = "left"
         return table
 
     def _take(self, message: DiagnosticArray) -> None:
@@ -85,6 +89,27 @@ class DiagnosticsTable:
                 values = {pair.key: pair.value for pair in status.values}
                 self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s)
             self._heard.notify_all()
+
+
+def latency_line(reports: Mapping[str, NodeReport]) -> str:
+    """Say how old frame sets are at three points, and whether that is within the budget; empty while it is unknown.
+
+    reports : by full node name.
+    """
+    of = {name.rpartition("/")[2]: report.values for name, report in reports.items()}
+    ages = [
+        f"{point} {of[node]['latency_p50_ms']} ms"
+        for node, point in POINTS_OF.items()
+        if "latency_p50_ms" in of.get(node, {})
+    ]
+    try:
+        p95_ms, rate_hz = (float(of["ekf_tracker"][key]) for key in ("latency_p95_ms", "rate_hz"))
+    except (KeyError, ValueError):
+        return ""
+    periods = p95_ms * rate_hz / 1e3
+    verdict = "within" if periods <= BUDGET_PERIODS else "over"
+    budget = f"95 % within {p95_ms:.0f} ms: {periods:.1f} periods, {verdict} the budget of {BUDGET_PERIODS:g}"
+    return f"since exposure, median: {', '.join(ages)}; {budget}"
 
 
 def _row(state: str, report: NodeReport | None, now_s: float) -> tuple[str | Text, ...]:

@@ -58,6 +58,7 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/mocap/reference_points", "sensor_msgs/msg/PointCloud2"),
     Topic("/mocap/skeleton", "visualization_msgs/msg/MarkerArray"),
     Topic("/mocap/state", "diagnostic_msgs/msg/DiagnosticStatus"),
+    Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
     Topic(PREDICTION_TOPIC, "sensor_msgs/msg/JointState"),
 )
 RENAMED_TOPICS = {"/hull/rims": "/hull/contour_rays"}
