@@ -4,7 +4,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 
 from launch import LaunchDescription
 from sagoma_bringup.graph import build_graph
-from sagoma_bringup.launch_nodes import node_actions, rviz_action, value_of
+from sagoma_bringup.launch_nodes import node_actions, rviz_action, server_argument, value_of
 
 ARGUMENTS = [
     DeclareLaunchArgument("session", description="folder with rig.yaml, camNN.mp4, camNN_background.png or .mp4"),
@@ -23,9 +23,9 @@ def nodes(context):
         loop=value_of(context, "loop").lower() == "true",
         body=value_of(context, "body") or None,
     )
-    return node_actions(graph) + rviz_action(value_of(context, "rviz"))
+    return node_actions(graph, value_of(context, "server")) + rviz_action(value_of(context, "rviz"))
 
 
 def generate_launch_description():
     """Called by ros2 launch."""
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=nodes)])
+    return LaunchDescription([*ARGUMENTS, server_argument(), OpaqueFunction(function=nodes)])

@@ -4,7 +4,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 
 from launch import LaunchDescription
 from sagoma_bringup.graph import build_graph
-from sagoma_bringup.launch_nodes import node_actions, value_of
+from sagoma_bringup.launch_nodes import node_actions, server_argument, value_of
 
 ARGUMENTS = [
     DeclareLaunchArgument("rig", description="rig YAML: the calibrated cameras and the capture volume"),
@@ -18,9 +18,9 @@ ARGUMENTS = [
 def nodes(context):
     """Return the graph's nodes for the arguments' values."""
     graph = build_graph(rig=value_of(context, "rig"), body=value_of(context, "body") or None)
-    return node_actions(graph, autostart=value_of(context, "autostart").lower() == "true")
+    return node_actions(graph, value_of(context, "server"), autostart=value_of(context, "autostart").lower() == "true")
 
 
 def generate_launch_description():
     """Called by ros2 launch."""
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=nodes)])
+    return LaunchDescription([*ARGUMENTS, server_argument(), OpaqueFunction(function=nodes)])

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Any
 
+import yaml
 from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from .graph import NodeSpec
+from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
 
 
 def value_of(context: Any, argument: str) -> str:
@@ -19,19 +23,27 @@ def value_of(context: Any, argument: str) -> str:
     return LaunchConfiguration(argument).perform(context)
 
 
-def node_actions(graph: Sequence[NodeSpec], autostart: bool = True) -> list[Node]:
-    """Return one node action each; launched nodes configure and activate themselves unless told not to."""
-    return [
-        Node(
-            package=spec.package,
-            executable=spec.executable,
-            name=spec.name,
-            namespace=spec.namespace,
-            parameters=[{key: _typed(value) for key, value in {**spec.parameters, "autostart": autostart}.items()}],
-            output="screen",
-        )
-        for spec in graph
-    ]
+def server_argument() -> DeclareLaunchArgument:
+    """The argument that says whether the server's nodes share a process."""
+    text = f"hull, ICP and EKF nodes in one process, or in one each: {' or '.join(SERVER_LAYOUTS)}"
+    return DeclareLaunchArgument("server", default_value=ONE_PROCESS, description=text)
+
+
+def node_actions(graph: Sequence[NodeSpec], server: str, autostart: bool = True) -> list[Node]:
+    """Return one action a process; launched nodes configure and activate themselves unless told not to."""
+    started = [node.with_parameters({"autostart": autostart}) for node in graph]
+    return [_action(process) for process in processes_of(started, server)]
+
+
+def _action(process: ProcessSpec) -> Node:
+    shown = {"package": process.package, "executable": process.executable, "output": "screen"}
+    if len(process.nodes) > 1:  # a launch action names one node: these have their names, and parameters by name
+        with NamedTemporaryFile("w", prefix=f"{process.label}_", suffix=".yaml", delete=False) as file:
+            yaml.safe_dump(process.parameter_document(), file)
+        return Node(parameters=[file.name], **shown)
+    (node,) = process.nodes
+    parameters = {key: _typed(value) for key, value in node.parameters.items()}
+    return Node(name=node.name, namespace=node.namespace, parameters=[parameters], **shown)
 
 
 def rviz_action(wanted: str) -> list[Node]:

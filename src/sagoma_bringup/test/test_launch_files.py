@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from sagoma_bringup.graph import build_graph
+from sagoma_bringup.processes import THREE_PROCESSES
 
 PACKAGE = Path(__file__).resolve().parents[1]
 LAUNCH = PACKAGE / "launch"
@@ -113,7 +114,7 @@ def run_launch_file(path, **given):
 
 def test_all_in_one_launch_file_starts_every_node_of_the_rig_by_itself(fake_launch):
     rig, cameras = CONFIG / "rig" / "ring4.yaml", CONFIG / "camera"
-    actions = run_launch_file(LAUNCH / "all_in_one.launch.py", rig=rig, cameras=cameras)
+    actions = run_launch_file(LAUNCH / "all_in_one.launch.py", rig=rig, cameras=cameras, server=THREE_PROCESSES)
     graph = build_graph(rig=rig, cameras=cameras)
     assert [a.kwargs["namespace"].rstrip("/") + "/" + a.kwargs["name"] for a in actions] == [n.full_name for n in graph]
     for action, node in zip(actions, graph, strict=True):
@@ -123,9 +124,24 @@ def test_all_in_one_launch_file_starts_every_node_of_the_rig_by_itself(fake_laun
 
 
 @pytest.mark.parametrize("autostart", ["true", "false"])
-def test_server_launch_file_starts_the_nodes_of_the_server_graph_with_their_parameters(fake_launch, autostart):
+def test_server_launch_file_starts_the_server_graph_in_one_process(fake_launch, autostart):
     rig, body = CONFIG / "rig" / "ring4.yaml", next((CONFIG / "body").glob("*.yaml"))
-    actions = run_launch_file(LAUNCH / "server.launch.py", rig=rig, body=body, autostart=autostart)
+    (action,) = run_launch_file(LAUNCH / "server.launch.py", rig=rig, body=body, autostart=autostart)
+    assert "name" not in action.kwargs  # it would rename all three nodes
+    assert action.kwargs["executable"] in executables(action.kwargs["package"])
+    (file,) = action.kwargs["parameters"]
+    nodes = [node.with_parameters({"autostart": autostart == "true"}) for node in build_graph(rig=rig, body=body)]
+    assert yaml.safe_load(Path(file).read_text()) == {
+        node.full_name: {"ros__parameters": dict(node.parameters)} for node in nodes
+    }
+    Path(file).unlink()
+
+
+@pytest.mark.parametrize("autostart", ["true", "false"])
+def test_server_launch_file_starts_the_nodes_with_their_parameters(fake_launch, autostart):
+    rig, body = CONFIG / "rig" / "ring4.yaml", next((CONFIG / "body").glob("*.yaml"))
+    given = {"rig": rig, "body": body, "autostart": autostart, "server": THREE_PROCESSES}
+    actions = run_launch_file(LAUNCH / "server.launch.py", **given)
     graph = build_graph(rig=rig, body=body)
     assert [action.kwargs["name"] for action in actions] == [node.name for node in graph]
     for action, node in zip(actions, graph, strict=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -26,6 +25,7 @@ except ImportError:  # rclpy before Kilted
 RCLError = rclpy_implementation.RCLError
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SIGNAL_LATENCY_S = 0.2  # Python sees a signal only when the wait for the next event returns
+BLOCKED_S = 1.0  # after which a callback is interrupted
 
 
 def make_executor(context: Context | None = None) -> Executor:
@@ -45,15 +45,7 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
     active before the one that sends to it. Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when a
     node could not be made at all.
     """
-    ending = threading.Event()
-
-    def interrupt(number: int, frame: object) -> None:
-        ending.set()
-        raise KeyboardInterrupt
-
-    # our own handlers: rclpy's shut the context down first, and a node could no longer say or release anything
-    for number in SIGNALS:
-        signal.signal(number, interrupt)
+    ending = _Ending()
     status = 0
     nodes: list[SagomaNode] = []
     try:
@@ -69,8 +61,7 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
         print(error, file=sys.stderr)
         status = 2
     finally:
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+        ending.ignore()
         for node in nodes:
             node.close()
         for node in nodes:
@@ -85,16 +76,47 @@ def autostart(nodes: Sequence[SagomaNode]) -> bool:
     return all(node.configured() for node in starting) and all(node.activated() for node in reversed(starting))
 
 
-def _spin(nodes: Sequence[SagomaNode], ending: threading.Event) -> None:
+class _Ending:
+    """Takes SIGINT and SIGTERM; rclpy's own handlers would end the context before a node could release anything.
+
+    A signal raises KeyboardInterrupt, but while the executor spins: it is in the midst of its own work, and loses track
+    of the entities when that is interrupted. There it is only noted, and raised BLOCKED_S later if a callback blocks.
+    """
+
+    def __init__(self) -> None:
+        self.asked = self.spinning = False
+        for number in SIGNALS:
+            signal.signal(number, self._take)
+        signal.signal(signal.SIGALRM, self._insist)
+
+    def ignore(self) -> None:
+        """Take no more signals: the process ends."""
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for number in (*SIGNALS, signal.SIGALRM):
+            signal.signal(number, signal.SIG_IGN)
+
+    def _take(self, number: int, frame: object) -> None:
+        self.asked = True
+        if not self.spinning:
+            raise KeyboardInterrupt
+        signal.setitimer(signal.ITIMER_REAL, BLOCKED_S)
+
+    def _insist(self, number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+
+def _spin(nodes: Sequence[SagomaNode], ending: _Ending) -> None:
+    ending.spinning = True
     with _executing(nodes) as executor:
-        while rclpy.ok() and not ending.is_set():
+        while rclpy.ok() and not ending.asked:
             try:
                 executor.spin_once(timeout_sec=SIGNAL_LATENCY_S)
             except ExternalShutdownException:
                 raise
             except Exception as error:  # in a callback: one bad message may not end the process
-                if not ending.is_set():  # else it is the interrupt, which rclpy's C++ turns into errors of its own
+                if not ending.asked:  # else it is the interrupt, which rclpy's C++ turns into errors of its own
                     nodes[0].report(error)
+        ending.ignore()
 
 
 @contextmanager

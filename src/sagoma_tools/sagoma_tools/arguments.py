@@ -12,6 +12,7 @@ from rich.console import Console
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, build_graph
+from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
 LOG_WIDTH = 150
 
@@ -39,6 +40,12 @@ def add_settings_argument(parser: argparse.ArgumentParser) -> None:
     """--set NODE.PARAM=VALUE, any number of times; :func:`parse_settings` reads it."""
     text = "set a parameter, e.g. hull_server.voxel_size_m=0.015 or cameras.publish_preview=true"
     parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAM=VALUE", dest="settings", help=text)
+
+
+def add_server_argument(parser: argparse.ArgumentParser) -> None:
+    """--server LAYOUT: whether the server's nodes share a process."""
+    text = "the server's hull, ICP and EKF nodes in one process (default), or in one each"
+    parser.add_argument("--server", choices=SERVER_LAYOUTS, default=ONE_PROCESS, help=text)
 
 
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:

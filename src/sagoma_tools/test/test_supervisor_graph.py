@@ -80,8 +80,8 @@ def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
 def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supervise):
     deaths, told = [], threading.Event()
 
-    def on_exit(spec, log_tail):
-        deaths.append((spec.label, log_tail))
+    def on_exit(process, log_tail):
+        deaths.append((process.label, log_tail))
         told.set()
 
     run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_exit=on_exit)

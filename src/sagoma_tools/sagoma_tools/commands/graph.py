@@ -15,10 +15,11 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import CAMERA_NODE, NodeSpec
+from sagoma_bringup.graph import CAMERA_NODE
+from sagoma_bringup.processes import ProcessSpec
 from virtual_studio.gige import command as studio
 
-from ..arguments import add_graph_arguments, graph_from, new_run_folder, table_console
+from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, table_console
 from ..graph.lifecycle_client import LifecycleClient, State
 from ..graph.processes import Exit
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
@@ -39,6 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the five subcommands."""
     parser = subparsers.add_parser("up", help="run the graph on a session of footage or on a rig of cameras")
     add_graph_arguments(parser)
+    add_server_argument(parser)
     parser.add_argument("--record", metavar="BAG", help="record all topics into this bag")
     parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
     parser.add_argument("--run-folder", help="where logs and parameter files go (default: output/up-DATE-TIME)")
@@ -62,11 +64,14 @@ def up(args: argparse.Namespace) -> int:
     console, folder = table_console(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
-    def report_exit(spec: NodeSpec, log_tail: str) -> None:
-        console.print(f"{spec.full_name} died. The end of {folder / spec.label}.log:", style="red")
+    def report_exit(process: ProcessSpec, log_tail: str) -> None:
+        console.print(f"{process} died. The end of {folder / process.label}.log:", style="red")
         console.print(log_tail, markup=False, highlight=False)
 
-    with StopOnSignal() as stop, Supervisor(graph, folder, on_exit=report_exit, cancel=stop) as supervisor:
+    with (
+        StopOnSignal() as stop,
+        Supervisor(graph, folder, on_exit=report_exit, cancel=stop, server=args.server) as supervisor,
+    ):
         recorder = bring_up(supervisor, args.record, stop)
         watch(supervisor, console, stop, args.seconds)
         supervisor.suspend()
@@ -113,7 +118,7 @@ def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
     for status in failed:
         console.print(f"{status.name} {status.exit.value} (status {status.returncode})", style="yellow")
     if not failed:
-        console.print(f"all {len(supervisor.exit_statuses)} nodes stopped")
+        console.print(f"all {len(supervisor.graph)} nodes stopped")
     return 1 if failed else 0
 
 

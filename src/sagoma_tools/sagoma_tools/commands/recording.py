@@ -9,7 +9,7 @@ from pathlib import Path
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 
-from ..arguments import add_settings_argument, new_run_folder, parse_settings
+from ..arguments import add_server_argument, add_settings_argument, new_run_folder, parse_settings
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics
 from ..recording.lockstep import lockstep_into, replay_through_graph
@@ -41,6 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--output", metavar="BAG", help="with --graph: record the graph's output into this bag")
     parser.add_argument("--rig", help="with --graph: rig YAML (default: the one in the bag's folder)")
     parser.add_argument("--body", help="with --graph: body YAML for the trackers")
+    add_server_argument(parser)
     parser.add_argument("--run-folder", help="with --graph: where logs go (default: output/replay-DATE-TIME)")
     add_settings_argument(parser)
     parser.set_defaults(run=replay)
@@ -79,9 +80,8 @@ def replay(args: argparse.Namespace) -> int:
         if args.graph:
             run_folder = new_run_folder(args.run_folder, "replay")
             settings = parse_settings(args.settings)
-            report = replay_through_graph(
-                args.bag, args.output, run_folder, rig=args.rig, body=args.body, settings=settings, cancel=stop
-            )
+            graph = {"rig": args.rig, "body": args.body, "settings": settings, "server": args.server}
+            report = replay_through_graph(args.bag, args.output, run_folder, **graph, cancel=stop)
             return print_report(report)
         with RosLink("sagoma_replayer") as link:
             if args.lockstep:

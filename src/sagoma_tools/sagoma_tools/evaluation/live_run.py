@@ -46,8 +46,8 @@ class LiveRun:
     seen : (N,) the session's frames that a camera captured.
     sets : frame sets sent; answered : how many of them the EKF answered, at sets_per_s of wall time.
     incomplete : sets that lacked a camera; spread_ms : the largest difference of capture stamps in one set.
-    usage : memory and processor time by node, at the end of the run.
-    cpu_ms_per_set : processor time that each node spent on one frame set, on average, its start left out.
+    usage : memory and processor time by process, at the end of the run.
+    cpu_ms_per_set : processor time that each process spent on one frame set, on average, its start left out.
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     """
 
@@ -117,9 +117,9 @@ class UsageMeter:
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
 
     def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
-        """Processor time of each node for one of so many frame sets."""
+        """Processor time of each process for one of so many frame sets."""
         spent = {n: used.cpu_s - self._before[n].cpu_s for n, used in self.usage.items() if n in self._before}
-        return {node: 1e3 * cpu_s / max(sets, 1) for node, cpu_s in spent.items()}
+        return {label: 1e3 * cpu_s / max(sets, 1) for label, cpu_s in spent.items()}
 
 
 def start_settings(session: Session, start: str) -> dict[str, Any]:

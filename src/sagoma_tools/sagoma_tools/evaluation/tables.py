@@ -157,12 +157,13 @@ def print_nodes(
     cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
 ) -> None:
-    """Print one row a node: resident memory and its peak, processor time a frame set, results, latency."""
+    """Print one row a process and a node: memory and its peak, processor time a frame set; results, latency."""
     memory_columns = "resident MiB", "peak MiB"
     table = _table("nodes", "node", *memory_columns, "cpu ms a set", "results", "latency p50 ms", "p95 ms")
     values = {_label(name): report for name, report in diagnostics.items()}
-    for label, used in usage.items():
-        memory = f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}"
+    for label in dict.fromkeys([*usage, *values]):
+        used = usage.get(label)  # None of a node that shares its process
+        memory = (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}") if used is not None else ("", "")
         cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
         report = values.get(label, {})
         keys = ("results", "latency_p50_ms", "latency_p95_ms")

@@ -1,7 +1,8 @@
 """Runs the node graph as processes, without the ros2 command line.
 
-Starts every node, drives the lifecycle with acknowledgements (the server's nodes first, the cameras last), watches the
-processes, and stops them cleanly. A camera may die; the graph goes on.
+Starts every process (the server's nodes share one, unless told otherwise), drives the nodes' lifecycle with
+acknowledgements (the server's first, the cameras' last), watches the processes, and stops them cleanly. A camera may
+die; the graph goes on.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import yaml
@@ -18,6 +20,7 @@ from rclpy.node import Node
 
 from camera_client.sources.footage_source import EPOCH_STEP_NS
 from sagoma_bringup.graph import NodeSpec, Role
+from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
 
 from .diagnostics_table import DiagnosticsTable
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
@@ -56,16 +59,19 @@ class Supervisor:
         env: Mapping[str, str] | None = None,
         grace_s: float = GRACE_S,
         cancel: threading.Event | None = None,
-        on_exit: Callable[[NodeSpec, str], None] | None = None,
+        on_exit: Callable[[ProcessSpec, str], None] | None = None,
+        server: str = ONE_PROCESS,
     ) -> None:
-        """``on_exit(spec, log_tail)`` is called, from another thread, for every node that ends by itself.
+        """``on_exit(process, log_tail)`` is called, from another thread, for every process that ends by itself.
 
-        run_folder : gets one log and one parameter file a node; made when missing.
+        server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
+        run_folder : gets one log and one parameter file a process; made when missing.
         domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
         grace_s : how long a node may take to end after SIGINT before it is killed.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         """
         self.graph = with_common_epoch(graph, time.time_ns())
+        self.processes = processes_of(self.graph, server)
         self.run_folder = Path(run_folder)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome(())
@@ -98,14 +104,15 @@ class Supervisor:
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
-            for spec in self.graph:
-                self._children[spec.full_name] = self._spawn(spec)
+            for process in self.processes:
+                child = self._spawn(process)
+                self._children |= dict.fromkeys((node.full_name for node in process.nodes), child)
         except BaseException:
             self.stop()
             raise
 
     def stop(self) -> tuple[ExitStatus, ...]:
-        """Deactivate, clean up, SIGINT, and after the grace period SIGKILL; returns how each node ended.
+        """Deactivate, clean up, SIGINT, and after the grace period SIGKILL; returns how each process ended.
 
         :attr:`stop_outcome` holds the answers to the lifecycle requests.
         """
@@ -115,10 +122,11 @@ class Supervisor:
         self.stop_outcome = self.suspend() + self._bring(
             self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, STOP_TIMEOUT_S
         )
-        self.exit_statuses = stop_children(list(self._children.values()), self._grace_s)
+        children = list(dict.fromkeys(self._children.values()))
+        self.exit_statuses = stop_children(children, self._grace_s)
         self._link.close()
         self._link = None
-        remove_abandoned(set().union(*(child.shared_memory for child in self._children.values())))
+        remove_abandoned(set().union(*(child.shared_memory for child in children)))
         return self.exit_statuses
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
@@ -165,22 +173,21 @@ class Supervisor:
         return {name: child.pid for name, child in self._children.items()}
 
     def usage(self) -> dict[str, Usage]:
-        """Label of each living node -> the memory and processor time that it uses."""
-        found = {spec.label: self._children[spec.full_name].usage() for spec in self.graph}
+        """Label of each living process -> the memory and processor time that it uses."""
+        found = {process.label: self._children[process.nodes[0].full_name].usage() for process in self.processes}
         return {label: usage for label, usage in found.items() if usage is not None}
 
     def log_tail(self, name: str, lines: int = 15) -> str:
-        """Return the last lines of a node's log."""
+        """Return the last lines of the log of a node's process."""
         return self._children[name].log_tail(lines)
 
-    def _spawn(self, spec: NodeSpec) -> Child:
-        parameters = self.run_folder / f"{spec.label}.yaml"
-        parameters.write_text(yaml.safe_dump(spec.parameter_document(), sort_keys=False))
-        names = ["-r", f"__node:={spec.name}", "-r", f"__ns:={spec.namespace}"]
-        node = node_command(spec.package, spec.executable, spec.module)
-        command = [*node, "--ros-args", *names, "--params-file", str(parameters)]
-        log = self.run_folder / f"{spec.label}.log"
-        return Child(spec.label, command, log, self._child_environment(), lambda child: self._report_exit(spec, child))
+    def _spawn(self, process: ProcessSpec) -> Child:
+        parameters = self.run_folder / f"{process.label}.yaml"
+        parameters.write_text(yaml.safe_dump(process.parameter_document(), sort_keys=False))
+        executable = node_command(process.package, process.executable, process.module)
+        command = [*executable, "--ros-args", *process.name_arguments, "--params-file", str(parameters)]
+        log, env = self.run_folder / f"{process.label}.log", self._child_environment()
+        return Child(process.label, command, log, env, partial(self._report_exit, process))
 
     def _child_environment(self) -> dict[str, str]:
         env = {**THREADS_ENV, **os.environ, **self._env, "PYTHONUNBUFFERED": "1"}
@@ -192,9 +199,9 @@ class Supervisor:
     def _should_wait_for(self, name: str) -> bool:
         return self.alive(name) and (self._stopping or not self._cancel.is_set())
 
-    def _report_exit(self, spec: NodeSpec, child: Child) -> None:
+    def _report_exit(self, process: ProcessSpec, child: Child) -> None:
         if self._on_exit is not None:
-            self._on_exit(spec, child.log_tail())
+            self._on_exit(process, child.log_tail())
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
         """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
@@ -212,7 +219,7 @@ class Supervisor:
         timeout_s: float | None = None,
         contact_s: float = STOP_TIMEOUT_S,
     ) -> Outcome:
-        for child in self._children.values():
+        for child in set(self._children.values()):
             child.note_shared_memory()
         outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
         with self._lock:
@@ -243,11 +250,12 @@ class Supervisor:
             raise GraphError("\n".join(self._failure_report(spec, states[spec.full_name], outcome) for spec in failed))
 
     def _failure_report(self, spec: NodeSpec, state: str, outcome: Outcome) -> str:
+        child = self._children[spec.full_name]
         answers = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
         if state == "dead":
-            answers = [f"{spec.full_name} has died (status {self._children[spec.full_name].returncode})"]
-        tail = self.log_tail(spec.full_name).replace("\n", "\n    ") or "(empty)"
-        return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {spec.label}.log:\n    {tail}"
+            answers = [f"{spec.full_name} has died (status {child.returncode})"]
+        tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
+        return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
 
 
 def seconds_to_start_window(now_ns: int) -> float:

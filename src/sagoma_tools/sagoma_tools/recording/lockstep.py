@@ -13,6 +13,7 @@ from rclpy.node import Node
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph
+from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
@@ -36,7 +37,7 @@ PER_SET = (
     "/icp/fit",
     PREDICTION_TOPIC,
 )
-# topic -> the nodes that must listen to it before the first set is sent
+# topic -> the nodes that must listen to it before the first set is sent, where each has a process of its own
 LISTENERS = {
     "/hull/contour_rays": {"icp_tracker"},
     "/hull/centerline": {"icp_tracker"},
@@ -56,10 +57,12 @@ def replay_through_graph(
     settings: Mapping[str, Any] | None = None,
     domain_id: int | None = None,
     cancel: threading.Event | None = None,
+    server: str = ONE_PROCESS,
 ) -> LockstepReport:
     """Start hull server, ICP and EKF, replay the bag's frame sets in lockstep, record their output into ``output``.
 
     rig : by default the one that lies in the bag's folder.
+    server : ONE_PROCESS or THREE_PROCESSES; the bytes are the same.
     settings : parameters as for :func:`sagoma_bringup.graph.build_graph`; they win over the lossless ones.
     """
     rig_file = matching_rig(bag, rig)
@@ -67,7 +70,7 @@ def replay_through_graph(
     chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
-    with Supervisor(graph, run_folder, domain_id=domain_id, cancel=cancel) as supervisor:
+    with Supervisor(graph, run_folder, domain_id=domain_id, cancel=cancel, server=server) as supervisor:
         supervisor.configure()
         with (
             GraphRecorder(
@@ -77,7 +80,8 @@ def replay_through_graph(
         ):
             recorder.wait_for_publishers()
             supervisor.activate()
-            wait_for_listeners(link.node, CONNECT_TIMEOUT_S)
+            if server == THREE_PROCESSES:  # else they hand over in memory
+                wait_for_listeners(link.node, CONNECT_TIMEOUT_S)
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
             report = lockstep_into(link.node, bag, tolerance_ns=tolerance_ns, cancel=cancel)
             recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, FLUSH_TIMEOUT_S)
