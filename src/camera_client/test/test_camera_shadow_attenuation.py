@@ -9,6 +9,7 @@ from camera_client.background.noise import assumed_noise
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.masks import Box, trim_outline
 from camera_client.silhouettes.pipeline import SilhouettePipeline
+from camera_client.silhouettes.shadow_kernels import shadow_sums
 from camera_client.silhouettes.shadows import AttenuationMarker, Scene
 from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, CANDIDATE_LEVELS, attenuation_step
 
@@ -102,3 +103,24 @@ def test_untrimmed_outline_is_left_alone_and_thin_limbs_survive():
     assert np.array_equal(trim_outline(mask, image, mean, 0.3), mask)
     colour = cv2.merge([mean, mean, image])
     assert np.array_equal(trim_outline(mask, colour, cv2.merge([mean] * 3), 0.3), mask)
+
+
+def test_compiled_shadow_sums_equal_those_of_whole_images():
+    rng, window, block = np.random.default_rng(0), 5, 4
+    for height, width in ((60, 84), (61, 83)):
+        image = rng.integers(30, 200, (height, width), dtype=np.uint8)
+        expected = np.clip(image * 1.3 + rng.normal(0, 5, image.shape), 0, 255).astype(np.float32)
+        mask = np.where(rng.random(image.shape) < 0.7, 255, 0).astype(np.uint8)
+        mask[:20] = 0
+        around, M = (cv2.blur(v.astype(np.float32), (window, window)) for v in (image, expected))
+        a = around / M
+        dark = (a >= 0.4) & (a <= 0.97) & (mask > 0)
+        detail, texture = image - around, a * (expected - M)
+        parts = [np.ones_like(a), (detail - texture) ** 2, detail * texture, texture**2]
+        found, sums = shadow_sums(image, expected, mask, window, block, 0.4, 0.97)
+        assert np.array_equal(found > 0, dark[::2, ::2])
+        for part, got in zip(parts, sums, strict=True):
+            kept = np.pad(np.where(dark, part, 0)[::2, ::2], ((0, -(-height // 2) % 2), (0, -(-width // 2) % 2)))
+            down, across = kept.shape
+            blocks = 4 * kept.reshape(down // 2, 2, across // 2, 2).sum(axis=(1, 3))
+            np.testing.assert_allclose(got, blocks, rtol=2e-3, atol=0.05)

@@ -74,7 +74,7 @@ class EvidenceFilter:
             smooth_columns(turned, along)
             evidence = cv2.transpose(turned)
             smooth_columns(evidence, below)
-        return np.where(evidence > np.float32(least), np.uint8(255), np.uint8(0))
+        return (evidence > np.float32(least)).view(np.uint8) * np.uint8(255)  # np.where takes fifty times as long
 
 
 def typical_level(expected: npt.NDArray[np.float32]) -> float:

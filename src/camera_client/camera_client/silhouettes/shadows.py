@@ -27,7 +27,9 @@ from capture_rig.rig import Volume
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
+from .evidence import typical_level
 from .masks import Box
+from .shadow_kernels import shadow_sums
 from .spill import COLOUR_SHARE
 
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
@@ -121,7 +123,7 @@ class FloorShadow:
     def __init__(self, camera: CameraModel, settings: FloorShadowSettings, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
         side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
-        self._settings, self._window = settings, (side, side)
+        self._settings, self._window = settings, side
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
         self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
         self._floor = floor_pixels(camera, volume, SHADOW_REACH_M)
@@ -138,9 +140,9 @@ class FloorShadow:
         return found
 
     def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
-        dark, detail, expected = self._details(scene, _thinned(looked_at))
-        sigma = scene.noise.sigma(float(np.median(scene.expected[::4, ::4])))
-        blocks = self._large_patches(sigma, *self._sums(dark, detail, expected))
+        s, sigma = self._settings, scene.noise.sigma(typical_level(scene.expected))
+        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, self._window, self._block, s.darkest, LIGHTEST)
+        blocks = self._large_patches(sigma, *sums)
         if not blocks.any():
             return np.zeros_like(mask)
         candidates = cv2.bitwise_and(_enlarged(dark, 2, mask.shape), looked_at)
@@ -148,39 +150,13 @@ class FloorShadow:
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
 
-    def _details(self, scene: Scene, mask: Mask) -> tuple[Mask, np.ndarray, np.ndarray]:
-        """Of every second row and column: pixels that may be shadow; x - X and a (mu - M) there, else 0 (float32)."""
-        x, X = _thinned(scene.image).astype(np.float32), _thinned(cv2.boxFilter(scene.image, cv2.CV_32F, self._window))
-        mean, around = _thinned(scene.expected), _thinned(cv2.blur(scene.expected, self._window))
-        a = cv2.divide(X, np.maximum(around, np.float32(1e-3)))
-        dark = cv2.bitwise_and(cv2.inRange(a, self._settings.darkest, LIGHTEST), mask)
-        detail = cv2.copyTo(cv2.subtract(x, X), dark)
-        expected = cv2.copyTo(cv2.subtract(cv2.multiply(a, mean), X), dark)
-        return dark, detail, expected
-
-    def _sums(self, dark: Mask, detail: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Block by block (float32): pixels that may be shadow; what is left, squared; texture shared; texture there."""
-        rest = cv2.subtract(detail, expected)
-        products = (rest, rest), (detail, expected), (expected, expected)
-        count = self._blocks(dark) * np.float32(self._block**2 / 255)
-        return count, *(self._blocks(cv2.multiply(*pair)) * np.float32(self._block**2) for pair in products)
-
-    def _blocks(self, values: np.ndarray) -> np.ndarray:
-        """Means of blocks (float32) of thinned values; what is missing to whole blocks counts as 0."""
-        side = self._block // 2
-        down, right = (-n % side for n in values.shape)
-        if down or right:
-            values = cv2.copyMakeBorder(values, 0, down, 0, right, cv2.BORDER_CONSTANT, value=0)
-        size = values.shape[1] // side, values.shape[0] // side
-        return cv2.resize(values, size, interpolation=cv2.INTER_AREA).astype(np.float32, copy=False)
-
     def _large_patches(
         self, sigma: float, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray
     ) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
         s = self._settings
         quiet = _near(rest) <= _near(count) * np.float32((s.residual * sigma) ** 2)
-        fits = quiet & (_around(shared) >= np.float32(s.persistence) * _around(power)) & (2 * count > self._block**2)
+        fits = quiet & (_around(shared) >= np.float32(s.persistence) * _around(power)) & (2 * count >= self._block**2)
         patches, labels = cv2.connectedComponents(fits.astype(np.uint8), connectivity=4)
         sums = (np.bincount(labels.reshape(-1), v.reshape(-1), patches) for v in (count, rest, shared, power))
         area_px, left, kept, there = sums
@@ -189,7 +165,7 @@ class FloorShadow:
         large = (area_px >= self._min_area_px) & (kept >= least * there) & (kept <= most * there)
         large &= kept >= MIN_EVIDENCE_SIGMAS * chance
         large[0] = False  # what does not fit
-        return np.where(large, np.uint8(255), np.uint8(0))[labels]
+        return (large.view(np.uint8) * np.uint8(255))[labels]
 
     def _borders(self, patches: Mask, candidates: Mask, mask: Mask) -> Mask:
         """Candidates beside a patch that are too thin to be a part of a body."""
@@ -200,11 +176,6 @@ class FloorShadow:
         borders = np.zeros_like(mask)
         borders[at] = cv2.bitwise_and(cv2.bitwise_and(thin, candidates[at]), cv2.dilate(patches[at], self._border))
         return borders
-
-
-def _thinned(values: np.ndarray) -> np.ndarray:
-    """Return every second row and column."""
-    return np.ascontiguousarray(values[::2, ::2])
 
 
 def _enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:

@@ -1,0 +1,75 @@
+"""Compiled sums over the pixels that may be shadow (numba); what they mean is said in :mod:`.shadows`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from ..background.kernels import OPTIONS
+
+F32 = np.float32
+
+
+@njit(**OPTIONS)
+def shadow_sums(image, expected, mask, window, block, darkest, lightest):  # type: ignore[no-untyped-def]
+    """Sum, block by block, how a mono image keeps the background's texture where it is darker.
+
+    Of every second row and column, with x the image's level and mu the background's, X and M their means over
+    ``window`` pixels, and a = X / M between ``darkest`` and ``lightest``: x - X and a (mu - M).
+    image (h, w) uint8, expected (h, w) float32, mask (h, w) uint8 : not 0 at pixels that are looked at. Gives dark
+    (ceil(h / 2), ceil(w / 2)) uint8, 255 where a pixel counts, and sums (4, blocks down, blocks across) float32 over
+    the pixels that a block stands for: their number; (x - X - a (mu - M))^2; (x - X) a (mu - M); (a (mu - M))^2.
+    """
+    height, width = mask.shape
+    reach, side = window // 2, block // 2
+    dark = np.zeros(((height + 1) // 2, (width + 1) // 2), np.uint8)
+    sums = np.zeros((4, -(-dark.shape[0] // side), -(-dark.shape[1] // side)), np.float32)
+    own, other = np.empty(width, np.float32), np.empty(width, np.float32)  # sums over the window's rows
+    each, area = F32(4), F32(window * window)
+    for v in range(dark.shape[0]):
+        y = 2 * v
+        first, last = width, -1
+        for u in range(dark.shape[1]):
+            if mask[y, 2 * u]:
+                first, last = min(first, 2 * u), 2 * u
+        if last < 0:
+            continue
+        low, high = max(first - reach, 0), min(last + reach + 1, width)
+        own[low:high] = F32(0)
+        other[low:high] = F32(0)
+        for step in range(-reach, reach + 1):
+            row = _reflected(y + step, height)
+            for x in range(low, high):
+                own[x] += F32(image[row, x])
+                other[x] += expected[row, x]
+        for u in range(first // 2, last // 2 + 1):
+            x = 2 * u
+            if mask[y, x] == 0:
+                continue
+            X = M = F32(0)
+            for step in range(-reach, reach + 1):
+                near = _reflected(x + step, width)
+                X += own[near]
+                M += other[near]
+            X /= area
+            a = X / max(M / area, F32(1e-3))
+            if a < darkest or a > lightest:
+                continue
+            dark[v, u] = 255
+            detail, texture = F32(image[y, x]) - X, a * expected[y, x] - X
+            i, j = v // side, u // side
+            sums[0, i, j] += each
+            sums[1, i, j] += each * (detail - texture) * (detail - texture)
+            sums[2, i, j] += each * detail * texture
+            sums[3, i, j] += each * texture * texture
+    return dark, sums
+
+
+@njit(**OPTIONS)
+def _reflected(place, size):  # type: ignore[no-untyped-def]
+    """Return a place beyond the border mirrored at the last pixel."""
+    if place < 0:
+        place = -place
+    if place >= size:
+        place = 2 * size - 2 - place
+    return min(max(place, 0), size - 1)
