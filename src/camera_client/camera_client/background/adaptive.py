@@ -31,7 +31,8 @@ from .slow_changes import SlowChanges
 
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
-BANDS, SWEEP_S = 8, 0.15  # the expected image is renewed in so many frames, or sooner when frames are rare
+RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
+BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
 NOISE_FRAMES, NOISE_S = 4, 0.12  # the noise is measured in every so many frames, and not more often
 SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
@@ -86,7 +87,7 @@ class AdaptiveBackground:
         self._dense: Mask | None = None
         self._last_ns: int | None = None
         self._next_row, self._sweep_s, self._last_sweep_s = 0, 0.0, 0.0
-        self._frames, self._since_noise_s, self._since_shift_s = 0, 0.0, 0.0
+        self._frames, self._since_noise_s, self._since_shift_s, self._since_renewal_s = 0, 0.0, 0.0, 0.0
         self._place()
 
     # --- the frame's answer
@@ -156,8 +157,8 @@ class AdaptiveBackground:
         """Return what is left of the samples (n, C), grey levels."""
         shape, n = self._image.shape, len(self._row)
         samples, trust = np.empty((3, shape[2], n), np.float32), np.empty(n, np.float32)
-        pixels, (levels, precision, _) = picture.reshape(-1, shape[2]), self._image.flat()
-        take_samples(pixels, levels, precision, *self._sampled, self._doubted(), DOUBTED, samples, trust)
+        pixels, (levels, sureness, _) = picture.reshape(-1, shape[2]), self._image.flat()
+        take_samples(pixels, levels, sureness, *self._sampled, self._doubted(), DOUBTED, samples, trust)
         return self._light.update(samples, trust, step_s).T
 
     def _follow_noise(self, picture: Image, rest: Floats, step_s: float, first: bool) -> None:
@@ -226,7 +227,10 @@ class AdaptiveBackground:
 
     def _renew_next(self, image: Image, step_s: float) -> None:
         """Renew the next rows, which may have changed slowly."""
-        height = self._image.shape[0]
+        self._since_renewal_s += step_s
+        if self._since_renewal_s < RENEWAL_S:
+            return
+        height, step_s, self._since_renewal_s = self._image.shape[0], self._since_renewal_s, 0.0
         self._sweep_s += step_s
         end = min(self._next_row + math.ceil(height * max(1 / BANDS, min(step_s / SWEEP_S, 1.0))), height)
         rows = slice(self._next_row, end)

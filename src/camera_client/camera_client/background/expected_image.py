@@ -1,4 +1,4 @@
-"""What an empty room looks like to its camera now, and how surely: levels and their precision, pixel by pixel.
+"""What an empty room looks like to its camera now, and how surely: levels and 1 / sigma of each, pixel by pixel.
 
 The learned background, displaced as the camera is, changed where single places changed, under the light of now:
 level = gain field (learned + local) + offset. Its variance adds up noise, what a pixel varied by beyond that when it
@@ -26,7 +26,7 @@ At = tuple[slice, slice]
 
 
 class ExpectedImage:
-    """Levels and precision of every pixel.
+    """Levels and sureness, 1 / sigma, of every pixel.
 
     Changes of light and noise act on the rows that are renewed; gain and offset act at once.
     """
@@ -41,7 +41,7 @@ class ExpectedImage:
             square = model.sigma.reshape(self.shape).astype(float) ** 2
             self._excess_learned += np.maximum(square - learned_noise.variance(self._learned), 0).astype(np.float32)
         self._least_variance = sigma_floor**2
-        self._levels, self._precision = np.empty_like(self._learned), np.empty_like(self._learned)
+        self._levels, self._sureness = np.empty_like(self._learned), np.empty_like(self._learned)
         self._white = np.flatnonzero((self._learned >= WHITE).any(axis=2).reshape(-1))
         self._black = np.flatnonzero((self._learned <= BLACK).all(axis=2).reshape(-1))
         self.place(Displacement(), None)
@@ -54,13 +54,13 @@ class ExpectedImage:
     # --- what it looks like now
 
     def samples(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return level / gain, without the offset, and precision of some pixels, both (n, C)."""
-        return self._levels[row, column], self._precision[row, column]
+        """Return level / gain, without the offset, and sureness of some pixels, both (n, C)."""
+        return self._levels[row, column], self._sureness[row, column]
 
     def flat(self) -> tuple[Floats, Floats, Floats]:
-        """Return level / gain without the offset, precision, and variance beyond the noise's, (H W, C)."""
+        """Return level / gain without the offset, sureness, and variance beyond the noise's, (H W, C)."""
         shape = -1, self.shape[2]
-        return self._levels.reshape(shape), self._precision.reshape(shape), self._excess.reshape(shape)
+        return self._levels.reshape(shape), self._sureness.reshape(shape), self._excess.reshape(shape)
 
     def levels(self, at: At, light: Light) -> Floats:
         """Return the grey levels of a part: (h, w), of colour images (h, w, 3)."""
@@ -73,7 +73,7 @@ class ExpectedImage:
 
     def distance(self, image: Image, light: Light, correlation: float, out: Mask) -> Mask:
         """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
-        flat = image.reshape(-1), self._levels.reshape(-1), self._precision.reshape(-1), light.gain, light.offset
+        flat = image.reshape(-1), self._levels.reshape(-1), self._sureness.reshape(-1), light.gain, light.offset
         if self.shape[2] == 1:
             squared_distance(*flat, out.reshape(-1))
         else:
@@ -127,10 +127,10 @@ class ExpectedImage:
             across.reshape(FIELD_DOWN, -1),
             down.clip(0, FIELD_DOWN - 1).astype(np.float32),
             np.tile(parts.astype(np.float32), width),
-            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._precision)),
+            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._sureness)),
         )
 
     def rest(self, image: Image, rows: slice, light: Light) -> tuple[Floats, Floats]:
         """Return image minus background of some rows, and its squared distance in each channel, (h, W, C)."""
         rest = image.reshape(self.shape)[rows] - (self._levels[rows] * light.gain + light.offset)
-        return rest, rest * rest * self._precision[rows]
+        return rest, np.square(rest * self._sureness[rows])

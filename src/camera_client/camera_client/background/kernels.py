@@ -24,24 +24,24 @@ HALF_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median
 
 
 @njit(**OPTIONS)
-def squared_distance(image, expected, precision, gain, offset, out):  # type: ignore[no-untyped-def]
-    """Write min(255, SCALE z^2) of every pixel of a mono image, z^2 = (image - gain expected - offset)^2 precision.
+def squared_distance(image, expected, sureness, gain, offset, out):  # type: ignore[no-untyped-def]
+    """Write min(255, SCALE z^2) of every pixel of a mono image, z = (image - gain expected - offset) sureness.
 
     What would be brighter than white is white, whatever the light.
-    image (n,) uint8; expected, precision (n,) float32; gain, offset (1,) float32; out (n,) uint8.
+    image (n,) uint8; expected, sureness (n,) float32; gain, offset (1,) float32; out (n,) uint8.
     """
     g, b = gain[0], offset[0]
     for i in range(len(out)):
-        rest = F32(image[i]) - min(g * expected[i] + b, F32(HIGHEST))
-        out[i] = np.uint8(min(rest * rest * precision[i] * F32(SCALE), F32(HIGHEST)))
+        rest = (F32(image[i]) - min(g * expected[i] + b, F32(HIGHEST))) * sureness[i]
+        out[i] = np.uint8(min(rest * rest * F32(SCALE), F32(HIGHEST)))
 
 
 @njit(**OPTIONS)
-def squared_distance_of_colours(image, expected, precision, gain, offset, rho, out):  # type: ignore[no-untyped-def]
+def squared_distance_of_colours(image, expected, sureness, gain, offset, rho, out):  # type: ignore[no-untyped-def]
     """Write min(255, SCALE z^2) of every pixel of a colour image, z the Mahalanobis distance.
 
     What would be brighter than white is white, whatever the light.
-    image (3 n,) uint8; expected, precision (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
+    image (3 n,) uint8; expected, sureness (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
     channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), with common = rho / (1 + 2 rho) in every
     place of the matrix; out (n,) uint8.
     """
@@ -49,23 +49,23 @@ def squared_distance_of_colours(image, expected, precision, gain, offset, rho, o
     g0, g1, g2, b0, b1, b2 = gain[0], gain[1], gain[2], offset[0], offset[1], offset[2]
     for i in range(len(out)):
         k = 3 * i
-        r0 = (F32(image[k]) - min(g0 * expected[k] + b0, F32(HIGHEST))) * np.sqrt(precision[k])
-        r1 = (F32(image[k + 1]) - min(g1 * expected[k + 1] + b1, F32(HIGHEST))) * np.sqrt(precision[k + 1])
-        r2 = (F32(image[k + 2]) - min(g2 * expected[k + 2] + b2, F32(HIGHEST))) * np.sqrt(precision[k + 2])
+        r0 = (F32(image[k]) - min(g0 * expected[k] + b0, F32(HIGHEST))) * sureness[k]
+        r1 = (F32(image[k + 1]) - min(g1 * expected[k + 1] + b1, F32(HIGHEST))) * sureness[k + 1]
+        r2 = (F32(image[k + 2]) - min(g2 * expected[k + 2] + b2, F32(HIGHEST))) * sureness[k + 2]
         whole = r0 + r1 + r2
         total = r0 * r0 + r1 * r1 + r2 * r2 - common * whole * whole
         out[i] = np.uint8(min(total * scale, F32(HIGHEST)))
 
 
 @njit(**OPTIONS)
-def refresh_rows(mean, excess, steepness2, field, down, noise, expected, precision):  # type: ignore[no-untyped-def]
-    """Write the expected image and its precision, 1 / variance, of some rows; n is width times channels.
+def refresh_rows(mean, excess, steepness2, field, down, noise, expected, sureness):  # type: ignore[no-untyped-def]
+    """Write the expected image and its sureness, 1 / sigma, of some rows; n is width times channels.
 
     mean (rows, n) float32 : the background under the light that it was learned in. excess (rows, n) float32 : variance
     of each pixel beyond the noise's. steepness2 (rows, n) float32 : squared gradient, grey levels^2 / px^2. field
     (cells down, n) float32 : the light's field along the middle rows of its cells. down (rows,) float32 : where each
     row lies between those, in cells. noise (4, n) float32 : read, slope, geometry and light of each channel: variance =
-    read + slope level + geometry steepness2 + light level^2 + excess. expected, precision (rows, n) float32 : written.
+    read + slope level + geometry steepness2 + light level^2 + excess. expected, sureness (rows, n) float32 : written.
     """
     rows, n = mean.shape
     last = len(field) - 1
@@ -74,11 +74,11 @@ def refresh_rows(mean, excess, steepness2, field, down, noise, expected, precisi
         top = min(int(down[y]), last)
         below, share = min(top + 1, last), down[y] - F32(top)
         above_row, below_row, row = field[top], field[below], mean[y]
-        more, steep, to, weight = excess[y], steepness2[y], expected[y], precision[y]
+        more, steep, to, sure = excess[y], steepness2[y], expected[y], sureness[y]
         for i in range(n):
             level = row[i] * (above_row[i] + share * (below_row[i] - above_row[i]))
             to[i] = level
-            weight[i] = F32(1) / (
+            sure[i] = F32(1) / np.sqrt(
                 read[i] + slope[i] * level + light[i] * level * level + geometry[i] * steep[i] + more[i]
             )
 
@@ -149,17 +149,18 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
 
 
 @njit(**OPTIONS)
-def take_samples(picture, levels, precision, place, block, doubted, weight, out, trust):  # type: ignore[no-untyped-def]
+def take_samples(picture, levels, sureness, place, block, doubted, weight, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the light is fitted to, at some places of the picture.
 
-    picture (H W, C) uint8, levels, precision (H W, C) float32; place, block (n,) : index of each sample, and of its
-    block in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, precision. trust (n,) float32 :
-    written: ``weight`` where the block is doubted, else 1.
+    picture (H W, C) uint8, levels, sureness (H W, C) float32; place, block (n,) : index of each sample, and of its
+    block in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, sureness^2. trust (n,) float32
+    : written: ``weight`` where the block is doubted, else 1.
     """
     for i in range(len(place)):
         at = place[i]
         for c in range(picture.shape[1]):
-            out[0, c, i], out[1, c, i], out[2, c, i] = picture[at, c], levels[at, c], precision[at, c]
+            out[0, c, i], out[1, c, i] = picture[at, c], levels[at, c]
+            out[2, c, i] = sureness[at, c] * sureness[at, c]
         trust[i] = F32(weight) if doubted[block[i]] else F32(1)
 
 
@@ -233,6 +234,28 @@ def sum_by_cell(cell, weight, expected, gain, rest, change, known):  # type: ign
             power = weight[c, i] * level
             change[c, cell[i]] += power * rest[c, i]
             known[c, cell[i]] += power * level
+
+
+@njit(**OPTIONS)
+def follow_cells(field, change, known, prior, share, out):  # type: ignore[no-untyped-def]
+    """Move cells of the light's field (down, across, C) by a ``share`` towards what their samples say, or the mean of 3
+    x 3 cells around them.
+
+    change, known (C, cells) : of :func:`sum_by_cell`. prior : weight of the neighbours, as a share of the median of
+    ``known``. out (down, across, C) float32 : written.
+    """
+    down, across, channels = field.shape
+    for c in range(channels):
+        held = prior * np.median(known[c]) + 1e-9
+        for y in range(down):
+            for x in range(across):
+                around = 0.0
+                for v in range(y - 1, y + 2):
+                    for u in range(x - 1, x + 2):
+                        around += field[min(max(v, 0), down - 1), min(max(u, 0), across - 1), c]
+                own, k = field[y, x, c], y * across + x
+                found = (own * change[c, k] + held * (around / 9.0 - own)) / (known[c, k] + held)
+                out[y, x, c] = own + share * found
 
 
 @njit(**OPTIONS)

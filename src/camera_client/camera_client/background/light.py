@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import leave_residuals, robust_gain, sum_by_cell, weigh_samples
+from .kernels import follow_cells, leave_residuals, robust_gain, sum_by_cell, weigh_samples
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 FIELD_S = 0.3  # time constant of the field
@@ -109,8 +108,7 @@ class LightEstimator:
             field = self._refit(seen - offset[:, None], gain[:, None] * expected, usable, field)
         else:
             field = self._follow(rest, gain, expected, weight, field, step_s)
-        mean = field.mean(axis=(0, 1))
-        field = np.clip(field / mean, 1 / MOST_FIELD, MOST_FIELD).astype(np.float32)
+        field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_FIELD), np.float32(MOST_FIELD))
         switched = self._switched_s < SWITCHED_S and not self._first
         self._first = False
         self.light = Light(gain, offset, field, scale, switched)
@@ -144,15 +142,11 @@ class LightEstimator:
 
         What neighbours lack is not added up in a cell without samples: it would drift away behind a person.
         """
-        sums = np.zeros((2, field.shape[2], FIELD_DOWN, FIELD_ACROSS))
-        sum_by_cell(self._cell, weight, expected, gain, rest, *sums.reshape(2, field.shape[2], -1))
-        share, found = np.float32(1 - math.exp(-step_s / FIELD_S)), np.empty_like(field)
-        for c, (change, known) in enumerate(zip(*sums, strict=True)):
-            prior = FIELD_PRIOR * np.median(known) + 1e-9
-            own = field[..., c]
-            around = cv2.blur(own, (3, 3), borderType=cv2.BORDER_REPLICATE)
-            found[..., c] = (own * change + prior * (around - own)) / (known + prior)
-        return np.asarray(field + share * found, np.float32)
+        sums = np.zeros((2, field.shape[2], FIELD_DOWN * FIELD_ACROSS))
+        sum_by_cell(self._cell, weight, expected, gain, rest, sums[0], sums[1])
+        found = np.empty_like(field)
+        follow_cells(field, sums[0], sums[1], FIELD_PRIOR, 1 - math.exp(-step_s / FIELD_S), found)
+        return found
 
     def _refit(self, seen: Floats, expected: Floats, usable: Floats, field: Floats) -> Floats:
         """Find the field anew: medians of the cells' ratios, smooth over the picture, robust against what covers some.
