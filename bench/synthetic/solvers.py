@@ -129,7 +129,7 @@ def our_solve(clip: Clip) -> Solver:
 
 def scipy_solve(clip: Clip) -> Solver:
     """scipy.optimize.least_squares inside an ICP loop: assign every point to its nearest stick, fit, assign anew."""
-    body, sigma, prior = clip.body, clip.sigma_m, np.sqrt(PRIOR.information())
+    body, sigma, prior = clip.body, clip.sigma_m, np.sqrt(PRIOR.information)
 
     def solve(start: Pose, points: np.ndarray) -> Pose:
         pose = start

@@ -11,8 +11,10 @@ import math
 import numpy as np
 from numba import njit
 
+from .kernel import kernel
 
-@njit(cache=True)
+
+@kernel
 def cholesky(M, L):
     """Fill the lower triangle of ``L`` (n, n) with M = L L'; False when M is not positive definite (NaN is not).
 
@@ -32,7 +34,7 @@ def cholesky(M, L):
     return True
 
 
-@njit(cache=True)
+@kernel
 def solve_positive(M, b, L, x):
     """Solve M x = b for ``x`` (n,) by the Cholesky factor, left in ``L``; False when M is not positive definite."""
     if not cholesky(M, L):
@@ -48,6 +50,27 @@ def solve_positive(M, b, L, x):
         for k in range(i + 1, n):
             s -= L[k, i] * x[k]
         x[i] = s / L[i, i]
+    return True
+
+
+@kernel
+def solve_positive_columns(M, L, B):
+    """Replace B (n, m) by M^-1 B; the Cholesky factor is left in ``L``. False when M is not positive definite."""
+    if not cholesky(M, L):
+        return False
+    n, m = B.shape
+    for i in range(n):
+        for k in range(i):
+            for c in range(m):
+                B[i, c] -= L[i, k] * B[k, c]
+        for c in range(m):
+            B[i, c] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            for c in range(m):
+                B[i, c] -= L[k, i] * B[k, c]
+        for c in range(m):
+            B[i, c] /= L[i, i]
     return True
 
 
@@ -82,7 +105,7 @@ def symmetrise(X):
             X[j, i] = mean
 
 
-@njit(cache=True)
+@kernel
 def inverse3(S, out):
     """Fill ``out`` (3, 3) with S^-1 of a symmetric positive definite S (3, 3), by cofactors."""
     a, b, c, d, e, f = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
@@ -93,7 +116,7 @@ def inverse3(S, out):
     out[2, 0], out[2, 1], out[2, 2] = scale * C, scale * (b * c - a * e), scale * (a * d - b * b)
 
 
-@njit(cache=True)
+@kernel
 def positive3(S):
     """Return whether S (3, 3), symmetric, is positive definite (Sylvester's criterion) and finite."""
     a, b, c, d, e, f = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE
 
-from .kernel import kernel
 from .views import Masks, RigViews
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it

@@ -26,9 +26,9 @@ import numpy.typing as npt
 from numba import njit
 
 from capture_rig import Volume
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FLOOR_REACH_M
 
-from .kernel import kernel
 from .level_stack import BLIND, Box, LevelStack, Mask
 from .settings import ShadowSettings
 from .views import Masks, RigViews

@@ -17,6 +17,7 @@ equivalent centerline points: a term of weight 900 counts as much as 900 points 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,11 +25,13 @@ from capture_rig.settings import setting
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
+from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays
-from stick_figure.least_squares.gauss_newton import Data, Stop, Weights, gauss_newton, linearise
-from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper, point_covariances
-from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place, reference_points, surface_distances
-from stick_figure.least_squares.point_factor import GEMAN_MCCLURE, SIGMA_FLOOR_M, X84, summarise
+from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
+from stick_figure.least_squares.hull_samples import HullSamples
+from stick_figure.least_squares.normal_equations import TANGENT
+from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.point_factor import GEMAN_MCCLURE, SIGMA_FLOOR_M, X84
 from stick_figure.pose import Pose
 
 # of the fit; checked by bench/tracking_ablation.py on rendered and real sessions
@@ -47,11 +50,10 @@ COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covarianc
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
-# sticks that meet at each reference point: torso centre, head tip, neck, shoulders, hips, elbows, knees, hands, feet
-SUPPORTING_STICKS = (
-    *((0,), (1,), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5)),
-    *((2, 6), (3, 7), (4, 8), (5, 9), (6,), (7,), (8,), (9,)),
-)
+# sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
+# hands, feet
+FIRST_SUPPORT = np.array([0, 1, 0, 0, 0, 0, 0, 2, 3, 4, 5, 6, 7, 8, 9])
+SECOND_SUPPORT = np.array([0, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 6, 7, 8, 9])
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,9 @@ class PriorSettings:
         0.2, "joint limits, as a soft cost beyond the range; not in the covariance (0: off)", unit="rad", low=0.0
     )
 
+    @cached_property
     def information(self) -> np.ndarray:
-        """Return the (24,) inverse variances of the tangent slots."""
+        """The (24,) inverse variances of the tangent slots."""
         sd = np.full(TANGENT, self.ball_sd)
         sd[:3], sd[3:6] = self.position_sd_m, self.rotation_sd
         sd[kernels.HINGE_SLOT] = self.hinge_sd
@@ -176,23 +179,9 @@ def fit_articulated(
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
     """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
     state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
-    _, _, distance = surface_distances(data.voxels, place(state, figure))
-    stop = Stop(settings.max_iterations, settings.tolerance_m, STEP_LIMIT)
-    iterations, moved = gauss_newton(data, state, figure, discount_loose_hull(weights, distance), stop)
-    kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), HINGE_MARGIN)
+    stop = Stop(settings.max_iterations, settings.tolerance_m, STEP_LIMIT, HINGE_MARGIN)
+    iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
     return state.pose(), iterations, moved
-
-
-def discount_loose_hull(weights: Weights, distance: np.ndarray) -> Weights:
-    """Reduce the weight of the surface voxels, by their distances (m,) m from the body's surface.
-
-    A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not the body's. Its
-    excess is the median distance: about 10 mm for six cameras around a person, 60 mm for four on two sides.
-    """
-    if weights.voxel == 0.0:
-        return weights
-    excess = max(float(np.median(distance)), 0.0)
-    return weights._replace(voxel=weights.voxel / (1.0 + (excess / TIGHT_M) ** 4))
 
 
 def assess(
@@ -205,28 +194,20 @@ def assess(
     hull and stick figure share (a hull is wider than the body, a shoulder is no single point) is not in it: it lasts
     for many sets, and the filter accounts for it.
     """
-    placed = place(State.of(pose), Figure.of(body))
-    capsule, _, distance = surface_distances(data.voxels, placed)
-    weights = discount_loose_hull(make_weights(data, settings), distance)
-    weights = weights._replace(voxel=COVARIANCE_SHARE * weights.voxel, inside=0.0)
-    H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
-    match, counts = linearise(data, placed, weights, H, g), np.zeros(STICKS, np.int64)
-    mirror_upper(H)
-    total, chi2, freedom = summarise(match, counts)
-    scale = settings.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
-    inliers, near = int(counts.sum()), capsule[np.abs(distance) < VOXEL_GATE_M]
-    near_sticks = np.bincount(placed.surface.stick[near], minlength=STICKS)
+    weights, scale = make_weights(data, settings), Scale(COVARIANCE_SHARE, settings.correlation)
+    found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, scale)
+    information, points_world, covariance, counts, rms_m, near_sticks = found
     return FitResult(
         pose,
         bool(converged),
         int(iterations),
         len(data.points),
-        inliers,
-        float(np.sqrt(total / max(inliers, 1))),
+        int(counts.sum()),
+        rms_m,
         counts,
-        H,
-        reference_points(placed),
-        point_covariances(H + np.diag(weights.prior), placed, scale),
+        information,
+        points_world,
+        covariance,
         _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS),
     )
 
@@ -250,7 +231,7 @@ def make_data(
         1.0 / (settings.model_sigma_m**2 + sigma**2),
         gate2,
         surface,
-        hull,
+        HullSamples.of(hull),
         _contour_rays(contour_rays, settings),
     )
 
@@ -268,15 +249,16 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     prior, volume, one = settings.prior, settings.volume, 1.0 / settings.model_sigma_m**2
     voxels = len(data.voxels)
     return Weights(
-        prior=prior.information(),
+        prior=prior.information,
         robust=X84 if settings.robust == "x84" else GEMAN_MCCLURE,
         floor=SIGMA_FLOOR_M,
         voxel=volume.weight * one / voxels if voxels else 0.0,
         voxel_gate=VOXEL_GATE_M,
+        voxel_tight=TIGHT_M,
         contour_gate=CONTOUR_GATE_M,
         contour_slack=CONTOUR_SLACK_M,
         clearance=volume.clearance_weight * one if voxels else 0.0,
-        inside=volume.inside_weight * one if len(data.hull) else 0.0,
+        inside=volume.inside_weight * one if len(data.hull.points) else 0.0,
         inside_slack=INSIDE_SLACK_M,
         inside_gate=INSIDE_GATE_M,
         neck=_information(prior.neck_sd),
@@ -292,7 +274,8 @@ def unknown_covariance() -> np.ndarray:
 
 def _supported(count_of_stick: np.ndarray, needed: int) -> np.ndarray:
     """Return (15,) bool: at least ``needed`` on one of the sticks that meet at the point."""
-    return np.array([max(count_of_stick[j] for j in sticks) >= needed for sticks in SUPPORTING_STICKS])
+    enough = count_of_stick >= needed
+    return np.asarray(enough[FIRST_SUPPORT] | enough[SECOND_SUPPORT])
 
 
 def _information(sd: float) -> float:

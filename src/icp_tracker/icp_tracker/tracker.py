@@ -138,7 +138,7 @@ class IcpTracker:
         """Fit the figure by the chosen method; ``iterations`` of the all-joints solve, else as the settings say."""
         settings = self._settings.articulated
         if self._all_joints:
-            patience = replace(settings, max_iterations=iterations or settings.max_iterations)
+            patience = settings if iterations is None else replace(settings, max_iterations=iterations)
             pose, spent, moved = minimise(body, start, data, patience)
             return assess(body, pose, data, spent, moved < settings.tolerance_m, settings)
         found = fit_hierarchical(body, start, data.points, self._settings.hierarchical)

@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 
 from icp_tracker.acquisition.initial_pose import KnownPose
-from icp_tracker.articulated_fit import (
-    ArticulatedSettings,
-    VolumeSettings,
-    discount_loose_hull,
-    fit_articulated,
-    make_data,
-    make_weights,
-)
+from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, fit_articulated, make_data, make_weights
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.kinematics import forward, sticks
+from stick_figure.least_squares.gauss_newton import loose_hull_weight
 from stick_figure.least_squares.placed_figure import surface_distances
 from stick_figure.least_squares.surface_factor import SAMPLES, add_inside
 
@@ -120,7 +114,7 @@ def test_loose_hull_weighs_less_than_a_tight_one(body, synthetic):
         data = make_data(np.zeros((20, 3)) + centre, 0.0, hull, settings)
         weights = make_weights(data, settings)
         _, _, distance = surface_distances(data.voxels, synthetic.placed(body, truth))
-        return discount_loose_hull(weights, distance).voxel / weights.voxel
+        return loose_hull_weight(weights, distance) / weights.voxel
 
     assert share(tight) > 0.8
     assert share(loose) < 0.5 * share(tight)

@@ -12,7 +12,7 @@ from test_icp_contour_rays import grazing_rays
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
 from icp_tracker.monitor.evidence import LEFT_ARM, PART_NAMES, PART_POINTS, RIGHT_LEG, evidence_of
-from icp_tracker.monitor.limb_search import HullMap, other_place, with_limb
+from icp_tracker.monitor.limb_search import other_place, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
     arms_exchanged,
@@ -208,9 +208,7 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     astray = with_limb(
         person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5}).R_joints[limb.ball], -0.1
     )
-    found = other_place(
-        Figure.of(person.body), astray, limb, limb_poses(limb), data.contour_rays, HullMap.of(data.hull)
-    )
+    found = other_place(Figure.of(person.body), astray, limb, limb_poses(limb), data.contour_rays, data.hull)
     truth = forward(person.body, person.pose)
     off = np.linalg.norm(forward(person.body, found) - truth, axis=1)
     others = [p for p in range(15) if p not in PART_POINTS[limb.part]]

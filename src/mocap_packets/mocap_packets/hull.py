@@ -110,7 +110,7 @@ class VoxelSamples:
 
     def surface_points(self, count: int) -> np.ndarray:
         """At most ``count`` samples (m, 3) of the surface, evenly spread over the rows; the same ones every time."""
-        return _thinned(self.points_world[self.surface], count)
+        return _thinned(self.points_world, count, np.flatnonzero(self.surface))
 
     def hull_points(self, count: int) -> np.ndarray:
         """Return at most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
@@ -227,6 +227,8 @@ class HullProducts:
     def finite(self) -> tuple[HullProducts, int]:
         """Return the same with the centerline points that are finite numbers, and how many were not."""
         line = self.centerline
+        if np.isfinite(line.points_world).all() and np.isfinite(line.sigma).all():
+            return self, 0
         good = np.isfinite(line.points_world).all(axis=1) & np.isfinite(line.sigma)
         return replace(self, centerline=_rows(line, good)), int((~good).sum())
 
@@ -254,9 +256,9 @@ class HullProducts:
         when people touch.
         """
         line = self.centerline
-        bodies = np.unique(line.body)
-        if len(bodies) < 2:
+        if (line.body == line.body[:1]).all():
             return self
+        bodies = np.unique(line.body)
         offsets = line.points_world[:, None] - reference_points_world
         near = np.einsum("npk,npk->np", offsets, offsets).min(axis=1) < REACH_M**2
         return self.of_body(int(bodies[np.argmax([np.count_nonzero(near & (line.body == body)) for body in bodies])]))
@@ -267,7 +269,10 @@ def _rows(packet: Rows, rows: np.ndarray) -> Rows:
     return replace(packet, **{name: np.ascontiguousarray(values[rows]) for name, values in vars(packet).items()})
 
 
-def _thinned(points: np.ndarray, count: int) -> np.ndarray:
-    if len(points) > count:
-        points = points[np.arange(count) * len(points) // count]
-    return np.ascontiguousarray(points)
+def _thinned(points: np.ndarray, count: int, rows: np.ndarray | None = None) -> np.ndarray:
+    """Return at most ``count`` of the points (of the given rows), evenly spread, contiguous."""
+    available = len(points) if rows is None else len(rows)
+    if available > count:
+        chosen = np.arange(count) * available // count
+        rows = chosen if rows is None else rows[chosen]
+    return np.ascontiguousarray(points if rows is None else points.take(rows, axis=0))

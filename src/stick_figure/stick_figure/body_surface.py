@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import kernel
 from stick_figure.body import Body
 from stick_figure.skeleton import (
     HEAD,
@@ -115,20 +115,26 @@ def _to_side(point: tuple[float, float, float], side: float) -> tuple[float, flo
     return point[0], side * point[1], point[2]
 
 
-@njit(cache=True)
+@kernel
 def place_capsules(capsules, G, A, P, Q):
     """World ends P, Q (k, 3) of the capsules, from stick frames G (10, 3, 3) and stick starts A (10, 3)."""
     for k in range(capsules.stick.shape[0]):
-        j = capsules.stick[k]
-        for i in range(3):
-            P[k, i] = A[j, i]
-            Q[k, i] = A[j, i]
-            for q in range(3):
-                P[k, i] += G[j, i, q] * capsules.start[k, q]
-                Q[k, i] += G[j, i, q] * capsules.end[k, q]
+        place_capsule(k, capsules, G, A, P, Q)
 
 
-@njit(cache=True)
+@kernel
+def place_capsule(k, capsules, G, A, P, Q):
+    """World ends P[k], Q[k] of one capsule."""
+    j = capsules.stick[k]
+    for i in range(3):
+        P[k, i] = A[j, i]
+        Q[k, i] = A[j, i]
+        for q in range(3):
+            P[k, i] += G[j, i, q] * capsules.start[k, q]
+            Q[k, i] += G[j, i, q] * capsules.end[k, q]
+
+
+@kernel
 def nearest_capsule(x, y, z, P, Q, radii, capsule, along, distance):
     """Find the capsule nearest to each point (n,): its index, the place along its axis, and the signed distance (n,) m
     from its surface, negative inside. Branch-free inside, so it is vectorised."""

@@ -18,6 +18,8 @@ import math
 import numpy as np
 from numba import njit
 
+from capture_rig.kernel import kernel
+
 CHAIN = np.array(
     [
         [-1, -1, -1, -1],
@@ -41,14 +43,14 @@ HINGE_SLOT = np.array([14, 15, 20, 21])
 """(4,) tangent slot of each hinge."""
 
 
-@njit(cache=True)
+@kernel
 def _matmul3(A, B, out):
     for i in range(3):
         for j in range(3):
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@njit(cache=True)
+@kernel
 def rotation_exp(x, y, z, E):
     """E (3, 3) <- rotation matrix of the rotation vector (x, y, z) (Rodrigues; thesis eq. 5.25)."""
     angle2 = x * x + y * y + z * z
@@ -71,7 +73,7 @@ def rotation_exp(x, y, z, E):
     E[2, 1] = b * y * z + a * x
 
 
-@njit(cache=True)
+@kernel
 def rotation_log(R, w):
     """w (3,) <- rotation vector of R (3, 3), |w| <= pi. Goes through the quaternion: exact near 0 and near pi."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -104,7 +106,7 @@ def rotation_log(R, w):
     w[2] = factor * z
 
 
-@njit(cache=True)
+@kernel
 def _turn(R, x, y, z, E, T):
     """R <- exp((x, y, z)) R in place, followed by one Newton step back to orthogonality."""
     rotation_exp(x, y, z, E)
@@ -117,7 +119,7 @@ def _turn(R, x, y, z, E, T):
             R[i, j] = 1.5 * T[i, j] - 0.5 * (T[i, 0] * E[0, j] + T[i, 1] * E[1, j] + T[i, 2] * E[2, j])
 
 
-@njit(cache=True)
+@kernel
 def neck_from_direction(x, y, z, R):
     """R (3, 3) <- Rx(theta1) Ry(theta2) that takes +z to the direction (x, y, z), torso frame (thesis Table 5.4)."""
     r = math.sqrt(y * y + z * z)
@@ -149,7 +151,7 @@ def place_sticks(pose, lengths, origins):
     return G, axes, A, B
 
 
-@njit(cache=True)
+@kernel
 def stick_frames(R0, RJ, hinges, G, axes):
     """World rotations of the ten sticks and world axes of the eighteen joint slots.
 
@@ -167,38 +169,72 @@ def stick_frames(R0, RJ, hinges, G, axes):
                 for i in range(3):
                     axes[slot - 6, i] = R0[i, k]
     for h in range(4):
-        c = math.cos(hinges[h])
-        s = math.sin(hinges[h])
-        upper = G[2 + h]
-        lower = G[6 + h]
-        axis = 2 if h < 2 else 1
-        for i in range(3):
-            axes[HINGE_SLOT[h] - 6, i] = upper[i, axis]
-            if h < 2:  # elbow: Rz
-                lower[i, 0] = c * upper[i, 0] + s * upper[i, 1]
-                lower[i, 1] = c * upper[i, 1] - s * upper[i, 0]
-                lower[i, 2] = upper[i, 2]
-            else:  # knee: Ry
-                lower[i, 0] = c * upper[i, 0] - s * upper[i, 2]
-                lower[i, 1] = upper[i, 1]
-                lower[i, 2] = c * upper[i, 2] + s * upper[i, 0]
+        hinge_frame(h, hinges[h], G, axes)
 
 
-@njit(cache=True)
+@kernel
+def hinge_frame(h, angle, G, axes):
+    """G, axes <- the frame of the stick below hinge h, and the hinge's axis, from the frame of the stick above."""
+    c = math.cos(angle)
+    s = math.sin(angle)
+    upper = G[2 + h]
+    lower = G[6 + h]
+    axis = 2 if h < 2 else 1
+    for i in range(3):
+        axes[HINGE_SLOT[h] - 6, i] = upper[i, axis]
+        if h < 2:  # elbow: Rz
+            lower[i, 0] = c * upper[i, 0] + s * upper[i, 1]
+            lower[i, 1] = c * upper[i, 1] - s * upper[i, 0]
+            lower[i, 2] = upper[i, 2]
+        else:  # knee: Ry
+            lower[i, 0] = c * upper[i, 0] - s * upper[i, 2]
+            lower[i, 1] = upper[i, 1]
+            lower[i, 2] = c * upper[i, 2] + s * upper[i, 0]
+
+
+@kernel
 def stick_ends(G, t0, lengths, origins, A, B):
     """A, B (10, 3) <- start and end of every stick in the world (thesis Table 5.2, sticks as segments)."""
     for j in range(10):
-        axis = 1 if (j == 2 or j == 3 or j == 6 or j == 7) else 2
-        length = -lengths[j] if (j == 4 or j == 5 or j >= 8) else lengths[j]
-        for i in range(3):
-            if j < 6:
-                A[j, i] = t0[i] + (G[0, i, 0] * origins[j, 0] + G[0, i, 1] * origins[j, 1] + G[0, i, 2] * origins[j, 2])
-            else:
-                A[j, i] = B[j - 4, i]
-            B[j, i] = A[j, i] + G[j, i, axis] * length
+        stick_end(j, G, t0, lengths, origins, A, B)
+
+
+@kernel
+def stick_end(j, G, t0, lengths, origins, A, B):
+    """A, B <- start and end of stick j; of the sticks that do not begin on the torso, that above must be in place."""
+    axis = 1 if (j == 2 or j == 3 or j == 6 or j == 7) else 2
+    length = -lengths[j] if (j == 4 or j == 5 or j >= 8) else lengths[j]
+    for i in range(3):
+        if j < 6:
+            A[j, i] = t0[i] + (G[0, i, 0] * origins[j, 0] + G[0, i, 1] * origins[j, 1] + G[0, i, 2] * origins[j, 2])
+        else:
+            A[j, i] = B[j - 4, i]
+        B[j, i] = A[j, i] + G[j, i, axis] * length
+
+
+@kernel
+def move_limb(ball, hinge, pose, figure, frames):
+    """G, axes, A, B of the two sticks of one limb <- where its ball joint and hinge put them, the torso as it is.
+
+    ``pose`` (t0, R0, RJ, hinges); ``figure`` (lengths, origins); ``frames`` (G, axes, A, B) as `place_sticks` fills
+    them.
+    """
+    (t0, R0, RJ, hinges), (lengths, origins), (G, axes, A, B) = pose, figure, frames
+    _matmul3(R0, RJ[ball], G[ball + 1])
+    hinge_frame(hinge, hinges[hinge], G, axes)
+    stick_end(2 + hinge, G, t0, lengths, origins, A, B)
+    stick_end(6 + hinge, G, t0, lengths, origins, A, B)
 
 
 @njit(cache=True)
+def turn_limb(ball, hinge, RJ, hinges, d, scale):
+    """Move one limb's ball joint and hinge along `scale` times their part of the tangent vector d (24,), in place."""
+    sx, sy, sz = SLOT_OF_JOINT_AXIS[ball, 0], SLOT_OF_JOINT_AXIS[ball, 1], SLOT_OF_JOINT_AXIS[ball, 2]
+    _turn(RJ[ball], scale * d[sx], scale * d[sy], scale * d[sz], np.empty((3, 3)), np.empty((3, 3)))
+    hinges[hinge] += scale * d[HINGE_SLOT[hinge]]
+
+
+@kernel
 def reference_points(A, B, t0, P):
     """P (15, 3) <- the thesis's reference points p1 to p15 from the sticks' ends."""
     for i in range(3):
@@ -210,7 +246,7 @@ def reference_points(A, B, t0, P):
             P[7 + k, i] = B[2 + k, i]
 
 
-@njit(cache=True)
+@kernel
 def point_jacobian(stick, point, t0, A, axes, J, slots):
     """Derivative of a world point fixed to a stick with respect to the tangent, only the columns that matter.
 
@@ -263,7 +299,7 @@ def retract(t0, R0, RJ, hinges, d, scale):
         hinges[h] += scale * d[HINGE_SLOT[h]]
 
 
-@njit(cache=True)
+@kernel
 def _neck_difference(a, b, out):
     """out (2,) <- x, y of the rotation vector in the torso's x-y plane that takes direction b to direction a."""
     dx, dy, dz = a[0] - b[0], a[1] - b[1], a[2] - b[2]

@@ -11,7 +11,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ..kernel import kernel
+from capture_rig.kernel import kernel
+
 from .pixel_boxes import count_in_box, foreground_in
 from .silhouette_tables import BLIND, FOREGROUND
 

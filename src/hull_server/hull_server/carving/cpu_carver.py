@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.kernel import kernel
+
 from ..grid import BrickVolume, VoxelGrid
-from ..kernel import kernel
 from ..views import Immediate, Masks, RigViews
 from .carve_blocks import (
     EVERY_OCTANT,

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.kernel import kernel
+
 from ..grid import VoxelGrid
-from ..kernel import kernel
 from ..views import RigViews
 
 UNSEEN, SEEN, PARTLY_SEEN = 0, 1, 2  # none, all, perhaps some of a block's voxel centres are seen by a camera

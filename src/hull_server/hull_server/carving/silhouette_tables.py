@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..kernel import kernel, nonzero_bytes
+from capture_rig.kernel import kernel
+
+from ..words import nonzero_bytes
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels
 

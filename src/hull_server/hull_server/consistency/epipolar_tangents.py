@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import CameraModel, Rig
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import FOREGROUND
 
-from ..kernel import kernel
 from ..views import RigViews
 
 Array = npt.NDArray[np.float64]

@@ -17,13 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import Rig, Volume
+from capture_rig.kernel import kernel
 from capture_rig.stamps import StampThrottle
 from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
-from ..kernel import kernel, popcount
 from ..views import Masks, RigViews, min_seeing
+from ..words import popcount
 
 PERIOD_S = 0.25  # things are judged for seconds
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
-from ..kernel import popcount
+from ..words import popcount
 
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
 COARSE_EDGE, FINE_EDGE = 16, 4

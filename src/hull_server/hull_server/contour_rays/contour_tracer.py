@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from capture_rig.kernel import kernel
 from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
 
 from ..grid import VoxelGrid
-from ..kernel import kernel
 from ..settings import ContourSettings
 from ..slicing.skeletonisation import HullRuns
 from ..slicing.voxel_runs import run_at

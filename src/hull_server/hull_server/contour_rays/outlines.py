@@ -19,9 +19,8 @@ from statistics import NormalDist
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND
-
-from ..kernel import kernel
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
 RADIUS_PX, SHADOW_RADIUS_PX = 4, 2

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from numba import njit
 
 from ..grid import BRICK_EDGE
-from ..kernel import nonzero_bytes
 from ..views import Masks, RigViews
+from ..words import nonzero_bytes
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
 from OpenGL import GL  # isort: skip

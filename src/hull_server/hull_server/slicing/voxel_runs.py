@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ..kernel import lowest_bit, transpose8
+from ..words import lowest_bit, transpose8
 
 _U1 = np.uint64(1)
 

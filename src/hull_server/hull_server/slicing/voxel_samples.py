@@ -9,7 +9,7 @@ from numba import njit
 from mocap_packets.hull import NO_VOXELS, VoxelSamples
 
 from ..grid import VoxelGrid
-from ..kernel import popcount, select_bit
+from ..words import popcount, select_bit
 from .skeletonisation import HullRuns
 from .voxel_runs import run_at, sides
 

@@ -15,8 +15,9 @@ from numba import njit
 
 from stick_figure.joint_limits import joint_excess
 from stick_figure.least_squares.contour_factor import RayArrays, match_rays
+from stick_figure.least_squares.hull_samples import HullSamples, nearest_sample
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
-from stick_figure.least_squares.surface_factor import nearest_voxel, point_on_stick
+from stick_figure.least_squares.surface_factor import point_on_stick
 from stick_figure.pose import Pose
 
 PARTS = 5
@@ -78,40 +79,41 @@ class Evidence:
         return float(self.explained.sum()) / self.rays if self.rays else 1.0
 
 
-def evidence_of(figure: Figure, pose: Pose, contour_rays: RayArrays, hull: np.ndarray) -> Evidence:
-    """Weigh a pose against contour rays and samples (m, 3) of the hull, world frame, metres."""
-    placed = place(State.of(pose), figure)
-    match = match_rays(contour_rays, placed, SLACK_M)
-    part = PART_OF_STICK[figure.surface.stick[match.capsule]]
-    explained, unexplained = match.separation < EXPLAINED_M, match.separation > GATE_M
-    outside = np.zeros(PARTS, np.int64)
-    beyond = count_outside(placed, hull, outside) + beyond_limits(pose)
-    return Evidence(
-        ray_cost(match.separation, GATE_M),
-        beyond,
-        np.bincount(part[explained], minlength=PARTS),
-        np.bincount(part[unexplained], minlength=PARTS),
-        outside,
-    )
+def evidence_of(figure: Figure, pose: Pose, contour_rays: RayArrays, hull: HullSamples) -> Evidence:
+    """Weigh a pose against contour rays and samples of the hull, and its angles against their joints' ranges."""
+    costs, explained, unexplained, outside, beyond, excess = _weigh(figure, State(*pose.arrays), contour_rays, hull)
+    if excess.any():
+        beyond += float(((excess / LIMIT_RAD) ** 2).sum())
+    return Evidence(costs, beyond, explained, unexplained, outside)
 
 
-def beyond_limits(pose: Pose) -> float:
-    """Return what angles beyond their joints' ranges cost, in rays."""
+@njit(cache=True, nogil=True)
+def _weigh(figure, state, rays, hull):
+    """Return what each ray costs (n,); explained rays, unexplained rays and points outside of each part (5,); what the
+    latter cost; by how much (18,) rad angles are beyond their joints' ranges."""
+    placed = place(state, figure)
+    match, costs = match_rays(rays, placed, SLACK_M), np.empty(rays.information.shape[0])
+    explained, unexplained, outside = np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64)
+    for i in range(costs.shape[0]):
+        separation, part = match.separation[i], PART_OF_STICK[placed.surface.stick[match.capsule[i]]]
+        costs[i] = ray_cost(separation, GATE_M)
+        explained[part] += separation < EXPLAINED_M
+        unexplained[part] += separation > GATE_M
     excess = np.empty(18)
-    joint_excess(pose.R_joints, pose.hinges, 0.0, np.empty(5), excess)
-    return float(((excess / LIMIT_RAD) ** 2).sum())
+    joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
+    return costs, explained, unexplained, outside, count_outside(placed, hull, outside), excess
 
 
 @njit(cache=True)
 def count_outside(placed, hull, outside):
     """Count the points of sticks 1 to 9 that lie outside the hull, part by part; returns what they cost, in rays."""
     cost, point = 0.0, np.empty(3)
-    if hull.shape[0] == 0:
+    if hull.points.shape[0] == 0:
         return cost
     for j in range(1, STICKS):
         for s in range(SAMPLES):
             point_on_stick(placed, j, (s + 1.0) / SAMPLES, point)
-            _, distance = nearest_voxel(hull, point, OUTSIDE_SLACK_M)
+            _, distance = nearest_sample(hull, point, OUTSIDE_SLACK_M)
             beyond = min(distance - OUTSIDE_SLACK_M, OUTSIDE_MOST_M)
             if beyond > 0.0:
                 cost += RAYS_PER_OUTSIDE_M * beyond
@@ -120,7 +122,7 @@ def count_outside(placed, hull, outside):
     return cost
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def ray_cost(separation, gate):
     """Return what a ray, or each of them, costs: 0 on the surface, a half at the gate, 1 far off."""
     g = separation * separation / (gate * gate)

@@ -23,7 +23,7 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 from .evidence import PART_NAMES, Evidence, evidence_of
-from .limb_search import HullMap, other_place
+from .limb_search import other_place
 from .pose_library import (
     LIMBS,
     arms_exchanged,
@@ -113,7 +113,7 @@ class TrackMonitor:
 
     def examine(self, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Examination:
         """Judge a pose that was fitted to the data, and look for a better one."""
-        if len(data.contour_rays.information) == 0 or len(data.hull) == 0:
+        if len(data.contour_rays.information) == 0 or len(data.hull.points) == 0:
             return Examination(UNKNOWN)
         observed = ObservedSet(body, data, settings)
         evidence = observed.evidence_of(pose)
@@ -197,14 +197,14 @@ class TrackMonitor:
         if turn in (1, 4):
             return Hypothesis(turned_around(pose), "the body facing the other way", None)
         if turn == 5 and self._last_good is not None:
-            return Hypothesis(moved_to(self._last_good, observed.data.hull), "the last good pose", None)
+            return Hypothesis(moved_to(self._last_good, observed.data.hull.points), "the last good pose", None)
         if (self._looks // 6) % 2:
             return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged", None)
         return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged", None)
 
     def _stance(self, observed: ObservedSet, turn: int) -> Hypothesis:
         """Return the best of a few stances; others at the next set."""
-        every = stances(observed.body, observed.data.hull)
+        every = stances(observed.body, observed.data.hull.points)
         parts = len(every) // STANCES_A_SET
         best = min(every[turn % parts :: parts], key=lambda pose: observed.evidence_of(pose).cost)
         return Hypothesis(best, "the body found anew", None)
@@ -218,6 +218,6 @@ class TrackMonitor:
         library, parts = limb_poses(limb), LIMB_PARTS
         if not doubtful:
             library = library.part(look // len(limbs), parts)
-        hull = HullMap.of(observed.data.hull)
-        other = other_place(Figure.of(observed.body), pose, limb, library, observed.data.contour_rays, hull)
+        data = observed.data
+        other = other_place(Figure.of(observed.body), pose, limb, library, data.contour_rays, data.hull)
         return None if other is None else Hypothesis(other, f"{PART_NAMES[limb.part]} elsewhere", limb.part)

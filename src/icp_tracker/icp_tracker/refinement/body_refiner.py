@@ -13,17 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture_rig.settings import setting
-from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.joint_limits import add_joint_limits, add_neck_rest
 from stick_figure.least_squares.contour_factor import RayArrays
-from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
-from stick_figure.least_squares.placed_figure import State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from ..acquisition.body_sizes import BodyEstimate, LimbGirths, prior_sizes
 from ..articulated_fit import PriorSettings
-from .shape import SIZE, UNKNOWNS, ShapeModel, ShapePrior, body_of, contour_system, girths_of
+from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
+from .shape import SIZE, ShapeModel, ShapePrior, body_of, girths_of
 
 
 @dataclass(frozen=True)
@@ -61,66 +58,6 @@ class RefinementSettings:
 
 # checked by the studio's bodies and rendered sessions of the package's README
 RAYS = 400  # of a kept pose that are used
-GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
-LARGEST_STEP = 0.3  # m, rad
-
-
-class Keyframe:
-    """One kept pose with its contour rays, and what they say about the body's shape whatever the pose was exactly.
-
-    Pose and shape share the rays: the pose is eliminated, and follows when the shape changes.
-
-    ``information`` (UNKNOWNS, UNKNOWNS) and ``target`` (UNKNOWNS,) are its part of normal equations for the shape's
-    values themselves: (sum of information) values = sum of target. Zero until the first :meth:`linearise`, and while
-    the surface explains too few of its rays.
-    """
-
-    def __init__(self, pose: Pose, contour_rays: RayArrays, settings: RefinementSettings, prior: PriorSettings) -> None:
-        self.pose, self.contour_rays = pose, _evenly_spread(contour_rays, settings)
-        self.explained = 0.0
-        self._settings, self._prior = settings, prior
-        self._values: np.ndarray | None = None
-        self._through = np.empty((TANGENT, UNKNOWNS + 1))
-        self._forget()
-
-    def _forget(self) -> None:
-        self.information, self.target = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
-
-    def linearise(self, model: ShapeModel, values: np.ndarray) -> None:
-        """Move the pose to where it suits a shape's ``values`` (UNKNOWNS,), and linearise there."""
-        state, n = State.of(self.pose), TANGENT + UNKNOWNS
-        if self._values is not None:  # the pose follows the shape, by the last linearisation
-            step = self._through @ np.concatenate([self._values - values, [1.0]])
-            kernels.retract(*state, step, min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), LARGEST_STEP)))
-            self.pose = state.pose()
-        H, g = np.empty((n, n)), np.empty(n)
-        placed = place(state, model.at(values))
-        self.explained = float(
-            contour_system(self.contour_rays, placed, model.derivatives, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
-        )
-        pose, shape = slice(0, TANGENT), slice(TANGENT, n)
-        own, pull = self._with_prior(state, H, g)
-        self._through, self._values = np.linalg.solve(own, np.column_stack([H[pose, shape], pull])), values
-        if self.explained < self._settings.explained:
-            self._forget()
-            return
-        # the pose is eliminated: Schur complement
-        self.information = H[shape, shape] - H[shape, pose] @ self._through[:, :-1]
-        self.target = g[shape] - H[shape, pose] @ self._through[:, -1] + self.information @ values
-
-    def _with_prior(self, state: State, H: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose's normal equations with what holds it where rays do not: scatter, the neck's rest, limits."""
-        own, pull = np.zeros((TANGENT, TANGENT)), g[:TANGENT].copy()
-        if self._prior.neck_sd > 0.0:
-            add_neck_rest(state.RJ[0], self._prior.neck_pitch, self._prior.neck_sd**-2, own, pull)
-        if self._prior.limit_sd > 0.0:
-            add_joint_limits(state.RJ, state.hinges, np.inf, self._prior.limit_sd**-2, own, pull)
-        mirror_upper(own)
-        return own + H[:TANGENT, :TANGENT] + np.diag(self._prior.information()), pull
-
-    def differs(self, pose: Pose, turn: float) -> bool:
-        """Return whether some joint (not the torso) is turned by more than ``turn`` (rad) against this pose."""
-        return bool(np.abs(pose.minus(self.pose)[6:]).max() > turn)
 
 
 def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> RayArrays:
@@ -148,28 +85,39 @@ class BodyRefiner:
     """Collects poses and refines one body. Deterministic."""
 
     def __init__(self, estimate: BodyEstimate, settings: RefinementSettings, pose_prior: PriorSettings) -> None:
-        self._prior = ShapePrior.of(estimate, settings.thickness_sd)
-        self._settings, self._pose_prior = settings, pose_prior
+        self._prior, self._settings = ShapePrior.of(estimate, settings.thickness_sd), settings
+        neck, limit = _information(pose_prior.neck_sd), _information(pose_prior.limit_sd)
+        self._pose_prior = PosePrior(pose_prior.information, neck, pose_prior.neck_pitch, limit)
         self._information = np.linalg.inv(self._prior.covariance)
-        self._model, self._values = ShapeModel(self._prior.mean), self._prior.mean
+        self._target = self._information @ self._prior.mean
+        self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean
         self._given, self._given_ns = self._prior.mean, -1
-        self._kept: list[Keyframe] = []
+        self._kept, self._rays = Keyframes.of(settings.keyframes), list[RayArrays]()
         self._looks = 0
 
     @property
+    def settled(self) -> bool:
+        """Whether all poses that are kept have been looked at so often that the sizes no longer change."""
+        return self._looks >= LOOKS_TO_SETTLE * max(len(self._rays), 1)
+
+    @property
     def done(self) -> bool:
-        """Whether all poses that are kept have been looked at so often that the sizes have settled."""
-        full = len(self._kept) >= self._settings.keyframes
-        return full and self._looks >= LOOKS_TO_SETTLE * self._settings.keyframes
+        """Whether no more poses are kept and the sizes have settled."""
+        return len(self._rays) >= self._settings.keyframes and self.settled
 
     def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays) -> Body | None:
-        """Take a well fitted pose and its rays; return a body to go on with when its sizes have changed enough."""
+        """Take a well fitted pose and its rays; return a body to go on with when its sizes have changed enough.
+
+        Once the sizes have settled, the work of a set is to see that its pose is not a new one.
+        """
         if self.done or len(contour_rays.information) == 0:
             return None
         if self._given_ns < 0:
             self._given_ns = stamp_ns
-        if not self._keep(pose, contour_rays) and self._kept:
-            self._kept[self._looks % len(self._kept)].linearise(self._model, self._values)
+        if not self._keep(pose, contour_rays):
+            if not self._rays or self.settled:
+                return self._due(stamp_ns)
+            self._linearise(self._looks % len(self._rays))
             self._looks += 1
         self._solve()
         return self._due(stamp_ns)
@@ -177,31 +125,34 @@ class BodyRefiner:
     @property
     def refined(self) -> RefinedBody:
         """The body as it is known now."""
-        covariance = np.linalg.inv(self._information + sum(k.information for k in self._kept))
+        covariance = np.linalg.inv(self._information + self._kept.information[: len(self._rays)].sum(axis=0))
         estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
-        return RefinedBody(estimate, girths_of(self._values), len(self._kept))
+        return RefinedBody(estimate, girths_of(self._values), len(self._rays))
 
     def _keep(self, pose: Pose, contour_rays: RayArrays) -> bool:
         """Keep the pose if it is a new one that the surface explains; return whether it is kept."""
-        if len(self._kept) >= self._settings.keyframes:
+        count = len(self._rays)
+        if count >= self._settings.keyframes or not differs_from_all(
+            self._kept, count, pose.arrays, self._settings.turn
+        ):
             return False
-        if not all(kept.differs(pose, self._settings.turn) for kept in reversed(self._kept)):
+        put_keyframe(self._kept, count, pose.arrays, self._values)
+        self._rays.append(_evenly_spread(contour_rays, self._settings))
+        if self._linearise(count) < self._settings.explained:
+            self._rays.pop()
             return False
-        keyframe = Keyframe(pose, contour_rays, self._settings, self._pose_prior)
-        keyframe.linearise(self._model, self._values)
-        if keyframe.explained < self._settings.explained:
-            return False
-        self._kept.append(keyframe)
         self._looks = 0
         return True
 
+    def _linearise(self, k: int) -> float:
+        """Linearise one keyframe; return the share of its rays that the surface explains."""
+        least = self._settings.explained
+        explained = linearise_keyframe(self._kept, k, self._rays[k], self._model, self._values, self._pose_prior, least)
+        return float(explained)
+
     def _solve(self) -> None:
         """Solve for the shape that prior and kept poses speak for."""
-        if not self._kept:
-            return
-        information = self._information + np.sum([kept.information for kept in self._kept], axis=0)
-        target = self._information @ self._prior.mean + np.sum([kept.target for kept in self._kept], axis=0)
-        values = np.linalg.solve(information, target)
+        values = solve_shape(self._kept, len(self._rays), self._information, self._target)
         self._values = self._prior.clipped(values, self._settings.farthest_sd)
 
     def _due(self, stamp_ns: int) -> Body | None:
@@ -219,3 +170,7 @@ def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> 
     x, y = np.eye(3)[:2, None]
     ray = RayArrays.of(x, y, x, np.ones(1), np.ones(1))
     BodyRefiner(prior_sizes(1.7), settings, pose_prior).step(0, pose, ray)
+
+
+def _information(sd: float) -> float:
+    return sd**-2 if sd > 0.0 else 0.0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from capture_rig.kernel import kernel
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import match_rays, sum_rays
@@ -44,6 +46,21 @@ class ShapeDerivatives(NamedTuple):
     lengths: np.ndarray
 
 
+class ShapeArrays(NamedTuple):
+    """A figure about ``centre`` (UNKNOWNS,), and its derivatives.
+
+    stick (k,) : that each capsule is fixed to. capsules (k, 8), origins (10, 3), lengths (10,) : as in the
+    derivatives.
+    """
+
+    centre: np.ndarray
+    stick: np.ndarray
+    capsules: np.ndarray
+    origins: np.ndarray
+    lengths: np.ndarray
+    derivatives: ShapeDerivatives
+
+
 class ShapeModel:
     """The figure as a function of the unknowns (UNKNOWNS,): sizes in metres, thickness over the average.
 
@@ -52,23 +69,49 @@ class ShapeModel:
     """
 
     def __init__(self, centre: np.ndarray) -> None:
-        self.centre = centre
-        self._stick = BodySurface.of(body_of(centre)).stick
-        self._parts, columns = _parts(centre), []
+        parts, columns = _parts(centre), []
         for k in range(UNKNOWNS):
             values = centre.copy()
             values[k] += STEP
-            columns.append([(there - here) / STEP for there, here in zip(_parts(values), self._parts, strict=True)])
+            columns.append([(there - here) / STEP for there, here in zip(_parts(values), parts, strict=True)])
         self.derivatives = ShapeDerivatives(
             *(np.ascontiguousarray(np.stack(part, axis=-1)) for part in zip(*columns, strict=True))
         )
+        self.arrays = ShapeArrays(centre, BodySurface.of(body_of(centre)).stick, *parts, self.derivatives)
 
     def at(self, values: np.ndarray) -> Figure:
         """Return the figure for other values."""
-        step = values - self.centre
-        capsules, origins, lengths = (a + d @ step for a, d in zip(self._parts, self.derivatives, strict=True))
-        start, end, radii = (np.ascontiguousarray(capsules[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 8)))
-        return Figure(lengths, origins, BodySurface(self._stick, start, end, radii))
+        return figure_at(self.arrays, values)
+
+
+@njit(cache=True)
+def figure_at(model, values):
+    """Return the figure of a shape's values (UNKNOWNS,)."""
+    step, count = values - model.centre, model.stick.shape[0]
+    start, end, radii = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 2))
+    for k in range(count):
+        for a in range(8):
+            number = model.capsules[k, a] + _dot(model.derivatives.capsules[k, a], step)
+            if a < 3:
+                start[k, a] = number
+            elif a < 6:
+                end[k, a - 3] = number
+            else:
+                radii[k, a - 6] = number
+    origins, lengths = np.empty((STICKS, 3)), np.empty(STICKS)
+    for j in range(STICKS):
+        lengths[j] = model.lengths[j] + _dot(model.derivatives.lengths[j], step)
+        for i in range(3):
+            origins[j, i] = model.origins[j, i] + _dot(model.derivatives.origins[j, i], step)
+    return Figure(lengths, origins, BodySurface(model.stick, start, end, radii))
+
+
+@kernel
+def _dot(a, b):
+    total = 0.0
+    for s in range(a.shape[0]):
+        total += a[s] * b[s]
+    return total
 
 
 def body_of(values: np.ndarray) -> Body:
@@ -104,8 +147,12 @@ class ShapePrior:
 
     def clipped(self, values: np.ndarray, farthest_sd: float) -> np.ndarray:
         """Return the values, none farther from the mean than so many standard deviations."""
-        reach = farthest_sd * np.sqrt(np.diag(self.covariance))
-        return np.clip(values, self.mean - reach, self.mean + reach)
+        reach = farthest_sd * self._sd
+        return np.minimum(np.maximum(values, self.mean - reach), self.mean + reach)
+
+    @cached_property
+    def _sd(self) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance))
 
 
 # --- what the contour rays of one pose say about the pose and the body's shape at once
@@ -126,6 +173,7 @@ def contour_system(rays, placed, derivatives, robust, H, g):
     sum_rays(rays, match, gate, sums)
     starts = start_columns(placed.G, derivatives)
     M, slots = np.empty((2 * WHOLE, CHAIN_COLUMNS + unknowns)), np.empty(CHAIN_COLUMNS + unknowns, np.int64)
+    work = np.empty((2 * WHOLE + 2, CHAIN_COLUMNS + unknowns))
     H[:] = 0.0
     g[:] = 0.0
     for k in range(placed.P.shape[0]):
@@ -135,7 +183,7 @@ def contour_system(rays, placed, derivatives, robust, H, g):
         for s in range(unknowns):
             slots[n + s] = TANGENT + s
         shape_columns(k, placed, starts, derivatives, M[:, n:])
-        add_capsule(sums, k, M, slots, n + unknowns, H, g)
+        add_capsule(sums, k, M, slots, n + unknowns, work, H, g)
     mirror_upper(H)
     return np.sum(match.separation < explained) / max(match.separation.shape[0], 1)
 
@@ -158,7 +206,7 @@ def start_columns(G, derivatives):
     return starts
 
 
-@njit(cache=True)
+@kernel
 def shape_columns(k, placed, starts, derivatives, M):
     """Fill M (8, unknowns) with the derivatives of capsule k with respect to the shape's unknowns."""
     j = placed.surface.stick[k]

@@ -18,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from capture_rig.kernel import kernel
+
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
@@ -47,16 +49,31 @@ class RayArrays(NamedTuple):
     ) -> RayArrays:
         """Lay out rays given by their middles, unit directions and normals (n, 3), world frame, metres."""
         rows = np.empty((ROWS, len(information)))
-        tangents = np.cross(normals, directions)
-        for first, across in ((NORMAL, normals), (TANGENT, tangents), (DIRECTION, directions)):
-            product = (across * points).T
-            rows[first : first + 3], rows[first + 3] = across.T, product[0] + product[1] + product[2]
-        rows[HALF_LENGTH] = half_lengths
+        points, directions = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(directions, np.float64)
+        normals, half_lengths = (
+            np.ascontiguousarray(normals, np.float64),
+            np.ascontiguousarray(half_lengths, np.float64),
+        )
+        _lay_out(points, directions, normals, half_lengths, rows)
         return RayArrays(rows, np.ascontiguousarray(information, dtype=np.float64))
 
     def chosen(self, which: np.ndarray, information: np.ndarray) -> RayArrays:
         """Return some of the rays, by index or mask, with other information."""
         return RayArrays(np.ascontiguousarray(self.rows[:, which]), information)
+
+
+@njit(cache=True, nogil=True)
+def _lay_out(points, directions, normals, half_lengths, rows):
+    """Fill the ``rows`` (13, n) of :class:`RayArrays`."""
+    for i in range(rows.shape[1]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        d0, d1, d2 = directions[i, 0], directions[i, 1], directions[i, 2]
+        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        t0, t1, t2 = n1 * d2 - n2 * d1, n2 * d0 - n0 * d2, n0 * d1 - n1 * d0
+        for first, (a, b, c) in ((NORMAL, (n0, n1, n2)), (TANGENT, (t0, t1, t2)), (DIRECTION, (d0, d1, d2))):
+            rows[first, i], rows[first + 1, i], rows[first + 2, i] = a, b, c
+            rows[first + 3, i] = a * x + b * y + c * z
+        rows[HALF_LENGTH, i] = half_lengths[i]
 
 
 class RayMatch(NamedTuple):
@@ -80,7 +97,7 @@ def add_contour(data, placed, weights, H, g):
     add_pose_sums(sums, placed, H, g)
 
 
-@njit(cache=True)
+@kernel
 def sum_rays(rays, match, gate, sums):
     """Add the rays' residuals to the sums of their capsules, with Geman-McClure weights."""
     for i in range(match.capsule.shape[0]):
@@ -104,7 +121,7 @@ def match_rays(rays, placed, slack):
     return RayMatch(capsule, best[ALONG], best[DISTANCE], best[SEPARATION])
 
 
-@njit(cache=True, error_model="numpy")  # a check for zero would keep it from being vectorised
+@kernel
 def match_capsule(k, start, end, r0, dr, slack, rows, best):
     """Offer one capsule to all rays. Two arrays, ``rows`` (13, n) to read and ``best`` (4, n) to improve: with more of
     them the compiler could not tell that they do not overlap."""

@@ -16,28 +16,30 @@ from capture_rig.small_matrices import solve_positive
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
 from .contour_factor import RayArrays, add_contour
-from .normal_equations import TANGENT, mirror_upper
-from .placed_figure import place, reference_points
-from .point_factor import add_points
+from .hull_samples import HullSamples
+from .normal_equations import TANGENT, mirror_upper, point_covariances
+from .placed_figure import STICKS, place, reference_points, surface_distances
+from .point_factor import add_points, summarise
 from .surface_factor import add_arm_clearance, add_inside, add_surface
 
 
 class Data(NamedTuple):
     """What was measured: centerline points (n, 3) m with information (n,) 1/m^2 and squared gate (n,) m^2; voxels
-    (m, 3) m of the hull's surface, samples (k, 3) m of the whole hull, and contour rays."""
+    (m, 3) m of the hull's surface, samples of the whole hull, and contour rays."""
 
     points: np.ndarray
     information: np.ndarray
     gate2: np.ndarray
     voxels: np.ndarray
-    hull: np.ndarray
+    hull: HullSamples
     contour_rays: RayArrays
 
 
 class Weights(NamedTuple):
     """How much each term counts: information in 1/m^2 or 1/rad^2 (zero switches it off), gates and floors in m.
 
-    prior (24,) : of the tangent slots about the start. neck_pitch : rad, the head's rest forward of the torso's axis.
+    prior (24,) : of the tangent slots about the start. voxel_tight : m, excess of the hull over the body at which the
+    surface voxels count half. neck_pitch : rad, the head's rest forward of the torso's axis.
     """
 
     prior: np.ndarray
@@ -45,6 +47,7 @@ class Weights(NamedTuple):
     floor: float
     voxel: float
     voxel_gate: float
+    voxel_tight: float
     contour_gate: float
     contour_slack: float
     clearance: float
@@ -58,11 +61,94 @@ class Weights(NamedTuple):
 
 class Stop(NamedTuple):
     """When to stop: iterations at most, converged when no reference point moves farther than ``tolerance`` (m) in one;
-    largest step allowed (m, rad)."""
+    largest step allowed (m, rad); rad that a hinge may stay on the wrong side of straight."""
 
     iterations: int
     tolerance: float
     step_limit: float
+    hinge_margin: float
+
+
+class Scale(NamedTuple):
+    """What turns information into covariance: share of their weight with which voxels count, and how many data carry
+    the information of one independent datum."""
+
+    voxel_share: float
+    correlation: float
+
+
+@njit(cache=True, nogil=True)
+def minimise(data, state, figure, weights, stop):
+    """Fit in place over the state, from where it is: weigh the hull, iterate, bend the hinges the right way.
+
+    Returns what :func:`gauss_newton` does.
+    """
+    _, _, distance = surface_distances(data.voxels, place(state, figure))
+    weights = reweighted(weights, loose_hull_weight(weights, distance), weights.inside)
+    iterations, moved = gauss_newton(data, state, figure, weights, stop)
+    kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), stop.hinge_margin)
+    return iterations, moved
+
+
+@njit(cache=True, nogil=True)
+def assess(data, state, figure, weights, scale):
+    """Evaluate the data at a state: how well it explains them, and how well they determine it.
+
+    Returns information (24, 24) of the data; reference points (15, 3) m and their covariance (15, 3, 3) m^2, larger by
+    the reduced chi-square where the inliers lie farther off than their own sigma says; inliers a stick (10,) and their
+    root mean square distance (m); surface voxels near each stick's surface (10,).
+    """
+    placed = place(state, figure)
+    capsule, _, distance = surface_distances(data.voxels, placed)
+    voxel = scale.voxel_share * loose_hull_weight(weights, distance)
+    H, g, counts = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), np.zeros(STICKS, np.int64)
+    match = linearise(data, placed, reweighted(weights, voxel, 0.0), H, g)
+    mirror_upper(H)
+    total, chi2, freedom = summarise(match, counts)
+    spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
+    covariance = point_covariances(H + np.diag(weights.prior), placed, spread)
+    rms_m = np.sqrt(total / max(counts.sum(), 1))
+    near = np.zeros(STICKS, np.int64)
+    for i in range(distance.shape[0]):
+        if abs(distance[i]) < weights.voxel_gate:
+            near[placed.surface.stick[capsule[i]]] += 1
+    return H, reference_points(placed), covariance, counts, rms_m, near
+
+
+@njit(cache=True)
+def loose_hull_weight(weights, distance):
+    """Return the weight of the surface voxels, by their distances (m,) m from the body's surface.
+
+    A hull of few cameras is up to twice the body's volume, and the surface of what it adds is not the body's. Its
+    excess is the median distance: about 10 mm for six cameras around a person, 60 mm for four on two sides.
+    """
+    if weights.voxel == 0.0:
+        return 0.0
+    excess = max(np.median(distance), 0.0)
+    return weights.voxel / (1.0 + (excess / weights.voxel_tight) ** 4.0)
+
+
+@njit(cache=True)
+def reweighted(weights, voxel, inside):
+    """Return the weights with others of the voxels and of the points inside the hull."""
+    w = weights
+    return Weights(
+        w.prior,
+        w.robust,
+        w.floor,
+        voxel,
+        w.voxel_gate,
+        w.voxel_tight,
+        w.contour_gate,
+        w.contour_slack,
+        w.clearance,
+        inside,
+        w.inside_slack,
+        w.inside_gate,
+        w.neck,
+        w.neck_pitch,
+        w.limit,
+    )
 
 
 @njit(cache=True)

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from capture_rig.kernel import kernel
 from capture_rig.small_matrices import inverse_positive
 
 from .. import kernels
@@ -25,7 +26,7 @@ from ..skeleton import POINT_STICK
 from .placed_figure import POINTS, reference_points
 
 TANGENT = 24
-CHAIN_COLUMNS = 11  # most columns that a point's Jacobian can have
+CHAIN_COLUMNS, TORSO_COLUMNS = 11, 6  # most columns that a point's Jacobian can have; those of the torso come first
 ENDS, WHOLE = 3, 4  # numbers at either end of a capsule: its place, and with its radius
 _ROW, _COLUMN = np.array([0, 0, 0, 1, 1, 2, 0, 1, 2, 3]), np.array([0, 1, 2, 1, 2, 2, 3, 3, 3, 3])
 
@@ -47,7 +48,7 @@ def no_sums(capsules, numbers):
     return CapsuleSums(np.zeros((capsules, 3, numbers * (numbers + 1) // 2)), np.zeros((capsules, 2, 4)))
 
 
-@njit(cache=True)
+@kernel
 def add_scalar_residual(row, slots, n, residual, weight, H, g):
     """Add one scalar residual with sparse derivative ``row`` (n,) at ``slots``."""
     for m in range(n):
@@ -58,37 +59,49 @@ def add_scalar_residual(row, slots, n, residual, weight, H, g):
             H[first, last] += a * row[q]
 
 
-@njit(cache=True)
+@kernel
 def add_to_sums(sums, k, u, normal, weight, residual):
     """Add one distance from capsule k, at the place u of its axis along ``normal`` = (x, y, z)."""
-    x, y, z = normal
     start, end = weight * (1.0 - u), weight * u
-    aa, ab, bb = start * (1.0 - u), start * u, end * u
     squares, pulls = sums.squares[k], sums.pulls[k]
-    for q, product in enumerate((x * x, x * y, x * z, y * y, y * z, z * z)):
-        squares[0, q] += aa * product
-        squares[1, q] += ab * product
-        squares[2, q] += bb * product
-    for q, coordinate in enumerate((x, y, z, 1.0)):
-        pulls[0, q] += start * residual * coordinate
-        pulls[1, q] += end * residual * coordinate
-    if squares.shape[1] == 10:
-        for q, product in enumerate((x, y, z, 1.0)):
-            squares[0, 6 + q] += aa * product
-            squares[1, 6 + q] += ab * product
-            squares[2, 6 + q] += bb * product
+    _add_moments(squares[0], start * (1.0 - u), normal)
+    _add_moments(squares[1], start * u, normal)
+    _add_moments(squares[2], end * u, normal)
+    for q, pull in ((0, start * residual), (1, end * residual)):
+        pulls[q, 0] += pull * normal[0]
+        pulls[q, 1] += pull * normal[1]
+        pulls[q, 2] += pull * normal[2]
+        pulls[q, 3] += pull
+
+
+@kernel
+def _add_moments(squares, weight, normal):
+    """Add the weighted products of (x, y, z), or of (x, y, z, 1), with itself."""
+    x, y, z = normal
+    squares[0] += weight * (x * x)
+    squares[1] += weight * (x * y)
+    squares[2] += weight * (x * z)
+    squares[3] += weight * (y * y)
+    squares[4] += weight * (y * z)
+    squares[5] += weight * (z * z)
+    if squares.shape[0] == 10:
+        squares[6] += weight * x
+        squares[7] += weight * y
+        squares[8] += weight * z
+        squares[9] += weight
 
 
 @njit(cache=True)
 def add_pose_sums(sums, placed, H, g):
     """Add the sums of distances to the equations of the pose."""
     M, slots = np.empty((2 * ENDS, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
+    work = np.empty((2 * ENDS + 2, CHAIN_COLUMNS))
     for k in range(placed.P.shape[0]):
         if sums.pulls[k].any():
-            add_capsule(sums, k, M, slots, pose_columns(k, placed, M, slots), H, g)
+            add_capsule(sums, k, M, slots, pose_columns(k, placed, M, slots), work, H, g)
 
 
-@njit(cache=True)
+@kernel
 def pose_columns(k, placed, M, slots):
     """Fill M (6 or 8, n) with the derivatives of capsule k's ends along the tangent ``slots`` (n,); returns n."""
     stick, second = placed.surface.stick[k], M.shape[0] // 2
@@ -96,31 +109,37 @@ def pose_columns(k, placed, M, slots):
     return kernels.point_jacobian(stick, placed.Q[k], placed.t0, placed.A, placed.axes, M[second:], slots)
 
 
-@njit(cache=True)
-def add_capsule(sums, k, M, slots, n, H, g):
+@kernel
+def add_capsule(sums, k, M, slots, n, work, H, g):
     """Add the sums of capsule k, whose numbers (place and radius at its start, then at its end) move by M (c, n) with
-    the unknowns ``slots`` (n,)."""
+    the unknowns ``slots`` (n,). work (c + 2, at least c and n) : scratch."""
     c = M.shape[0]
     d = c // 2
-    V, half = np.empty((c, c)), np.empty(c)
+    V, half, row, pulls = work[:c, :c], work[c, :c], work[c + 1, :n], sums.pulls[k]
     for q in range(sums.squares.shape[2]):
         i, j = _ROW[q], _COLUMN[q]
         aa, ab, bb = sums.squares[k, 0, q], sums.squares[k, 1, q], sums.squares[k, 2, q]
         V[i, j], V[j, i], V[d + i, d + j], V[d + j, d + i] = aa, aa, bb, bb
         V[i, d + j], V[j, d + i], V[d + i, j], V[d + j, i] = ab, ab, ab, ab
-    for m in range(n):
-        for q in range(c):
-            half[q] = 0.0
-            for p in range(c):
-                half[q] += M[p, m] * V[p, q]
-            g[slots[m]] += M[q, m] * sums.pulls[k, q // d, q % d]
-        for other in range(m, n):
-            first, last = min(slots[m], slots[other]), max(slots[m], slots[other])
+    for m in range(n):  # the inner loops run along rows, so that they vectorise
+        half[:] = 0.0
+        for p in range(c):
             for q in range(c):
-                H[first, last] += half[q] * M[q, other]
+                half[q] += M[p, m] * V[p, q]
+        for q in range(d):
+            g[slots[m]] += M[q, m] * pulls[0, q]
+        for q in range(d):
+            g[slots[m]] += M[d + q, m] * pulls[1, q]
+        for other in range(m, n):
+            row[other] = H[min(slots[m], slots[other]), max(slots[m], slots[other])]
+        for q in range(c):
+            for other in range(m, n):
+                row[other] += half[q] * M[q, other]
+        for other in range(m, n):
+            H[min(slots[m], slots[other]), max(slots[m], slots[other])] = row[other]
 
 
-@njit(cache=True)
+@kernel
 def mirror_upper(H):
     """Copy the upper triangle of H onto the lower."""
     for i in range(H.shape[0]):

@@ -19,6 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from capture_rig.kernel import kernel
+
 from .. import kernels
 from .normal_equations import CHAIN_COLUMNS
 from .placed_figure import STICKS, columns
@@ -54,7 +56,7 @@ def add_points(data, placed, weights, H, g):
     return match
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def robust_weights(data, weights, match):
     """Fill in the weights, 1/m^2, and the inliers of a match."""
     if weights.robust == X84:
@@ -68,7 +70,7 @@ def robust_weights(data, weights, match):
         match.inlier[i] = match.squared[i] <= data.gate2[i]
 
 
-@njit(cache=True)
+@kernel
 def summarise(match, counts):
     """Count the inliers of each stick into ``counts`` (10,).
 
@@ -122,7 +124,7 @@ def add_point_residuals(points, match, placed, H, g):
         add_products(J_B, J_B, slots, n, inside_bb, H)
 
 
-@njit(cache=True)
+@kernel
 def sum_over_sticks(points, match, squares, pulls):
     """Sum over each stick's points: squares (10, 5) = w (1-u)^2, w u (1-u), w u^2 of the feet inside the stick, w of
     those clamped to its start, to its end; pulls (10, 2, 3) = w (1-u) r, w u r."""
@@ -144,7 +146,7 @@ def sum_over_sticks(points, match, squares, pulls):
             pulls[j, 1, k] += u * pull
 
 
-@njit(cache=True)
+@kernel
 def remove_direction(J, n, start, end):
     """Project the columns of J (3, n) onto the plane across the stick from ``start`` to ``end``: the foot slides."""
     d0, d1, d2 = end[0] - start[0], end[1] - start[1], end[2] - start[2]
@@ -156,7 +158,7 @@ def remove_direction(J, n, start, end):
         J[2, m] -= s * d2
 
 
-@njit(cache=True)
+@kernel
 def add_products(J, K, slots, n, w, H):
     """Add half of w J^T K (the pairs m <= q) to upper H: J^T J whole, or J^T K with K^T J added next."""
     if w == 0.0:
@@ -186,7 +188,7 @@ def foot_points(points, A, B, stick, along, feet, squared):
     place_feet(A, B, stick, along, feet)
 
 
-@njit(cache=True)
+@kernel
 def prefer_stick(j, x, y, z, start, end, stick, along, squared):
     """Move to stick ``j`` every point that is nearer to it than ``squared`` says; branch-free, so it is vectorised."""
     a0, a1, a2 = start[0], start[1], start[2]
@@ -208,7 +210,7 @@ def prefer_stick(j, x, y, z, start, end, stick, along, squared):
         stick[i] = j if nearer else stick[i]
 
 
-@njit(cache=True)
+@kernel
 def place_feet(A, B, stick, along, feet):
     """Fill ``feet`` (n, 3) with the points at ``along`` of their sticks."""
     for i in range(stick.shape[0]):

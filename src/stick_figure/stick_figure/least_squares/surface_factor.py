@@ -12,8 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from capture_rig.kernel import kernel
+
 from .. import kernels
 from ..body_surface import TORSO_CAPSULES
+from .hull_samples import nearest_sample
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_scalar_residual, add_to_sums, no_sums
 from .placed_figure import STICKS, surface_distances
 
@@ -33,18 +36,24 @@ def add_surface(data, placed, weights, H, g):
     if weights.voxel == 0.0:
         return
     sums = no_sums(placed.P.shape[0], ENDS)
-    capsule, along, distance = surface_distances(data.voxels, placed)
-    for i in range(data.voxels.shape[0]):
+    _sum_voxels(data.voxels, surface_distances(data.voxels, placed), placed, weights, sums)
+    add_pose_sums(sums, placed, H, g)
+
+
+@kernel
+def _sum_voxels(voxels, nearest, placed, weights, sums):
+    """Add the voxels' distances to the sums of their nearest capsules; ``nearest`` as of `surface_distances`."""
+    capsule, along, distance = nearest
+    for i in range(voxels.shape[0]):
         e, c, u = distance[i], capsule[i], along[i]
-        x = data.voxels[i, 0] - (placed.P[c, 0] + u * (placed.Q[c, 0] - placed.P[c, 0]))
-        y = data.voxels[i, 1] - (placed.P[c, 1] + u * (placed.Q[c, 1] - placed.P[c, 1]))
-        z = data.voxels[i, 2] - (placed.P[c, 2] + u * (placed.Q[c, 2] - placed.P[c, 2]))
+        x = voxels[i, 0] - (placed.P[c, 0] + u * (placed.Q[c, 0] - placed.P[c, 0]))
+        y = voxels[i, 1] - (placed.P[c, 1] + u * (placed.Q[c, 1] - placed.P[c, 1]))
+        z = voxels[i, 2] - (placed.P[c, 2] + u * (placed.Q[c, 2] - placed.P[c, 2]))
         length = np.sqrt(x * x + y * y + z * z)
         if length > 0.0:
             ratio = 1.0 + e * e / (weights.voxel_gate * weights.voxel_gate)
             normal = (x / length, y / length, z / length)
             add_to_sums(sums, c, u, normal, weights.voxel / (ratio * ratio), e)
-    add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True)
@@ -58,12 +67,12 @@ def add_inside(data, placed, weights, H, g):
     for j in range(1, STICKS):
         for s in range(SAMPLES):
             point_on_stick(placed, j, (s + 1.0) / SAMPLES, point)
-            nearest, distance = nearest_voxel(data.hull, point, weights.inside_slack)
+            nearest, distance = nearest_sample(data.hull, point, weights.inside_slack)
             outside = distance - weights.inside_slack
             if outside <= 0.0:
                 continue
             for q in range(3):
-                normal[q] = (data.hull[nearest, q] - point[q]) / distance
+                normal[q] = (data.hull.points[nearest, q] - point[q]) / distance
             ratio = 1.0 + outside * outside / (weights.inside_gate * weights.inside_gate)
             n = kernels.point_jacobian(j, point, placed.t0, placed.A, placed.axes, J, slots)
             project(J, n, normal, row)
@@ -90,28 +99,14 @@ def add_arm_clearance(placed, weights, H, g):
         add_scalar_residual(row, slots, n, depth, weights.clearance, H, g)
 
 
-@njit(cache=True)
+@kernel
 def point_on_stick(placed, j, u, point):
     """Fill ``point`` (3,) with the place ``u``, 0 to 1, along stick j."""
     for q in range(3):
         point[q] = placed.A[j, q] + u * (placed.B[j, q] - placed.A[j, q])
 
 
-@njit(cache=True)
-def nearest_voxel(voxels, point, near_enough):
-    """Return index and distance (m) of the voxel (m, 3) nearest to a point; or of the first that is ``near_enough``."""
-    best, at = np.inf, 0
-    for i in range(voxels.shape[0]):
-        x, y, z = voxels[i, 0] - point[0], voxels[i, 1] - point[1], voxels[i, 2] - point[2]
-        squared = x * x + y * y + z * z
-        if squared < best:
-            best, at = squared, i
-            if squared <= near_enough * near_enough:
-                break
-    return at, np.sqrt(best)
-
-
-@njit(cache=True)
+@kernel
 def torso_distance(point, placed, normal):
     """Return the signed distance (m) of a point from the torso's surface, and its unit ``normal`` (3,) there."""
     P, Q, radii = placed.P, placed.Q, placed.surface.radii
@@ -133,7 +128,7 @@ def torso_distance(point, placed, normal):
     return best
 
 
-@njit(cache=True)
+@kernel
 def project(J, n, normal, row):
     """Fill ``row`` (n,) with normal^T J, the derivative of a distance along ``normal``."""
     for m in range(n):

@@ -1,8 +1,7 @@
-"""How compiled functions are compiled, and the operations on 64-bit words that they share."""
+"""Operations on 64-bit words, compiled."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,21 +9,10 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+from capture_rig.kernel import kernel
 
 _U1 = np.uint64(1)
 _LOW_BITS, _FIRST_BITS = np.uint64(0x7F7F7F7F7F7F7F7F), np.uint64(0x0101010101010101)  # of every byte
-
-
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that only computes on the arrays that it is given: it may neither make arrays nor raise.
-
-    Such functions need no reference counts, which would cost more here than all arithmetic (``_nrt``), and those that
-    they call become part of them, so that passing a dozen arrays on costs nothing (``forceinline``). Slices are free
-    too, and often better than an offset: their indices are known not to be negative, so that loops vectorise. Other
-    Python threads run meanwhile (``nogil``).
-    """
-    return njit(**OPTIONS)(function)
 
 
 @intrinsic

@@ -1,0 +1,147 @@
+"""The poses that a body's sizes are refined from, and what each of them says about its shape.
+
+Pose and shape share a keyframe's rays. So the pose is eliminated from its normal equations (Schur complement), and
+follows when the shape changes; what is left is linear in the shape alone, and the keyframes' equations add up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from capture_rig.small_matrices import solve_positive, solve_positive_columns
+from stick_figure import kernels
+from stick_figure.joint_limits import add_joint_limits, add_neck_rest
+from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
+from stick_figure.least_squares.placed_figure import State, place
+
+from .shape import UNKNOWNS, contour_system, figure_at
+
+GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
+LARGEST_STEP = 0.3  # m, rad
+FIRST_JOINT_SLOT = 6
+
+
+class Keyframes(NamedTuple):
+    """Room for K poses: t0 (K, 3), R0 (K, 3, 3), RJ (K, 5, 3, 3), hinges (K, 4) as of :class:`State`.
+
+    information (K, U, U), target (K, U) : each one's part of normal equations for the shape's values themselves: (sum
+    of information) values = sum of target; zero while the surface explains too few of its rays.
+    values (K, U), through (K, 24, U + 1) : where it was linearised, and how the pose follows the values from there.
+    """
+
+    t0: np.ndarray
+    R0: np.ndarray
+    RJ: np.ndarray
+    hinges: np.ndarray
+    information: np.ndarray
+    target: np.ndarray
+    values: np.ndarray
+    through: np.ndarray
+
+    @classmethod
+    def of(cls, count: int) -> Keyframes:
+        """Make room for so many."""
+        pose = (3,), (3, 3), (5, 3, 3), (4,)
+        equations = (UNKNOWNS, UNKNOWNS), (UNKNOWNS,), (UNKNOWNS,), (TANGENT, UNKNOWNS + 1)
+        return cls(*(np.empty((count, *shape)) for shape in (*pose, *equations)))
+
+
+class PosePrior(NamedTuple):
+    """What holds a keyframe's pose where its rays do not: information (24,) of the tangent; of the neck's rest, at
+    ``neck_pitch`` rad, and of the joints' limits (1/rad^2, 0: off)."""
+
+    information: np.ndarray
+    neck: float
+    neck_pitch: float
+    limit: float
+
+
+@njit(cache=True, nogil=True)
+def put_keyframe(kept, k, pose, values):
+    """Write a pose (t0, R0, RJ, hinges) to place k, to be linearised at ``values`` for the first time."""
+    kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k] = pose
+    kept.values[k] = values
+    kept.through[k] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def linearise_keyframe(kept, k, rays, model, values, prior, least):
+    """Move a keyframe's pose to where it suits the shape's ``values``, and linearise there.
+
+    ``least`` : share of the rays that must be explained for it to count; returns the share that is.
+    """
+    state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), TANGENT + UNKNOWNS, UNKNOWNS
+    _follow_shape(kept.through[k], kept.values[k] - values, state)
+    H, g = np.empty((n, n)), np.empty(n)
+    placed = place(state, figure_at(model, values))
+    explained = contour_system(rays, placed, model.derivatives, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
+    own, L, through = H[:TANGENT, :TANGENT].copy(), np.empty((TANGENT, TANGENT)), kept.through[k]
+    through[:, :unknowns], through[:, unknowns] = H[:TANGENT, TANGENT:], g[:TANGENT]
+    _add_pose_prior(state, prior, own, through[:, unknowns])
+    solve_positive_columns(own, L, through)
+    kept.values[k] = values
+    information, target = kept.information[k], kept.target[k]
+    information[:], target[:] = 0.0, 0.0
+    if explained >= least:
+        for i in range(unknowns):
+            target[i] = g[TANGENT + i]
+            for j in range(unknowns + 1):
+                eliminated = 0.0
+                for m in range(TANGENT):
+                    eliminated += H[TANGENT + i, m] * through[m, j]
+                if j < unknowns:
+                    information[i, j] = H[TANGENT + i, TANGENT + j] - eliminated
+                    target[i] += information[i, j] * values[j]
+                else:
+                    target[i] -= eliminated
+    return explained
+
+
+@njit(cache=True)
+def _follow_shape(through, change, state):
+    """Move the pose as the last linearisation says, for a ``change`` (U,) of the shape's values."""
+    step = through[:, -1].copy()
+    for k in range(TANGENT):
+        for s in range(change.shape[0]):
+            step[k] += through[k, s] * change[s]
+    scale = min(1.0, LARGEST_STEP / max(np.abs(step).max(), LARGEST_STEP))
+    kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step, scale)
+
+
+@njit(cache=True)
+def _add_pose_prior(state, prior, own, pull):
+    """Add to the pose's equations what is known without rays: scatter, the neck's rest, the joints' limits."""
+    known = np.zeros((TANGENT, TANGENT))
+    if prior.neck > 0.0:
+        add_neck_rest(state.RJ[0], prior.neck_pitch, prior.neck, known, pull)
+    if prior.limit > 0.0:
+        add_joint_limits(state.RJ, state.hinges, np.inf, prior.limit, known, pull)
+    mirror_upper(known)
+    own += known
+    for i in range(TANGENT):
+        own[i, i] += prior.information[i]
+
+
+@njit(cache=True, nogil=True)
+def differs_from_all(kept, count, pose, turn):
+    """Return whether against each keyframe some joint (not the torso) of a pose is turned by more than ``turn`` rad."""
+    (t0, R0, RJ, hinges), tangent = pose, np.empty(TANGENT)
+    for k in range(count - 1, -1, -1):  # the latest ones resemble it most
+        kernels.difference(t0, R0, RJ, hinges, kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k], tangent)
+        if not np.abs(tangent[FIRST_JOINT_SLOT:]).max() > turn:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def solve_shape(kept, count, information, target):
+    """Return the shape's values (U,) by the prior's ``information`` (U, U) and ``target`` (U,) and the keyframes'."""
+    H, g, L, values = information.copy(), target.copy(), np.empty_like(information), np.empty_like(target)
+    for k in range(count):
+        H += kept.information[k]
+        g += kept.target[k]
+    solve_positive(H, g, L, values)
+    return values
