@@ -9,6 +9,7 @@ from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Int64MultiArray
 
@@ -22,15 +23,15 @@ from sagoma_ros.exchange import HeardPublisher, PacketPublisher
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import decode_silhouette, support_message
 from sagoma_ros.latency import TIMES_TOPIC, times_message
-from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
+from sagoma_ros.raw import read_compressed_image, same_but_for_stamp
 from sagoma_ros.worker import Worker
 
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
-from .hull_ros import SaveMeshService, calibration_mismatch, calibration_values, frame_set_message, summarise
+from .hull_ros import SaveMeshService, calibration_mismatch, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
 from .settings import NodeSettings
 
@@ -79,7 +80,10 @@ class HullNode(SagomaNode):
         self._mesh: SaveMeshService | None = None
         self._canvases: dict[str, CameraModel] = {}
         self.refused: dict[str, str] = {}  # camera: why
+        self._judged_infos: dict[str, bytes] = {}  # the last camera_info of each camera
         self._heard_ns: dict[str, int] = {}
+        self._newest: HullResult | None = None
+        self.health.describe(self._describe)
         self._left_out: tuple[str, ...] = ()
         self._moved: set[str] = set()
         self._overload = NoOverloadControl()
@@ -143,7 +147,7 @@ class HullNode(SagomaNode):
         if self._pipeline is not None:
             self._pipeline.close()
             self._pipeline = None
-        self.refused = {}
+        self.refused, self._judged_infos, self._newest = {}, {}, None
 
     def _advertise(self) -> None:
         self._contour_rays = PacketPublisher[ContourRays](self, PointCloud2, "hull/contour_rays", packet_cloud)
@@ -164,13 +168,13 @@ class HullNode(SagomaNode):
                 (CompressedImage, f"{camera}/silhouette/compressed", self._on_silhouette),
                 (CameraInfo, f"{camera}/camera_info", self._on_camera_info),
             ):
-                subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos)
+                subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos, raw=True)
                 self._closing.append(partial(self.destroy_subscription, subscription))
         self._poll = self.create_timer(POLL_S, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._polled_at_ns = 0
         self._closing.append(partial(self.destroy_timer, self._poll))
 
-    def _on_silhouette(self, camera: str, topic: str, message: CompressedImage) -> None:
+    def _on_silhouette(self, camera: str, topic: str, message: bytes) -> None:
         if self._collector is None:
             self.health.count("frames_while_suspended")
             return
@@ -179,22 +183,25 @@ class HullNode(SagomaNode):
         if camera in self.refused:
             self.health.count("frames_refused")
             return
-        canvas, stamp_ns = self._canvases[camera], to_ns(message.header.stamp)
-        if not self._overload.admits(camera, stamp_ns, now_ns):
+        image, canvas = read_compressed_image(message), self._canvases[camera]
+        if not self._overload.admits(camera, image.stamp_ns, now_ns):
             return
         try:
-            mask = decode_silhouette(message, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
+            mask = decode_silhouette(image, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
         except InputError as error:
             self.health.count("bad_images")
             self.health.set("last_bad_image", error)
             self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
             return
-        self._dispatch(self._collector.add(camera, stamp_ns, mask, now_ns))
+        self._dispatch(self._collector.add(camera, image.stamp_ns, mask, now_ns))
         self._poll_at_deadline(now_ns)
 
-    def _on_camera_info(self, camera: str, topic: str, info: CameraInfo) -> None:
+    def _on_camera_info(self, camera: str, topic: str, message: bytes) -> None:
         """Refuse a camera whose images are not made with the rig's calibration, until they are."""
-        mismatch = calibration_mismatch(info, self._canvases[camera])
+        if same_but_for_stamp(message, self._judged_infos.get(camera)):
+            return
+        self._judged_infos[camera] = message
+        mismatch = calibration_mismatch(deserialize_message(message, CameraInfo), self._canvases[camera])
         if not mismatch:
             if self.refused.pop(camera, None):
                 self.get_logger().info(f"{topic}: agrees with the rig file again")
@@ -208,18 +215,20 @@ class HullNode(SagomaNode):
             )
             self.get_logger().error(str(error))
             self.health.set(f"refused_{camera}", error)
+            self._show_refused()
+
+    def _show_refused(self) -> None:
+        self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self.refused.items())}")
 
     def _on_poll(self) -> None:
         if self._collector is None:
             return
         now_ns = monotonic_ns()
         self._dispatch(self._collector.poll(now_ns))
-        for name, count in asdict(self._collector.counters).items():
-            self.health.set(COUNTER_KEYS.get(name, f"frames_{name}"), count)
         silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
         self.health.set("silent", ",".join(silent))
         if self.refused:
-            self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self.refused.items())}")
+            self._show_refused()
         elif silent:
             self.health.status(WARN, f"no silhouettes from {', '.join(silent)}")
         self._poll_at_deadline(now_ns)
@@ -280,24 +289,24 @@ class HullNode(SagomaNode):
         self.health.tick(frame_set.stamp_ns)
         self._overload.finished(frame_set.stamp_ns, carved.carved_ns - carved.begun_ns, monotonic_ns() - taken_ns)
 
+    def _describe(self) -> dict[str, object]:
+        """The counters, and what the newest set says of the cameras, for the diagnostics."""
+        values: dict[str, object] = {}
+        if self._collector is not None:
+            counts = asdict(self._collector.counters)
+            values |= {COUNTER_KEYS.get(name, f"frames_{name}"): count for name, count in counts.items()}
+        return values | (camera_values(self._newest) if self._newest is not None else {})
+
     def _report(self, result: HullResult) -> None:
-        """Update the diagnostics; log what has changed."""
+        """Update the state that the diagnostics show; log what has changed."""
         if result.empty:
             self.health.count("sets_empty")
-        faults = result.camera_faults
-        self.health.set("left_out", ",".join(faults.left_out))
-        for key, shares in (
-            ("veto_fraction", faults.veto_fraction),
-            ("silhouette_offset_fraction", faults.offset_fraction),
-        ):
-            self.health.set(key, " ".join(f"{camera}={share:.3f}" for camera, share in shares.items()))
+        self._newest, faults = result, result.camera_faults
         for camera in {*faults.left_out} - {*self._left_out}:
             self.get_logger().warning(f"left out: {faults.reasons[camera]}")
         for camera in {*self._left_out} - {*faults.left_out}:
             self.get_logger().info(f"used again: {camera} agrees with the others")
         self._left_out = faults.left_out
-        for key, value in calibration_values(result).items():
-            self.health.set(key, value)
         for camera in {*result.extrinsic_errors.suspects} - self._moved:
             self.get_logger().warning(result.extrinsic_errors.suspects[camera])
         self._moved = {*result.extrinsic_errors.suspects}

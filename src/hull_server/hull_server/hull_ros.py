@@ -51,6 +51,18 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
     return array
 
 
+def camera_values(result: HullResult) -> dict[str, str]:
+    """Report which cameras are left out, how far each contradicts the others, and its calibration."""
+    faults = result.camera_faults
+    texts = {"left_out": ",".join(faults.left_out)}
+    for key, shares in (
+        ("veto_fraction", faults.veto_fraction),
+        ("silhouette_offset_fraction", faults.offset_fraction),
+    ):
+        texts[key] = " ".join(f"{camera}={share:.3f}" for camera, share in shares.items())
+    return texts | calibration_values(result)
+
+
 def calibration_values(result: HullResult) -> dict[str, str]:
     """Report how far each camera is from its calibration, in degrees, and how well it agrees with the others."""
     calibration = result.extrinsic_errors

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
@@ -35,6 +36,7 @@ class NodeHealth:
         self._values: dict[str, str] = {}
         self._latencies_ns: deque[int] = deque(maxlen=LATENCY_SAMPLES)
         self._level, self._message = OK, "starting"
+        self._source: Callable[[], Mapping[str, object]] = dict
         self._ticks = 0
         self._last = (time.monotonic(), 0, time.process_time())
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RESULT)
@@ -54,7 +56,11 @@ class NodeHealth:
     def set(self, key: str, value: object) -> None:
         """Set a key that is published as text."""
         with self._lock:
-            self._values[key] = f"{value:.4g}" if isinstance(value, float) else str(value)
+            self._values[key] = _text(value)
+
+    def describe(self, source: Callable[[], Mapping[str, object]]) -> None:
+        """Ask ``source`` for further values at every report: for what would cost too much at every result."""
+        self._source = source
 
     def tick(self, stamp_ns: int | None = None) -> None:
         """One result was delivered; with its capture stamp, its age is taken as latency."""
@@ -78,7 +84,9 @@ class NodeHealth:
     def snapshot(self) -> DiagnosticStatus:
         """Return the status as published; rates, processor time and latencies are those since the last call."""
         now, cpu = time.monotonic(), time.process_time()
+        described = {key: _text(value) for key, value in self._source().items()}
         with self._lock:
+            self._values |= described
             then, ticks_then, cpu_then = self._last
             elapsed = max(now - then, 1e-6)
             values = {
@@ -100,6 +108,10 @@ class NodeHealth:
             hardware_id=self._hardware_id,
             values=key_values(values),
         )
+
+
+def _text(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def resident_bytes() -> int:

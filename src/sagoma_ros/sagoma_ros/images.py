@@ -17,6 +17,7 @@ from mocap_packets.support import ForegroundSupport
 
 from . import mask_png
 from .messages import to_ns, to_stamp
+from .raw import RawImage
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
 MONO_PNG = ((1, 0), (2, 0), (4, 0), (8, 0))  # bits a pixel, colour type
@@ -57,7 +58,7 @@ def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Compress
 
 
 def decode_silhouette(
-    message: CompressedImage, width: int, height: int, where: str, candidates: int = BACKGROUND
+    message: CompressedImage | RawImage, width: int, height: int, where: str, candidates: int = BACKGROUND
 ) -> np.ndarray:
     """Return the mask (height, width) uint8, 0 or 255, of a silhouette message.
 

@@ -67,6 +67,13 @@ def test_health_carries_counters_values_state_and_memory(ros: Spinner, monkeypat
     assert listener.health.counter("late") == 3 and listener.health.counter("never_counted") == 0
 
 
+def test_health_asks_for_further_values_at_every_report(ros: Spinner) -> None:
+    node_health, counts = Listener(ros).health, iter(range(10))
+    node_health.describe(lambda: {"asked": next(counts), "share": 0.123456})
+    assert [values(node_health.snapshot())["asked"] for _ in range(2)] == ["0", "1"]
+    assert values(node_health.snapshot())["share"] == "0.1235"
+
+
 def test_health_arrives_while_simulated_time_stands_still(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "PERIOD_S", 0.1)
     listener = Listener(ros, parameter_overrides=[Parameter("use_sim_time", value=True)])
