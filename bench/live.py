@@ -4,6 +4,7 @@
     python bench/live.py --seconds 60                # the whole minute
     python bench/live.py --hz 100 --cameras 5        # faster
     python bench/live.py --processes three           # a process a node
+    python bench/live.py --overload                  # twice what it holds: what is answered, how late, how soon over
 
 A player sends every camera's silhouette and camera_info over loopback, all of an instant at once and stamped then; the
 server is what `sagoma up` starts. Beside it the server of an older commit (--before) runs in a domain of its own, and
@@ -31,6 +32,7 @@ from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
 import psutil
+from live_overload import measure_overload, print_overload
 from live_servers import PROCESSES, TREE, Server, running, tree_of
 from scenes import SHARED, Clip, session_clip, studio_clip
 
@@ -109,6 +111,7 @@ def arguments() -> argparse.ArgumentParser:
     given.add_argument("--seconds", type=float, default=60.0, help="counted time a server, all its turns together")
     given.add_argument("--turns", type=int, default=QUICK_TURNS)
     given.add_argument("--processes", choices=PROCESSES, default=next(iter(PROCESSES)), help="of this tree's server")
+    given.add_argument("--overload", action="store_true", help="twice the rate that is held, instead of --hz")
     given.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"older commit ({BEFORE}); '': none")
     given.add_argument("--session", type=Path, default=SHARED / "sessions" / SESSION, help="what the cameras see")
     given.add_argument(
@@ -124,6 +127,12 @@ def main() -> None:
     clip = clip_of(args.session, args.cameras)
     settings, seconds = parse_settings(args.settings), QUICK_S if args.quick else args.seconds
     folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_live_"))
+    if args.overload:
+        with tempfile.TemporaryDirectory(prefix="sagoma_bench_live_") as held:
+            figures = measure_overload(clip, args.processes, Path(held), args.domain, settings)
+        print_overload(figures)
+        finish(asdict(figures))
+        return
     trees = [("now", TREE, args.processes, settings)]
     trees += [(args.before, tree_of(args.before), "three", {})] if args.before else []
     try:

@@ -19,15 +19,17 @@ import time
 import zlib
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import psutil
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 
 from capture_rig import load_rig
 from sagoma_ros.images import camera_info_message, silhouette_message
-from sagoma_ros.qos import SILHOUETTE_PUBLISHER
+from sagoma_ros.qos import LATCHED, SILHOUETTE_PUBLISHER
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX
@@ -57,6 +59,36 @@ class Turn:
     incomplete: int
     cpu_s: float
     ages_ms: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One rate of :meth:`Player.phases`: what was sent of it, as the rule says; times since its beginning.
+
+    answered_s : when the sets were exposed that were answered. ages : of those with a joint state, that instant and
+    the age in ms. incomplete : sets that the hull server closed without a camera.
+    """
+
+    hz: float
+    seconds: float
+    sent: int
+    answered_s: list[float]
+    incomplete: int
+    ages: list[list[float]]
+
+
+def followed_rule(link: RosLink) -> Any:
+    """The rule by which cameras thin out, kept up to date; older trees have none, and get no phases."""
+    try:
+        from mocap_packets.thinning import FrameSelector
+        from sagoma_ros.thinning import TOPIC, read_thinning
+    except ImportError:
+        return None
+    selector = FrameSelector()
+    link.node.create_subscription(
+        DiagnosticArray, TOPIC, lambda rule: selector.follow(read_thinning(rule, TOPIC), time.monotonic_ns()), LATCHED
+    )
+    return selector
 
 
 class Arrivals:
@@ -101,6 +133,7 @@ class Player:
                 CompressedImage, f"/{camera.name}{SILHOUETTE_SUFFIX}", SILHOUETTE_PUBLISHER
             )
             self._channels.append((infos, images, bytearray(info), masks))
+        self._selector = followed_rule(link)
         self._frames, self._still = len(frames), threading.Event()
 
     def play(self, hz: float, seconds: float) -> Turn:
@@ -119,6 +152,27 @@ class Player:
         incomplete = self._incomplete(time.monotonic()) - incomplete
         return Turn(sent, span_s, answered, len(ages), incomplete, cpu_s, ages)
 
+    def phases(self, phases: list[tuple[float, float]]) -> list[Phase]:
+        """Find the person, then play at each rate (Hz) for its seconds, as cameras do that follow the server's rule."""
+        self._find()
+        played = []
+        for hz, seconds in phases:
+            asked_s, sent = time.monotonic(), list[int]()
+            incomplete = self._incomplete(asked_s)
+            began_ns = time.time_ns()
+            self._send(hz, 0, round(hz * seconds), sent=sent)
+            played.append((hz, seconds, began_ns, sent, incomplete))
+        self._answers.wait_for(sent[-1], ANSWER_TIMEOUT_S)
+        last = self._incomplete(time.monotonic())
+        answers, joints = self._answers.since(played[0][2]), self._joints.since(played[0][2])
+        result = []
+        for k, (hz, seconds, began_ns, sent, incomplete) in enumerate(played):
+            after = played[k + 1][4] if k + 1 < len(played) else last
+            ages = [[(stamp - began_ns) / NS_PER_S, (joints[stamp] - stamp) / 1e6] for stamp in sent if stamp in joints]
+            answered = [(stamp - began_ns) / NS_PER_S for stamp in sent if stamp in answers]
+            result.append(Phase(hz, seconds, len(sent), answered, after - incomplete, ages))
+        return result
+
     def _find(self) -> None:
         began_ns, deadline_s = time.time_ns(), time.monotonic() + FIND_TIMEOUT_S
         while len(self._joints.since(began_ns)) < FOUND_SETS:
@@ -126,13 +180,20 @@ class Player:
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"the server found nobody within {FIND_TIMEOUT_S:g} s")
 
-    def _send(self, hz: float, first: int, count: int, hold: bool = False) -> int:
-        """Send so many frames, one a period; returns the last stamp."""
+    def _send(self, hz: float, first: int, count: int, hold: bool = False, sent: list[int] | None = None) -> int:
+        """Send so many frames, one a period; returns the last stamp.
+
+        sent : gets the stamps of those that are sent: all, or those that the hull server's rule keeps.
+        """
         due_s, stamp_ns = time.monotonic(), 0
         for frame in range(first, first + count):
             self._still.wait(max(0.0, due_s - time.monotonic()))
             due_s += 1.0 / hz
             stamp_ns = time.time_ns()
+            if sent is not None:
+                if not self._selector.keeps(stamp_ns, time.monotonic_ns()):
+                    continue
+                sent.append(stamp_ns)
             stamp = STAMP.pack(*divmod(stamp_ns, NS_PER_S))
             place = 0 if hold else self._place(frame)
             for infos, images, info, masks in self._channels:
@@ -174,7 +235,11 @@ def main() -> None:
     with RosLink("bench_player") as link:
         player = Player(link, Path(sys.argv[1]), [int(pid) for pid in sys.argv[2:]])
         for line in sys.stdin:
-            print(json.dumps(asdict(player.play(**json.loads(line)))), flush=True)
+            asked = json.loads(line)
+            if "phases" in asked:
+                print(json.dumps([asdict(phase) for phase in player.phases(asked["phases"])]), flush=True)
+            else:
+                print(json.dumps(asdict(player.play(**asked))), flush=True)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from sagoma_tools.graph.processes import Child, stop_children
 
 TREE = Path(__file__).resolve().parents[1]
 GRACE_S = 8.0
+TOLERANCE_S = 0.001  # the player gives all silhouettes of an instant one stamp, at any rate
 PROCESSES: Mapping[str, tuple[str, ...]] = {
     "one": ("mocap_pipeline.server_node",),
     "three": ("hull_server.hull_node", "icp_tracker.icp_node", "ekf_tracker.ekf_node"),
@@ -41,9 +42,16 @@ class Server:
 
     def play(self, hz: float, seconds: float) -> dict[str, Any]:
         """Play the clip for so long; returns the fields of a `Turn`. Raises InputError when the player ends."""
+        return self._ask({"hz": hz, "seconds": seconds})
+
+    def play_phases(self, phases: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
+        """Play at each rate (Hz) for its seconds, following the server's rule; returns the fields of each `Phase`."""
+        return self._ask({"phases": list(phases)})
+
+    def _ask(self, what: Mapping[str, Any]) -> Any:
         assert self.player.stdin is not None and self.player.stdout is not None
         with contextlib.suppress(BrokenPipeError):
-            self.player.stdin.write(json.dumps({"hz": hz, "seconds": seconds}) + "\n")
+            self.player.stdin.write(json.dumps(what) + "\n")
             self.player.stdin.flush()
         line = self.player.stdout.readline()
         if not line:
@@ -61,7 +69,7 @@ def running(
     rig, packed = folder / "rig.yaml", folder / "clip.pickle"
     save_rig(clip.rig, rig)
     packed.write_bytes(pickle.dumps((rig, clip.packed)))
-    tolerance = {"hull_server.tolerance_s": 0.5 / clip.fps}
+    tolerance = {"hull_server.tolerance_s": TOLERANCE_S}
     nodes = apply_settings(server_graph(rig), {**tolerance, **clip.start, **settings})
     parameters = folder / f"{SERVER}.yaml"
     documents = [node.with_parameters({"autostart": True}).parameter_document() for node in nodes]

@@ -102,7 +102,7 @@ class Simulation:
         self.control, self.rules, self.answers = ThinningControl(), list[Thinning](), list[Answer]()
         self._followers = {name: FrameSelector() for name in self.names}
         self._collector: FrameSetCollector[int] = FrameSetCollector(
-            self.names, tolerance_ns=8 * MS, deadline_ns=50 * MS, give_up=5
+            self.names, tolerance_ns=3 * MS, deadline_ns=50 * MS, give_up=5
         )
         self._hull = Server(self, lambda: self._varied(self.hull_ms), 4, self._published)
         self._tracker = Server(self, lambda: self._varied(self.tracker_ms), 4, self._answered)

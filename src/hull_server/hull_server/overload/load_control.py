@@ -78,21 +78,27 @@ class Shortest:
 
 
 class Throughput:
-    """Counts what is done at one rate; of the last second."""
+    """Counts what is done at one rate, up to a second back."""
 
     def __init__(self) -> None:
         self._done: deque[int] = deque()
+        self._since_ns: int | None = None
+
+    def begin(self, now_ns: int) -> None:
+        """Take note that there is something to do from now on; only the first call counts."""
+        if self._since_ns is None:
+            self._since_ns = now_ns
 
     def add(self, now_ns: int) -> None:
         self._done.append(now_ns)
         while now_ns - self._done[0] > NS_PER_S:
             self._done.popleft()
 
-    def share(self, rate_hz: float) -> float:
-        """Return how much was done of so much a second; 1 where too little is known."""
-        if len(self._done) < WINDOW_SETS // 2:
-            return 1.0
-        return (len(self._done) - 1) / (rate_hz * (self._done[-1] - self._done[0]) / NS_PER_S)
+    def share(self, rate_hz: float, span_s: float, now_ns: int) -> float:
+        """Return how much was done in the last ``span_s`` of so much a second; 1 before anything could be done."""
+        from_ns = max(now_ns - round(span_s * NS_PER_S), now_ns if self._since_ns is None else self._since_ns)
+        expected = rate_hz * (now_ns - from_ns) / NS_PER_S
+        return sum(done > from_ns for done in self._done) / expected if expected >= WINDOW_SETS / 2 else 1.0
 
 
 class LoadControl:
@@ -115,6 +121,7 @@ class LoadControl:
         self._changed_ns = 0
         self._raised_from_hz: float | None = None  # while the last rise is on trial
         self._rose = False  # the last change was a rise, and it is not proven yet
+        self._failed_hz = math.inf  # the rate that was too much last
         self._failed_load = 0.0  # the load a set when a rise failed: what it promised is not to be believed
         self._wait_s = FIRST_WAIT_S
         self._before: dict[str, float] = {}  # cause -> how bad it was when the rate last fell for it
@@ -133,7 +140,9 @@ class LoadControl:
         self._sets.append(record)
         self._open[stamp_ns] = record
         if stamp_ns >= self._settled_ns:
+            self._closings.begin(now_ns)
             self._closings.add(now_ns)
+            self._answers.begin(now_ns)
         if not missing:
             self._age.add(age_ns, now_ns)
 
@@ -153,6 +162,10 @@ class LoadControl:
         self._settled_ns, self._changed_ns = stamp_ns, now_ns
         self._closings, self._answers = Throughput(), Throughput()
 
+    def closed_share(self, rate_hz: float, now_ns: int) -> float:
+        """Return how many sets have closed at the present rate, over those that a rate makes one expect."""
+        return self._closings.share(rate_hz, 1.0, now_ns)
+
     # --- the decision --------------------------------------------------------------------------------------------
 
     def decide(self, offered_hz: float, rate_hz: float, load: float, now_ns: int) -> bool:
@@ -171,7 +184,7 @@ class LoadControl:
             return False
         cause = self._overload(recent, rate_hz, load)
         if cause:
-            self._fall(cause, recent, rate_hz, load)
+            self._fall(cause, recent, rate_hz, load, now_ns)
         elif self.limit_hz < math.inf:
             self._rise(offered_hz, rate_hz, load, calm_s)
         return self.limit_hz != limit_hz
@@ -189,7 +202,7 @@ class LoadControl:
         ages = [each.age_ns for each in recent if not each.lacks]
         torn = [each.lacks for each in recent if each.lacks]
         lost = 1.0 - present_share(recent)
-        if sum(each.dropped for each in recent) > DROPPED * len(recent):
+        if sum(each.dropped for each in recent) > max(DROPPED * len(recent), 1):
             return DROPS
         # a delay without a busy stage is no queue: a set takes longer than it did, as with more people
         if load >= FULL and 2 * len(delays) >= WINDOW_SETS and self._delay.excess(min(delays)) > standing_ns:
@@ -213,19 +226,23 @@ class LoadControl:
         self.limit_hz = math.inf
         return False
 
-    def _fall(self, cause: str, recent: list[SetRecord], rate_hz: float, load: float) -> None:
+    def _fall(self, cause: str, recent: list[SetRecord], rate_hz: float, load: float, now_ns: int) -> None:
         """Lower the limit to what was answered; after a rise, to where that began."""
         delays = [each.delay_ns for each in recent if each.delay_ns is not None]
         newest = recent[-WINDOW_SETS:]
         self.standing_ns = self._delay.excess(max(delays, default=0)) + self._age.excess(max(s.age_ns for s in newest))
         self.cause = cause
+        if self._rose or now_ns - self._changed_ns >= HELD_S * NS_PER_S:  # else it is the same trouble still
+            self._failed_hz = rate_hz
         if self._rose:
             self._rose, self._wait_s = False, min(2 * self._wait_s, LONGEST_WAIT_S)
         if self._raised_from_hz is not None:
             self.limit_hz = self._raised_from_hz
             self._failed_load, self._raised_from_hz = load / rate_hz, None
             return
-        share = MARGIN * min(self._closings.share(rate_hz) * present_share(recent), self._answers.share(rate_hz))
+        span_s = WINDOW_S if cause == DROPS else 1.0  # what is dropped was too much by far, and may be new
+        came = self._closings.share(rate_hz, span_s, now_ns) * present_share(recent)
+        share = MARGIN * min(came, self._answers.share(rate_hz, span_s, now_ns))
         self.limit_hz = max(rate_hz * min(max(share, LOWEST), HIGHEST), LEAST_HZ)
 
     def _rise(self, offered_hz: float, rate_hz: float, load: float, calm_s: float) -> None:
@@ -236,10 +253,20 @@ class LoadControl:
             self._before.clear()
             target_hz = rate_hz * min(FULL / max(load, LEAST_LOAD), MOST_RISE)
         if target_hz < TRIAL * rate_hz or load / rate_hz > LIGHTER * self._failed_load > 0.0:
-            target_hz = TRIAL * rate_hz if calm_s >= self._wait_s and not unproven else 0.0
+            target_hz = self._trial_hz(rate_hz, calm_s)
         if target_hz > rate_hz:
+            if rate_hz >= self._failed_hz:
+                self._failed_hz = math.inf
             self._raised_from_hz, self._rose = self._raised_from_hz or rate_hz, True
             self.limit_hz = target_hz if target_hz < offered_hz else math.inf
+
+
+    def _trial_hz(self, rate_hz: float, calm_s: float) -> float:
+        """Return a rate to try: soon, half the way to what was too much; near that, a tenth more, after a wait."""
+        middle_hz = min(math.sqrt(rate_hz * self._failed_hz), MOST_RISE * rate_hz)
+        if self._failed_hz < math.inf and middle_hz > TRIAL * rate_hz:
+            return middle_hz if calm_s >= CALM_S else 0.0
+        return TRIAL * rate_hz if calm_s >= self._wait_s and self._raised_from_hz is None else 0.0
 
 
 def present_share(sets: list[SetRecord]) -> float:

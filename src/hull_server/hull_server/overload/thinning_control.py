@@ -16,7 +16,7 @@ from .load_control import NS_PER_S, LoadControl
 REFRESH_S = 1.0  # a rule in force is told again, with the phase that the last stamps give: clocks drift
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
 LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
-SEEN, SEEN_S, LEAST_SETS = 0.6, 0.4, 8  # fewer of the sets of that time: the cameras' rate has changed
+FEWEST, MOST, SEEN_S, LEAST_SETS = 0.6, 1.5, 0.4, 8  # of the sets of that time: else the cameras' rate has changed
 SETS_KEPT = 200
 LOADS_KEPT = 5  # of the last half second
 
@@ -101,12 +101,12 @@ class ThinningControl:
             rule = self.rule
             if self._told_ns is None:
                 return self._tell(rule, now_ns)
-            if self._has_lost_the_cameras(now_ns):
+            grid = self._clock.estimate(rule)
+            if self._has_lost_the_cameras(grid, now_ns):
                 self._clock.forget()
                 return self._tell(replace(EVERY_FRAME, from_ns=self._head_ns + LEAD_NS), now_ns)
-            grid = self._clock.estimate(rule)
-            if grid is None:
-                return None
+            if grid is None or self._load.closed_share(rule.fraction * grid.hz, now_ns) > MOST:
+                return None  # the cameras' rate is not known, or not yet
             self._offered_hz, rate_hz = grid.hz, rule.fraction * grid.hz
             self._machine_loads.append(machine_load)
             load = max(sum(self._machine_loads) / len(self._machine_loads), self._busy.share(now_ns))
@@ -145,8 +145,9 @@ class ThinningControl:
         self._load.begin_at(stamp_ns, now_ns)
         self._selector.follow(replace(EVERY_FRAME, from_ns=stamp_ns), now_ns)
 
-    def _has_lost_the_cameras(self, now_ns: int) -> bool:
-        """Return whether far fewer sets come than the rule keeps: it was made for another rate of the cameras."""
+    def _has_lost_the_cameras(self, grid: Exposures | None, now_ns: int) -> bool:
+        """Return whether the rule was made for another rate of the cameras: far fewer sets come than it keeps, or more,
+        or they lie on another grid."""
         rule = self.rule
         if rule.keep == rule.of:
             return False
@@ -155,4 +156,4 @@ class ThinningControl:
         if now_ns - self._adopted_ns < span_ns + LONGEST_PAUSE_NS + LEAD_NS:
             return False
         seen = sum(now_ns - when <= span_ns for when, _, _ in self._closed)
-        return seen < SEEN * hz * span_ns / NS_PER_S
+        return grid is None or not FEWEST < seen / (hz * span_ns / NS_PER_S) < MOST
