@@ -260,7 +260,6 @@ class LoadControl:
             self._raised_from_hz, self._rose = self._raised_from_hz or rate_hz, True
             self.limit_hz = target_hz if target_hz < offered_hz else math.inf
 
-
     def _trial_hz(self, rate_hz: float, calm_s: float) -> float:
         """Return a rate to try: soon, half the way to what was too much; near that, a tenth more, after a wait."""
         middle_hz = min(math.sqrt(rate_hz * self._failed_hz), MOST_RISE * rate_hz)
