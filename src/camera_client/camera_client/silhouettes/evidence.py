@@ -56,14 +56,11 @@ class EvidenceFilter:
         height, width = distance.shape
         sigma = noise.sigma(typical_level(expected))
         least = 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
-        evidence = np.minimum(distance, np.uint8(min(2 * SCALE * CLEAR * least, 255))).astype(np.float32)
-        evidence *= np.float32(0.5 / SCALE)
+        most = min(int(2 * SCALE * CLEAR * least), 255)
         rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
+        evidence: np.ndarray = np.empty((height, width), np.float32)
         across, down = np.zeros((2, height, width), np.uint8)
-        if spill is not None:
-            evidence = less_spilled(
-                evidence, np.abs(rest.reshape(height, width, -1)).max(axis=2), spill, len(noise.read)
-            )
+        weigh_pixels(distance, most, rest, np.zeros((0, 0), np.float32) if spill is None else spill, evidence)
         steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), across, down)
         # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
@@ -93,16 +90,34 @@ def least_squared_distance(sigma: float, correlation: float, channels: int) -> f
     return 2 * channels * math.log(256 / (math.sqrt(2 * math.pi) * sigma)) - math.log(determinant)
 
 
-def less_spilled(
-    evidence: npt.NDArray[np.float32], change: npt.NDArray[np.float32], spill: npt.NDArray[np.float32], channels: int
-) -> npt.NDArray[np.float32]:
-    """Return z^2 / 2 (h, w) with the variance of a codec's errors added to the noise's.
+@njit(**OPTIONS)
+def weigh_pixels(distance, most, rest, spill, evidence):  # type: ignore[no-untyped-def]
+    """Write each pixel's own ``evidence`` (h, w) float32, z^2 / 2, with a codec's errors added to the noise's variance.
 
-    evidence (h, w) : z^2 / 2 of the noise alone. change (h, w) : difference of the channel that differs most. spill
-    (h, w) : standard deviation in each of the ``channels``.
+    distance (h, w) uint8 : SCALE z^2 by the noise alone, of which no more than ``most`` counts. rest (h, w C) float32 :
+    image minus background, of which the channel counts that differs most. spill (h, w) float32 : standard deviation of
+    the errors in each channel, or (0, 0).
     """
-    by_spill = np.square(change) * np.float32(0.5 * channels)
-    return np.asarray(evidence * by_spill / np.maximum(by_spill + evidence * spill * spill, np.float32(1e-6)))
+    height, width = distance.shape
+    channels = rest.shape[1] // width
+    change, scale = np.empty(width, np.float32), np.float32(0.5 / SCALE)
+    half = np.float32(0.5 * channels)
+    for y in range(height):
+        to, own = evidence[y], distance[y]
+        for x in range(width):
+            to[x] = np.float32(min(np.int64(own[x]), most)) * scale
+        if spill.size == 0:
+            continue
+        row, error = rest[y], spill[y]
+        if channels == 1:
+            for x in range(width):
+                change[x] = abs(row[x])
+        else:
+            for x in range(width):
+                change[x] = max(max(abs(row[3 * x]), abs(row[3 * x + 1])), abs(row[3 * x + 2]))
+        for x in range(width):
+            by_spill = change[x] * change[x] * half
+            to[x] = to[x] * by_spill / max(by_spill + to[x] * error[x] * error[x], np.float32(1e-6))
 
 
 @njit(**OPTIONS)

@@ -214,14 +214,20 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     reaches to where the colour is whole.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """
-    difference, around = cv2.absdiff(image, cv2.convertScaleAbs(mean)), _CROSS
-    if difference.ndim == 3:
-        blue, green, red = cv2.split(difference)
-        difference, around = cv2.max(cv2.max(blue, green), red), _DISC
-    difference = cv2.bitwise_and(difference, person)
+    around = _CROSS if image.ndim == 2 else _DISC
+    difference = cv2.bitwise_and(largest_difference(image, mean), person)
     inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     wanted = cv2.convertScaleAbs(cv2.dilate(difference, around), alpha=least_share)
     return cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
+
+
+def largest_difference(image: Image, mean: npt.NDArray) -> Mask:
+    """Return by how many whole grey levels (h, w) image and background differ in the channel that differs most."""
+    difference = cv2.absdiff(image, cv2.convertScaleAbs(mean))
+    if difference.ndim == 2:
+        return np.asarray(difference, np.uint8)
+    blue, green, red = cv2.split(difference)
+    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
 # --- undistortion of a part of the image, without looking at the rest of the canvas

@@ -2,12 +2,63 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from ..background.kernels import OPTIONS
 
 F32 = np.float32
+
+
+class DarkenedRule(NamedTuple):
+    """When a colour is that of the darkened background; see :class:`.shadows.ColourShadow`.
+
+    tint : share of the light lost. chromaticity2, contrast2 : squared distance at most, contrast at least, in sigmas.
+    lightest : share of the brightness that is left at most.
+    """
+
+    tint: float
+    chromaticity2: float
+    contrast2: float
+    lightest: float
+
+
+@njit(**OPTIONS)
+def find_darkened(image, expected, mask, noise, spill2, darkest, rule):  # type: ignore[no-untyped-def]
+    """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
+
+    image (2 h, 2 w, 3) uint8, expected (2 h, 2 w, 3) float32; mask (h, w) uint8 : not 0 at what is looked at. An odd
+    side is continued. noise (2, 3) : read and slope, as of :class:`..background.noise.Noise`; spill2 (h, w) float32 :
+    variance beyond it, or (0, 0). darkest (h, w) float32 : share of the brightness that is left at least.
+    """
+    bottom, right = image.shape[0] - 1, image.shape[1] - 1
+    found = np.zeros(mask.shape, np.uint8)
+    x, mu, variance = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            if mask[i, j] == 0:
+                continue
+            more = spill2[i, j] if spill2.size else F32(0)
+            power = shared = 0.0
+            for c in range(3):
+                y, v, z, w = 2 * i, 2 * j, min(2 * i + 1, bottom), min(2 * j + 1, right)
+                x[c] = 0.25 * (F32(image[y, v, c]) + F32(image[y, w, c]) + F32(image[z, v, c]) + F32(image[z, w, c]))
+                mu[c] = 0.25 * (expected[y, v, c] + expected[y, w, c] + expected[z, v, c] + expected[z, w, c])
+                variance[c] = noise[0, c] + noise[1, c] * mu[c] + more
+                power += mu[c] * mu[c] / variance[c]
+                shared += x[c] * mu[c] / variance[c]
+            factor = shared / max(power, 1e-9)
+            if power < rule.contrast2 or factor < darkest[i, j] or factor > rule.lightest:
+                continue
+            distance2 = 0.0
+            for c in range(3):
+                tint, departure = rule.tint * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
+                distance2 += departure * departure / (variance[c] + tint * tint)
+            if distance2 <= rule.chromaticity2:
+                found[i, j] = 255
+    return found
 
 
 @njit(**OPTIONS)

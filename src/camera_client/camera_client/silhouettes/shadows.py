@@ -29,7 +29,7 @@ from ..frame_source import Image, Mask
 from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from .evidence import typical_level
 from .masks import Box
-from .shadow_kernels import shadow_sums
+from .shadow_kernels import DarkenedRule, find_darkened, shadow_sums
 from .spill import COLOUR_SHARE
 
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
@@ -233,7 +233,8 @@ class ColourShadow:
 
     def __init__(self, camera: CameraModel, settings: ColourShadowSettings, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
-        self._settings = settings
+        s = settings
+        self._rule = DarkenedRule(s.tint, s.chromaticity**2, s.min_contrast**2, LIGHTEST)
         on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
         self._darkest = np.where(
             on_floor, np.float32(settings.darkest), np.float32(max(settings.darkest, WALL_DARKEST))
@@ -241,46 +242,36 @@ class ColourShadow:
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
         """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""
-        half, image, expected = halve(mask), halve(scene.image), halve(scene.expected)
-        row, column = np.nonzero(half)
-        variance = scene.noise.variance(expected[row, column]) * np.float32(HALVED_NOISE)
+        half = halve(mask)
+        top, left = scene.at[0].start // 2, scene.at[1].start // 2
+        darkest = self._darkest[top : top + half.shape[0], left : left + half.shape[1]]
+        noise = np.stack([scene.noise.read, scene.noise.slope]) * HALVED_NOISE
+        spill2 = np.zeros((0, 0), np.float32)
         if scene.spill is not None:
-            variance += np.square(COLOUR_SHARE * halve(scene.spill)[row, column])[:, None]
-        fits, factor = self._fits(image[row, column], expected[row, column], variance)
-        darkest = self._darkest[row + scene.at[0].start // 2, column + scene.at[1].start // 2]
-        fits &= (factor >= darkest) & (factor <= LIGHTEST)
-        found = np.zeros_like(half)
-        found[row[fits], column[fits]] = 255
+            spill2 = np.square(np.float32(COLOUR_SHARE) * halve(scene.spill))
+        found = find_darkened(scene.image, scene.expected, half, noise, spill2, darkest, self._rule)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
-        found = cv2.bitwise_and(found, self._texture_persists(image, expected, found, scene.noise))
+        found = cv2.bitwise_and(found, self._texture_persists(scene, found))
         return cv2.bitwise_and(_enlarged(found, 2, mask.shape), mask)
 
-    def _fits(self, x: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Tell which pixels x (n, 3) have the colour of a darkened ``mean`` (n, 3), and each one's factor."""
-        s, mu, weight = self._settings, mean, 1 / variance
-        power = np.einsum("ij,ij,ij->i", mu, mu, weight)
-        factor = np.einsum("ij,ij,ij->i", x, mu, weight) / np.maximum(power, 1e-9)
-        tint = np.float32(s.tint) * (1 - factor)[:, None] * mu
-        departure = x - factor[:, None] * mu
-        distance2 = (departure * departure / (variance + tint * tint)).sum(axis=1)
-        return (distance2 <= s.chromaticity**2) & (power >= s.min_contrast**2), factor
-
-    def _texture_persists(self, image: np.ndarray, expected: np.ndarray, found: Mask, noise: Noise) -> Mask:
+    def _texture_persists(self, scene: Scene, found: Mask) -> Mask:
         """Return 0 where the background has a texture that the image has lost: something stands before it."""
         box = Box.around(found)
         keeps = np.full(found.shape, 255, np.uint8)
         if box.empty:
             return keeps
-        part = box.grown(TEXTURE_WINDOW_PX, found.shape).slices
+        box = box.grown(TEXTURE_WINDOW_PX, found.shape)
+        part, both = box.slices, tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
         window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
         own = (found[part] > 0).astype(np.float32)
-        x, mean = (each[part].astype(np.float32).mean(axis=2) * own for each in (image, expected))
+        expected = halve(scene.expected[both])
+        x, mean = (cv2.multiply(_grey(each), own) for each in (halve(scene.image[both]), expected))
         count = np.maximum(cv2.blur(own, window), np.float32(1e-3))
         X, M = cv2.blur(x, window) / count, cv2.blur(mean, window) / count
         darker = X / np.maximum(M, 1)
         shared = darker * (cv2.blur(x * mean, window) / count - X * M)
         power = darker**2 * (cv2.blur(mean * mean, window) / count - M * M)
-        variance = HALVED_NOISE * noise.sigma(float(np.median(expected[part]))) ** 2
+        variance = HALVED_NOISE * scene.noise.sigma(typical_level(expected)) ** 2
         lost = (power > TEXTURE_SIGMAS**2 * variance) & (shared < TEXTURE_LEFT * power)
         keeps[part][lost] = 0
         return keeps
@@ -346,3 +337,8 @@ def _halved_grey(image: np.ndarray) -> np.ndarray:
     if half.ndim == 3:
         half = cv2.transform(half, np.full((1, 3), 1 / 3, np.float32))
     return half.astype(np.float32)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """Return the mean of three channels (h, w) float32."""
+    return cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ..background.noise import Noise
 from ..frame_source import Image
+from .masks import largest_difference
 
 REACH_PX = 8  # a block of brightness: JPEG, MPEG-4, H.264; colour's are twice as wide, but hardly seen beyond
 SPILL = 0.12  # of the contrast, standard deviation 2 to 8 px beside people through bench/rooms.py's codecs
@@ -27,10 +28,7 @@ def codec_spill(image: Image, expected: npt.NDArray[np.float32], noise: Noise) -
     """
     if noise.grain <= FINE_GRAIN:
         return None
-    change = cv2.absdiff(image, np.rint(expected).astype(np.uint8))
-    if change.ndim == 3:
-        blue, green, red = cv2.split(change)
-        change = cv2.max(cv2.max(blue, green), red)
+    change = largest_difference(image, expected)
     around = cv2.dilate(change, np.ones((2 * REACH_PX + 1, 2 * REACH_PX + 1), np.uint8))
     share = SPILL * (noise.grain - FINE_GRAIN) / (1 - FINE_GRAIN)
     return np.asarray(around * np.float32(share), np.float32)
