@@ -46,6 +46,11 @@ class RigViews:
         """The index of each camera in all arrays."""
         return {name: index for index, name in enumerate(self.names)}
 
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[int, int]]:
+        """Rows and columns of each camera's canvas."""
+        return {name: (height, width) for name, (width, height) in zip(self.names, self.sizes.tolist(), strict=True)}
+
     @classmethod
     def from_rig(cls, rig: Rig) -> RigViews:
         """Compute the views of all cameras; InputError when the rig has too few or too many cameras, or an oversized
@@ -76,8 +81,8 @@ class RigViews:
         for name, mask in masks.items():
             if name not in self.number:
                 raise InputError(f"there is no camera '{name}' in the rig", remedy=f"Known: {', '.join(self.names)}.")
-            width, height = self.sizes[self.number[name]]
-            if mask.shape != (height, width) or mask.dtype != np.uint8:
+            if mask.shape != self._shapes[name] or mask.dtype != np.uint8:
+                height, width = self._shapes[name]
                 raise InputError(
                     f"the mask is {mask.shape} {mask.dtype}, not ({height}, {width}) uint8",
                     where=name,

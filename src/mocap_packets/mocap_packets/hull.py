@@ -221,8 +221,8 @@ class HullProducts:
 
     def as_sent(self) -> HullProducts:
         """Return the same, rounded to float32 as the clouds between the nodes are."""
-        line, voxels, rays = self.centerline.as_sent(), self.voxels.as_sent(), self.contour_rays.as_sent()
-        return HullProducts(self.stamp_ns, line, voxels, rays)
+        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
+        return HullProducts(self.stamp_ns, _as_sent(line), _as_sent(voxels), _as_sent(rays))
 
     def finite(self) -> tuple[HullProducts, int]:
         """Return the same with the centerline points that are finite numbers, and how many were not."""
@@ -267,6 +267,13 @@ class HullProducts:
 def _rows(packet: Rows, rows: np.ndarray) -> Rows:
     """Return the chosen rows of every column, contiguous."""
     return replace(packet, **{name: np.ascontiguousarray(values[rows]) for name, values in vars(packet).items()})
+
+
+def _as_sent(packet: Rows) -> Rows:
+    """Return the packet as its table would give it back: numbers rounded to float32, all else as it is."""
+    columns = vars(packet).values()
+    rounded = (c.astype(np.float32).astype(np.float64) if c.dtype == np.float64 else c for c in columns)
+    return type(packet)(*rounded)
 
 
 def _thinned(points: np.ndarray, count: int, rows: np.ndarray | None = None) -> np.ndarray:

@@ -17,7 +17,7 @@ def products():
     """Rows of bodies 0 and 1, and of none."""
     points, unit = RNG.normal(size=(3, ROWS, 3)), np.eye(3)[np.arange(ROWS) % 3]
     line = Centerline(points[0], *RNG.random((1, ROWS)), BODY.astype(np.uint8) % 3, *RNG.random((3, ROWS)), BODY)
-    rays = ContourRays(points[2], unit, np.roll(unit, 1, axis=1), *RNG.random((2, ROWS)), BODY, np.arange(ROWS) % 4)
+    rays = ContourRays(points[2], unit, np.roll(unit, 1, axis=1), *RNG.random((2, ROWS)), BODY, BODY + 1)
     return HullProducts(5, line, VoxelSamples(points[1], RNG.random(ROWS) < 0.5, BODY), rays)
 
 
@@ -27,6 +27,14 @@ def columns(packet):
 
 def parts(hull):
     return hull.centerline, hull.voxels, hull.contour_rays
+
+
+def test_packets_as_sent_are_what_their_tables_give_back():
+    made = products()
+    for packet, sent in zip(parts(made), parts(made.as_sent()), strict=True):
+        for name, values in vars(type(packet).from_table(packet.to_table())).items():
+            mine = getattr(sent, name)
+            assert mine.dtype == values.dtype and mine.tobytes() == values.tobytes(), name
 
 
 def test_sent_packets_are_rounded_once_and_for_all():

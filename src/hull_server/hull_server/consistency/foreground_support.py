@@ -24,11 +24,13 @@ from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSup
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
-from ..words import popcount
+from ..words import nonzero_bytes, popcount
 
 PERIOD_S = 0.25  # things are judged for seconds
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
-CELL_PX = 8  # three halvings; a divisor of every canvas's width; the blocks in which camera clients look for foreground
+CELL_PX = (
+    8  # a word of pixels; a divisor of every canvas's width; the blocks in which camera clients look for foreground
+)
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
@@ -71,9 +73,9 @@ class SupportReporter:
         present, names = self._views.present(masks), self._views.names
         sent, shown = np.zeros((2, *self._cells.seen.shape), np.uint8)
         for camera in present:
-            _pool(masks[names[camera]], sent[camera])
+            _pool(np.ascontiguousarray(masks[names[camera]]).view(np.uint64), sent[camera])
             if names[camera] in resolved:
-                _pool(resolved[names[camera]], shown[camera])
+                _pool(np.ascontiguousarray(resolved[names[camera]]).view(np.uint64), shown[camera])
         covered = shown.mean(axis=(1, 2)) / 255
         has_say = [c for c in present if covered[c] <= MOST_COVERED and names[c] in resolved]
         levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in has_say))
@@ -259,14 +261,16 @@ def _pooled_views(views: RigViews) -> RigViews:
     return RigViews(views.names, P, -(-views.sizes // CELL_PX), np.where(share > 127, np.uint8(255), np.uint8(0)))
 
 
-def _pool(mask: Cells, cells: Cells) -> None:
-    """Write 255 to the cells of a canvas (h, w) in which at least LEAST_PX pixels of ``mask`` are not 0."""
-    height, width = (-(-n // CELL_PX) for n in mask.shape)
-    filled = np.zeros((height * CELL_PX, width * CELL_PX), np.uint8)
-    cv2.threshold(mask, 0, 255, cv2.THRESH_BINARY, dst=filled[: mask.shape[0]])
-    for _ in range(3):  # halves: several times faster than a box of 8 x 8
-        filled = cv2.resize(filled, (filled.shape[1] // 2, filled.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    cv2.threshold(filled, 4 * LEAST_PX - 2, 255, cv2.THRESH_BINARY, dst=cells[:height, :width])
+@kernel
+def _pool(mask_words, cells):  # type: ignore[no-untyped-def]
+    """Write 255 to the cells (h, w) in which at least LEAST_PX pixels of a mask (H, W / 8) are not 0."""
+    for row in range(0, mask_words.shape[0], CELL_PX):
+        rows = mask_words[row : row + CELL_PX]
+        for column in range(rows.shape[1]):
+            count = 0
+            for v in range(rows.shape[0]):
+                count += popcount(nonzero_bytes(rows[v, column]))
+            cells[row // CELL_PX, column] = 255 if count >= LEAST_PX else 0
 
 
 def _reach_cells(P: npt.NDArray[np.float64], volume: Volume, reach_m: float) -> Cells:

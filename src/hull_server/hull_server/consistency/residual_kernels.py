@@ -1,8 +1,7 @@
-"""Compiled loops of :mod:`.silhouette_residuals`: which foreground do the voxels mark_explained that most cameras agree
-on?
+"""Compiled loops of :mod:`.silhouette_residuals`: which foreground do the voxels explain that most cameras agree on?
 
 A voxel is *shared* when at most one voter vetoes it. Shared voxels are projected back into every image: which
-foreground do they mark_explained with a camera's veto, and which only without it? In words of bits, bit s is the camera
+foreground do they explain with a camera's veto, and which only without it? In words of bits, bit s is the camera
 ``cameras[s]``; the voters come first.
 """
 
@@ -12,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from capture_rig.kernel import kernel
 
 from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
 from ..words import popcount
@@ -51,39 +51,59 @@ class VotingSet(NamedTuple):
     needed_without: int
 
 
-@njit(cache=True, nogil=True)
-def number_cells(shown, box, labels, table):  # type: ignore[no-untyped-def]
-    """Number the foreground cells of one camera, and sum up their areas.
+@kernel
+def number_cells(mask, mask_words, stride, cells, box):  # type: ignore[no-untyped-def]
+    """Number the foreground cells of one camera's mask (H, W), and sum up their areas.
 
-    shown (h, w) : nonzero is foreground, all of it inside ``box``: u and v from and to. labels (h, w) : as they are
-    where nothing is shown. table (h + 1, w + 1). Returns the number of cells, and a number that changes when they do.
+    mask_words (H, W / 8) : the same, eight pixels to a word. cells : seen (h, w), nonzero where the camera sees;
+    unshown (h, w), labels where nothing is shown; labels (h, w) and table (h + 1, w + 1), which are written. box (4,) :
+    rows and columns from and to that hold all foreground cells of the mask before; then of this one. Returns the number
+    of foreground cells, and a number that changes when they do.
     """
-    left, top, right, bottom = box
-    found, fingerprint = 0, 0
-    table[: top + 1] = 0
-    for row in range(top, bottom):
-        in_row = 0
-        table[row + 1, : left + 1] = 0
-        for column in range(left, right):
-            if shown[row, column] != 0:
-                found += 1
-                in_row += 1
-                labels[row, column] = found
-                fingerprint = fingerprint * 31 + row * 4096 + column
-            table[row + 1, column + 1] = table[row, column + 1] + in_row
-        table[row + 1, right + 1 :] = table[row + 1, right]
-    for row in range(bottom, shown.shape[0]):
-        table[row + 1] = table[row]
+    seen, unshown, labels, table = cells
+    for row in range(box[0], box[1]):
+        _copy(unshown[row, box[2] : box[3]], labels[row, box[2] : box[3]])
+    found, fingerprint, first, width = 0, 0, stride // 2, labels.shape[1]
+    box[0], box[1], box[2], box[3] = labels.shape[0], 0, width, 0
+    for row in range(labels.shape[0]):
+        v, before = first + row * stride, found
+        if _any(mask_words[v]):
+            above, areas = table[row], table[row + 1]
+            for column in range(width):
+                if mask[v, first + column * stride] & seen[row, column]:
+                    found += 1
+                    labels[row, column] = found
+                    fingerprint = fingerprint * 31 + row * 4096 + column
+                    box[2], box[3] = min(box[2], column), max(box[3], column + 1)
+                areas[column + 1] = above[column + 1] + found - before
+        else:
+            _copy(table[row], table[row + 1])
+        if found > before:
+            box[0], box[1] = min(box[0], row), row + 1
     return found, fingerprint
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _any(words):  # type: ignore[no-untyped-def]
+    filled = np.uint64(0)
+    for word in range(words.size):
+        filled |= words[word]
+    return filled != 0
+
+
+@kernel
+def _copy(source, target):  # type: ignore[no-untyped-def]
+    for n in range(source.size):
+        target[n] = source[n]
+
+
+@kernel
 def find_shared_voxels(views, labels, tables, voting, voxels, vetoes):  # type: ignore[no-untyped-def]
     """Write the shared voxels (M, 3) and the bits of who vetoes each (M,); return their number.
 
     Returns TOO_MANY when ``voxels`` cannot hold them: much of the volume is foreground for nearly everyone.
     """
-    coarse, fine = (views.shape + COARSE_EDGE - 1) // COARSE_EDGE, (views.shape + FINE_EDGE - 1) // FINE_EDGE
+    coarse, fine = _blocks(views.shape, COARSE_EDGE), _blocks(views.shape, FINE_EDGE)
     ratio, found = COARSE_EDGE // FINE_EDGE, 0
     for block in range(coarse[0] * coarse[1] * coarse[2]):
         votes = _classify_block(views.coarse, tables, voting, block, ((1 << voting.cameras.size) - 1, 0, 0))
@@ -106,7 +126,13 @@ def find_shared_voxels(views, labels, tables, voting, voxels, vetoes):  # type: 
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _blocks(shape, edge):  # type: ignore[no-untyped-def]
+    """Return the number of blocks along each axis."""
+    return (shape[0] + edge - 1) // edge, (shape[1] + edge - 1) // edge, (shape[2] + edge - 1) // edge
+
+
+@kernel
 def _classify_block(boxes, tables, voting, block, votes):  # type: ignore[no-untyped-def]
     """Return the bits of the cameras that are undecided about a block, see foreground all over it, or veto all of it.
 
@@ -129,19 +155,19 @@ def _classify_block(boxes, tables, voting, block, votes):  # type: ignore[no-unt
     return undecided, filled, vetoed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _may_be_shared(voting, votes):  # type: ignore[no-untyped-def]
     """Check by the votes on a block whether it may hold shared voxels."""
     undecided, filled, vetoed = votes
     return _count_voters(voting, vetoed) <= 1 and _count_voters(voting, undecided | filled) >= voting.needed_without
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_voters(voting, bits):  # type: ignore[no-untyped-def]
     return popcount(np.uint64(bits & (1 << voting.voters) - 1))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _append_voxels(views, labels, voting, low, votes, voxels, vetoes, found):  # type: ignore[no-untyped-def]
     """Append the shared voxels of the block of 4^3 at ``low``; return the number found so far, or TOO_MANY."""
     for z in range(low[2], min(low[2] + FINE_EDGE, views.shape[2])):
@@ -157,7 +183,7 @@ def _append_voxels(views, labels, voting, low, votes, voxels, vetoes, found):  #
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _classify_voxel(views, labels, voting, votes, x, y, z):  # type: ignore[no-untyped-def]
     """Return whether a voxel is shared, and the bits of the cameras that veto it (none next to the floor)."""
     undecided, filled, vetoed = votes
@@ -181,7 +207,7 @@ def _classify_voxel(views, labels, voting, votes, x, y, z):  # type: ignore[no-u
     return seeing >= (voting.needed if against == 0 else voting.needed_without), vetoed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def project(P, camera, x, y, z):  # type: ignore[no-untyped-def]
     """Return the cell coordinates of a voxel's centre and its depth; beyond any canvas if it is behind the camera."""
     w = P[camera, 2, 0] * x + P[camera, 2, 1] * y + P[camera, 2, 2] * z + P[camera, 2, 3]
@@ -192,7 +218,7 @@ def project(P, camera, x, y, z):  # type: ignore[no-untyped-def]
     return u, v, w
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _footprint(views, camera, voxel):  # type: ignore[no-untyped-def]
     """Return the cells that a voxel (3,) covers in an image: first and last (exclusive) row and column."""
     u, v, w = project(views.projections, camera, voxel[0], voxel[1], voxel[2])
@@ -203,7 +229,7 @@ def _footprint(views, camera, voxel):  # type: ignore[no-untyped-def]
     return top, bottom, int(max(u - reach, 0.0)), int(min(u + reach + 1.0, width))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_explained(views, labels, voting, voxels, vetoes, with_veto, without_veto):  # type: ignore[no-untyped-def]
     """Mark in every camera's foreground cells which hulls lie behind them.
 
@@ -225,7 +251,7 @@ def mark_explained(views, labels, voting, voxels, vetoes, with_veto, without_vet
                         without_veto[slot, label - 1] |= reached
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_explained(cells, with_veto, without_veto, explained, vetoed):  # type: ignore[no-untyped-def]
     """Count foreground cells (n, n) [image, camera whose veto is ignored].
 
@@ -239,7 +265,7 @@ def count_explained(cells, with_veto, without_veto, explained, vetoed):  # type:
                 vetoed[image, slot] += (reached & ~kept) >> slot & 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_hull(views, camera, voxels, outline):  # type: ignore[no-untyped-def]
     """Set the cells of ``outline``, which has a margin of OFFSET_REACH, that the voxels (M, 3) cover."""
     for found in range(voxels.shape[0]):
@@ -249,7 +275,7 @@ def draw_hull(views, camera, voxels, outline):  # type: ignore[no-untyped-def]
                 outline[row, column] = 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_outside(labels, outline, outside):  # type: ignore[no-untyped-def]
     """Count the foreground cells outside the outline after each shift (down, right); return the number of all cells."""
     cells, shifts = 0, outside.shape[0]

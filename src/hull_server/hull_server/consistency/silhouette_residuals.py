@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -122,10 +121,14 @@ class ResidualEstimator:
         self._views = _coarse_views(cells, grid)
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
         n, height, width = cells.seen.shape
-        self._seen, self._shown = cells.seen, np.zeros_like(cells.seen)
-        self._unshown = np.where(cells.seen > 0, BACKGROUND_CELL, UNSEEN_CELL).astype(np.int32)
-        self._labels = self._unshown.copy()
+        unshown = np.where(cells.seen > 0, BACKGROUND_CELL, UNSEEN_CELL).astype(np.int32)
+        self._labels = unshown.copy()
         self._tables = np.zeros((n, height + 1, width + 1), np.int32)
+        self._boxes = np.zeros((n, 4), np.int64)
+        self._cells = [
+            (cells.seen[c, :h, :w], unshown[c, :h, :w], self._labels[c, :h, :w], self._tables[c, : h + 1, : w + 1])
+            for c, (w, h) in enumerate(cells.sizes.tolist())
+        ]
         self._voxels = np.empty((MAX_SHARED_VOXELS, 3), np.int16)
         self._vetoes = np.empty(MAX_SHARED_VOXELS, np.int64)
         self._with_veto, self._without_veto = (np.zeros((n, height * width), np.int64) for _ in range(2))
@@ -134,13 +137,9 @@ class ResidualEstimator:
 
     def set_mask(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
         """Take one camera's mask (h, w); return a fingerprint that differs for another mask."""
-        first, (width, height) = self._stride // 2, self._views.sizes[camera]
-        shown, labels = self._shown[camera, :height, :width], self._labels[camera, :height, :width]
-        np.bitwise_and(mask[first :: self._stride, first :: self._stride], self._seen[camera, :height, :width], shown)
-        np.copyto(labels, self._unshown[camera, :height, :width])
-        left, top, across, down = cv2.boundingRect(shown)
-        table = self._tables[camera, : height + 1, : width + 1]
-        self._counts[camera], fingerprint = number_cells(shown, (left, top, left + across, top + down), labels, table)
+        mask = np.ascontiguousarray(mask)
+        words, cells, box = mask.view(np.uint64), self._cells[camera], self._boxes[camera]
+        self._counts[camera], fingerprint = number_cells(mask, words, self._stride, cells, box)
         return int(fingerprint)
 
     def coverage(self, camera: int) -> float:
