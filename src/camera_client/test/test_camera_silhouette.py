@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundLearner, read_background
-from camera_client.background.noise import learned_noise
+from camera_client.background.noise import assumed_noise, learned_noise
 from camera_client.settings import BackgroundSettings, ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
@@ -15,6 +15,7 @@ from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
+from virtual_studio.rig import ring
 
 
 def learned(images):
@@ -112,6 +113,35 @@ def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not(scene
     assert found[44:, :76].mean() > 0.97
     assert not found[:38, :76].any()
     assert found[:, 84:].mean() < 0.1  # undarkened: lighter than any shadow but for noise
+
+
+def test_faint_texture_of_a_whole_patch_tells_skin_from_shadow_of_its_colour(scene):
+    """Single windows cannot: the texture is as faint as the noise."""
+    texture = np.random.default_rng(4).normal(0, 2.5, (120, 160, 1))
+    empty = [np.clip(each + texture, 0, 255).astype(np.uint8) for each in coloured_scene(50, 0)]
+    shadow, skin, mask = np.s_[20:60, 20:60], np.s_[20:60, 100:140], np.zeros((120, 160), np.uint8)
+    image = coloured_scene(1, 1)[0] + texture
+    image[shadow] *= 0.75
+    image[skin] = 0.75 * coloured_scene(1, 2)[0][skin]
+    mask[shadow] = mask[skin] = 255
+    found = shadows(
+        ColourShadow(scene.camera(), ColourShadowSettings()), empty, image.clip(0, 255).astype(np.uint8), mask
+    )
+    assert (found[shadow] > 0).mean() > 0.9
+    assert (found[skin] > 0).mean() < 0.02
+
+
+def test_small_patches_are_shadow_near_large_ones_only():
+    camera = ring(2).cameras[0]
+    expected = np.tile(np.float32([75, 120, 180]), (camera.height, camera.width, 1))
+    large, near, alone = np.s_[200:260, 200:260], np.s_[200:212, 270:282], np.s_[200:212, 400:412]
+    image, mask = expected.astype(np.uint8), np.zeros((camera.height, camera.width), np.uint8)
+    for patch in (large, near, alone):
+        image[patch] = np.rint(0.75 * expected[patch])
+        mask[patch] = 255
+    scene = Scene(image, expected, assumed_noise(2.0, 3), (slice(0, None), slice(0, None)))
+    found = ColourShadow(camera, ColourShadowSettings()).shadow(scene, mask)
+    assert found[large].all() and found[near].all() and not found[alone].any()
 
 
 def test_shadow_is_looked_for_only_within_the_mask(scene):

@@ -24,10 +24,11 @@ from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
+from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
 from .evidence import EvidenceFilter
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
-from .shadows import ALIGNMENT_PX, AttenuationMarker, Scene, make_shadow_test
+from .shadows import Scene, make_shadow_test
 from .spill import codec_spill
 
 EMPTY, FULL = "empty", "full"

@@ -1,7 +1,7 @@
 """Finds what may be only shadow: on the floor in mono images, anywhere in colour images.
 
-A single camera decides what is most likely shadow (:func:`make_shadow_test`); :class:`AttenuationMarker` writes into
-the silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with all cameras.
+A single camera decides what is most likely shadow (:func:`make_shadow_test`); :mod:`.attenuation` writes into the
+silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with all cameras.
 The thresholds were set with ``bench/silhouette.py`` on its clips.
 """
 
@@ -14,14 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.mask_levels import (
-    ATTENUATED_LEVELS,
-    CANDIDATE_LEVELS,
-    FLOOR_REACH_M,
-    FOREGROUND,
-    SHADOW_CANDIDATE,
-    attenuation_step,
-)
 from capture_rig.rig import Volume
 
 from ..background.noise import Noise
@@ -50,6 +42,8 @@ TEXTURE_SIGMAS, TEXTURE_LEFT = (
     0.1,
 )  # a texture that noise and codec do not hide; the share of it that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
+PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
+LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
 _THREE = np.ones((3, 3), np.uint8)
 
 
@@ -145,8 +139,8 @@ class FloorShadow:
         blocks = self._large_patches(sigma, *sums)
         if not blocks.any():
             return np.zeros_like(mask)
-        candidates = cv2.bitwise_and(_enlarged(dark, 2, mask.shape), looked_at)
-        patches = cv2.bitwise_and(_enlarged(blocks, self._block, mask.shape), candidates)
+        candidates = cv2.bitwise_and(enlarged(dark, 2, mask.shape), looked_at)
+        patches = cv2.bitwise_and(enlarged(blocks, self._block, mask.shape), candidates)
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
 
@@ -178,7 +172,7 @@ class FloorShadow:
         return borders
 
 
-def _enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
+def enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
     """Return each pixel repeated both ways, cut to ``shape``."""
     full = cv2.resize(small, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
     return np.ascontiguousarray(full[: shape[0], : shape[1]])
@@ -233,7 +227,7 @@ class ColourShadow:
 
     def __init__(self, camera: CameraModel, settings: ColourShadowSettings, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
-        s = settings
+        s, self._near = settings, np.ones((2 * TEXTURE_WINDOW_PX + 1,) * 2, np.uint8)
         self._rule = DarkenedRule(s.tint, s.chromaticity**2, s.min_contrast**2, LIGHTEST)
         on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
         self._darkest = np.where(
@@ -252,7 +246,7 @@ class ColourShadow:
         found = find_darkened(scene.image, scene.expected, half, noise, spill2, darkest, self._rule)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         found = cv2.bitwise_and(found, self._texture_persists(scene, found))
-        return cv2.bitwise_and(_enlarged(found, 2, mask.shape), mask)
+        return cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
 
     def _texture_persists(self, scene: Scene, found: Mask) -> Mask:
         """Return 0 where the background has a texture that the image has lost: something stands before it."""
@@ -274,7 +268,29 @@ class ColourShadow:
         variance = HALVED_NOISE * scene.noise.sigma(typical_level(expected)) ** 2
         lost = (power > TEXTURE_SIGMAS**2 * variance) & (shared < TEXTURE_LEFT * power)
         keeps[part][lost] = 0
+        detail, expected_detail = x - X * own, darker * (mean - M * own)
+        patches = cv2.bitwise_and(found[part], keeps[part])
+        keeps[part][self._no_shadow(patches, detail, expected_detail, variance)] = 0
         return keeps
+
+    def _no_shadow(
+        self, patches: Mask, detail: np.ndarray, expected: np.ndarray, variance: float
+    ) -> npt.NDArray[np.bool_]:
+        """Return the pixels (h, w) of patches that, as a whole, lack the background's texture, or are small and alone.
+
+        detail, expected (h, w) : what is left of the image, and of the darkened background, without their means around.
+        """
+        count, labels = cv2.connectedComponents(patches, connectivity=4)
+        at = np.flatnonzero(patches)
+        label, detail, expected = (each.reshape(-1)[at] for each in (labels, detail, expected))
+        shared, power = (np.bincount(label, each * expected, count) for each in (detail, expected))
+        lost = (power > (PATCH_SIGMAS / PATCH_LEFT) ** 2 * variance) & (shared < PATCH_LEFT * power)
+        large = ~lost & (np.bincount(label, minlength=count) >= LEAST_PATCH * self._darkest.shape[0] ** 2)
+        large[0] = False  # what is in no patch
+        near = cv2.dilate(large[labels].astype(np.uint8), self._near).reshape(-1)[at]
+        lost |= np.bincount(label, near, count) == 0
+        lost[0] = False
+        return np.asarray(lost[labels])
 
 
 def halve(image: np.ndarray) -> np.ndarray:
@@ -283,60 +299,6 @@ def halve(image: np.ndarray) -> np.ndarray:
     if down or right:
         image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
     return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-
-
-# --- what may be floor in shadow, and how dark it is
-
-RATIO_SCALE = 200.0  # grey levels that stand for an unchanged brightness: steps of half a percent
-ALIGNMENT_PX = 2
-
-
-class AttenuationMarker:
-    """Writes into a silhouette how dark everything is that may be floor in shadow (``capture_rig.mask_levels``).
-
-    A single camera cannot tell a dark sock from the shadow beside it. Several can: shadow lies on the floor, where all
-    cameras see the same place equally dark. So every shadow candidate, and every pixel of the person whose ray meets
-    the floor, says how bright it is, as a share of what the background was, in few steps. Brightness is the mean
-    of 2 x 2 pixels and of the channels: wider windows would mix legs with the shadow beside them.
-    """
-
-    def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
-        """``volume``: the capture volume; pixels whose ray meets the floor far from it stay the person."""
-        self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
-        steps = [attenuation_step(ratio / RATIO_SCALE) for ratio in range(256)]
-        self._attenuated = np.array([FOREGROUND if s is None else ATTENUATED_LEVELS[s] for s in steps], np.uint8)
-        self._candidate = np.array(
-            [SHADOW_CANDIDATE if s is None else CANDIDATE_LEVELS[s // 2] for s in steps], np.uint8
-        )
-
-    def mark(self, scene: Scene, person: Mask, candidates: Mask) -> Mask:
-        """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255; what is both is the person."""
-        ambiguous = cv2.bitwise_and(person, self._floor[scene.at])
-        levels = person.copy()
-        inner = Box.around(cv2.bitwise_or(ambiguous, candidates))
-        if inner.empty:
-            return levels
-        inner = inner.grown(2 * ALIGNMENT_PX, person.shape, ALIGNMENT_PX)
-        part = inner.slices
-        ratio, shape = _brightness(scene.part(inner)), levels[part].shape
-        cv2.copyTo(_enlarged(cv2.LUT(ratio, self._candidate), 2, shape), candidates[part], levels[part])
-        levels = cv2.max(levels, person)
-        cv2.copyTo(_enlarged(cv2.LUT(ratio, self._attenuated), 2, shape), ambiguous[part], levels[part])
-        return levels
-
-
-def _brightness(scene: Scene) -> np.ndarray:
-    """Return the brightness of halved pixels (uint8): RATIO_SCALE times what it is when the room is empty."""
-    background = np.maximum(_halved_grey(scene.expected), np.float32(1.0))
-    return cv2.convertScaleAbs(cv2.divide(_halved_grey(scene.image), background, scale=RATIO_SCALE))
-
-
-def _halved_grey(image: np.ndarray) -> np.ndarray:
-    """Return (ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels."""
-    half = halve(image)
-    if half.ndim == 3:
-        half = cv2.transform(half, np.full((1, 3), 1 / 3, np.float32))
-    return half.astype(np.float32)
 
 
 def _grey(image: np.ndarray) -> np.ndarray:
