@@ -217,6 +217,16 @@ def test_soft_rim_of_a_shadow_is_found_and_not_only_its_core(scene):
     assert found[:, :26].mean() < 0.1 and found[:, 134:].mean() < 0.1  # darker by less than the noise shows
 
 
+def test_shadow_is_found_up_to_the_leg_that_stands_in_it_and_no_further(scene):
+    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    frame = scene.empty(1, seed=7)[0].astype(float)
+    frame[84:118, 20:140] *= 0.65
+    frame[80:118, 74:86] = 25
+    found = shadows(test, scene.empty(60), np.rint(frame).astype(np.uint8))[90:112] > 0
+    assert found[:, 60:73].mean() > 0.97 and found[:, 87:100].mean() > 0.97
+    assert not found[:, 75:85].any()
+
+
 def test_dark_clothes_before_a_floor_without_texture_are_no_shadow(scene):
     """There is no evidence either way, and a lost leg costs more than a shadow."""
     rng = np.random.default_rng(1)

@@ -111,7 +111,8 @@ class FloorShadow:
     - the persistence, the regression of x - X on a (mu - M), is 1 in a shadow and 0 on smooth clothes.
 
     Both also hold for each connected patch as a whole, or the patch is none: by chance they hold in small ones. The
-    border of a shadow, where windows reach out of it, is thin, and goes with its patch.
+    border of a shadow, where windows reach out of it, is thin, and goes with its patch; so do pixels beside it that are
+    as dark against the floor as it is there, where windows reach into the body.
     """
 
     def __init__(self, camera: CameraModel, settings: FloorShadowSettings, volume: Volume | None = None) -> None:
@@ -142,7 +143,24 @@ class FloorShadow:
         candidates = cv2.bitwise_and(enlarged(dark, 2, mask.shape), looked_at)
         patches = cv2.bitwise_and(enlarged(blocks, self._block, mask.shape), candidates)
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
-        return cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
+        patches = cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
+        return cv2.bitwise_or(patches, self._rims(scene, patches, looked_at, sigma))
+
+    def _rims(self, scene: Scene, patches: Mask, looked_at: Mask, sigma: float) -> Mask:
+        """Pixels beside a patch that are as dark, against the floor, as the patch is near them: windows that reach into
+        the body fit nothing."""
+        reach = len(self._border)
+        rims, at = np.zeros_like(patches), Box.around(patches).grown(reach, patches.shape).slices
+        image, expected, patch = scene.image[at].astype(np.float32), scene.expected[at], patches[at]
+        own, window = (patch > 0).astype(np.float32), (2 * reach + 1, 2 * reach + 1)
+        seen, there = (cv2.blur(cv2.multiply(each, own), window) for each in (image, expected))
+        darker = cv2.divide(seen, np.maximum(there, np.float32(1e-3)))
+        fits = cv2.inRange(cv2.absdiff(image, cv2.multiply(darker, expected)), 0.0, self._settings.residual * sigma)
+        beside = cv2.bitwise_and(looked_at[at], cv2.subtract(cv2.dilate(patch, self._border), patch))
+        fits = cv2.threshold(cv2.blur(cv2.bitwise_and(fits, beside), (3, 3)), 127, 255, cv2.THRESH_BINARY)[1]
+        fits = cv2.morphologyEx(cv2.bitwise_or(fits, patch), cv2.MORPH_OPEN, _THREE)
+        rims[at] = cv2.bitwise_and(fits, looked_at[at])
+        return rims
 
     def _large_patches(
         self, sigma: float, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray
