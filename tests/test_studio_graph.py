@@ -12,7 +12,8 @@ from sagoma_tools.recording.reader import read_messages
 from sagoma_tools.recording.session_clock import clock_of_bag
 
 CAMERA_FPS = 10.0
-PATIENT = {"hull_server.deadline_s": 2.0}  # a machine that runs all tests may be slow; cameras do send every frame
+# a machine that runs all tests may be slow; cameras do send every frame
+PATIENT = {"hull_server.deadline_s": 2.0, "hull_server.thin_out": False}
 
 
 @pytest.fixture(scope="module")

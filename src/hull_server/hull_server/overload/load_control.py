@@ -24,6 +24,7 @@ RAISE_S = 0.5  # between two rises into measured room: the load is known again a
 STANDING_S = 0.05  # a queue that stands so long, or for one set's period, is an overload
 DROPPED, TORN = 0.1, 0.5  # shares of the sets that show an overload: packet loss alone seldom reaches either
 HELPED = 0.95  # of the age, or of the missing frames, is left after a fall that helped, or less
+IN_VAIN = 3  # falls in a row that do not help: the cause is another one
 SILENT_SETS = 5  # a camera missing from so many sets in a row is gone, and tears none
 FULL = 0.85  # of the processor or of a stage: above, a measured load promises no room
 TRIAL = 1.1  # a trial's rate over the present one
@@ -124,7 +125,7 @@ class LoadControl:
         self._failed_hz = math.inf  # the rate that was too much last
         self._failed_load = 0.0  # the load a set when a rise failed: what it promised is not to be believed
         self._wait_s = FIRST_WAIT_S
-        self._before: dict[str, float] = {}  # cause -> how bad it was when the rate last fell for it
+        self._before: dict[str, tuple[float, int]] = {}  # cause -> how bad it was, and falls that did not help
         self._usual_loss = 0.0  # the share of missing frames that no fall has made smaller
 
     # --- what happens to frame sets ------------------------------------------------------------------------------
@@ -218,10 +219,11 @@ class LoadControl:
         return ""
 
     def _helps(self, cause: str, badness: float) -> bool:
-        """Return whether the last fall for this cause has helped, or there was none; else undo what was done."""
-        before = self._before.pop(cause, None)
-        if before is None or badness < HELPED * before:
-            self._before[cause] = badness
+        """Return whether falls for this cause may still help; else undo what was done."""
+        before, falls = self._before.pop(cause, (math.inf, 0))
+        falls = 1 if badness < HELPED * before else falls + 1
+        if falls <= IN_VAIN:
+            self._before[cause] = badness, falls
             return True
         self.limit_hz = math.inf
         return False

@@ -17,6 +17,7 @@ REFRESH_S = 1.0  # a rule in force is told again, with the phase that the last s
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
 LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
 FEWEST, MOST, SEEN_S, LEAST_SETS = 0.6, 1.5, 0.4, 8  # of the sets of that time: else the cameras' rate has changed
+LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
 SETS_KEPT = 200
 LOADS_KEPT = 5  # of the last half second
 
@@ -67,7 +68,7 @@ class ThinningControl:
     def closed(self, stamp_ns: int, frames: Iterable[str], missing: Iterable[str], age_ns: int, now_ns: int) -> None:
         """Take note of a frame set that has closed, ``age_ns`` after its exposure."""
         with self._lock:
-            if self._closed and not 0 < stamp_ns - self._closed[-1][1] < NS_PER_S:  # a pause, or footage began again
+            if self._closed and not 0 < stamp_ns - self._closed[-1][1] < LONGEST_GAP_NS:
                 self._begin_anew(stamp_ns, now_ns)
             self._head_ns = max(self._head_ns, stamp_ns)
             cameras = frozenset(frames)

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from std_srvs.srv import Trigger
+
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from sagoma_bringup.graph import NodeSpec, build_graph
@@ -21,16 +23,19 @@ from virtual_studio.gige.control import ask
 
 from ..graph.background_training import learn_backgrounds
 from ..graph.processes import Child, stop_children
+from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, frame_count
+from .held_rate import HeldRate
 
 READY_TIMEOUT_S = 120.0  # a long session is decoded into memory first
 START_POLL_S = 0.05
 GRACE_S = 5.0
 SILENCE_S = 20.0
 POLL_S = 0.5
+RESET_TIMEOUT_S = 5.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
 
@@ -104,8 +109,16 @@ class LiveInput(ABC):
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         """Return the nodes that process these frames."""
 
-    def prepare(self, supervisor: Supervisor) -> None:  # noqa: B027 (files bring their backgrounds)
+    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:  # noqa: B027 (files need nothing)
         """Prepare the active graph for the playback."""
+
+    def settle(self, cancel: threading.Event) -> None:  # noqa: B027
+        """Wait until the graph has found the rate that it holds."""
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether the last playback was given fewer frame sets from some instant on: worth another one."""
+        return False
 
     @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
@@ -157,9 +170,12 @@ class FootageInput(LiveInput):
 class StudioInput(LiveInput):
     """Simulated GigE Vision cameras that look at the session; the graph runs on them as on hardware.
 
-    The room is empty at first, and every camera client trains its background; then the session plays.
-    ``fps``: of the cameras; the session's pictures change at the session's own rate.
+    The room is empty at first, and every camera client trains its background. Then the session's first picture stays
+    until the graph has found the rate that it holds, and the session plays. ``fps``: of the cameras; the session's
+    pictures change at the session's own rate. ``held`` follows the rate that the graph holds.
     """
+
+    held: HeldRate | None = None
 
     def __init__(self, session_folder: str | Path, folder: str | Path, fps: float) -> None:
         super().__init__(session_folder)
@@ -180,10 +196,24 @@ class StudioInput(LiveInput):
         measured = {"hull_server.tolerance_s": 0.5 / self._fps}
         return build_graph(rig=self.studio.rig, cameras=self.studio.cameras, settings={**measured, **settings})
 
-    def prepare(self, supervisor: Supervisor) -> None:
+    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
         learn_backgrounds(supervisor)
+        self._supervisor, self.held = supervisor, HeldRate(supervisor.node)
+
+    def settle(self, cancel: threading.Event) -> None:
+        assert self.held is not None
+        self.studio.ask("hold")
+        self.studio.ask("room", state="occupied")
+        self.held.settle(cancel)
+        resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
+        call_all(self._supervisor.node, Trigger, resets, RESET_TIMEOUT_S)
+
+    @property
+    def disturbed(self) -> bool:
+        return self.held is not None and self.held.fell_since(self._played_s)
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
+        self._played_s = time.monotonic()
         answer = self.studio.ask("play", loop=False)
         clock = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
         last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.5 / self._fps) * 1e9)

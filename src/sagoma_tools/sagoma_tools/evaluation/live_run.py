@@ -18,6 +18,7 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import Session
+from mocap_packets.latency import POINTS
 from sagoma_ros.images import decode_silhouette
 
 from ..graph.processes import Usage
@@ -26,6 +27,7 @@ from ..graph.topics import PREDICTION_TOPIC, camera_topics
 from ..recording.reader import read_messages
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps
+from .held_rate import OtherPrograms
 from .live_inputs import LiveInput
 from .pictures import session_overlay
 from .track import Track, track_from_bag
@@ -34,6 +36,8 @@ from .track_evaluation import TrackEvaluation, evaluate_track
 FRAME_SET_TOPIC = "/hull/frame_set"
 NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
+TAKES = 3  # at most, when the machine's load rises while the session plays
+LATENCY_TOPIC = "/mocap/latency"
 T_POSE_START, REFERENCE_START = "t_pose", "session"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
@@ -49,6 +53,8 @@ class LiveRun:
     usage : memory and processor time by process, at the end of the run.
     cpu_ms_per_set : processor time that each process spent on one frame set, on average, its start left out.
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
+    ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
+    others : share of the processors that other programs took meanwhile.
     """
 
     session: Session
@@ -64,7 +70,14 @@ class LiveRun:
     cpu_ms_per_set: dict[str, float]
     diagnostics: dict[str, Mapping[str, str]]
     latency_ms: dict[str, np.ndarray]
+    ages_ms: dict[str, np.ndarray]
+    others: float
     track: Track
+
+    @property
+    def hz_held(self) -> float:
+        """Frame sets that the cameras' clients sent in a second of the session."""
+        return self.sets * self.clock.fps / self.clock.frames
 
 
 def run_live(
@@ -92,10 +105,14 @@ def run_live(
             with GraphRecorder(graph, bag, domain_id=domain_id, provenance=provenance) as recorder:
                 recorder.wait_for_publishers()
                 supervisor.activate(tolerate_cameras=False)
-                live_input.prepare(supervisor)
-                meter = UsageMeter(supervisor)
-                clock = live_input.play(recorder, cancel)
-                meter.stop()
+                live_input.prepare(supervisor, cancel)
+                for _ in range(TAKES):
+                    live_input.settle(cancel)
+                    meter = UsageMeter(supervisor)
+                    clock = live_input.play(recorder, cancel)
+                    meter.stop()
+                    if cancel.is_set() or not live_input.disturbed:
+                        break
                 supervisor.suspend()
                 recorder.close(**({} if clock is None else clock.provenance()))
     return _read_back(live_input, bag, meter)
@@ -107,13 +124,15 @@ class UsageMeter:
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor = supervisor
         self.began_ns, self._before = time.time_ns(), supervisor.usage()
+        self._other_programs = OtherPrograms()
+        self.others = 0.0
         self.usage: dict[str, Usage] = {}
         self.diagnostics: dict[str, Mapping[str, str]] = {}
 
     def stop(self) -> None:
         names = [spec.full_name for spec in self._supervisor.graph]
         reports = {name: self._supervisor.diagnostics.report(name) for name in names}
-        self.usage = self._supervisor.usage()
+        self.usage, self.others = self._supervisor.usage(), self._other_programs.share()
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
 
     def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
@@ -145,6 +164,8 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
     answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in clock]
     sets = [_values(m.data) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
     measured = {key for values in sets for key in values if key.endswith("_ms")} - {"spread_ms"}
+    ages = [_values(m.data) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
+    points = [f"{point}_ms" for point in POINTS] if ages and live_input.in_real_time else []
     stages = sorted(measured if live_input.in_real_time else measured - AGES)
     return LiveRun(
         session=session,
@@ -160,6 +181,8 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         cpu_ms_per_set=meter.cpu_ms_per_set(max(sum(t >= measured_from_ns for t in sent) for sent in stamps.values())),
         diagnostics=meter.diagnostics,
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
+        ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
+        others=meter.others,
         track=track_from_bag(bag, clock.frame_of).between(0, clock.frames),
     )
 

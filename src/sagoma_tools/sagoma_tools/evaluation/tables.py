@@ -10,6 +10,7 @@ from rich.table import Table
 
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
+from ..graph.diagnostics_table import BUDGET_PERIODS
 from ..graph.processes import Usage
 from .angles import AngleScores
 from .scores import Scores
@@ -149,6 +150,19 @@ def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> Non
         p50, p95 = np.percentile(values, [50, 95])
         table.add_row(stage.removesuffix("_ms"), f"{p50:.2f}", f"{p95:.2f}", f"{values.max():.2f}")
     console.print(table)
+
+
+def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -> None:
+    """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
+    table = _table("since exposure", "point", "p50 ms", "p95 ms", "max ms")
+    for point, values in ages_ms.items():
+        p50, p95 = np.percentile(values, [50, 95])
+        table.add_row(point.removesuffix("_ms"), f"{p50:.1f}", f"{p95:.1f}", f"{values.max():.1f}")
+    console.print(table)
+    p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
+    periods = p95_ms * hz / 1e3
+    verdict = "within" if periods <= BUDGET_PERIODS else "over"
+    console.print(f"95 % within {periods:.1f} periods of the frame sets: {verdict} the budget of {BUDGET_PERIODS:g}")
 
 
 def print_nodes(

@@ -1,0 +1,72 @@
+"""The demo's rate: what the graph holds under load, whether the capture is sound, and what it says."""
+
+import threading
+
+import pytest
+
+from mocap_packets.thinning import EVERY_FRAME, Thinning
+from sagoma_tools.commands.demo import next_step, rate_line, unsound
+from sagoma_tools.evaluation.held_rate import LONGEST_S, SETTLED_S, HeldRate, RuleHistory
+
+
+def thinned(keep, of):
+    return Thinning(0, 0, 0, 1e9 / 60, keep, of)
+
+
+class Trial(HeldRate):
+    """A trial whose graph tells these rules at these times, and whose clock a test moves."""
+
+    def __init__(self, told):
+        self.history, self.now_s = RuleHistory(), 0.0
+        self._now_s = self.tick
+        self._told = list(told)
+
+    def tick(self):
+        self.now_s += 0.05
+        while self._told and self._told[0][0] <= self.now_s:
+            self.history.take(*self._told.pop(0))
+        return self.now_s
+
+
+@pytest.mark.parametrize(
+    ("told", "ends_s", "fraction"),
+    [
+        ([], SETTLED_S, 1.0),
+        ([(0.1, EVERY_FRAME, "")], SETTLED_S, 1.0),
+        ([(0.1, EVERY_FRAME, ""), (0.6, thinned(1, 2), "sets wait")], 0.6 + SETTLED_S, 0.5),
+        ([(0.1, EVERY_FRAME, ""), (0.6, thinned(1, 2), ""), (1.5, thinned(2, 3), "")], 0.6 + SETTLED_S, 2 / 3),
+        ([(0.1, EVERY_FRAME, ""), (0.6, thinned(2, 3), ""), (2.0, thinned(1, 2), "")], 2.0 + SETTLED_S, 0.5),
+        ([(t, thinned(20 - t, 20), "") for t in range(1, 19)], LONGEST_S, 0.25),
+    ],
+    ids=["nothing told", "every frame", "one fall", "a rise later", "two falls", "never settles"],
+)
+def test_trial_ends_when_the_rate_no_longer_falls(told, ends_s, fraction):
+    trial = Trial(told)
+    never = threading.Event()
+    never.wait = lambda timeout: False
+    trial.settle(never)
+    assert trial.now_s == pytest.approx(ends_s, abs=0.3)
+    assert trial.history.newest[0].fraction == pytest.approx(fraction, abs=0.051)
+
+
+def test_playback_during_which_the_rate_fell_is_known():
+    trial = Trial([(0.1, EVERY_FRAME, ""), (5.0, thinned(1, 2), "sets wait")])
+    while trial.tick() < 6.0:
+        pass
+    assert trial.fell_since(4.0) and not trial.fell_since(5.5)
+    assert trial.history.newest == (thinned(1, 2), "sets wait")
+
+
+def test_capture_at_any_rate_is_sound_when_its_sets_are_answered_and_somebody_is_tracked():
+    assert unsound(360, 360, 355, 60.0) == "" == unsound(90, 88, 80, 15.0)
+    assert "only 80 of 100" in unsound(100, 80, 80, 30.0)
+    assert "only 10 of 100" in unsound(100, 100, 10, 30.0)
+    assert "6 frame sets a second" in unsound(36, 36, 36, 6.0)
+
+
+def test_line_says_what_was_done_and_what_else_the_machine_did():
+    assert rate_line(60.0, 59.5, 0.03, 1.0) == "this machine holds all the cameras' 60 Hz"
+    line = rate_line(60.0, 36.2, 0.55, 7.3)
+    assert "36 Hz of the cameras' 60 Hz, and all cameras left out the same frames" in line
+    assert "other programs took 55 %" in line and "load 7.3" in line
+    assert "other programs take 55 %" in next_step(0.55) and "--rate 0" in next_step(0.0)
