@@ -88,7 +88,8 @@ def _take(mask_words, blind_words, level_words, levels, shown, doubtful):  # typ
     for v in range(top, bottom):
         graded = _write_row(mask_words[v, left:right], blind_words[v, left:right], level_words[v, left:right])
         if graded & NEITHER_SURE_NOR_BLIND:
-            first_here, last_here = _doubtful_part(levels[v, 8 * left : 8 * right])
+            row, row_words = levels[v, 8 * left : 8 * right], level_words[v, left:right]
+            first_here, last_here = _doubtful_part(row, row_words)
             if last_here > 0:
                 first, last = min(first, 8 * left + first_here), max(last, 8 * left + last_here)
                 above, below = min(above, v), v + 1
@@ -121,15 +122,25 @@ def _spread_high_bits(pixels):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _doubtful_part(row):  # type: ignore[no-untyped-def]
+def _doubtful_part(row, row_words):  # type: ignore[no-untyped-def]
     """Bound the pixels of a row that may be shadow: first, and last (exclusive); 0, 0 where there are none."""
-    for first in range(row.size):
-        if DARKEST <= row[first] <= LIGHTEST:
-            last = row.size
-            while not DARKEST <= row[last - 1] <= LIGHTEST:
-                last -= 1
-            return first, last
-    return 0, 0
+    first, last = 0, row_words.size
+    while first < last and not _is_graded(row_words[first]):
+        first += 1
+    while first < last and not _is_graded(row_words[last - 1]):
+        last -= 1
+    first, last = 8 * first, 8 * last
+    while first < last and not DARKEST <= row[first] <= LIGHTEST:
+        first += 1
+    while first < last and not DARKEST <= row[last - 1] <= LIGHTEST:
+        last -= 1
+    return (first, last) if first < last else (0, 0)
+
+
+@kernel
+def _is_graded(pixels):  # type: ignore[no-untyped-def]
+    """Check whether some pixel of a word is neither 0, nor BLIND, nor FOREGROUND."""
+    return (pixels ^ _spread_high_bits(pixels)) & NEITHER_SURE_NOR_BLIND != 0
 
 
 @kernel

@@ -1,0 +1,315 @@
+"""What the server costs over cameras, voxels and people, and what thirty cameras would cost.
+
+    python bench/scaling.py [--quick] [--plot FILE.png] [--beyond N]
+
+The built-in studio's person walks before a ring of cameras and one on the ceiling, 640 x 480 at 60 Hz. Silhouettes are
+the body's, half of its pixels as dark as floor in shadow, and a shadow under the feet, so that the hull server has to
+resolve them; they are encoded as camera clients send them. Every configuration answers the same sets in turns, one set
+each: what else the machine does falls on all. Times are processor time of one thread, mean of a set, from the encoded
+masks to the filtered pose, without middleware. Stages that are due a few times a second count with their share.
+
+Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked, as the graph
+does today, so tracker and filter do not depend on their number.
+
+Cameras beyond twelve are calculated: for each stage a straight line over 4 to 12 cameras, by least squares. With
+--beyond N that many are simulated as well, which shows how far the lines hold. The last line is JSON:
+
+cameras_ms, voxels_ms, people_ms : {number: mean ms of a set}, about 6 cameras, 20 mm and one person.
+hull_ms_per_camera, hull_ms_fixed : of the line through the hull server's cost; set_bytes_per_camera, masks on the wire.
+thirty_ms, thirty_mbit_s : calculated for 30 cameras at 60 Hz. beyond_ms, beyond_calculated_ms : with --beyond.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from report import Table, execute, finish, parser
+
+import cv2
+import numpy as np
+from hull_baselines import PLACES_M
+
+from capture_rig import Rig
+from capture_rig.mask_levels import ATTENUATED_LEVELS, FOREGROUND, SHADOW_CANDIDATE
+from ekf_tracker.filter import ArticulatedEkf
+from hull_server import hull_pipeline
+from hull_server.hull_pipeline import HullPipeline
+from hull_server.settings import HullSettings
+from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.settings import TrackerSettings
+from icp_tracker.tracker import IcpTracker
+from mocap_packets.frame_set import FrameSet
+from mocap_pipeline.pipeline import BodyFollower
+from sagoma_ros import mask_png
+from stick_figure.body import Body
+from stick_figure.pose import Pose
+from virtual_studio.motions.catalogue import walk
+from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.rendering.camera import ExactSilhouettes
+from virtual_studio.rig import ring
+
+FPS, STATURE_M = 60.0, 1.75
+FIRST_S = 2.0  # of the motion: it begins with a T-pose
+WARM_UP = 12  # sets that do not count
+CAMERAS, VOXELS_MM, PEOPLE = (3, 4, 6, 8, 10, 12), (20, 15, 10, 7, 5), (1, 2, 3)
+USUAL = (6, 20, 1)
+FITTED_FROM = 4  # cameras; with three the hull is so wide that other stages than its own grow
+CALCULATED = 30
+BLOCK_PX = 8  # of dark and bright clothes
+SHADOW_M, SHADOW_LEVEL = 0.35, ATTENUATED_LEVELS[4]
+STAGES = {
+    "decode": ("decode",),
+    "consistency": ("consistency",),
+    "shadows": ("shadows",),
+    "carve": ("carve", "collect"),
+    "slice, sample": ("slice", "filter", "sample"),
+    "contour rays": ("contour_rays",),
+}
+TRACKING = ("as sent", "fit", "filter pose")
+
+
+@dataclass
+class Server:
+    """Hull server, tracker and filter of one configuration, and the ms of each stage, a row a set."""
+
+    rig: Rig
+    sets: list[dict[str, bytes]]
+    voxel_mm: int
+    body: Body
+    first: Pose
+    ms: list[dict[str, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._hull = HullPipeline(self.rig, HullSettings(voxel_size_m=self.voxel_mm / 1e3, backend="cpu"))
+        tracker = IcpTracker(KnownPose(self.first, self.body), TrackerSettings(acquire_inliers=0.0))
+        self._body = BodyFollower(tracker, ArticulatedEkf())
+
+    def answer(self, number: int) -> None:
+        """Answer one set, and note what it cost."""
+        stamp_ns, laps = round(number * 1e9 / FPS), [time.thread_time()]
+
+        def lap() -> None:
+            laps.append(time.thread_time())
+
+        masks = {name: _decoded(data) for name, data in self.sets[number].items()}
+        lap()
+        result = self._hull.run(FrameSet.of_instant(stamp_ns, masks, ()))
+        lap()
+        products = result.products.as_sent()
+        lap()
+        fit = self._body.fit(products)
+        lap()
+        self._body.filter(fit)
+        lap()
+        decode, _, sent, fitted, filtered = (1e3 * float(ms) for ms in np.diff(laps))
+        of_hull = {stage: sum(result.stage_ms.get(one, 0.0) for one in parts) for stage, parts in STAGES.items()}
+        self.ms.append(of_hull | {"decode": decode, "as sent": sent, "fit": fitted, "filter pose": filtered})
+
+    def mean_ms(self, stage: str) -> float:
+        """Mean of a stage; of "hull" and "sum", too."""
+        stages = {"hull": (*STAGES,), "sum": (*STAGES, *TRACKING), "tracking": TRACKING}.get(stage, (stage,))
+        return float(np.mean([sum(row[one] for one in stages) for row in self.ms[WARM_UP:]]))
+
+    @property
+    def set_bytes(self) -> float:
+        """Mean size of all masks of a set."""
+        return float(np.mean([sum(len(data) for data in one.values()) for one in self.sets]))
+
+
+def _decoded(data: bytes) -> np.ndarray:
+    mask = mask_png.decode(data, candidates=SHADOW_CANDIDATE)
+    assert mask is not None
+    return mask
+
+
+class Studio:
+    """Renders and encodes the silhouettes of so many sets; what was rendered is kept."""
+
+    def __init__(self, sets: int) -> None:
+        self.body = Body.from_stature(STATURE_M)
+        motion = walk(self.body, FIRST_S + (sets + 1) / FPS, FPS)
+        first = round(FIRST_S * FPS)
+        self.poses = motion.poses[first : first + sets]
+        self._person, self._made = VolumetricBody(self.body), dict[tuple[int, int], tuple[Rig, list]]()
+
+    def server(self, cameras: int, voxel_mm: int, people: int) -> Server:
+        """A server for one configuration."""
+        if (cameras, people) not in self._made:
+            rig = ring(cameras - 1)
+            self._made[cameras, people] = rig, list(self._sets(rig, people))
+        rig, sets = self._made[cameras, people]
+        return Server(rig, sets, voxel_mm, self.body, _shifted(self.poses[0], _places(people)[0]))
+
+    def _sets(self, rig: Rig, people: int) -> Iterator[dict[str, bytes]]:
+        places, eyes = _places(people), ExactSilhouettes(rig)
+        views = {camera.name: camera.undistorted_view() for camera in rig.cameras}
+        angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+        disc = SHADOW_M * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(24)])
+        for pose in self.poses:
+            one = self._person.place(pose)
+            starts, ends = (np.concatenate([points + place for place in places]) for points in (one.starts, one.ends))
+            several = Capsules(starts, ends, np.tile(one.radii, (people, 1)), np.tile(one.albedo, people))
+            under = [place + pose.position_world * [1.0, 1.0, 0.0] for place in places]
+            levels = {}
+            for name, mask in eyes.render(several).items():
+                shadow, view = np.zeros_like(mask), views[name]
+                for foot in under:
+                    cv2.fillPoly(shadow, [np.rint(view.camera.project(disc + foot)).astype(np.int32)], SHADOW_LEVEL)
+                levels[name] = mask_png.encode(np.where(mask > 0, _clothes(mask), np.where(view.seen, shadow, 0)))
+            yield levels
+
+
+def _places(people: int) -> np.ndarray:
+    """How far (people, 3) each body is shifted."""
+    return np.array(PLACES_M[:people]) if people > 1 else np.zeros((1, 3))
+
+
+def _shifted(pose: Pose, by_m: np.ndarray) -> Pose:
+    return Pose(pose.position_world + by_m, pose.R_world_torso, pose.R_joints, pose.hinges)
+
+
+def _clothes(mask: np.ndarray) -> np.ndarray:
+    """Levels of a body half of whose pixels, in squares, are as dark as floor in shadow."""
+    v, u = np.indices(mask.shape) // BLOCK_PX
+    level = np.array(ATTENUATED_LEVELS, np.uint8)[(7 * v + 3 * u) % len(ATTENUATED_LEVELS)]
+    return np.where((u + v) % 2 == 0, level, np.uint8(FOREGROUND))
+
+
+@dataclass(frozen=True)
+class Line:
+    """ms = fixed + per_camera x cameras, by least squares; rms_ms : of its residuals."""
+
+    fixed: float
+    per_camera: float
+    rms_ms: float
+
+    @classmethod
+    def through(cls, cameras: list[int], values: list[float]) -> Line:
+        """Through the values of so many cameras."""
+        per_camera, fixed = np.polyfit(cameras, values, 1)
+        rms = float(np.sqrt(np.mean((np.polyval([per_camera, fixed], cameras) - values) ** 2)))
+        return cls(float(fixed), float(per_camera), rms)
+
+    def at(self, cameras: int) -> float:
+        """Of so many cameras; a stage does not become cheaper than nothing."""
+        return max(self.fixed + self.per_camera * cameras, 0.0)
+
+
+def measure(studio: Studio, configurations: list[tuple[int, int, int]]) -> dict[tuple[int, int, int], Server]:
+    """Answer all sets with every configuration, in turns."""
+    # the pipeline's own stage watch reads processor time
+    hull_pipeline.time = types.SimpleNamespace(perf_counter=time.thread_time)  # type: ignore[attr-defined]
+    servers = {configuration: studio.server(*configuration) for configuration in configurations}
+    for number in range(len(studio.poses)):
+        for server in servers.values():
+            server.answer(number)
+    return servers
+
+
+def show(title: str, column: str, rows: dict[int, Server]) -> None:
+    """Print the stages over one quantity."""
+    stages = [*STAGES, "hull", "tracking", "sum"]
+    table = Table({column: ">9d", **{stage: f">{max(len(stage), 6)}.2f" for stage in stages}, "KB": ">6.1f"}, title)
+    for value, server in rows.items():
+        table.row(value, *(server.mean_ms(stage) for stage in stages), server.set_bytes / 1e3)
+
+
+def calculate(rows: dict[int, Server]) -> dict[str, Line]:
+    """Fit a line through each stage's cost over cameras."""
+    fitted = [n for n in rows if FITTED_FROM <= n <= max(CAMERAS)]
+    stages = [*STAGES, "hull", "tracking", "sum"]
+    lines = {s: Line.through(fitted, [rows[n].mean_ms(s) for n in fitted]) for s in stages}
+    lines["bytes"] = Line.through(fitted, [rows[n].set_bytes for n in fitted])
+    print(
+        f"\nlines over {fitted[0]} to {fitted[-1]} cameras, ms: fixed + a camera (rms of the residuals) -> {CALCULATED}"
+    )
+    for stage in stages:
+        line = lines[stage]
+        at = line.at(CALCULATED)
+        print(f"  {stage:<14} {line.fixed:6.2f} + {line.per_camera:5.3f} ({line.rms_ms:.2f}) -> {at:6.2f}")
+    return lines
+
+
+def plot(found: dict[str, dict[int, Server]], lines: dict[str, Line], path: Path) -> None:
+    """Draw cost over cameras, voxels and people, the stages stacked."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    labels = {"cameras": "cameras (20 mm, 1 person)", "voxels": "voxel, mm (6 cameras, 1 person)", "people": "people"}
+    for axes, (kind, rows) in zip(panels, found.items(), strict=True):
+        values = list(rows)
+        parts = [[rows[v].mean_ms(stage) for v in values] for stage in (*STAGES, "tracking")]
+        axes.stackplot(values, parts, labels=(*STAGES, "tracker and filter"))
+        axes.set(xlabel=labels[kind], ylabel="processor ms a set", ylim=(0, None), xticks=values)
+        if kind == "voxels":
+            axes.invert_xaxis()
+        if kind == "cameras":
+            axes.plot(values, [lines["sum"].at(v) for v in values], "k--", lw=1, label="line of the sum")
+    panels[0].legend(fontsize=7, loc="upper left")
+    figure.savefig(path, dpi=100)
+    print(f"drew {path}")
+
+
+def main() -> None:
+    """Print the tables and the line of JSON."""
+    options = _arguments()
+    studio = Studio(WARM_UP + (18 if options.quick else 72))
+    cameras, voxels, people = USUAL
+    wanted = {
+        "cameras": {n: (n, voxels, people) for n in CAMERAS},
+        "voxels": {mm: (cameras, mm, people) for mm in VOXELS_MM},
+        "people": {n: (cameras, voxels, n) for n in PEOPLE},
+    }
+    beyond = {options.beyond: (options.beyond, voxels, people)} if options.beyond else {}
+    unique = dict.fromkeys(c for kind in (*wanted.values(), beyond) for c in kind.values())
+    servers = measure(studio, list(unique))
+    found = {kind: {value: servers[c] for value, c in rows.items()} for kind, rows in wanted.items()}
+    show("over cameras: ms of processor time a set, 20 mm, 1 person", "cameras", found["cameras"])
+    show("over voxels: 6 cameras, 1 person", "voxel mm", found["voxels"])
+    show("over people: 6 cameras, 20 mm; one of them is tracked", "people", found["people"])
+    lines = calculate(found["cameras"])
+    figures = {
+        f"{kind}_ms": {n: round(server.mean_ms("sum"), 2) for n, server in rows.items()} for kind, rows in found.items()
+    }
+    megabits = lines["bytes"].at(CALCULATED) * 8 * FPS / 1e6
+    print(
+        f"network: {lines['bytes'].per_camera / 1e3:.1f} KB a mask; 6 cameras at {FPS:g} Hz "
+        f"{found['cameras'][6].set_bytes * 8 * FPS / 1e6:.1f} Mbit/s, {CALCULATED} calculated {megabits:.0f} Mbit/s"
+    )
+    extra: dict[str, float] = {}
+    if options.beyond:
+        show(f"{options.beyond} cameras, simulated", "cameras", {options.beyond: servers[beyond[options.beyond]]})
+        extra["beyond_ms"] = round(servers[beyond[options.beyond]].mean_ms("sum"), 2)
+        extra["beyond_calculated_ms"] = round(lines["sum"].at(options.beyond), 2)
+    if options.plot:
+        plot(found, lines, options.plot)
+    finish(
+        {
+            **figures,
+            "hull_ms_per_camera": round(lines["hull"].per_camera, 3),
+            "hull_ms_fixed": round(lines["hull"].fixed, 2),
+            "set_bytes_per_camera": round(lines["bytes"].per_camera),
+            "thirty_ms": round(lines["sum"].at(CALCULATED), 2),
+            "thirty_mbit_s": round(megabits, 1),
+            **extra,
+        }
+    )
+
+
+def _arguments() -> argparse.Namespace:
+    given = parser(__doc__, quick="18 sets a configuration instead of 72")
+    given.add_argument("--plot", type=Path, help="draw the figures to this file")
+    given.add_argument("--beyond", type=int, default=0, metavar="N", help="simulate so many cameras, too")
+    return given.parse_args()
+
+
+if __name__ == "__main__":
+    execute(main)
