@@ -126,7 +126,7 @@ def test_noise_is_told_against_what_was_learned(scene):
     room.see(10, lambda image, second: image + 4.5 * rng.normal(size=image.shape))
     finding = room.findings()["noise.higher"]
     assert room.chain.condition.noise_levels == pytest.approx(np.hypot(1.5, 4.5), rel=0.1)
-    assert finding.grade == GOOD and finding.what.startswith("the noise is 4.7 grey levels, 3.1 times what was learned")
+    assert finding.grade == GOOD and finding.what.startswith("the noise is 4.7 grey levels, 3.0 times what was learned")
     room.see(10, lambda image, second: image + 9 * rng.normal(size=image.shape))
     assert room.findings()["noise.higher"].grade == USABLE
 
