@@ -17,8 +17,8 @@ import numpy as np
 from live_servers import TREE, running
 from scenes import Clip
 
-FIRST_HZ, STEP = 30.0, 1.1
-TRY_S = 3.0
+FIRST_HZ, STEP = 45.0, 1.1
+TRY_S = 2.5
 HELD_SHARE, HELD_P95_MS = 0.99, 100.0  # answered, and within this, at a rate that is held
 OVERLOAD_S, LOW_S = 15.0, 6.0
 RECOVERED_S = 2.0  # from then on all sets of the lower rate are answered
@@ -67,10 +67,11 @@ def held_hz(server: Any) -> float:
     """The highest rate, in steps of a tenth, at which sets are neither dropped nor wait."""
     hz, held = FIRST_HZ, 0.0
     while True:
-        turn = server.play(hz, TRY_S)
-        p95 = float(np.percentile(turn["ages_ms"], 95)) if turn["ages_ms"] else np.inf
-        print(f"{hz:.0f} Hz: {turn['answered']} of {turn['sent']} answered, 95 % within {p95:.0f} ms", flush=True)
-        if turn["answered"] < HELD_SHARE * turn["sent"] or p95 > HELD_P95_MS:
+        (tried,) = server.play_phases([(hz, TRY_S)])
+        answered, sent = len(tried["answered_s"]), tried["sent"]
+        p95 = float(np.percentile([age for _, age in tried["ages"]], 95)) if tried["ages"] else np.inf
+        print(f"{hz:.0f} Hz: {answered} of {sent} answered, 95 % within {p95:.0f} ms", flush=True)
+        if answered < HELD_SHARE * sent or p95 > HELD_P95_MS:
             return held or hz
         held, hz = hz, hz * STEP
 

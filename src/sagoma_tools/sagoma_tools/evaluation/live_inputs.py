@@ -22,7 +22,7 @@ from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.control import ask
 
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import Child, stop_children
+from ..graph.processes import Child, Usage, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
@@ -65,6 +65,10 @@ class StudioProcess:
     def pid(self) -> int:
         assert self._child is not None
         return self._child.pid
+
+    def usage(self) -> Usage | None:
+        """Return its memory and processor time; None once it has ended."""
+        return None if self._child is None else self._child.usage()
 
     def start(self, cancel: threading.Event | None = None) -> StudioProcess:
         """Start it; returns once every camera is on."""
@@ -114,6 +118,10 @@ class LiveInput(ABC):
 
     def settle(self, cancel: threading.Event) -> None:  # noqa: B027
         """Wait until the graph has found the rate that it holds."""
+
+    def usage(self) -> dict[str, Usage]:
+        """Return what its own processes use, by label: simulated cameras run beside the graph."""
+        return {}
 
     @property
     def disturbed(self) -> bool:
@@ -207,6 +215,10 @@ class StudioInput(LiveInput):
         self.held.settle(cancel)
         resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
         call_all(self._supervisor.node, Trigger, resets, RESET_TIMEOUT_S)
+
+    def usage(self) -> dict[str, Usage]:
+        used = self.studio.usage()
+        return {} if used is None else {"studio": used}
 
     @property
     def disturbed(self) -> bool:

@@ -108,7 +108,7 @@ def run_live(
                 live_input.prepare(supervisor, cancel)
                 for _ in range(TAKES):
                     live_input.settle(cancel)
-                    meter = UsageMeter(supervisor)
+                    meter = UsageMeter(supervisor, live_input)
                     clock = live_input.play(recorder, cancel)
                     meter.stop()
                     if cancel.is_set() or not live_input.disturbed:
@@ -119,11 +119,12 @@ def run_live(
 
 
 class UsageMeter:
-    """Measures what the graph's processes use from construction to :meth:`stop`, and keeps their last diagnostics."""
+    """Measures what the graph's and its input's processes use from construction to :meth:`stop`, and keeps the nodes'
+    last diagnostics."""
 
-    def __init__(self, supervisor: Supervisor) -> None:
-        self._supervisor = supervisor
-        self.began_ns, self._before = time.time_ns(), supervisor.usage()
+    def __init__(self, supervisor: Supervisor, live_input: LiveInput) -> None:
+        self._supervisor, self._input = supervisor, live_input
+        self.began_ns, self._before = time.time_ns(), self._used()
         self._other_programs = OtherPrograms()
         self.others = 0.0
         self.usage: dict[str, Usage] = {}
@@ -132,8 +133,11 @@ class UsageMeter:
     def stop(self) -> None:
         names = [spec.full_name for spec in self._supervisor.graph]
         reports = {name: self._supervisor.diagnostics.report(name) for name in names}
-        self.usage, self.others = self._supervisor.usage(), self._other_programs.share()
+        self.usage, self.others = self._used(), self._other_programs.share()
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
+
+    def _used(self) -> dict[str, Usage]:
+        return {**self._supervisor.usage(), **self._input.usage()}
 
     def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
         """Processor time of each process for one of so many frame sets."""
