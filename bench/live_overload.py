@@ -18,7 +18,7 @@ from live_servers import TREE, running
 from scenes import Clip
 
 FIRST_HZ, STEP = 45.0, 1.1
-TRY_S = 2.5
+SETTLE_S, TRY_S = 1.5, 2.5
 HELD_SHARE, HELD_P95_MS = 0.99, 100.0  # answered, and within this, at a rate that is held
 OVERLOAD_S, LOW_S = 15.0, 6.0
 RECOVERED_S = 2.0  # from then on all sets of the lower rate are answered
@@ -48,7 +48,7 @@ def measure_overload(
         ) as s:
             hz = held_hz(s)
     with running("overload", TREE, processes, clip, folder / "overload", domain + 2, settings) as server:
-        over, low = server.play_phases([(2.0 * hz, OVERLOAD_S), (0.5 * hz, LOW_S)])
+        _, over, low = server.play_phases([(0.5 * hz, SETTLE_S), (2.0 * hz, OVERLOAD_S), (0.5 * hz, LOW_S)])
     ages = [age for _, age in over["ages"]]
     answered_hz = (len(over["answered_s"]) - over["incomplete"]) / OVERLOAD_S
     return OverloadFigures(
@@ -67,7 +67,7 @@ def held_hz(server: Any) -> float:
     """The highest rate, in steps of a tenth, at which sets are neither dropped nor wait."""
     hz, held = FIRST_HZ, 0.0
     while True:
-        (tried,) = server.play_phases([(hz, TRY_S)])
+        _, tried = server.play_phases([(hz, SETTLE_S), (hz, TRY_S)])
         answered, sent = len(tried["answered_s"]), tried["sent"]
         p95 = float(np.percentile([age for _, age in tried["ages"]], 95)) if tried["ages"] else np.inf
         print(f"{hz:.0f} Hz: {answered} of {sent} answered, 95 % within {p95:.0f} ms", flush=True)

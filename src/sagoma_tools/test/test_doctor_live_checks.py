@@ -219,6 +219,13 @@ def test_frame_sets_that_do_not_come_or_fit_are_named(sets, subject, code, value
     assert found[1:3] == (subject, code) and value in found[3]
 
 
+def test_a_graph_that_thins_its_frame_sets_out_is_named():
+    text = "thinned to 1 of 2: the graph holds 30 Hz of 60 (sets wait)"
+    (found,) = troubles(graph([replace(HULL, values={"thinning": text})]))
+    assert found == ("WARNING", "graph", "frame_sets.thinned", text)
+    assert troubles(graph([replace(HULL, values={"thinning": ""})])) == []
+
+
 def test_camera_that_the_hull_suspects_is_named_with_degrees():
     figures = {
         "calibration_rotation_error_deg_cam02": "1.020",

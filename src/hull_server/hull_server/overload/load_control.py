@@ -27,15 +27,15 @@ HELPED = 0.95  # of the age, or of the missing frames, is left after a fall that
 IN_VAIN = 3  # falls in a row that do not help: the cause is another one
 SILENT_SETS = 5  # a camera missing from so many sets in a row is gone, and tears none
 FULL = 0.85  # of the processor or of a stage: above, a measured load promises no room
-TRIAL = 1.1  # a trial's rate over the present one
+TRIAL = 1.1  # a trial's rate over the present one; squared after each that held
 MOST_RISE = 2.0  # into measured room, at once
 LEAST_LOAD = 0.01
 LOWEST, HIGHEST = 0.5, 0.95  # one fall of the rate
 MARGIN = 0.95  # of the rate that was answered
 LEAST_HZ = 3.0
-HELD_S = 3.0  # a rise that shows no overload for so long has held: a queue that is 5 % too slow stands by then
+HELD_S = 2.0  # a rise that shows no overload for so long has held: a queue that is 5 % too slow stands by then
 PROVEN_S = 10.0  # ... and for so long for good: a fall within it makes the next trial wait longer
-FIRST_WAIT_S, LONGEST_WAIT_S = 2.0, 60.0  # before a trial; it doubles with every trial that fails
+FIRST_WAIT_S, LONGEST_WAIT_S = 1.0, 60.0  # before a trial; it doubles with every trial that fails
 LIGHTER = 0.8  # a load a set below this share of what it was at a failure is another load
 REMEMBERED_S = 60.0  # the shortest delay within this is that without a queue
 DELAYED, LATE, DROPS, TEARS = "sets wait", "frames come late", "sets are dropped", "sets are torn"
@@ -121,6 +121,7 @@ class LoadControl:
         self._settled_ns = 0  # sets of later stamps are processed at the present rate
         self._changed_ns = 0
         self._raised_from_hz: float | None = None  # while the last rise is on trial
+        self._step = TRIAL
         self._rose = False  # the last change was a rise, and it is not proven yet
         self._failed_hz = math.inf  # the rate that was too much last
         self._failed_load = 0.0  # the load a set when a rise failed: what it promised is not to be believed
@@ -176,8 +177,8 @@ class LoadControl:
         busiest of the stages and the processor.
         """
         limit_hz, calm_s = self.limit_hz, (now_ns - self._changed_ns) / NS_PER_S
-        if calm_s >= HELD_S:
-            self._raised_from_hz = None
+        if calm_s >= HELD_S and self._raised_from_hz is not None:
+            self._raised_from_hz, self._step = None, min(self._step**2, MOST_RISE)
         if calm_s >= PROVEN_S and self._rose:
             self._rose, self._wait_s = False, max(self._wait_s / 2, FIRST_WAIT_S)
         recent = self._recent(rate_hz, now_ns)
@@ -233,7 +234,7 @@ class LoadControl:
         delays = [each.delay_ns for each in recent if each.delay_ns is not None]
         newest = recent[-WINDOW_SETS:]
         self.standing_ns = self._delay.excess(max(delays, default=0)) + self._age.excess(max(s.age_ns for s in newest))
-        self.cause = cause
+        self.cause, self._step = cause, TRIAL
         if self._rose or now_ns - self._changed_ns >= HELD_S * NS_PER_S:  # else it is the same trouble still
             self._failed_hz = rate_hz
         if self._rose:
@@ -264,10 +265,14 @@ class LoadControl:
 
     def _trial_hz(self, rate_hz: float, calm_s: float) -> float:
         """Return a rate to try: soon, half the way to what was too much; near that, a tenth more, after a wait."""
-        middle_hz = min(math.sqrt(rate_hz * self._failed_hz), MOST_RISE * rate_hz)
-        if self._failed_hz < math.inf and middle_hz > TRIAL * rate_hz:
-            return middle_hz if calm_s >= CALM_S else 0.0
-        return TRIAL * rate_hz if calm_s >= self._wait_s and self._raised_from_hz is None else 0.0
+        if rate_hz < self._failed_hz < math.inf:
+            middle_hz = min(math.sqrt(rate_hz * self._failed_hz), MOST_RISE * rate_hz)
+            if middle_hz > TRIAL * rate_hz:
+                return middle_hz if calm_s >= CALM_S else 0.0
+            step = TRIAL
+        else:
+            step = self._step
+        return step * rate_hz if calm_s >= self._wait_s and self._raised_from_hz is None else 0.0
 
 
 def present_share(sets: list[SetRecord]) -> float:

@@ -110,6 +110,9 @@ def check_frame_sets(sets: FrameSetFacts | None, hull: NodeFacts | None, seen: i
         yield warning("latency.late", text, remedy)
     else:
         yield ok("frame_sets", text)
+    if hull.values.get("thinning"):
+        remedy = "sagoma up shows who is busy; a lower aravis.frame_rate, or see docs/overload.md."
+        yield warning("frame_sets.thinned", hull.values["thinning"], remedy)
     yield from _check_hull(sets, seen)
 
 
