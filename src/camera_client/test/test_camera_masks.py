@@ -259,3 +259,15 @@ def test_larger_thing_does_not_stand_in_for_the_person():
     kept = keep_person(mask, 20, 5, 10, things)
     assert kept[60, 130] == 255 and not kept[:, :80].any()
     assert keep_person(np.where(things > 0, mask, 0).astype(np.uint8), 20, 5, 10, things)[60, 30] == 255  # nothing else
+
+
+def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
+    locator = ForegroundLocator((40, 64), 10.0, 1)
+    locator.dense[:] = 0
+    locator.dense[1, 2] = locator.dense[1, 5] = locator.dense[3, 3] = 1
+    rows, columns = locator.spans((slice(4, 40), slice(12, 60)), 0)
+    assert np.flatnonzero(rows[:, 1]).tolist() == [*range(4, 12), *range(20, 28)]
+    assert rows[4].tolist() == [4, 36] and rows[20].tolist() == [12, 20]
+    assert columns[4].tolist() == [4, 12] and columns[13].tolist() == [20, 28] and columns[40].tolist() == [0, 0]
+    wider = locator.spans((slice(4, 40), slice(12, 60)), 1)
+    assert wider[0][4].tolist() == [0, 44] and wider[1][20].tolist() == [12, 36]

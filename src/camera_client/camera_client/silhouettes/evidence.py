@@ -19,6 +19,7 @@ from numba import njit
 from ..background.kernels import OPTIONS, SCALE
 from ..background.noise import Noise
 from ..frame_source import Mask
+from .masks import Spans, whole_spans
 
 REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a forearm
 EDGE_SIGMAS = 8.0  # a step of the difference of so many sigmas of the noise counts as a distance of the whole reach
@@ -47,30 +48,33 @@ class EvidenceFilter:
         expected: npt.NDArray[np.float32],
         noise: Noise,
         spill: npt.NDArray[np.float32] | None = None,
+        spans: Spans | None = None,
     ) -> Mask:
         """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
 
         distance (h, w) uint8 : SCALE z^2. image, expected (h, w[, 3]) : the part of the frame, and of the background.
-        spill (h, w) : standard deviation of a codec's errors, None without one.
+        spill (h, w) : standard deviation of a codec's errors, None without one. spans : what of each row and column is
+        looked at, all without.
         """
         height, width = distance.shape
+        rows, columns = whole_spans(height, width) if spans is None else spans
         sigma = noise.sigma(typical_level(expected))
         least = 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
         most = min(int(2 * SCALE * CLEAR * least), 255)
         rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
-        evidence: np.ndarray = np.empty((height, width), np.float32)
+        evidence: np.ndarray = np.zeros((height, width), np.float32)
         across, down = np.zeros((2, height, width), np.uint8)
-        weigh_pixels(distance, most, rest, np.zeros((0, 0), np.float32) if spill is None else spill, evidence)
-        steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), across, down)
+        weigh_pixels(distance, most, rest, np.zeros((0, 0), np.float32) if spill is None else spill, rows, evidence)
+        steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), rows, across, down)
         # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
         for number in range(PASSES):
             if number:
                 along, below = cv2.multiply(along, along), cv2.multiply(below, below)
             turned = cv2.transpose(evidence)
-            smooth_columns(turned, along)
+            smooth_columns(turned, along, columns)
             evidence = cv2.transpose(turned)
-            smooth_columns(evidence, below)
+            smooth_columns(evidence, below, rows)
         return (evidence > np.float32(least)).view(np.uint8) * np.uint8(255)  # np.where takes fifty times as long
 
 
@@ -91,81 +95,88 @@ def least_squared_distance(sigma: float, correlation: float, channels: int) -> f
 
 
 @njit(**OPTIONS)
-def weigh_pixels(distance, most, rest, spill, evidence):  # type: ignore[no-untyped-def]
+def weigh_pixels(distance, most, rest, spill, rows, evidence):  # type: ignore[no-untyped-def]
     """Write each pixel's own ``evidence`` (h, w) float32, z^2 / 2, with a codec's errors added to the noise's variance.
 
     distance (h, w) uint8 : SCALE z^2 by the noise alone, of which no more than ``most`` counts. rest (h, w C) float32 :
     image minus background, of which the channel counts that differs most. spill (h, w) float32 : standard deviation of
-    the errors in each channel, or (0, 0).
+    the errors in each channel, or (0, 0). rows (h, 2) : spans; the rest stays.
     """
     height, width = distance.shape
     channels = rest.shape[1] // width
     change, scale = np.empty(width, np.float32), np.float32(0.5 / SCALE)
     half = np.float32(0.5 * channels)
     for y in range(height):
-        to, own = evidence[y], distance[y]
-        for x in range(width):
+        first, end = (
+            rows[y, 0],
+            rows[y, 1],
+        )  # slices instead of places, so that the compiler does eight pixels at a time
+        to, own = evidence[y][first:end], distance[y, first:end]
+        for x in range(len(to)):
             to[x] = np.float32(min(np.int64(own[x]), most)) * scale
         if spill.size == 0:
             continue
-        row, error = rest[y], spill[y]
+        row, error, most_changed = rest[y][channels * first : channels * end], spill[y][first:end], change[first:end]
         if channels == 1:
-            for x in range(width):
-                change[x] = abs(row[x])
+            for x in range(len(to)):
+                most_changed[x] = abs(row[x])
         else:
-            for x in range(width):
-                change[x] = max(max(abs(row[3 * x]), abs(row[3 * x + 1])), abs(row[3 * x + 2]))
-        for x in range(width):
-            by_spill = change[x] * change[x] * half
+            for x in range(len(to)):
+                most_changed[x] = max(max(abs(row[3 * x]), abs(row[3 * x + 1])), abs(row[3 * x + 2]))
+        for x in range(len(to)):
+            by_spill = most_changed[x] * most_changed[x] * half
             to[x] = to[x] * by_spill / max(by_spill + to[x] * error[x] * error[x], np.float32(1e-6))
 
 
 @njit(**OPTIONS)
-def steps_between(rest, scale, across, down):  # type: ignore[no-untyped-def]
+def steps_between(rest, scale, rows, across, down):  # type: ignore[no-untyped-def]
     """Write the largest step of any channel from each pixel to the one left of it, and above it: uint8, 255 at most.
 
-    rest (h, w C) float32, scale : what it is multiplied by; across, down (h, w) uint8, whose first column and row stay.
+    rest (h, w C) float32, scale : what it is multiplied by; rows (h, 2) : spans; across, down (h, w)
+    uint8, whose first column and row stay, and everything outside of ``rows``.
     """
     height, width = across.shape
     channels = rest.shape[1] // width
     step = np.zeros(rest.shape[1], np.float32)
     for y in range(height):
-        row = rest[y]
-        for k in range(channels, len(row)):
-            step[k] = abs(row[k] - row[k - channels]) * scale
-        _write_largest(step, 1, across[y])
-        if y == 0:
-            continue
-        above = rest[y - 1]
-        for k in range(len(row)):
-            step[k] = abs(row[k] - above[k]) * scale
-        _write_largest(step, 0, down[y])
+        row, first, end = rest[y], rows[y, 0], rows[y, 1]
+        begin = max(first, 1)
+        _write_steps(row, channels * begin, channels * end, row, channels, scale, step, across[y][begin:end])
+        if y > 0:
+            _write_steps(row, channels * first, channels * end, rest[y - 1], 0, scale, step, down[y][first:end])
 
 
 @njit(**OPTIONS)
-def _write_largest(step, first, out):  # type: ignore[no-untyped-def]
-    """Write the largest of each pixel's channels, 255 at most, from the pixel ``first`` on."""
+def _write_steps(row, first, end, other, back, scale, step, out):  # type: ignore[no-untyped-def]
+    """Write the largest difference of any channel between a row and another, ``back`` places before: 255 at most."""
+    own, neighbour, change = row[first:end], other[first - back : end - back], step[: max(end - first, 0)]
+    for k in range(len(change)):
+        change[k] = abs(own[k] - neighbour[k]) * scale
     most = np.float32(255)
-    if len(step) == len(out):
-        for x in range(first, len(out)):
-            out[x] = np.uint8(min(step[x], most))
+    if len(change) == len(out):
+        for x in range(len(out)):
+            out[x] = np.uint8(min(change[x], most))
     else:
-        for x in range(first, len(out)):
-            out[x] = np.uint8(min(max(max(step[3 * x], step[3 * x + 1]), step[3 * x + 2]), most))
+        for x in range(len(out)):
+            out[x] = np.uint8(min(max(max(change[3 * x], change[3 * x + 1]), change[3 * x + 2]), most))
 
 
 @njit(**OPTIONS)
-def smooth_columns(values, weight):  # type: ignore[no-untyped-def]
+def smooth_columns(values, weight, rows):  # type: ignore[no-untyped-def]
     """Smooth each column of ``values`` (h, w) float32 in place, down and back.
 
-    weight (h, w) float32 : how much of the value above each pixel is taken over.
+    weight (h, w) float32 : how much of the value above each pixel is taken over. rows (h, 2) : spans; what lies outside
+    of them stays.
     """
     height = len(values)
     for y in range(1, height):
-        above, row, share = values[y - 1], values[y], weight[y]
-        for x in range(len(row)):
-            row[x] += share[x] * (above[x] - row[x])
+        _take_over(values[y - 1], weight[y], rows[y, 0], rows[y, 1], values[y])
     for y in range(height - 2, -1, -1):
-        below, row, share = values[y + 1], values[y], weight[y + 1]
-        for x in range(len(row)):
-            row[x] += share[x] * (below[x] - row[x])
+        _take_over(values[y + 1], weight[y + 1], rows[y, 0], rows[y, 1], values[y])
+
+
+@njit(**OPTIONS)
+def _take_over(values, weight, first, end, out):  # type: ignore[no-untyped-def]
+    other, share, own = values[first:end], weight[first:end], out[first:end]
+    for x in range(len(own)):
+        own[x] += share[x] * (other[x] - own[x])

@@ -26,6 +26,10 @@ MOST_IN_BLOCK_PX = 8
 _PIXEL_OF_BLOCK = 4  # what one pixel of 255 adds to the mean of its block, halved three times
 
 
+Spans = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]
+"""Of each row (h, 2) and of each column (w, 2) of a part of an image: first pixel and end; 0, 0 for nothing."""
+
+
 class Box(NamedTuple):
     """Pixels of rows top to bottom and columns left to right, ends excluded; empty when it has none."""
 
@@ -105,6 +109,39 @@ class ForegroundLocator:
         self.dense = large[labels]
         top, left, bottom, right = (BLOCK_PX * side for side in Box.around(self.dense))
         return Box(top, left, min(bottom, self._shape[0]), min(right, self._shape[1]))
+
+    def spans(self, at: tuple[slice, slice], reach_blocks: int) -> Spans:
+        """Return the spans of a part of the image, from the first dense block to the last and so many blocks around."""
+        blocks = cv2.dilate(self.dense, np.ones((2 * reach_blocks + 1,) * 2, np.uint8))
+        rows, columns = (np.zeros((side.stop - side.start, 2), np.int64) for side in at)
+        find_spans(blocks, at[0].start, at[1].start, rows, columns)
+        return rows, columns
+
+
+@njit(**OPTIONS)
+def find_spans(blocks, top, left, rows, columns):  # type: ignore[no-untyped-def]
+    """Write ``Spans`` of a part of the image whose corner is ``top``, ``left`` from blocks, not 0, zeros before."""
+    for i in range(blocks.shape[0]):
+        for j in range(blocks.shape[1]):
+            if blocks[i, j] == 0:
+                continue
+            y0, y1 = max(BLOCK_PX * i - top, 0), min(BLOCK_PX * (i + 1) - top, len(rows))
+            x0, x1 = max(BLOCK_PX * j - left, 0), min(BLOCK_PX * (j + 1) - left, len(columns))
+            if y0 >= y1 or x0 >= x1:
+                continue
+            for y in range(y0, y1):
+                if rows[y, 1] == 0:
+                    rows[y, 0] = x0
+                rows[y, 1] = x1
+            for x in range(x0, x1):
+                if columns[x, 1] == 0:
+                    columns[x, 0] = y0
+                columns[x, 1] = y1
+
+
+def whole_spans(height: int, width: int) -> Spans:
+    """Return the spans of everything."""
+    return np.tile([0, width], (height, 1)), np.tile([0, height], (width, 1))
 
 
 # --- filters: which parts of a raw mask belong to the person

@@ -32,6 +32,7 @@ from .shadows import Scene, make_shadow_test
 from .spill import codec_spill
 
 EMPTY, FULL = "empty", "full"
+REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
 TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
@@ -163,7 +164,8 @@ class SilhouettePipeline:
         if self._evidence is None:
             mask = cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
             return majority(mask, self._settings.median_px)
-        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.spill)
+        spans = self._locator.spans(scene.at, REACH_BLOCKS)
+        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.spill, spans)
 
     def _keep_person(self, mask: Mask, box: Box) -> Mask:
         s, height = self._settings, self._shape[0]
