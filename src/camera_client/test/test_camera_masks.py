@@ -270,4 +270,4 @@ def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
     assert rows[4].tolist() == [4, 36] and rows[20].tolist() == [12, 20]
     assert columns[4].tolist() == [4, 12] and columns[13].tolist() == [20, 28] and columns[40].tolist() == [0, 0]
     wider = locator.spans((slice(4, 40), slice(12, 60)), 1)
-    assert wider[0][4].tolist() == [0, 44] and wider[1][20].tolist() == [12, 36]
+    assert wider[0][4].tolist() == [0, 44] and wider[1][20].tolist() == [0, 36]
