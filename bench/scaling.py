@@ -11,11 +11,12 @@ masks to the filtered pose, without middleware. Stages that are due a few times 
 Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked, as the graph
 does today, so tracker and filter do not depend on their number.
 
-Cameras beyond twelve are calculated: for each stage a straight line over 4 to 12 cameras, by least squares. With
---beyond N that many are simulated as well, which shows how far the lines hold. The last line is JSON:
+Cameras beyond twelve are calculated: for each stage a straight line over 4 to 12 cameras, by least squares, or a
+parabola where every camera is compared with every other (shadows, consistency). With --beyond N that many are simulated
+as well, which shows how far the curves hold. The last line is JSON:
 
 cameras_ms, voxels_ms, people_ms : {number: mean ms of a set}, about 6 cameras, 20 mm and one person.
-hull_ms_per_camera, hull_ms_fixed : of the line through the hull server's cost; set_bytes_per_camera, masks on the wire.
+set_bytes_per_camera : masks on the wire.
 thirty_ms, thirty_mbit_s : calculated for 30 cameras at 60 Hz. beyond_ms, beyond_calculated_ms : with --beyond.
 """
 
@@ -70,6 +71,7 @@ STAGES = {
     "slice, sample": ("slice", "filter", "sample"),
     "contour rays": ("contour_rays",),
 }
+OF_PAIRS = ("consistency", "shadows")  # every camera is compared with every other
 TRACKING = ("as sent", "fit", "filter pose")
 
 
@@ -139,11 +141,15 @@ class Studio:
 
     def server(self, cameras: int, voxel_mm: int, people: int) -> Server:
         """A server for one configuration."""
+        rig, sets = self.sets(cameras, people)
+        return Server(rig, sets, voxel_mm, self.body, _shifted(self.poses[0], _places(people)[0]))
+
+    def sets(self, cameras: int, people: int) -> tuple[Rig, list[dict[str, bytes]]]:
+        """A rig and the encoded silhouettes of all sets, by camera."""
         if (cameras, people) not in self._made:
             rig = ring(cameras - 1)
             self._made[cameras, people] = rig, list(self._sets(rig, people))
-        rig, sets = self._made[cameras, people]
-        return Server(rig, sets, voxel_mm, self.body, _shifted(self.poses[0], _places(people)[0]))
+        return self._made[cameras, people]
 
     def _sets(self, rig: Rig, people: int) -> Iterator[dict[str, bytes]]:
         places, eyes = _places(people), ExactSilhouettes(rig)
@@ -181,23 +187,25 @@ def _clothes(mask: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Line:
-    """ms = fixed + per_camera x cameras, by least squares; rms_ms : of its residuals."""
+class Curve:
+    """A polynomial of the number of cameras, by least squares; rms : of its residuals."""
 
-    fixed: float
-    per_camera: float
-    rms_ms: float
+    coefficients: np.ndarray
+    rms: float
 
     @classmethod
-    def through(cls, cameras: list[int], values: list[float]) -> Line:
+    def through(cls, cameras: list[int], values: list[float], degree: int) -> Curve:
         """Through the values of so many cameras."""
-        per_camera, fixed = np.polyfit(cameras, values, 1)
-        rms = float(np.sqrt(np.mean((np.polyval([per_camera, fixed], cameras) - values) ** 2)))
-        return cls(float(fixed), float(per_camera), rms)
+        coefficients = np.polyfit(cameras, values, degree)
+        return cls(coefficients, float(np.sqrt(np.mean((np.polyval(coefficients, cameras) - values) ** 2))))
 
     def at(self, cameras: int) -> float:
-        """Of so many cameras; a stage does not become cheaper than nothing."""
-        return max(self.fixed + self.per_camera * cameras, 0.0)
+        """Of so many cameras; no stage costs less than nothing."""
+        return max(float(np.polyval(self.coefficients, cameras)), 0.0)
+
+    def __str__(self) -> str:
+        terms = [f"{c:+.4f}" + ("", " n", " n^2")[power] for power, c in enumerate(self.coefficients[::-1])]
+        return f"{' '.join(terms)} (rms {self.rms:.3f})"
 
 
 def measure(studio: Studio, configurations: list[tuple[int, int, int]]) -> dict[tuple[int, int, int], Server]:
@@ -219,23 +227,26 @@ def show(title: str, column: str, rows: dict[int, Server]) -> None:
         table.row(value, *(server.mean_ms(stage) for stage in stages), server.set_bytes / 1e3)
 
 
-def calculate(rows: dict[int, Server]) -> dict[str, Line]:
-    """Fit a line through each stage's cost over cameras."""
+def calculate(rows: dict[int, Server]) -> tuple[dict[str, Curve], Curve]:
+    """Fit a curve through each stage's cost over cameras, and a line through the size of a set's masks."""
     fitted = [n for n in rows if FITTED_FROM <= n <= max(CAMERAS)]
-    stages = [*STAGES, "hull", "tracking", "sum"]
-    lines = {s: Line.through(fitted, [rows[n].mean_ms(s) for n in fitted]) for s in stages}
-    lines["bytes"] = Line.through(fitted, [rows[n].set_bytes for n in fitted])
-    print(
-        f"\nlines over {fitted[0]} to {fitted[-1]} cameras, ms: fixed + a camera (rms of the residuals) -> {CALCULATED}"
-    )
-    for stage in stages:
-        line = lines[stage]
-        at = line.at(CALCULATED)
-        print(f"  {stage:<14} {line.fixed:6.2f} + {line.per_camera:5.3f} ({line.rms_ms:.2f}) -> {at:6.2f}")
-    return lines
+    curves = {
+        stage: Curve.through(fitted, [rows[n].mean_ms(stage) for n in fitted], 2 if stage in OF_PAIRS else 1)
+        for stage in (*STAGES, "tracking")
+    }
+    print(f"\ncurves over n = {fitted[0]} to {fitted[-1]} cameras, ms -> {CALCULATED} cameras")
+    for stage, curve in curves.items():
+        print(f"  {stage:<14} {curve!s:<48} -> {curve.at(CALCULATED):6.2f}")
+    print(f"  sum {'':<60} -> {total(curves, CALCULATED):6.2f}")
+    return curves, Curve.through(fitted, [rows[n].set_bytes for n in fitted], 1)
 
 
-def plot(found: dict[str, dict[int, Server]], lines: dict[str, Line], path: Path) -> None:
+def total(curves: dict[str, Curve], cameras: int) -> float:
+    """Sum of all stages for so many cameras."""
+    return sum(curve.at(cameras) for curve in curves.values())
+
+
+def plot(found: dict[str, dict[int, Server]], curves: dict[str, Curve], path: Path) -> None:
     """Draw cost over cameras, voxels and people, the stages stacked."""
     import matplotlib
 
@@ -252,7 +263,7 @@ def plot(found: dict[str, dict[int, Server]], lines: dict[str, Line], path: Path
         if kind == "voxels":
             axes.invert_xaxis()
         if kind == "cameras":
-            axes.plot(values, [lines["sum"].at(v) for v in values], "k--", lw=1, label="line of the sum")
+            axes.plot(values, [total(curves, v) for v in values], "k--", lw=1, label="curves that are fitted")
     panels[0].legend(fontsize=7, loc="upper left")
     figure.savefig(path, dpi=100)
     print(f"drew {path}")
@@ -275,29 +286,27 @@ def main() -> None:
     show("over cameras: ms of processor time a set, 20 mm, 1 person", "cameras", found["cameras"])
     show("over voxels: 6 cameras, 1 person", "voxel mm", found["voxels"])
     show("over people: 6 cameras, 20 mm; one of them is tracked", "people", found["people"])
-    lines = calculate(found["cameras"])
+    curves, sizes = calculate(found["cameras"])
     figures = {
         f"{kind}_ms": {n: round(server.mean_ms("sum"), 2) for n, server in rows.items()} for kind, rows in found.items()
     }
-    megabits = lines["bytes"].at(CALCULATED) * 8 * FPS / 1e6
+    megabits = sizes.at(CALCULATED) * 8 * FPS / 1e6
     print(
-        f"network: {lines['bytes'].per_camera / 1e3:.1f} KB a mask; 6 cameras at {FPS:g} Hz "
+        f"network: {sizes.coefficients[0] / 1e3:.1f} KB a mask; 6 cameras at {FPS:g} Hz "
         f"{found['cameras'][6].set_bytes * 8 * FPS / 1e6:.1f} Mbit/s, {CALCULATED} calculated {megabits:.0f} Mbit/s"
     )
     extra: dict[str, float] = {}
     if options.beyond:
         show(f"{options.beyond} cameras, simulated", "cameras", {options.beyond: servers[beyond[options.beyond]]})
         extra["beyond_ms"] = round(servers[beyond[options.beyond]].mean_ms("sum"), 2)
-        extra["beyond_calculated_ms"] = round(lines["sum"].at(options.beyond), 2)
+        extra["beyond_calculated_ms"] = round(total(curves, options.beyond), 2)
     if options.plot:
-        plot(found, lines, options.plot)
+        plot(found, curves, options.plot)
     finish(
         {
             **figures,
-            "hull_ms_per_camera": round(lines["hull"].per_camera, 3),
-            "hull_ms_fixed": round(lines["hull"].fixed, 2),
-            "set_bytes_per_camera": round(lines["bytes"].per_camera),
-            "thirty_ms": round(lines["sum"].at(CALCULATED), 2),
+            "set_bytes_per_camera": round(float(sizes.coefficients[0])),
+            "thirty_ms": round(total(curves, CALCULATED), 2),
             "thirty_mbit_s": round(megabits, 1),
             **extra,
         }

@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Int64MultiArray
 
-from capture_rig import CameraModel, InputError, load_rig
+from capture_rig import CameraModel, InputError, Rig, load_rig
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
@@ -33,7 +33,7 @@ from sagoma_ros.worker import Worker
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .hull_ros import SaveMeshService, calibration_mismatch, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
-from .settings import NodeSettings
+from .settings import NodeSettings, hull_settings
 
 POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
 SHORTEST_POLL_NS = 200_000
@@ -41,6 +41,7 @@ GIVE_UP_SETS = 5  # a camera missing from so many in a row is not waited for: mo
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 NEVER_NS = 1 << 62
+RESOLVED = "silhouette/resolved"  # below a camera's name: its silhouettes, from a shadow resolver
 LOG_EVERY_S = 5.0
 COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
     name: f"sets_{name}" for name in ("complete", "incomplete")
@@ -71,8 +72,8 @@ class HullNode(SagomaNode):
 
     Settings = NodeSettings
 
-    def __init__(self, **options: object) -> None:
-        super().__init__("hull_server", **options)
+    def __init__(self, name: str = "hull_server", **options: object) -> None:
+        super().__init__(name, **options)
         self._pipeline: HullPipeline | None = None
         self._collector: FrameSetCollector[Mask] | None = None  # None unless active
         self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
@@ -92,15 +93,8 @@ class HullNode(SagomaNode):
     def configure(self) -> None:
         """Load the rig, compute the calibration's tables, subscribe."""
         settings: NodeSettings = self.settings
-        if not settings.rig_file:
-            raise InputError(
-                "rig_file is not set",
-                where=f"parameters of {self.get_name()}",
-                remedy="Give the path of the rig YAML file.",
-            )
-        rig = load_rig(settings.rig_file)
-        self._canvases = {camera.name: camera.undistorted_view().camera for camera in rig.cameras}
-        self._pipeline = HullPipeline(rig, settings)
+        rig = self._load_rig()
+        self._pipeline = HullPipeline(rig, hull_settings(settings))
         self._pipeline.warm_up()
         mask_png.warm_up()
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
@@ -110,6 +104,18 @@ class HullNode(SagomaNode):
         if settings.thin_out and not settings.reliable:
             self._overload = OverloadControl(self)
         self._subscribe()
+
+    def _load_rig(self) -> Rig:
+        """Load the rig of the settings, and note its canvases."""
+        if not self.settings.rig_file:
+            raise InputError(
+                "rig_file is not set",
+                where=f"parameters of {self.get_name()}",
+                remedy="Give the path of the rig YAML file.",
+            )
+        rig = load_rig(self.settings.rig_file)
+        self._canvases = {camera.name: camera.undistorted_view().camera for camera in rig.cameras}
+        return rig
 
     def activate(self) -> None:
         """Start collecting."""
@@ -163,9 +169,10 @@ class HullNode(SagomaNode):
 
     def _subscribe(self) -> None:
         qos = SILHOUETTE_RELIABLE_SUBSCRIBER if self.settings.reliable else SILHOUETTE_SUBSCRIBER
+        silhouettes = RESOLVED if self.settings.resolved else "silhouette"
         for camera in self._canvases:
             for kind, topic, callback in (
-                (CompressedImage, f"{camera}/silhouette/compressed", self._on_silhouette),
+                (CompressedImage, f"{camera}/{silhouettes}/compressed", self._on_silhouette),
                 (CameraInfo, f"{camera}/camera_info", self._on_camera_info),
             ):
                 subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos, raw=True)

@@ -24,7 +24,14 @@ V, U = np.mgrid[:SIDE, :SIDE].astype(float)
 def scratch():
     cracks = 2 * SIDE * SIDE + 4
     path, along = np.empty((cracks, 2), np.int16), np.empty(cracks)
-    return Scratch(np.zeros((SIDE, SIDE), np.uint8), np.empty(cracks // 4, np.int32), path, along, 1)
+    return Scratch(
+        np.zeros((SIDE, SIDE), np.uint8),
+        np.zeros((SIDE + 2,) * 2, np.uint8),
+        np.empty(cracks // 4, np.int32),
+        path,
+        along,
+        1,
+    )
 
 
 @njit

@@ -50,7 +50,8 @@ class ContourTracer:
         height, width = views.seen.shape[1:]
         cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
         path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
-        self._scratch = Scratch(np.zeros((height, width), np.uint8), ends, path, along, 0)
+        filled = np.zeros((height + 2, width + 2), np.uint8)
+        self._scratch = Scratch(np.zeros((height, width), np.uint8), filled, ends, path, along, 0)
 
     def trace(
         self,
@@ -121,6 +122,7 @@ class Scratch(NamedTuple):
     """Scratch memory; see :func:`.outlines.pick_contour_pixels`."""
 
     marks: npt.NDArray[np.uint8]
+    filled: npt.NDArray[np.uint8]
     ends: npt.NDArray[np.int32]
     path: npt.NDArray[np.int16]
     along: npt.NDArray[np.float64]

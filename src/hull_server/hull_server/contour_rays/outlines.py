@@ -41,9 +41,11 @@ def pick_contour_pixels(mask, box, scratch, limits, pixels):  # type: ignore[no-
 
     mask (h, w) uint8, nonzero is foreground. box (left, top, right, bottom), left and right multiples of 8; outside is
     background. limits : shortest outline, and least distance, in pixels; the distance grows if ``pixels`` is too small.
-    scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as in :func:`_find_outlines`.
+    scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as in :func:`_find_outlines`; filled
+    (H + 2, W + 2) uint8.
     """
     (shortest_px, spacing_px), n, begin = limits, 0, 0
+    _copy_box(mask, box, scratch.filled)
     count, total = _find_outlines(mask, box, scratch, shortest_px)
     step = max(spacing_px, total / pixels.shape[0])
     for outline in range(count):
@@ -72,7 +74,7 @@ def _find_outlines(mask, box, scratch, shortest_px):  # type: ignore[no-untyped-
             for u in range(8 * word, 8 * word + 8):
                 is_top = mask[v, u] != 0 and (v == top or mask[v - 1, u] == 0)
                 if is_top and scratch.marks[v, u] != scratch.stamp:
-                    end = _follow(mask, box, scratch, u, v, begin)
+                    end = _follow(scratch, u, v, begin)
                     if scratch.along[end - 1] >= shortest_px:
                         total += scratch.along[end - 1]
                         scratch.ends[count] = begin = end
@@ -81,12 +83,12 @@ def _find_outlines(mask, box, scratch, shortest_px):  # type: ignore[no-untyped-
 
 
 @kernel
-def _follow(mask, box, scratch, u, v, n):  # type: ignore[no-untyped-def]
+def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
     """Append the outline along the top of a pixel to ``path`` and ``along``; return the new number of rows.
 
     Marks the pixels along whose top it runs. Has no branches, which could not be predicted.
     """
-    x, y, dx, dy, length = u, v, 1, 0, 0.0
+    x, y, dx, dy, length, filled = u, v, 1, 0, 0.0, scratch.filled
     while True:
         # the foreground pixel to the right of this crack
         inside_u, inside_v = x + (dx - dy - 1) // 2, y + (dx + dy - 1) // 2
@@ -95,8 +97,8 @@ def _follow(mask, box, scratch, u, v, n):  # type: ignore[no-untyped-def]
             scratch.marks[inside_v, inside_u] = scratch.stamp
         # ahead to the left there is foreground: turn left; to the right there is none: turn right
         x, y = x + dx, y + dy
-        left = _filled(mask, box, x + (dx + dy - 1) // 2, y + (dy - dx - 1) // 2)
-        right = _filled(mask, box, x + (dx - dy - 1) // 2, y + (dx + dy - 1) // 2)
+        left = np.int64(filled[np.uint64(y + 1 + (dy - dx - 1) // 2), np.uint64(x + 1 + (dx + dy - 1) // 2)])
+        right = np.int64(filled[np.uint64(y + 1 + (dx + dy - 1) // 2), np.uint64(x + 1 + (dx - dy - 1) // 2)])
         straight, turn = right & (1 - left), left - (1 - left) * (1 - right)
         dx, dy = straight * dx + turn * dy, straight * dy - turn * dx
         length += CORNER_PX + straight * (1.0 - CORNER_PX)
@@ -107,11 +109,16 @@ def _follow(mask, box, scratch, u, v, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _filled(mask, box, u, v):  # type: ignore[no-untyped-def]
-    """Return 1 for foreground, else 0."""
+def _copy_box(mask, box, filled):  # type: ignore[no-untyped-def]
+    """Write the box of a mask, 1 for foreground, in a margin of background: pixel (u, v) at row v + 1, column u + 1."""
     left, top, right, bottom = box
-    inside = (np.uint64(u - left) < np.uint64(right - left)) & (np.uint64(v - top) < np.uint64(bottom - top))
-    return np.int64(mask[np.uint64(v * inside), np.uint64(u * inside)] != 0) & np.int64(inside)
+    filled[top, left : right + 2] = 0
+    filled[bottom + 1, left : right + 2] = 0
+    for v in range(top, bottom):
+        row, pixels = filled[v + 1, left : right + 2], mask[v, left:right]
+        row[0], row[row.size - 1] = 0, 0
+        for u in range(pixels.size):
+            row[u + 1] = pixels[u] != 0
 
 
 @kernel
