@@ -36,7 +36,7 @@ class Trial(HeldRate):
         ([(0.1, EVERY_FRAME, ""), (0.6, thinned(1, 2), "sets wait")], 0.6 + SETTLED_S, 0.5),
         ([(0.1, EVERY_FRAME, ""), (0.6, thinned(1, 2), ""), (1.5, thinned(2, 3), "")], 0.6 + SETTLED_S, 2 / 3),
         ([(0.1, EVERY_FRAME, ""), (0.6, thinned(2, 3), ""), (2.0, thinned(1, 2), "")], 2.0 + SETTLED_S, 0.5),
-        ([(t, thinned(20 - t, 20), "") for t in range(1, 19)], LONGEST_S, 0.25),
+        ([(t, thinned(20 - t, 20), "") for t in range(1, 19)], LONGEST_S, 0.4),
     ],
     ids=["nothing told", "every frame", "one fall", "a rise later", "two falls", "never settles"],
 )
@@ -47,14 +47,6 @@ def test_trial_ends_when_the_rate_no_longer_falls(told, ends_s, fraction):
     trial.settle(never)
     assert trial.now_s == pytest.approx(ends_s, abs=0.3)
     assert trial.history.newest[0].fraction == pytest.approx(fraction, abs=0.051)
-
-
-def test_playback_during_which_the_rate_fell_is_known():
-    trial = Trial([(0.1, EVERY_FRAME, ""), (5.0, thinned(1, 2), "sets wait")])
-    while trial.tick() < 6.0:
-        pass
-    assert trial.fell_since(4.0) and not trial.fell_since(5.5)
-    assert trial.history.newest == (thinned(1, 2), "sets wait")
 
 
 def test_capture_at_any_rate_is_sound_when_its_sets_are_answered_and_somebody_is_tracked():

@@ -17,14 +17,13 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 from ..arguments import add_settings_argument, parse_settings
-from ..evaluation.live_inputs import FootageInput, LiveInput, StudioInput
+from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInput
 from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..graph.ros_link import StopOnSignal
 
 CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out
-KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
 TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
 LEAST_HZ = 8.0  # below, people move too far between two frame sets to be followed
 BUSY = 0.25  # of the processors in other programs' hands is worth telling

@@ -15,7 +15,7 @@ from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import TOPIC, read_thinning
 
 SETTLED_S = 3.0  # without a fall of the rate: a queue that grows by 5 % stands by then
-LONGEST_S = 15.0  # a machine whose load changes all the time never settles
+LONGEST_S = 12.0  # a machine whose load changes all the time never settles
 POLL_S = 0.1
 
 
@@ -65,10 +65,6 @@ class HeldRate:
         """Return whether the rate has not fallen for SETTLED_S since ``began_s``, or LONGEST_S have passed."""
         now_s = self._now_s()
         return now_s - (self.history.last_fall_s(began_s) or began_s) >= SETTLED_S or now_s - began_s >= LONGEST_S
-
-    def fell_since(self, began_s: float) -> bool:
-        """Return whether the rate has fallen since then."""
-        return self.history.last_fall_s(began_s) is not None
 
     def _take(self, message: DiagnosticArray) -> None:
         self.history.take(self._now_s(), read_thinning(message, TOPIC), message.status[0].message)

@@ -25,7 +25,7 @@ from ..graph.background_training import learn_backgrounds
 from ..graph.processes import Child, Usage, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
-from ..graph.topics import PREDICTION_TOPIC
+from ..graph.topics import PREDICTION_TOPIC, camera_topics
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, frame_count
 from .held_rate import HeldRate
@@ -35,6 +35,7 @@ START_POLL_S = 0.05
 GRACE_S = 5.0
 SILENCE_S = 20.0
 POLL_S = 0.5
+KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
 RESET_TIMEOUT_S = 5.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
@@ -125,7 +126,7 @@ class LiveInput(ABC):
 
     @property
     def disturbed(self) -> bool:
-        """Whether the last playback was given fewer frame sets from some instant on: worth another one."""
+        """Whether too many frame sets of the last playback were not answered: worth another one."""
         return False
 
     @abstractmethod
@@ -184,6 +185,7 @@ class StudioInput(LiveInput):
     """
 
     held: HeldRate | None = None
+    _answered_share = 1.0
 
     def __init__(self, session_folder: str | Path, folder: str | Path, fps: float) -> None:
         super().__init__(session_folder)
@@ -222,10 +224,10 @@ class StudioInput(LiveInput):
 
     @property
     def disturbed(self) -> bool:
-        return self.held is not None and self.held.fell_since(self._played_s)
+        return self._answered_share < KEPT_UP
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
-        self._played_s = time.monotonic()
+        before = recorder.recorder.counts
         answer = self.studio.ask("play", loop=False)
         clock = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
         last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.5 / self._fps) * 1e9)
@@ -233,7 +235,14 @@ class StudioInput(LiveInput):
         while time.monotonic() < deadline_s and not cancel.is_set():
             if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, POLL_S):
                 break
+        self._answered_share = self._share(before, recorder.recorder.counts)
         return clock
+
+    def _share(self, before: Mapping[str, int], after: Mapping[str, int]) -> float:
+        """Return the share of the frame sets sent between two counts of messages that was answered."""
+        come = {topic: count - before.get(topic, 0) for topic, count in after.items()}
+        sent = max(come.get(camera_topics(name)[1].name, 0) for name in self.session.rig.names)
+        return come.get(PREDICTION_TOPIC, 0) / max(sent, 1)
 
     @property
     def in_real_time(self) -> bool:

@@ -36,7 +36,7 @@ from .track_evaluation import TrackEvaluation, evaluate_track
 FRAME_SET_TOPIC = "/hull/frame_set"
 NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
-TAKES = 3  # at most, when the machine's load rises while the session plays
+TAKES = 2  # at most, when the machine's load rises while the session plays
 LATENCY_TOPIC = "/mocap/latency"
 T_POSE_START, REFERENCE_START = "t_pose", "session"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
