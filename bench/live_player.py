@@ -177,6 +177,8 @@ class Player:
         began_ns, deadline_s = time.time_ns(), time.monotonic() + FIND_TIMEOUT_S
         while len(self._joints.since(began_ns)) < FOUND_SETS:
             self._send(START_HZ, 0, 1, hold=True)
+            if not all(server.is_running() and server.status() != psutil.STATUS_ZOMBIE for server in self._servers):
+                raise RuntimeError("a process of the server has ended")
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"the server found nobody within {FIND_TIMEOUT_S:g} s")
 

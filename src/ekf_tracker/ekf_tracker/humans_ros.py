@@ -13,8 +13,9 @@ from std_msgs.msg import String
 
 from capture_rig.errors import InputError
 from mocap_packets.state import BodyState
+from sagoma_ros.exchange import HeardPublisher
 from sagoma_ros.messages import to_stamp
-from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
 
 from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, human_urdf
@@ -74,28 +75,26 @@ class HumansPublisher:
                 where=f"parameters of {node.get_name()}",
                 remedy="Use letters, digits and underscores, a letter first, as in b0001.",
             )
-        self._node, self._id, self._frame_id = node, body_id, frame_id
+        self._id, self._frame_id = body_id, frame_id
         self._names = [f"{name}_{body_id}" for name in HRI_JOINT_NAMES]
         self._angles: np.ndarray | None = None
         self._body: Body | None = None
         topic = f"/humans/bodies/{body_id}"
-        self._joints = node.create_publisher(JointState, f"{topic}/joint_states", RESULT)
-        self._urdf = node.create_publisher(String, f"{topic}/urdf", LATCHED)
-        self._tracked = node.create_publisher(IdsList, "/humans/bodies/tracked", RESULT) if IdsList else None
-        self._tf = node.create_publisher(TFMessage, "/tf", RESULT) if TFMessage else None
+        self._joints = HeardPublisher(node, JointState, f"{topic}/joint_states")
+        self._urdf = HeardPublisher(node, String, f"{topic}/urdf", LATCHED)
+        self._tracked = HeardPublisher(node, IdsList, "/humans/bodies/tracked") if IdsList else None
+        self._tf = HeardPublisher(node, TFMessage, "/tf") if TFMessage else None
 
     def present(self, state: BodyState, body: Body) -> None:
         """Publish joints, frame and presence; the URDF whenever the body changed."""
         if body is not self._body:
             self._body, self._angles = body, None
-            self._urdf.publish(String(data=human_urdf(body, self._id)))
+            self._urdf.publish(lambda: String(data=human_urdf(body, self._id)))
         self._angles = hri_angles(state.pose, self._angles)
-        message = JointState(name=self._names, position=self._angles.tolist())
-        message.header.stamp = to_stamp(state.stamp_ns)
         if self._tf is not None:
-            self._tf.publish(TFMessage(transforms=[self._body_transform(state, body)]))
+            self._tf.publish(lambda: TFMessage(transforms=[self._body_transform(state, body)]))
         self._list([self._id], state.stamp_ns)
-        self._joints.publish(message)
+        self._joints.publish(self._joint_states, self._angles, state.stamp_ns)
 
     def absent(self, stamp_ns: int) -> None:
         """Publish that nobody is tracked."""
@@ -106,13 +105,16 @@ class HumansPublisher:
         """Destroy the publishers."""
         for publisher in (self._joints, self._urdf, self._tracked, self._tf):
             if publisher is not None:
-                self._node.destroy_publisher(publisher)
+                publisher.close()
+
+    def _joint_states(self, angles: np.ndarray, stamp_ns: int) -> JointState:
+        message = JointState(name=self._names, position=angles.tolist())
+        message.header.stamp = to_stamp(stamp_ns)
+        return message
 
     def _list(self, ids: list[str], stamp_ns: int) -> None:
         if self._tracked is not None:
-            message = IdsList(ids=ids)
-            message.header.stamp = to_stamp(stamp_ns)
-            self._tracked.publish(message)
+            self._tracked.publish(_ids_message, ids, stamp_ns)
 
     def _body_transform(self, state: BodyState, body: Body) -> TransformStamped:
         origin, R = body_frame(state.pose, float(body.half_lengths[0]))
@@ -122,6 +124,12 @@ class HumansPublisher:
         message.transform.translation = Vector3(x=x, y=y, z=z)
         message.transform.rotation = quaternion(R)
         return message
+
+
+def _ids_message(ids: list[str], stamp_ns: int) -> IdsList:
+    message = IdsList(ids=ids)
+    message.header.stamp = to_stamp(stamp_ns)
+    return message
 
 
 def make_humans(node: Node, publish: bool, body_id: str, frame_id: str) -> Humans:
