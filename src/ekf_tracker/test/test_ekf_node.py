@@ -127,6 +127,9 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
 def test_prediction_is_published_after_everything_else(bench, body_file, person, monkeypatch):
     """It is the signal that a set is done: whoever hears it may rely on the rest."""
     b = bench(body_file=body_file, publish_humans=True).start()
+    joints = "/humans/bodies/b0001/joint_states"
+    b.listen(JointState, joints)
+    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._humans._joints.heard)
     order, publish = [], Publisher.publish
 
     def recorded(publisher, message):
@@ -143,7 +146,7 @@ def test_prediction_is_published_after_everything_else(bench, body_file, person,
         "/mocap/reference_points",
         "/mocap/skeleton",
         "/humans/bodies/b0001/urdf",
-        "/humans/bodies/b0001/joint_states",
+        joints,
         "/mocap/state",
         "/ekf/prediction",
     ]
