@@ -231,6 +231,7 @@ class HullNode(SagomaNode):
         if self._collector is None:
             return
         now_ns = monotonic_ns()
+        self._collector.wait(self._overload.deadline_ns(round(self.settings.deadline_s * 1e9)))
         self._dispatch(self._collector.poll(now_ns))
         silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
         self.health.set("silent", ",".join(silent))

@@ -207,6 +207,13 @@ class FrameSetCollector(Generic[T]):
         closed = self._vote(now_ns)
         return closed + self._emit(self._present.close_due(now_ns))
 
+    def wait(self, deadline_ns: int) -> None:
+        """Let sets, also those that are open, wait for their last cameras for so long from now on."""
+        self.deadline_ns = deadline_ns
+        for timeline in (self._present, self._candidate):
+            if timeline is not None:
+                timeline.deadline_ns = deadline_ns
+
     def next_deadline_ns(self) -> int | None:
         """Return when :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
         deadlines = [self._present.next_deadline_ns(), None if self._candidate is None else self._vote_due_ns()]

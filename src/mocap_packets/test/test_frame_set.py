@@ -246,6 +246,15 @@ def test_too_many_open_sets_close_the_oldest() -> None:
     assert instants_of(collector.flush()) == [3, 4]
 
 
+def test_deadline_that_is_changed_holds_for_open_sets_and_later_ones() -> None:
+    collector = make_collector(deadline_ns=HOUR)
+    send(collector, [0], cameras=["cam01"])
+    collector.wait(DEADLINE)
+    assert collector.next_deadline_ns() == DEADLINE and instants_of(collector.poll(DEADLINE)) == [0]
+    send(collector, [3], cameras=["cam01"])
+    assert collector.next_deadline_ns() == 3 * PERIOD + DEADLINE
+
+
 def test_unknown_camera_is_a_key_error() -> None:
     with pytest.raises(KeyError, match="cam09"):
         make_collector().add("cam09", EPOCH, ("cam09", 0), 0)

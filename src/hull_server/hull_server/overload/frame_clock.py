@@ -32,6 +32,7 @@ class FrameClock:
     """Estimates the exposures' grid from the stamps of all cameras, thinned or not."""
 
     def __init__(self) -> None:
+        self.off_grid = False  # at the last estimate, there were stamps enough, and they lay on no grid
         self._stamps: dict[str, deque[int]] = {}
 
     def add(self, camera: str, stamp_ns: int) -> None:
@@ -50,6 +51,7 @@ class FrameClock:
 
         rule : under which they were kept; its grid is refined. Without one the period is that of the fastest camera.
         """
+        self.off_grid = False
         if rule.keep < rule.of:
             return self._refined(Exposures(rule.phase_ns, rule.period_ns))
         if sum(len(stamps) - 1 for stamps in self._stamps.values()) < LEAST_STEPS:
@@ -78,7 +80,8 @@ class FrameClock:
             return None
         slope_ns, at_mean_ns = np.polyfit(numbers - numbers.mean(), residuals_ns, 1)
         left_ns = residuals_ns - at_mean_ns - slope_ns * (numbers - numbers.mean())
-        if np.sqrt(np.mean(left_ns**2)) > OFF_GRID * grid.period_ns:
+        self.off_grid = bool(np.sqrt(np.mean(left_ns**2)) > OFF_GRID * grid.period_ns)
+        if self.off_grid:
             return None
         period_ns = grid.period_ns + float(slope_ns)
         phase_ns = grid.phase_ns + round(float(at_mean_ns - slope_ns * numbers.mean()))

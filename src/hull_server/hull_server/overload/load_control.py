@@ -36,6 +36,7 @@ LEAST_HZ = 3.0
 HELD_S = 2.0  # a rise that shows no overload for so long has held: a queue that is 5 % too slow stands by then
 PROVEN_S = 10.0  # ... and for so long for good: a fall within it makes the next trial wait longer
 FIRST_WAIT_S, LONGEST_WAIT_S = 1.0, 60.0  # before a trial; it doubles with every trial that fails
+SOON_S = 4.0  # the longest wait before a trial well below the rate that failed
 LIGHTER = 0.8  # a load a set below this share of what it was at a failure is another load
 REMEMBERED_S = 60.0  # the shortest delay within this is that without a queue
 DELAYED, LATE, DROPS, TEARS = "sets wait", "frames come late", "sets are dropped", "sets are torn"
@@ -210,19 +211,24 @@ class LoadControl:
         if load >= FULL and 2 * len(delays) >= WINDOW_SETS and self._delay.excess(min(delays)) > standing_ns:
             return DELAYED
         if len(torn) > TORN * len(recent) and len(frozenset().union(*torn)) > 1 and HELPED * lost > self._usual_loss:
-            if self._helps(TEARS, lost):
+            if self._helps(TEARS, lost, load):
                 return TEARS
             self._usual_loss = lost
         if 2 * len(ages) >= WINDOW_SETS and self._age.excess(min(ages)) > standing_ns:
-            if self._helps(LATE, self._age.excess(min(ages))):
+            if self._helps(LATE, self._age.excess(min(ages)), load):
                 return LATE
             self._age = Shortest()
         return ""
 
-    def _helps(self, cause: str, badness: float) -> bool:
-        """Return whether falls for this cause may still help; else undo what was done."""
+    def _helps(self, cause: str, badness: float, load: float) -> bool:
+        """Return whether falls for this cause may still help; else undo what was done.
+
+        On a busy machine what stays as bad is still an overload, but for ages that stay the same: a clock was set.
+        """
         before, falls = self._before.pop(cause, (math.inf, 0))
-        falls = 1 if badness < HELPED * before else falls + 1
+        same = HELPED * before <= badness <= before / HELPED
+        in_vain = badness >= HELPED * before if load < FULL else same and cause == LATE
+        falls = falls + 1 if in_vain else 1
         if falls <= IN_VAIN:
             self._before[cause] = badness, falls
             return True
@@ -268,7 +274,7 @@ class LoadControl:
         if rate_hz < self._failed_hz < math.inf:
             middle_hz = min(math.sqrt(rate_hz * self._failed_hz), MOST_RISE * rate_hz)
             if middle_hz > TRIAL * rate_hz:
-                return middle_hz if calm_s >= CALM_S else 0.0
+                return middle_hz if calm_s >= min(self._wait_s, SOON_S) else 0.0
             step = TRIAL
         else:
             step = self._step

@@ -19,6 +19,7 @@ from sagoma_ros.thinning import TOPIC, thinning_message
 from .thinning_control import ThinningControl
 
 UPDATE_S = 0.1
+LONGEST_WAIT_NS = 100_000_000  # for the last cameras of a set while the clients' machines are busy
 NO_TRACKER_NS = 1_000_000_000  # without an answer: the hull's products are the end of the graph
 
 
@@ -26,6 +27,9 @@ class NoOverloadControl:
     """Takes every frame set: for replays, and footage that is not played at its own rate."""
 
     summary = ""
+
+    def deadline_ns(self, usual_ns: int) -> int:
+        return usual_ns
 
     def close(self) -> None:
         pass
@@ -59,6 +63,13 @@ class OverloadControl(NoOverloadControl):
         self._answers.close()
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
+
+    def deadline_ns(self, usual_ns: int) -> int:
+        """Return how long a set waits for its last cameras: while sets are left out, until the next one is due."""
+        rule = self._control.rule
+        if rule.keep == rule.of:
+            return usual_ns
+        return max(usual_ns, min(round(rule.period_ns / rule.fraction), LONGEST_WAIT_NS))
 
     def admits(self, camera: str, stamp_ns: int, now_ns: int) -> bool:
         """Take note of a frame; False when the rule leaves its exposure out."""

@@ -16,7 +16,7 @@ from .load_control import NS_PER_S, LoadControl
 REFRESH_S = 1.0  # a rule in force is told again, with the phase that the last stamps give: clocks drift
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
 LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
-FEWEST, MOST, SEEN_S, LEAST_SETS = 0.6, 1.5, 0.4, 8  # of the sets of that time: else the cameras' rate has changed
+FEWEST, MOST, SEEN_S, LEAST_SETS = 0.6, 1.5, 0.5, 6  # of the sets of that time: else the cameras' rate has changed
 LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
 SETS_KEPT = 200
 LOADS_KEPT = 5  # of the last half second
@@ -36,7 +36,8 @@ class ThinningControl:
         self._machine_loads: deque[float] = deque(maxlen=LOADS_KEPT)
         self._head_ns = 0
         self._told_ns: int | None = None
-        self._adopted_ns = 0
+        self._adopted_ns, self._settled_ns = 0, 0  # when the present rate was told, and its first stamp
+        self._on_grid_ns = 0
         self._offered_hz: float | None = None
 
     @property
@@ -103,7 +104,7 @@ class ThinningControl:
             if self._told_ns is None:
                 return self._tell(rule, now_ns)
             grid = self._clock.estimate(rule)
-            if self._has_lost_the_cameras(grid, now_ns):
+            if self._has_lost_the_cameras(now_ns):
                 self._clock.forget()
                 return self._tell(replace(EVERY_FRAME, from_ns=self._head_ns + LEAD_NS), now_ns)
             if grid is None or self._load.closed_share(rule.fraction * grid.hz, now_ns) > MOST:
@@ -126,7 +127,7 @@ class ThinningControl:
         from_ns = resume_ns = self._head_ns + LEAD_NS
         if keep / of * grid.hz < rate_hz:
             from_ns, resume_ns = self._head_ns, resume_ns + min(self._load.standing_ns, LONGEST_PAUSE_NS)
-        self._adopted_ns = now_ns
+        self._adopted_ns, self._settled_ns = now_ns, resume_ns
         self._load.begin_at(resume_ns, now_ns)
         # a camera of half the rate delivers at every second exposure: keep those that all deliver at
         whole_ns = max(self._closed, key=lambda closed: (closed[2], closed[1]))[1] if self._closed else grid.phase_ns
@@ -146,15 +147,21 @@ class ThinningControl:
         self._load.begin_at(stamp_ns, now_ns)
         self._selector.follow(replace(EVERY_FRAME, from_ns=stamp_ns), now_ns)
 
-    def _has_lost_the_cameras(self, grid: Exposures | None, now_ns: int) -> bool:
-        """Return whether the rule was made for another rate of the cameras: far fewer sets come than it keeps, or more,
-        or they lie on another grid."""
+    def _has_lost_the_cameras(self, now_ns: int) -> bool:
+        """Return whether the rule was made for another rate of the cameras: far fewer exposures come than it keeps, or
+        more, or they lie on another grid. Counted by stamps: an overload delays sets, it does not move them."""
         rule = self.rule
-        if rule.keep == rule.of:
+        if not self._clock.off_grid:
+            self._on_grid_ns = now_ns
+        if rule.keep == rule.of or not self._closed:
             return False
         hz = rule.fraction * NS_PER_S / rule.period_ns
         span_ns = round(max(SEEN_S, LEAST_SETS / hz) * NS_PER_S)
-        if now_ns - self._adopted_ns < span_ns + LONGEST_PAUSE_NS + LEAD_NS:
+        newest_ns = self._closed[-1][1]
+        silent = now_ns - max(self._closed[-1][0], self._adopted_ns) > span_ns + LONGEST_PAUSE_NS
+        if silent or now_ns - self._on_grid_ns > span_ns:
+            return True
+        if newest_ns - max(self._settled_ns, self._closed[0][1]) < span_ns:
             return False
-        seen = sum(now_ns - when <= span_ns for when, _, _ in self._closed)
-        return grid is None or not FEWEST < seen / (hz * span_ns / NS_PER_S) < MOST
+        seen = sum(stamp > newest_ns - span_ns for _, stamp, _ in self._closed)
+        return not FEWEST < seen / (hz * span_ns / NS_PER_S) < MOST
