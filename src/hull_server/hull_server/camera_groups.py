@@ -16,6 +16,7 @@ from collections.abc import Collection
 import numpy as np
 
 from capture_rig import Rig
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet
 
@@ -37,6 +38,7 @@ def _levels_found() -> np.ndarray:
 
 
 LEVELS_FOUND = _levels_found()
+HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels above SHADOW_CANDIDATE = 127
 
 
 class GroupResolver:
@@ -68,6 +70,17 @@ def resolved_levels(levels: Mask, binary: Mask) -> Mask:
     if binary is levels:
         return levels
     resolved = levels.copy()
-    changed = (levels > SHADOW_CANDIDATE) != (binary > 0)
-    resolved[changed] = LEVELS_FOUND[(binary[changed] > 0).astype(np.intp), levels[changed]]
+    _recolour(binary.view(np.uint64), resolved.view(np.uint64), binary, resolved, LEVELS_FOUND)
     return resolved
+
+
+@kernel
+def _recolour(binary_words, level_words, binary, levels, found):  # type: ignore[no-untyped-def]
+    """Replace the levels that say otherwise than the mask; the words are the same pixels, eight to a word."""
+    for v in range(binary.shape[0]):
+        for word in range(binary_words.shape[1]):
+            if (binary_words[v, word] ^ level_words[v, word]) & HIGH_BITS != 0:
+                for u in range(8 * word, 8 * word + 8):
+                    is_person = binary[v, u] > SHADOW_CANDIDATE
+                    if is_person != (levels[v, u] > SHADOW_CANDIDATE):
+                        levels[v, u] = found[np.int64(is_person), levels[v, u]]
