@@ -259,9 +259,10 @@ def _is_in_question(scene, levels, camera, own, x, y, floor_px):
         if other == camera:
             continue
         left -= 1
+        P, f = scene.P[other], floor_px[other]
         for k in range(3):
-            floor_px[other, k] = scene.P[other, k, 0] * x + scene.P[other, k, 1] * y + scene.P[other, k, 3]
-        level = _level_at(scene, levels, other, camera, floor_px, 0.0)
+            f[k] = P[k, 0] * x + P[k, 1] * y + P[k, 3]
+        level = _level_of(levels[other], f[0], f[1], f[2])
         kind = scene.kind[level]
         if kind == EMPTY:
             contradict += 1
@@ -287,11 +288,32 @@ def _meets_hull(scene, levels, camera, x, y, seeing, min_height, floor_px):
     step = RAY_STEP_M / math.sqrt(dx * dx + dy * dy + cz * cz)
     t, vetoed_by = start, 0
     while t <= end:
+        if vetoed_by != camera:  # most places are vetoed by the camera that vetoed the one before
+            ends = floor_px[vetoed_by], scene.epipoles[vetoed_by, camera]
+            t = _first_without_veto(levels[vetoed_by], scene.kind, ends, t, end, step)
+            if t > end:
+                return False
         vetoed_by = _vetoed_by(scene, levels, camera, floor_px, t, seeing, vetoed_by)
         if vetoed_by < 0:
             return True
         t += step
     return False
+
+
+@kernel
+def _first_without_veto(levels, kinds, ends, t, end, step):
+    """Return the first of the places t, t + step, ... that one camera (H, W) does not veto, or one beyond the end.
+
+    ends : homogeneous pixels (3,) of the floor place and of the camera whose ray it is.
+    """
+    (f0, f1, f2), (e0, e1, e2) = (ends[0][0], ends[0][1], ends[0][2]), (ends[1][0], ends[1][1], ends[1][2])
+    while t <= end:
+        s = 1.0 - t
+        kind = kinds[_level_of(levels, s * f0 + t * e0, s * f1 + t * e1, s * f2 + t * e2)]
+        if kind not in (EMPTY, CANDIDATE):
+            return t
+        t += step
+    return t
 
 
 @kernel
@@ -323,17 +345,18 @@ def _vetoed_by(scene, levels, camera, floor_px, t, seeing, first):
 
 @kernel
 def _level_at(scene, levels, other, camera, floor_px, t):
-    """Return the level in camera ``other`` at share ``t`` of the way from the floor place to ``camera``.
+    """Return the level in camera ``other`` at share ``t`` of the way from the floor place to ``camera``."""
+    e, f, s = scene.epipoles[other, camera], floor_px[other], 1.0 - t
+    return _level_of(levels[other], s * f[0] + t * e[0], s * f[1] + t * e[1], s * f[2] + t * e[2])
 
-    BLIND behind the camera and outside its canvas.
-    """
-    e, s = scene.epipoles, 1.0 - t
-    depth = s * floor_px[other, 2] + t * e[other, camera, 2]
+
+@kernel
+def _level_of(levels, x, y, depth):
+    """Return the level (H, W) of a homogeneous pixel; BLIND behind the camera and outside its canvas."""
     if depth <= 0.0:
         return BLIND
     per_depth = 1.0 / depth
-    u = math.floor((s * floor_px[other, 0] + t * e[other, camera, 0]) * per_depth + 0.5)
-    v = math.floor((s * floor_px[other, 1] + t * e[other, camera, 1]) * per_depth + 0.5)
-    if not (0.0 <= u < levels.shape[2] and 0.0 <= v < levels.shape[1]):
+    u, v = math.floor(x * per_depth + 0.5), math.floor(y * per_depth + 0.5)
+    if not (0.0 <= u < levels.shape[1] and 0.0 <= v < levels.shape[0]):
         return BLIND
-    return int(levels[other, int(v), int(u)])
+    return int(levels[np.uint64(v), np.uint64(u)])
