@@ -7,8 +7,9 @@ import datetime
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
@@ -23,7 +24,6 @@ from std_srvs.srv import Trigger
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
-from mocap_packets.silhouette import Silhouette
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.images import read_support
@@ -33,6 +33,7 @@ from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_ros.thinning import TOPIC as THINNING_TOPIC
 from sagoma_ros.thinning import read_thinning
+from sagoma_ros.worker import Worker
 
 from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
@@ -64,6 +65,15 @@ LEARNING_PATIENCE_S = 10.0  # a training goes on when the camera comes back soon
 SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
+PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
+
+
+class Finished(NamedTuple):
+    """A frame with its results, to be published; ``began_s`` : when work on it began, on the performance counter."""
+
+    frame: Frame
+    seen: FrameResult
+    began_s: float
 
 
 class CameraNode(SagomaNode):
@@ -76,6 +86,8 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self.source: FrameSource | None = None
         self.loop: GrabLoop | None = None
+        self._outbox: Worker[Finished] | None = None
+        self._hand_over: Callable[[Finished], None] = self._publish
         self.chain: CameraChain | None = None
         self.trainer = BackgroundTrainer(self._use_background)
         self.selector = FrameSelector()  # which frames the hull server can take
@@ -121,6 +133,11 @@ class CameraNode(SagomaNode):
         assert self.source is not None
         live = self.settings.source != "footage"
         self._matched_s, self._said, self._recent = None, "", RecentStatistics()
+        self._hand_over = self._publish  # of footage, every frame is sent before the next one is read
+        if live:
+            lost, failed = partial(self.health.count, "frames_unpublished"), self._on_error
+            self._outbox = Worker("publish", self._publish, PUBLISH_DEPTH, on_drop=lost, on_error=failed)
+            self._hand_over = self._outbox.put
         self.loop = GrabLoop(
             self.source,
             self._on_frame,
@@ -136,6 +153,9 @@ class CameraNode(SagomaNode):
         if self.loop is not None:
             self.loop.stop()
             self.loop = None
+        if self._outbox is not None:
+            self._outbox.close(finish=True)
+            self._outbox = None
         self.trainer.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
@@ -190,31 +210,33 @@ class CameraNode(SagomaNode):
 
     def _on_frame(self, frame: Frame) -> None:
         assert self.chain is not None
-        began = time.perf_counter()
+        began_s = time.perf_counter()
         self.trainer.add(frame.image)
         if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
             self.health.count("frames_thinned")
             return
-        self._topics.publish_image(frame)
         seen = self.chain.run(frame)
         self._last = (frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
-        silhouette = seen.silhouette
+        self._hand_over(Finished(frame, seen, began_s))
+
+    # --- ... of a live camera on another one, so that its next frame does not wait for encoder and middleware -------
+
+    def _publish(self, done: Finished) -> None:
+        frame, seen = done.frame, done.seen
+        self._topics.publish_image(frame)
         if seen.canvas is None:
             self._topics.publish_uncalibrated(frame)
-        elif silhouette is None:
+        elif seen.silhouette is None:
             self.health.count("frames_without_background")
             return
         else:
-            self._publish(frame, seen, silhouette)
+            self._topics.publish_silhouette(frame, seen, seen.silhouette)
+            for flag in seen.silhouette.flags:
+                self.health.count(f"{flag}_masks")
         self.health.tick(frame.stamp_ns if self._stamps_are_now() else None)
-        self.health.set("processing_ms", 1e3 * (time.perf_counter() - began))
-
-    def _publish(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
-        self._topics.publish_silhouette(frame, seen, silhouette)
-        for flag in silhouette.flags:
-            self.health.count(f"{flag}_masks")
+        self.health.set("processing_ms", 1e3 * (time.perf_counter() - done.began_s))
 
     def _stamps_are_now(self) -> bool:
         """Return whether stamps follow the system clock, so that their age is a latency."""

@@ -13,9 +13,11 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import with_intrinsics
 from mocap_packets.silhouette import Silhouette
-from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
+from sagoma_ros import mask_png
+from sagoma_ros.images import SILHOUETTE_FORMAT, camera_info_message, image_message, preview_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
+from sagoma_ros.raw import CompressedImageWriter, StampedMessage
 
 from .background.model import BackgroundModel
 from .camera_chain import FrameResult
@@ -54,7 +56,8 @@ class CameraTopics:
         offered = settings.publish_raw or to_calibrate
         self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if offered else None
         self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
-        self._info: tuple[CameraModel, CameraInfo] | None = None
+        self._info: tuple[CameraModel, StampedMessage] | None = None
+        self._writer = CompressedImageWriter(frame_id, SILHOUETTE_FORMAT)
         self._last_preview_s = -np.inf
 
     @property
@@ -80,21 +83,19 @@ class CameraTopics:
     def publish_silhouette(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
         """The silhouette and its camera_info under one stamp; now and then a preview."""
         assert seen.canvas is not None
-        self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
-        self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
+        self._infos.publish(self._info_of(seen.canvas).at(frame.stamp_ns))
+        self._silhouettes.publish(self._writer.write(frame.stamp_ns, mask_png.encode(silhouette.mask)))
         now_s = time.monotonic()
         if self._previews is not None and now_s - self._last_preview_s >= PREVIEW_PERIOD_S:
             self._last_preview_s = now_s
             outlined = outline(frame.image, silhouette.image_mask)
             self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
 
-    def _info_of(self, canvas: CameraModel, stamp_ns: int) -> CameraInfo:
-        """Made once a canvas: setting its arrays costs more than publishing it."""
+    def _info_of(self, canvas: CameraModel) -> StampedMessage:
+        """Made once a canvas: setting its arrays, and serialising them, costs more than all else."""
         if self._info is None or self._info[0] is not canvas:
-            self._info = (canvas, camera_info_message(canvas, stamp_ns, self._frame_id))
-        message = self._info[1]
-        message.header.stamp = to_stamp(stamp_ns)
-        return message
+            self._info = (canvas, StampedMessage(camera_info_message(canvas, 0, self._frame_id)))
+        return self._info[1]
 
     def publish_background(self, model: BackgroundModel) -> None:
         """The mean of the background in use."""

@@ -9,7 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.node import Node
 
 from .messages import key_values
@@ -64,11 +64,17 @@ class NodeHealth:
 
     def tick(self, stamp_ns: int | None = None) -> None:
         """One result was delivered; with its capture stamp, its age is taken as latency."""
-        age_ns = None if stamp_ns is None else self._node.get_clock().now().nanoseconds - stamp_ns
+        age_ns = None if stamp_ns is None else self._now_ns() - stamp_ns
         with self._lock:
             self._ticks += 1
             if age_ns is not None:
                 self._latencies_ns.append(age_ns)
+
+    def _now_ns(self) -> int:
+        """Return the node's time; that of the system without rclpy's objects, as it is asked for every result."""
+        clock = self._node.get_clock()
+        of_system = isinstance(clock, ROSClock) and not clock.ros_time_is_active
+        return time.time_ns() if of_system else clock.now().nanoseconds
 
     def status(self, level: bytes, message: str) -> None:
         """Level (OK, WARN, ERROR) and one line of text."""

@@ -1,22 +1,25 @@
-"""Serialised messages read where they lie: for those that come hundreds of times a second.
+"""Serialised messages read where they lie, and written into place: for those that come hundreds of times a second.
 
 A subscription with ``raw=True`` hands over a message's bytes as they came (CDR: OMG DDS-XTypes 1.3, 7.4.3). Making a
-message object of them costs more than all that a node does with most of its fields.
+message object of them costs more than all that a node does with most of its fields; and what a node sends is, but for
+its stamp and data, the same every time.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CompressedImage
+from std_msgs.msg import Header
 
 from .messages import NS_PER_S, to_ns
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 _LEAD_IN = 4  # bytes before the first field; fields are aligned from here
 _STAMP_AND_LENGTH = struct.Struct("<iII")
+_STAMP = struct.Struct("<iI")
 _LENGTH = struct.Struct("<I")
 AFTER_STAMP = _LEAD_IN + 8
 
@@ -41,6 +44,34 @@ def read_compressed_image(message: bytes) -> RawImage:
 def same_but_for_stamp(message: bytes, other: bytes | None) -> bool:
     """Are two serialised messages that start with a header equal, whenever they were stamped?"""
     return other is not None and message[AFTER_STAMP:] == other[AFTER_STAMP:]
+
+
+class StampedMessage:
+    """A message that begins with a header and is sent again and again under other stamps."""
+
+    def __init__(self, message: Any) -> None:
+        self._bytes = bytearray(serialize_message(message))
+
+    def at(self, stamp_ns: int) -> bytes:
+        """Return the serialised message with this stamp."""
+        _STAMP.pack_into(self._bytes, _LEAD_IN, *divmod(stamp_ns, NS_PER_S))
+        return bytes(self._bytes)
+
+
+class CompressedImageWriter:
+    """Serialises sensor_msgs/CompressedImage messages of one frame id and format."""
+
+    def __init__(self, frame_id: str, format: str) -> None:
+        empty = CompressedImage(header=Header(frame_id=frame_id), format=format)
+        # strings end with a NUL; serialisers differ in whether they fill up the end
+        length = _aligned(_LEAD_IN + _STAMP_AND_LENGTH.size + len(frame_id.encode()) + 1) + _LENGTH.size
+        length = _aligned(length + len(format.encode()) + 1)
+        self._begin = bytearray(serialize_message(empty)[:length])
+
+    def write(self, stamp_ns: int, data: bytes) -> bytes:
+        """Return a serialised message."""
+        _STAMP.pack_into(self._begin, _LEAD_IN, *divmod(stamp_ns, NS_PER_S))
+        return b"".join((self._begin, _LENGTH.pack(len(data)), data))
 
 
 def _read(message: bytes) -> RawImage:

@@ -188,6 +188,11 @@ def inflate(stream, code, least, extra, value, count):  # type: ignore[no-untype
 @njit(**OPTIONS)
 def _checksum(a, b, value, count):  # type: ignore[no-untyped-def]
     """Return Adler's two sums after ``count`` more bytes of ``value``."""
+    if count == 1:  # without divisions
+        a += value
+        a -= ADLER_BASE if a >= ADLER_BASE else 0
+        b += a
+        return a, b - (ADLER_BASE if b >= ADLER_BASE else 0)
     c = count % (2 * ADLER_BASE)  # count (count + 1) / 2 is the same for it, modulo the base
     b = (b + c * a + value * (c * (c + 1) // 2 % ADLER_BASE)) % ADLER_BASE
     return (a + c * value) % ADLER_BASE, b

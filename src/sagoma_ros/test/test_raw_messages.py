@@ -9,11 +9,11 @@ import pytest
 from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage
 from std_msgs.msg import Header
 
-from sagoma_ros.raw import _read, read_compressed_image, same_but_for_stamp
+from sagoma_ros.raw import CompressedImageWriter, StampedMessage, _read, read_compressed_image, same_but_for_stamp
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20)
 
@@ -60,3 +60,21 @@ def test_messages_are_compared_without_their_stamps() -> None:
     assert same_but_for_stamp(info(1, 640), info(2, 640))
     assert not same_but_for_stamp(info(1, 640), info(1, 641))
     assert not same_but_for_stamp(info(1, 640), None)
+
+
+@given(st.integers(-(2**31), 2**31 - 1), st.integers(0, 10**9 - 1), TEXT, TEXT, st.binary(max_size=40))
+def test_image_is_written_as_rclpy_writes_it(sec: int, nanosec: int, frame: str, format: str, data: bytes) -> None:
+    written = CompressedImageWriter(frame, format).write(sec * 10**9 + nanosec, data)
+    assert _read(written) == _read(serialised(sec, nanosec, frame, format, data))  # bytes between fields may differ
+    read = deserialize_message(written, CompressedImage)
+    assert (read.header.stamp.sec, read.header.stamp.nanosec, read.header.frame_id) == (sec, nanosec, frame)
+    assert (read.format, bytes(read.data)) == (format, data)
+
+
+def test_message_is_stamped_again_and_again() -> None:
+    message = CameraInfo(header=Header(frame_id="cam01"), width=640, d=[0.1, 0.2])
+    again = StampedMessage(message)
+    for stamp in (Time(sec=5, nanosec=6), Time(sec=-3, nanosec=999_999_999)):
+        message.header.stamp = stamp
+        stamped = again.at(stamp.sec * 10**9 + stamp.nanosec)
+        assert deserialize_message(stamped, CameraInfo) == message
