@@ -128,7 +128,7 @@ def reset_slots(
 # --- kernels ---------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def predict_arrays(pose, velocity, P, transition, sd_cap):
     """Pose, velocity and covariance (48, 48) one transition later (thesis Table 5.5).
 
@@ -154,7 +154,7 @@ def predict_arrays(pose, velocity, P, transition, sd_cap):
     return moved_pose, f_velocity * velocity, out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def correct_arrays(prior, start, velocity, P, sizes, z, chosen, options):
     """Pose, velocity and covariance after the chosen points (15,) bool of z, a `Measurement` (thesis Table 5.7).
 
@@ -360,7 +360,7 @@ def copied(pose):
     return t0.copy(), R0.copy(), RJ.copy(), hinges.copy()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def report(pose, velocity, P, sizes, bias, least_information, angles):
     """Points (15, 3), their covariances (15, 3, 3), the state's covariance (48, 48), rates (18,) of the angles (18,).
 

@@ -216,7 +216,7 @@ def point_covariance(at, point, P, C):
             C[j, i] = total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def squared_distances(pose, sizes, P, z):
     """Return (15,) squared Mahalanobis lengths of the innovations of the visible points; 0 for the others."""
     distances, at = np.zeros(15), empty_linearised()

@@ -106,7 +106,7 @@ class Options(NamedTuple):
     sweeps: int
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def align_sticks(points, G, t0, figure, options):
     """Algorithm 2 on the sticks' world frames ``G`` (10, 3, 3) and the torso centre ``t0``, in place.
 
@@ -141,7 +141,7 @@ def align_sticks(points, G, t0, figure, options):
     return spent, converged
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def match_fixed_sticks(j, xyz, A, B, fixed):
     """Find the nearest of the sticks that stay while stick j is aligned, for every point."""
     stick, along, squared = fixed
@@ -153,7 +153,7 @@ def match_fixed_sticks(j, xyz, A, B, fixed):
             prefer_stick(k, xyz[0], xyz[1], xyz[2], A[k], B[k], stick, along, squared)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def match_moving_sticks(j, xyz, A, B, fixed, match):
     """Foot points on all sticks: the fixed ones' from ``fixed``, stick j's and its descendants' computed anew."""
     stick, along, feet, squared = match
@@ -166,7 +166,7 @@ def match_moving_sticks(j, xyz, A, B, fixed, match):
     place_feet(A, B, stick, along, feet)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def move_stick(j, points, feet, weight, A, B, G, t0):
     """Step 6: WEOPP for the torso, WOPP for limbs, the smallest rotation for lone sticks; step 7: apply it."""
     R, t = np.empty((3, 3)), np.zeros(3)
@@ -179,7 +179,7 @@ def move_stick(j, points, feet, weight, A, B, G, t0):
     return angle, apply_motion(j, R, t, G, t0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def weight_points(j, match, proximal, epsilon, keep, weight):
     """Weights (n,): own points 1, descendants' below, rejected (X84 in either group) and foreign points 0.
 
@@ -207,7 +207,7 @@ def weight_points(j, match, proximal, epsilon, keep, weight):
     return own
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def apply_motion(j, R, t, G, t0):
     """Turn stick j and everything below it; the torso also moves. Returns the length of its shift (m)."""
     shift = 0.0

@@ -107,7 +107,7 @@ def sum_rays(rays, match, gate, sums):
         add_to_sums(sums, match.capsule[i], match.along[i], normal, weight, match.distance[i])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def match_rays(rays, placed, slack):
     """Find the capsule that explains each ray best; ``slack`` (m) lengthens the stretch where a ray may touch."""
     n, radii = rays.rows.shape[1], placed.surface.radii

@@ -151,7 +151,7 @@ def reweighted(weights, voxel, inside):
     )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def gauss_newton(data, state, figure, weights, stop):
     """Minimise in place over the state.
 
@@ -178,7 +178,7 @@ def gauss_newton(data, state, figure, weights, stop):
     return stop.iterations, moved
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def linearise(data, placed, weights, H, g):
     """Overwrite upper H and g with what the data say about the pose; returns the points' match."""
     H[:] = 0.0

@@ -94,7 +94,7 @@ def reference_points(placed):
     return points
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def surface_distances(points, placed):
     """Compare points (m, 3) with the body's surface.
 
