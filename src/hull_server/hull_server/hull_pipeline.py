@@ -29,7 +29,7 @@ from .shadows import ShadowResolver
 from .slicing.bodies import Bodies, BodyTracker
 from .slicing.skeletonisation import find_centerline, slice_hull
 from .slicing.voxel_samples import sample_runs
-from .views import RigViews, min_seeing
+from .views import Box, RigViews, min_seeing
 
 Mask = npt.NDArray[np.uint8]
 
@@ -126,9 +126,10 @@ class HullPipeline:
         support = self._support.update(frames, masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
-        ticket = self.backend.submit(masks, seeing)
+        boxes = self._shadows.boxes(masks)
+        ticket = self.backend.submit(masks, seeing, boxes)
         watch.lap("carve")
-        blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(mask))
+        blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(_part(mask, boxes[name])))
         return SetUnderWay(frame_set, masks, blank, faults, errors, support, seeing, ticket, watch.laps_ms)
 
     def finish(self, under_way: SetUnderWay) -> HullResult:
@@ -181,6 +182,11 @@ class HullPipeline:
     def close(self) -> None:
         """Release the backend."""
         self.backend.close()
+
+
+def _part(mask: Mask, box: Box) -> Mask:
+    left, top, right, bottom = box
+    return mask[top:bottom, left:right]
 
 
 class _StageWatch:

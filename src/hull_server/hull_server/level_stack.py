@@ -12,7 +12,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE
 
-from .views import Masks, RigViews
+from .views import Box, Masks, RigViews
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from and to of pixels that may be shadow
@@ -21,7 +21,6 @@ FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte of a word
 NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
 
 Mask = npt.NDArray[np.uint8]
-Box = tuple[int, int, int, int]
 
 
 class LevelStack:
@@ -59,6 +58,11 @@ class LevelStack:
             elif not self._absent[camera]:
                 self.levels[camera], self._absent[camera] = BLIND, True
         return boxes
+
+    def shown(self, name: str) -> Box:
+        """Return a box that holds all foreground of a mask that was taken with the last set."""
+        left, top, right, bottom = self._shown[self._views.number[name]].tolist()
+        return left, top, right, bottom
 
     def binary(self, name: str, mask: Mask) -> Mask:
         """Return :func:`binary_mask` of a mask that was taken with the last set."""

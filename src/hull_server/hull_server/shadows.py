@@ -30,9 +30,9 @@ from capture_rig import Volume
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FLOOR_REACH_M
 
-from .level_stack import BLIND, Box, LevelStack, Mask
+from .level_stack import BLIND, LevelStack, Mask
 from .settings import ShadowSettings
-from .views import Masks, RigViews
+from .views import Box, Masks, RigViews
 
 LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
 STRIDE = 3  # every third row and column is tested
@@ -73,6 +73,10 @@ class ShadowResolver:
             for name, box in boxes.items():
                 self._resolve(self._views.number[name], box, seeing, binary[name])
         return binary
+
+    def boxes(self, masks: Masks) -> dict[str, Box]:
+        """Return a box for each mask, of those resolved last, that holds its foreground."""
+        return {name: self._stack.shown(name) for name in masks}
 
     def _resolve(self, camera: int, box: Box, seeing: int, binary: Mask) -> None:
         """Correct the camera's ``binary`` mask within the box."""

@@ -21,6 +21,9 @@ from capture_rig import InputError, Rig
 from .grid import BrickVolume
 
 Masks = Mapping[str, npt.NDArray[np.uint8]]
+Box = tuple[int, int, int, int]
+"""Left, top, right and bottom (exclusive), in pixels."""
+Boxes = Mapping[str, Box]
 
 MAX_CAMERAS = 63  # cameras of a set are bits of a signed 64-bit word
 MAX_CANVAS_PX = 32767
@@ -124,8 +127,11 @@ class CarveBackend(Protocol):
         """Carve one canvas mask a camera (nonzero = foreground); absent cameras do not count."""
         ...
 
-    def submit(self, masks: Masks, min_seeing: int) -> Any:
-        """Begin to carve; the ticket is exchanged for the hull by :meth:`collect`, on any thread, in any order."""
+    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Any:
+        """Begin to carve; the ticket is exchanged for the hull by :meth:`collect`, on any thread, in any order.
+
+        boxes : that hold each camera's foreground, where they are known: the rest of a mask need not be read.
+        """
         ...
 
     def collect(self, ticket: Any) -> BrickVolume:
@@ -140,7 +146,7 @@ class CarveBackend(Protocol):
 class Immediate:
     """Carves on the caller's thread: the ticket is the hull itself."""
 
-    def submit(self: CarveBackend, masks: Masks, min_seeing: int) -> BrickVolume:
+    def submit(self: CarveBackend, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
         """Carve."""
         return self.carve(masks, min_seeing)
 

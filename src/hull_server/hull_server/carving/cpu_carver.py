@@ -18,7 +18,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from ..grid import BrickVolume, VoxelGrid
-from ..views import Immediate, Masks, RigViews
+from ..views import Boxes, Immediate, Masks, RigViews
 from .carve_blocks import (
     EVERY_OCTANT,
     classify_octants,
@@ -81,8 +81,13 @@ class CpuCarver(Immediate):
         masks : one canvas mask (h, w) uint8 a camera, nonzero = foreground; absent cameras do not count.
         Raises InputError for an unknown camera or a mask of another size.
         """
-        present = self.views.present(masks)
-        filled = [self._tabulator.tabulate(camera, masks[self.views.names[camera]]) for camera in present]
+        return self.submit(masks, min_seeing)
+
+    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
+        """Carve; see :meth:`hull_server.views.CarveBackend.submit`."""
+        present, known = self.views.present(masks), boxes or {}
+        names = [self.views.names[camera] for camera in present]
+        filled = [self._tabulator.tabulate(c, masks[n], known.get(n)) for c, n in zip(present, names, strict=True)]
         smallest_first = present[np.argsort(filled, kind="stable")]  # cameras with little foreground empty most blocks
         scene = self._scene._replace(present=smallest_first, min_seeing=min_seeing)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import kernel
 
+from ..views import Box
 from ..words import nonzero_bytes
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels
@@ -61,23 +62,30 @@ class Tabulator:
         ones, sums = np.empty(width // 8, np.uint64), np.empty(width, np.int32)
         scratch = ones, ones.view(np.uint8), sums
         self._of_camera = [
-            (reach[c], seen_words[c], label_words[c], self.table[c], self.box[c], *scratch) for c in range(cameras)
+            (reach[c], seen_words[c], label_words[c], self.table[c], self.box[c], scratch) for c in range(cameras)
         ]
 
-    def tabulate(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
-        """Tabulate a camera's silhouette (h, w); return the number of its foreground pixels."""
-        return int(_tabulate(np.ascontiguousarray(mask).view(np.uint64), *self._of_camera[camera]))
+    def tabulate(self, camera: int, mask: npt.NDArray[np.uint8], within: Box | None = None) -> int:
+        """Tabulate a camera's silhouette (h, w); return the number of its foreground pixels.
+
+        within : left, top, right, bottom of a box that holds all of them, where one is known; the rest is not read.
+        """
+        words = np.ascontiguousarray(mask).view(np.uint64)
+        left, top, right, bottom = within or (0, 0, 8 * words.shape[1], words.shape[0])
+        part = left // 8, top, -(-right // 8), bottom
+        return int(_tabulate(words, part, *self._of_camera[camera]))
 
 
 @kernel
-def _tabulate(mask_words, reach, seen_words, label_words, table, box, ones, one_bytes, sums):  # type: ignore[no-untyped-def]
+def _tabulate(mask_words, part, reach, seen_words, label_words, table, box, scratch):  # type: ignore[no-untyped-def]
     """Tabulate one silhouette, touching only a box that holds its foreground.
 
     mask_words (h, w / 8), seen_words and label_words (H, W / 8): images of bytes, eight pixels to a word. label_words
-    and box (4,) come with what the frame before left in them. ones (W / 8,), sums (W,): scratch; one_bytes (W,) are
-    the bytes of ``ones``.
+    and box (4,) come with what the frame before left in them. part : words and rows from and to that hold all
+    foreground. scratch : ones (W / 8,), their bytes one_bytes (W,), and sums (W,).
     """
-    left, top, right, bottom = _foreground_bounds(mask_words, reach)
+    ones, one_bytes, sums = scratch
+    left, top, right, bottom = _foreground_bounds(mask_words, part, reach)
     _forget(label_words, seen_words, box, left, top, right, bottom)
     box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom
     width = 8 * (right - left)
@@ -138,11 +146,14 @@ def _label(seen):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _foreground_bounds(words, reach):  # type: ignore[no-untyped-def]
-    """Bound all that is nonzero within reach: left, top, right, bottom, in words and rows."""
+def _foreground_bounds(words, part, reach):  # type: ignore[no-untyped-def]
+    """Bound all that is nonzero within part and reach: left, top, right, bottom, in words and rows."""
     left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
-    for v in range(words.shape[0]):
-        row = words[v, reach[v, 0] : reach[v, 1]]
+    for v in range(part[1], part[3]):
+        begin, end = max(reach[v, 0], part[0]), min(reach[v, 1], part[2])
+        if begin >= end:
+            continue
+        row = words[v, begin:end]
         filled = np.uint64(0)
         for word in range(row.size):
             filled |= row[word]
@@ -153,5 +164,5 @@ def _foreground_bounds(words, reach):  # type: ignore[no-untyped-def]
                 first += 1
             while row[last - 1] == 0:
                 last -= 1
-            left, right = min(left, reach[v, 0] + first), max(right, reach[v, 0] + last)
+            left, right = min(left, begin + first), max(right, begin + last)
     return (left, top, right, bottom) if bottom else (0, 0, 0, 0)

@@ -88,7 +88,7 @@ def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
 
     Marks the pixels along whose top it runs. Has no branches, which could not be predicted.
     """
-    x, y, dx, dy, length, filled = u, v, 1, 0, 0.0, scratch.filled
+    x, y, dx, dy, length = u, v, 1, 0, 0.0
     while True:
         # the foreground pixel to the right of this crack
         inside_u, inside_v = x + (dx - dy - 1) // 2, y + (dx + dy - 1) // 2
@@ -97,8 +97,8 @@ def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
             scratch.marks[inside_v, inside_u] = scratch.stamp
         # ahead to the left there is foreground: turn left; to the right there is none: turn right
         x, y = x + dx, y + dy
-        left = np.int64(filled[np.uint64(y + 1 + (dy - dx - 1) // 2), np.uint64(x + 1 + (dx + dy - 1) // 2)])
-        right = np.int64(filled[np.uint64(y + 1 + (dx + dy - 1) // 2), np.uint64(x + 1 + (dx - dy - 1) // 2)])
+        left = _filled(scratch.filled, x + (dx + dy - 1) // 2, y + (dy - dx - 1) // 2)
+        right = _filled(scratch.filled, x + (dx - dy - 1) // 2, y + (dx + dy - 1) // 2)
         straight, turn = right & (1 - left), left - (1 - left) * (1 - right)
         dx, dy = straight * dx + turn * dy, straight * dy - turn * dx
         length += CORNER_PX + straight * (1.0 - CORNER_PX)
@@ -106,6 +106,12 @@ def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
         n += 1
         if x == u and y == v and dx == 1:
             return n
+
+
+@kernel
+def _filled(filled, u, v):  # type: ignore[no-untyped-def]
+    """Return 1 for foreground, else 0."""
+    return np.int64(filled[np.uint64(v + 1), np.uint64(u + 1)])
 
 
 @kernel

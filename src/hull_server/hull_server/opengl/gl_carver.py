@@ -22,7 +22,7 @@ from capture_rig import InputError
 
 from ..carving.pixel_boxes import UNSEEN, block_boxes, pixel_projections, summed_area
 from ..grid import BRICK_EDGE, BrickVolume, VoxelGrid
-from ..views import Masks, RigViews
+from ..views import Boxes, Masks, RigViews
 from .carve_shaders import HEADER, KERNELS
 from .egl import GlContext, NoGraphics
 from .gl_buffers import GL, LIST_BYTES, MAX_GL_CAMERAS, BufferSet, FrameUpload, StorageBuffer, make_program
@@ -79,7 +79,7 @@ class GlCarver:
         """Carve as :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
         return self.collect(self.submit(masks, min_seeing))
 
-    def submit(self, masks: Masks, min_seeing: int) -> Ticket:
+    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Ticket:
         """Send the silhouettes of one frame set to the device; do not wait. The masks may be reused at once.
 
         Tickets may be collected in any order, or never. A third frame set first waits for the oldest of the two
