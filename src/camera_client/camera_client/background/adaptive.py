@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -26,8 +27,9 @@ from .kernels import HIGHEST, SCALE, take_residuals, take_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
-from .shift import Displacement, ShiftEstimator
+from .shift import Displacement, Edges, ShiftEstimator
 from .slow_changes import SlowChanges
+from .sudden_shift import Places, sudden_shift
 
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
@@ -140,9 +142,13 @@ class AdaptiveBackground:
         step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(picture, step_s)
-        self._follow_noise(picture, rest, step_s, first)
         self._since_shift_s += step_s
-        steps, at_once = MOST_STEPS if first or self._since_shift_s >= SHIFT_S else 0, first
+        measured = first or self._since_shift_s >= SHIFT_S
+        if measured and self._shift.measurable and self._follow_sudden_shift(picture, first):
+            self._light.take_back()
+            rest = self._follow_light(picture, step_s)
+        self._follow_noise(picture, rest, step_s, first)
+        steps, at_once = MOST_STEPS if measured else 0, first
         while steps and self._follow_shift(picture, at_once):
             self._place()
             if first:
@@ -187,6 +193,29 @@ class AdaptiveBackground:
         if not self._shift.measurable:
             return False
         step_s, self._since_shift_s = self._since_shift_s, 0.0
+        edges, before = self._edges(picture), self._shift.total
+        search = partial(self._search_shift, picture, edges)
+        moved = self._shift.update(edges, self.light.gain, step_s, first, search)
+        if moved:
+            self._slow.local = self._shift.total.after(before).moved(self._slow.local)
+        return moved
+
+    def _follow_sudden_shift(self, picture: Image, first: bool) -> bool:
+        """Move the background at once when the picture has moved at once."""
+        edges, before = self._edges(picture), self._shift.total
+        if not self._shift.start(edges, self._since_shift_s, first, partial(self._search_shift, picture, edges)):
+            return False
+        self._slow.local = self._shift.total.after(before).moved(self._slow.local)
+        self._place()
+        return True
+
+    def _search_shift(self, picture: Image, edges: Edges) -> Displacement | None:
+        expected = self.expected((slice(None), slice(None))).reshape(self._image.shape)
+        places = Places(self._shift.row, self._shift.column, edges.trust)
+        return sudden_shift(picture, expected, float(np.median(edges.variance)), places, self._shift.most_px)
+
+    def _edges(self, picture: Image) -> Edges:
+        """Return what is left at the steep places under the light and noise of now."""
         at, channels = self._indices(self._shift.row, self._shift.column), self._image.shape[2]
         out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
         pixels, (levels, _, excess) = picture.reshape(-1, channels), self._image.flat()
@@ -194,11 +223,7 @@ class AdaptiveBackground:
             np.stack(pair) for pair in ((self.light.gain, self.light.offset), (self._noise.read, self._noise.slope))
         )
         take_residuals(pixels, levels, excess, at, self._doubted(), DOUBTED, light, noise, CLIPPED, out, trust)
-        before = self._shift.total
-        moved = self._shift.update(out[0], self.light.gain, out[1], trust, step_s, first)
-        if moved:
-            self._slow.local = self._shift.total.after(before).moved(self._slow.local)
-        return moved
+        return Edges(out[0], out[1], trust)
 
     def _indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the index of each pixel in the picture, and of its block in the picture's blocks, (2, n)."""

@@ -42,8 +42,6 @@ class ExpectedImage:
             self._excess_learned += np.maximum(square - learned_noise.variance(self._learned), 0).astype(np.float32)
         self._least_variance = sigma_floor**2
         self._levels, self._sureness = np.empty_like(self._learned), np.empty_like(self._learned)
-        self._white = np.flatnonzero((self._learned >= WHITE).any(axis=2).reshape(-1))
-        self._black = np.flatnonzero((self._learned <= BLACK).all(axis=2).reshape(-1))
         self.place(Displacement(), None)
 
     @property
@@ -97,7 +95,11 @@ class ExpectedImage:
 
         ``local`` (H, W, C) : departures from it, there. All rows have to be renewed then.
         """
-        self._mean, self._excess = (displacement.moved(each) for each in (self._learned, self._excess_learned))
+        self._mean, self._excess = (
+            np.maximum(displacement.moved(each), 0) for each in (self._learned, self._excess_learned)
+        )
+        self._white = np.flatnonzero((self._mean >= WHITE).any(axis=2).reshape(-1))
+        self._black = np.flatnonzero((self._mean <= BLACK).all(axis=2).reshape(-1))
         if local is not None:
             self._mean += local
         right, down = gradients(self._mean)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +81,7 @@ class LightEstimator:
         self._last_gain = self._usual_gain
         self._trust_before = np.ones(len(cell), np.float32)
         self._first, self.switches, self.flicker2 = True, 0, 0.0
+        self._before: dict[str, Any] = {}
 
     def update(self, samples: Floats, trust: Floats, step_s: float) -> Floats:
         """Take the samples of a frame; return what is left of them (C, n): seen - gain expected - offset.
@@ -87,6 +89,7 @@ class LightEstimator:
         samples (3, C, n) : grey levels seen, those of the background with the field of :attr:`light`, and 1 / variance.
         trust (n,) : 1, less where foreground is likely. step_s : since the frame before.
         """
+        self._before = vars(self) | {"_before": {}}
         light, (seen, expected, precision) = self.light, samples
         gain, offset, scale = light.gain.copy(), light.offset.copy(), 1.0
         usable, weight, rest = np.empty((3, *seen.shape), np.float32)
@@ -113,6 +116,10 @@ class LightEstimator:
         self._first = False
         self.light = Light(gain, offset, field, scale, switched)
         return rest
+
+    def take_back(self) -> None:
+        """Forget the last frame: its samples were compared with a background that lay elsewhere."""
+        vars(self).update(self._before)
 
     def _jump(self, gain: Floats, step_s: float) -> float:
         """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""

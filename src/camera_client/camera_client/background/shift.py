@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import robust_shift
+from .kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 HOLD = 30.0  # information that holds the displacement at zero, px^-2: a picture without edges does not move
 FOLLOW_PX = 0.12  # a larger displacement is taken over ...
+LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
 DAMPING = 0.7  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
+RESTLESS, USUAL_S = 1.5, 1.0  # edges that fit worse than in the second before, by such a factor, may have moved at once
 LEFT_S = 0.5  # time constant of what is left
 FEW_PLACES = 40
 FEWEST = 3  # frames whose median counts
@@ -59,8 +62,11 @@ class Displacement(NamedTuple):
         c, s = math.cos(self.roll_rad), math.sin(self.roll_rad)
         x, y = (width - 1) / 2, (height - 1) / 2
         A = np.array([[c, -s, x - c * x + s * y + self.right_px], [s, c, y - s * x - c * y + self.down_px]])
-        moved = cv2.warpAffine(picture, A, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        moved = cv2.warpAffine(picture, A, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(moved, np.float32).reshape(picture.shape)
+
+
+Search = Callable[[], Displacement | None]
 
 
 def gradients(picture: Floats) -> tuple[Floats, Floats]:
@@ -85,6 +91,17 @@ def steepness2(picture: Floats) -> Floats:
     return total
 
 
+class Edges(NamedTuple):
+    """What is left at the n steep places: picture minus background, and the variance of that by noise, (n, C).
+
+    trust (n,) : 1, less where foreground is likely, 0 where the picture is white.
+    """
+
+    rest: Floats
+    variance: Floats
+    trust: Floats
+
+
 class ShiftEstimator:
     """Measures the displacement of frames against the background; time is that of the frames' stamps.
 
@@ -96,7 +113,7 @@ class ShiftEstimator:
         self.total, self.left_px = Displacement(), 0.1
         self.row = self.column = np.zeros(0, np.intp)
         self._recent: deque[tuple[float, Displacement]] = deque()
-        self._time_s = 0.0
+        self._time_s, self._usual = 0.0, 1.0
 
     def place(self, right: Floats, down: Floats) -> None:
         """Choose the places: the steepest of every cell of a background with these slopes (H, W, C)."""
@@ -116,21 +133,37 @@ class ShiftEstimator:
         self._turned = (self._down * x[:, None] - self._right * y[:, None]).astype(np.float32)
 
     @property
+    def most_px(self) -> float:
+        """Displacement up to which the camera is followed."""
+        return MOST_OF_WIDTH * self._shape[1]
+
+    @property
     def measurable(self) -> bool:
         """Whether the background has edges enough."""
         return len(self.row) >= FEW_PLACES
 
-    def update(self, rest: Floats, gain: Floats, variance: Floats, trust: Floats, step_s: float, first: bool) -> bool:
-        """Take the frame's residuals (n, C) at the places; True when ``total`` has changed.
+    def start(self, edges: Edges, step_s: float, first: bool, search: Search) -> bool:
+        """Take what ``search`` finds when edges fit suddenly worse than in the second before; True when it did.
 
-        gain (C,) : of the light. variance (n, C) : of the noise alone. trust (n,) : 1, less where foreground is likely.
-        first : the displacement is taken over at once.
+        first : the picture may lie elsewhere from the beginning.
         """
-        if not self.measurable:
-            return False
-        found = robust_shift(
-            rest, self._right * gain, self._down * gain, self._turned * gain, variance, trust, STEPS, REACH, HOLD
-        )
+        distance = np.sqrt((edges.rest * edges.rest / edges.variance).mean(axis=1))
+        now = max(HALF_MEDIAN * float(median_of(distance, edges.trust, BIN_SIGMAS)), 1.0)
+        if first or now > RESTLESS * self._usual:
+            found = search()
+            if found is not None and self._take(found):
+                return True
+        self._usual += (1.0 if first else 1 - math.exp(-step_s / USUAL_S)) * (now - self._usual)
+        return False
+
+    def update(self, edges: Edges, gain: Floats, step_s: float, first: bool, search: Search) -> bool:
+        """Take what a frame leaves at the places; True when ``total`` has changed.
+
+        gain (C,) : of the light. first : the displacement is taken over at once. search : measures what is too large
+        for the linear fit.
+        """
+        slopes = self._right * gain, self._down * gain, self._turned * gain
+        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, STEPS, REACH, HOLD)
         instant, left_px = Displacement(*found[:3]), float(found[3])
         share = 1.0 if first else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
@@ -140,9 +173,16 @@ class ShiftEstimator:
             self._recent.popleft()
         if not first and (len(self._recent) < FEWEST or self._time_s - self._recent[0][0] < SETTLED_SHARE * SETTLE_S):
             return False
-        lasting = Displacement(*np.median([each for _, each in self._recent], axis=0) * DAMPING)
-        proposed = self.total.further(lasting)
-        if lasting.most_px(self._shape) < FOLLOW_PX or proposed.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
+        lasting = Displacement(*(DAMPING * np.median([each for _, each in self._recent], axis=0)).tolist())
+        if lasting.most_px(self._shape) < FOLLOW_PX:
+            return False
+        self._recent.clear()
+        found = lasting if lasting.most_px(self._shape) <= LINEAR_PX else search()
+        return found is not None and self._take(found)
+
+    def _take(self, found: Displacement) -> bool:
+        proposed = self.total.further(found)
+        if proposed.most_px(self._shape) > self.most_px:
             return False
         self.total = proposed
         self._recent.clear()
