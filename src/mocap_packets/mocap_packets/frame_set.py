@@ -8,7 +8,8 @@ after its set has left is late: counted, never mixed into another set.
 
 A stamp that leaps by more than a quarter of a second is put to the vote, so that one camera with a wrong clock cannot
 silence the others: such frames wait as a candidate timeline, and the rig moves to it when more cameras deliver there
-than in the present one (footage or a bag started again, a pause). Otherwise they are dropped and counted.
+than in the present one (footage or a bag started again, a pause). Otherwise they are dropped and counted. A camera
+that merely lags, its own stamps going on, is late: it has no vote while most cameras still meet in sets.
 """
 
 from __future__ import annotations
@@ -121,6 +122,7 @@ class Timeline(Generic[T]):
 
 LEAP_NS = 250_000_000
 LEAP_TOLERANCES = 10  # a leap is at least five frame periods, so that slow cameras do not leap with every frame
+LAG_NS = 1_500_000_000  # cameras may lag for so long after most of them met in a set: an overload is over by then
 VOTE_TOLERANCES = 4  # two frame periods: time for every live camera to be heard in one timeline or the other
 
 
@@ -187,6 +189,7 @@ class FrameSetCollector(Generic[T]):
         self._present = self._new_timeline()
         self._candidate: Timeline[T] | None = None
         self._candidate_since_ns = 0
+        self._met_ns: int | None = None  # the last arrival at which most cameras had met in a set
         self._present_voters: set[str] = set()  # cameras last heard in the present since the candidate began
 
     def add(self, camera: str, stamp_ns: int, frame: T, arrival_ns: int) -> list[FrameSet[T]]:
@@ -204,6 +207,12 @@ class FrameSetCollector(Generic[T]):
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
         """Close the sets that wait for nobody or are past their deadline; none overtakes an older one."""
+        closed = self._emit_all(now_ns)
+        if any(2 * len(each.frames) > len(self.names) for each in closed):
+            self._met_ns = now_ns
+        return closed
+
+    def _emit_all(self, now_ns: int) -> list[FrameSet[T]]:
         closed = self._vote(now_ns)
         return closed + self._emit(self._present.close_due(now_ns))
 
@@ -235,6 +244,8 @@ class FrameSetCollector(Generic[T]):
         if self._is_near(self._present, stamp_ns):
             self._present_voters.add(camera)
             return self._present
+        if self._is_lagging(camera, stamp_ns, arrival_ns):
+            return None
         if self._candidate is None:
             self._candidate, self._candidate_since_ns = self._new_timeline(), arrival_ns
             self._present_voters.clear()
@@ -242,6 +253,13 @@ class FrameSetCollector(Generic[T]):
             return None
         self._present_voters.discard(camera)
         return self._candidate
+
+    def _is_lagging(self, camera: str, stamp_ns: int, arrival_ns: int) -> bool:
+        """Return whether a frame comes late in the present timeline, and no new one begins with it."""
+        last_ns, head_ns = self._present.last_stamp_ns.get(camera), self._present.head_ns
+        if last_ns is None or head_ns is None or not last_ns < stamp_ns < head_ns:
+            return False
+        return self._met_ns is not None and arrival_ns - self._met_ns < LAG_NS
 
     def _is_near(self, timeline: Timeline[T], stamp_ns: int) -> bool:
         if timeline.head_ns is None:

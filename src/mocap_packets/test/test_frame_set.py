@@ -379,6 +379,29 @@ def test_camera_lagging_by_seconds_is_late() -> None:
     assert collector.counters.restarts == 0
 
 
+def test_most_cameras_lagging_for_a_moment_do_not_turn_time_back() -> None:
+    collector = make_collector()
+    sets = send(collector, range(100))
+    late = [(k + 30, camera, k) for k in range(100, 130) for camera in ("cam01", "cam02")]  # half a second behind
+    on_time = [(k, "cam03", k) for k in range(100, 160)]
+    for now, camera, k in sorted(late + on_time):
+        sets += collector.add(camera, EPOCH + k * PERIOD, (camera, k), now * PERIOD)
+    sets += send(collector, range(160, 200))
+    assert all(a.stamp_ns < b.stamp_ns for a, b in pairwise(sets))
+    assert collector.counters.restarts == 0
+    assert all(not each.missing for each in sets[-40:])
+
+
+def test_camera_that_drifts_ahead_is_outvoted_after_a_while() -> None:
+    collector = make_collector()
+    sets = []
+    for k in range(400):
+        sets += send(collector, [k], cameras=["cam01", "cam02"])
+        sets += send(collector, [k], cameras=["cam03"], shift=min(k * PERIOD // 10, SECOND))
+    met = [each for each in sets if {"cam01", "cam02"} <= set(each.frames)]
+    assert sum(each.stamps_ns["cam01"] >= EPOCH + 380 * PERIOD for each in met) >= 15
+
+
 def test_camera_lagging_less_than_the_deadline_still_joins() -> None:
     collector = make_collector(deadline_ns=SECOND, max_open=100)
     sets = []

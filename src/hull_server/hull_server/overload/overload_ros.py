@@ -106,4 +106,5 @@ class OverloadControl(NoOverloadControl):
         kind = summary.partition(":")[0]
         if kind != self._said:
             self._said = kind
-            self._node.get_logger().info(summary or "every frame is processed again")
+            why = f" ({self._control.news})" if self._control.news else ""
+            self._node.get_logger().info(summary or f"every frame is processed again{why}")

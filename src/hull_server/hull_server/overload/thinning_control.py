@@ -18,6 +18,7 @@ LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached 
 LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
 FEWEST, MOST, SEEN_S, LEAST_SETS = 0.6, 1.5, 0.5, 6  # of the sets of that time: else the cameras' rate has changed
 LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
+LAG_SPAN_NS = 300_000_000
 SETS_KEPT = 200
 LOADS_KEPT = 5  # of the last half second
 
@@ -33,7 +34,9 @@ class ThinningControl:
         self._clock, self._load, self._busy = FrameClock(), LoadControl(), BusyStages()
         self._selector = FrameSelector(lapse_ns=None)
         self._closed: deque[tuple[int, int, int]] = deque(maxlen=SETS_KEPT)  # when, stamp, cameras
+        self._lags: deque[tuple[int, int]] = deque(maxlen=SETS_KEPT)  # when a frame came, and how far behind the newest
         self._machine_loads: deque[float] = deque(maxlen=LOADS_KEPT)
+        self.news = ""  # why every frame is kept again, when it is not for room
         self._head_ns = 0
         self._told_ns: int | None = None
         self._adopted_ns, self._settled_ns = 0, 0  # when the present rate was told, and its first stamp
@@ -64,6 +67,7 @@ class ThinningControl:
             self._clock.add(camera, stamp_ns)
             if self._closed and 0 < stamp_ns - self._closed[-1][1] < NS_PER_S:  # else another clock than the others'
                 self._head_ns = max(self._head_ns, stamp_ns)
+            self._lags.append((now_ns, self._head_ns - stamp_ns))
             return True
 
     def closed(self, stamp_ns: int, frames: Iterable[str], missing: Iterable[str], age_ns: int, now_ns: int) -> None:
@@ -104,7 +108,9 @@ class ThinningControl:
             if self._told_ns is None:
                 return self._tell(rule, now_ns)
             grid = self._clock.estimate(rule)
-            if self._has_lost_the_cameras(now_ns):
+            lost = self._lost_cameras(now_ns)
+            if lost:
+                self.news = lost
                 self._clock.forget()
                 return self._tell(replace(EVERY_FRAME, from_ns=self._head_ns + LEAD_NS), now_ns)
             if grid is None or self._load.closed_share(rule.fraction * grid.hz, now_ns) > MOST:
@@ -123,10 +129,13 @@ class ThinningControl:
 
     def _adopt(self, grid: Exposures, rate_hz: float, now_ns: int) -> Thinning:
         """Make a rule of the present limit; when the rate falls, nothing is kept until the queues are empty."""
+        self.news = ""
         keep, of = nearest_fraction(self._load.limit_hz / grid.hz)
         from_ns = resume_ns = self._head_ns + LEAD_NS
         if keep / of * grid.hz < rate_hz:
-            from_ns, resume_ns = self._head_ns, resume_ns + min(self._load.standing_ns, LONGEST_PAUSE_NS)
+            lags = [lag for when, lag in self._lags if now_ns - when < LAG_SPAN_NS and lag < NS_PER_S]
+            standing_ns = max(self._load.standing_ns, max(lags, default=0))  # in the server, in the slowest client
+            from_ns, resume_ns = self._head_ns, resume_ns + min(standing_ns, LONGEST_PAUSE_NS)
         self._adopted_ns, self._settled_ns = now_ns, resume_ns
         self._load.begin_at(resume_ns, now_ns)
         # a camera of half the rate delivers at every second exposure: keep those that all deliver at
@@ -141,27 +150,31 @@ class ThinningControl:
 
     def _begin_anew(self, stamp_ns: int, now_ns: int) -> None:
         """Take up a new run of stamps: until its exposures are known, every frame is kept."""
+        self.news = f"stamps went on {(stamp_ns - self._closed[-1][1]) / NS_PER_S:.3f} s later"
         self._clock.forget()
         self._closed.clear()
         self._head_ns, self._told_ns = stamp_ns, None
         self._load.begin_at(stamp_ns, now_ns)
         self._selector.follow(replace(EVERY_FRAME, from_ns=stamp_ns), now_ns)
 
-    def _has_lost_the_cameras(self, now_ns: int) -> bool:
-        """Return whether the rule was made for another rate of the cameras: far fewer exposures come than it keeps, or
-        more, or they lie on another grid. Counted by stamps: an overload delays sets, it does not move them."""
+    def _lost_cameras(self, now_ns: int) -> str:
+        """Say why the rule is not for these cameras, as when their rate has changed; empty while it is.
+
+        Sets are counted by their stamps: an overload delays them, it does not move them.
+        """
         rule = self.rule
         if not self._clock.off_grid:
             self._on_grid_ns = now_ns
         if rule.keep == rule.of or not self._closed:
-            return False
+            return ""
         hz = rule.fraction * NS_PER_S / rule.period_ns
         span_ns = round(max(SEEN_S, LEAST_SETS / hz) * NS_PER_S)
         newest_ns = self._closed[-1][1]
-        silent = now_ns - max(self._closed[-1][0], self._adopted_ns) > span_ns + LONGEST_PAUSE_NS
-        if silent or now_ns - self._on_grid_ns > span_ns:
-            return True
+        if now_ns - max(self._closed[-1][0], self._adopted_ns) > span_ns + LONGEST_PAUSE_NS:
+            return "no sets come"
+        if now_ns - self._on_grid_ns > span_ns:
+            return "the cameras' stamps lie on another grid"
         if newest_ns - max(self._settled_ns, self._closed[0][1]) < span_ns:
-            return False
-        seen = sum(stamp > newest_ns - span_ns for _, stamp, _ in self._closed)
-        return not FEWEST < seen / (hz * span_ns / NS_PER_S) < MOST
+            return ""
+        seen = sum(stamp > newest_ns - span_ns for _, stamp, _ in self._closed) / (hz * span_ns / NS_PER_S)
+        return "" if FEWEST < seen < MOST else f"{seen:.1f} times as many sets come as are kept"
