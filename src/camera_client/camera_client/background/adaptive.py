@@ -143,17 +143,18 @@ class AdaptiveBackground:
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(picture, step_s)
         self._since_shift_s += step_s
-        measured = first or self._since_shift_s >= SHIFT_S
-        if measured and self._shift.measurable and self._follow_sudden_shift(picture, first):
+        measured = self._shift.measurable and (first or self._since_shift_s >= SHIFT_S)
+        edges = self._edges(picture) if measured else None
+        if edges is not None and self._follow_sudden_shift(picture, edges, first):
             self._light.take_back()
-            rest = self._follow_light(picture, step_s)
+            rest, edges = self._follow_light(picture, step_s), self._edges(picture)
         self._follow_noise(picture, rest, step_s, first)
-        steps, at_once = MOST_STEPS if measured else 0, first
-        while steps and self._follow_shift(picture, at_once):
-            self._place()
+        steps, at_once = MOST_STEPS, first
+        while edges is not None and self._follow_shift(picture, edges, at_once):
             if first:
                 self._follow_light(picture, step_s)
             steps, at_once = steps - 1, True
+            edges = self._edges(picture) if steps else None
         if first or self.light.switched:
             self._renew(slice(0, self._image.shape[0]))
         self._renew_next(image, step_s)
@@ -189,22 +190,19 @@ class AdaptiveBackground:
         rest = seen - self._image.samples(*at)[0] * self.light.gain - self.light.offset
         return self._grain.update(seen, rest, sure, self._since_noise_s)
 
-    def _follow_shift(self, picture: Image, first: bool) -> bool:
-        if not self._shift.measurable:
-            return False
+    def _follow_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
         step_s, self._since_shift_s = self._since_shift_s, 0.0
-        edges, before = self._edges(picture), self._shift.total
         search = partial(self._search_shift, picture, edges)
-        moved = self._shift.update(edges, self.light.gain, step_s, first, search)
-        if moved:
-            self._slow.local = self._shift.total.after(before).moved(self._slow.local)
-        return moved
+        before = self._shift.total
+        return self._shift.update(edges, self.light.gain, step_s, first, search) and self._displace(before)
 
-    def _follow_sudden_shift(self, picture: Image, first: bool) -> bool:
+    def _follow_sudden_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
         """Move the background at once when the picture has moved at once."""
-        edges, before = self._edges(picture), self._shift.total
-        if not self._shift.start(edges, self._since_shift_s, first, partial(self._search_shift, picture, edges)):
-            return False
+        search, before = partial(self._search_shift, picture, edges), self._shift.total
+        return self._shift.start(edges, self._since_shift_s, first, search) and self._displace(before)
+
+    def _displace(self, before: Displacement) -> bool:
+        """Move all that belongs to places of the picture by what the displacement has changed; True."""
         self._slow.local = self._shift.total.after(before).moved(self._slow.local)
         self._place()
         return True
