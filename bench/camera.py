@@ -11,8 +11,9 @@ in a room with noise and flicker and, with --shadow, strong shadows on the floor
 learns the empty room, subtracts it, undistorts and publishes, and one subscriber takes every silhouette, as the hull
 server would. Counts are the clients' own (expected = delivered + incomplete + lost). Latency runs from the capture
 stamp (mid-exposure, PTP time of the simulated cameras, so the same clock) to the subscriber; `published` is the
-client's own, up to the publication. cpu_per_client is in shares of one core. The last line is JSON: the first run's
-figures, and all runs under "runs".
+client's own, up to the publication. cpu_per_client is in shares of one core, client_ms_per_frame the processor time of
+everything in a client's process a frame delivered: Aravis's threads, silhouette, PNG, middleware, diagnostics. The last
+line is JSON: the first run's figures, and all runs under "runs".
 """
 
 from __future__ import annotations
@@ -75,6 +76,7 @@ class Run:
     latency_p99_ms: float
     published_p50_ms: float
     cpu_per_client: float
+    client_ms_per_frame: float
     cpu_studio: float
     studio_late_p99_ms: float
 
@@ -171,6 +173,7 @@ def _count(
         latency_p99_ms=_ms(np.percentile(ages, 99)) if len(ages) else float("nan"),
         published_p50_ms=_ms(median(published)) if published else float("nan"),
         cpu_per_client=round(clients / len(names), 3),
+        client_ms_per_frame=_ms(1e3 * clients * took_s / max(counts["delivered"], 1)),
         cpu_studio=round(served, 3),
         studio_late_p99_ms=_ms(max(lateness) / 1e3),
     )
@@ -203,7 +206,7 @@ def print_runs(runs: list[Run]) -> None:
     table = Table(
         "cameras:>7d | Hz:>5g | packet loss:>11.3% | s:>5.0f | expected:>8d | delivered:>9d | "
         "incomplete:>10d | lost:>6d | resent packets:>14d | latency p50 ms:>14.2f | p99 ms:>7.2f | "
-        "published p50 ms:>16.2f | core/client:>11.3f | core studio:>11.3f | late p99 ms:>11.2f",
+        "published p50 ms:>16.2f | core/client:>11.3f | client ms/frame:>15.2f | core studio:>11.3f | late p99 ms:>11.2f",
         "simulated GigE cameras -> Aravis -> camera clients -> subscriber",
     )
     for r in runs:
