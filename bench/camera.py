@@ -206,7 +206,8 @@ def print_runs(runs: list[Run]) -> None:
     table = Table(
         "cameras:>7d | Hz:>5g | packet loss:>11.3% | s:>5.0f | expected:>8d | delivered:>9d | "
         "incomplete:>10d | lost:>6d | resent packets:>14d | latency p50 ms:>14.2f | p99 ms:>7.2f | "
-        "published p50 ms:>16.2f | core/client:>11.3f | client ms/frame:>15.2f | core studio:>11.3f | late p99 ms:>11.2f",
+        "published p50 ms:>16.2f | core/client:>11.3f | client ms/frame:>15.2f | core studio:>11.3f | "
+        "late p99 ms:>11.2f",
         "simulated GigE cameras -> Aravis -> camera clients -> subscriber",
     )
     for r in runs:
