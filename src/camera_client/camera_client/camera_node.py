@@ -56,6 +56,7 @@ from .diagnostics import (
 )
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
+from .silhouettes.warm_up import warm_up_silhouettes
 from .sources.grab_loop import GrabLoop, GrabState
 
 T = TypeVar("T")
@@ -174,6 +175,7 @@ class CameraNode(SagomaNode):
             self.get_logger().warning(warning)
         if self.chain.camera is not None:
             check_size(source, self.chain.camera)
+        warm_up_silhouettes(len(source.shape) == 3)
         taken = self.chain.use_shape(source.shape) or self._takes_saved_background(source)
         refused = self.chain.refuse_unfit_background(source.details)
         if refused is not None:

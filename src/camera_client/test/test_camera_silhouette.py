@@ -5,12 +5,16 @@ import csv
 import cv2
 import numpy as np
 import pytest
+from numba.core.registry import CPUDispatcher as Dispatcher
 
+from camera_client.background import kernels as kernels_of_background
 from camera_client.background.model import BackgroundLearner, read_background
 from camera_client.background.noise import assumed_noise, learned_noise
 from camera_client.settings import BackgroundSettings, ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
+from camera_client.silhouettes import evidence, shadow_kernels
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
+from camera_client.silhouettes.warm_up import warm_up_silhouettes
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE
@@ -315,3 +319,19 @@ def test_image_given_is_not_drawn_into():
     image, mask = np.full((40, 40, 3), 128, np.uint8), np.full((40, 40), 255, np.uint8)
     outline(image, mask)
     assert (image == 128).all()
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_after_the_warm_up_no_kernel_of_a_silhouette_is_compiled(scene, colour):
+    warm_up_silhouettes.cache_clear()
+    warm_up_silhouettes(colour)
+    kernels = [each for module in (kernels_of_background, evidence, shadow_kernels) for each in vars(module).values()]
+    kernels = [each for each in kernels if isinstance(each, Dispatcher)]
+    before = [len(kernel.signatures) for kernel in kernels]
+    learner = BackgroundLearner()
+    for image in scene.empty(30, colour=colour):
+        learner.add(image)
+    pipeline = SilhouettePipeline(scene.camera(), learner.model("test"))
+    for image in scene.empty(10, seed=4, colour=colour):
+        assert pipeline.run(scene.with_person(image)).foreground_fraction > 0.02
+    assert sum(before) >= 9 and [len(kernel.signatures) for kernel in kernels] == before
