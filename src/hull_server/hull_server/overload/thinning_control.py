@@ -113,15 +113,16 @@ class ThinningControl:
                 self.news = lost
                 self._clock.forget()
                 return self._tell(replace(EVERY_FRAME, from_ns=self._head_ns + LEAD_NS), now_ns)
+            due = rule.keep < rule.of and now_ns - self._told_ns >= REFRESH_S * NS_PER_S
             if grid is None or self._load.closed_share(rule.fraction * grid.hz, now_ns) > MOST:
-                return None  # the cameras' rate is not known, or not yet
+                return self._tell(rule, now_ns) if due else None  # the cameras' rate is not known, or not yet
             self._offered_hz, rate_hz = grid.hz, rule.fraction * grid.hz
             self._machine_loads.append(machine_load)
             load = max(sum(self._machine_loads) / len(self._machine_loads), self._busy.share(now_ns))
             changed = self._load.decide(grid.hz, rate_hz, load, now_ns)
             if changed or (rule.keep == rule.of and nearest_fraction(self._load.limit_hz / grid.hz) != (1, 1)):
                 return self._adopt(grid, rate_hz, now_ns)
-            if rule.keep == rule.of or now_ns - self._told_ns < REFRESH_S * NS_PER_S:
+            if not due:
                 return None
             patterns = rule.exposure_of(self._head_ns) // rule.of
             phase_ns = grid.phase_ns + round(patterns * rule.of * grid.period_ns)
