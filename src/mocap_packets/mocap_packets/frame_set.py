@@ -122,6 +122,7 @@ class Timeline(Generic[T]):
 
 LEAP_NS = 250_000_000
 LEAP_TOLERANCES = 10  # a leap is at least five frame periods, so that slow cameras do not leap with every frame
+MOST_LAG_NS = 5_000_000_000  # what is farther behind has another clock
 LAG_NS = 1_500_000_000  # cameras may lag for so long after most of them met in a set: an overload is over by then
 VOTE_TOLERANCES = 4  # two frame periods: time for every live camera to be heard in one timeline or the other
 
@@ -189,7 +190,8 @@ class FrameSetCollector(Generic[T]):
         self._present = self._new_timeline()
         self._candidate: Timeline[T] | None = None
         self._candidate_since_ns = 0
-        self._met_ns: int | None = None  # the last arrival at which most cameras had met in a set
+        self._met_ns: int | None = None  # the last arrival at which most cameras had met in a set, or the first one
+        self._stamp_ns: dict[str, int] = {}  # the last stamp of each camera, in whatever timeline
         self._present_voters: set[str] = set()  # cameras last heard in the present since the candidate began
 
     def add(self, camera: str, stamp_ns: int, frame: T, arrival_ns: int) -> list[FrameSet[T]]:
@@ -197,7 +199,9 @@ class FrameSetCollector(Generic[T]):
         if camera not in self.names:
             raise KeyError(camera)
         self.counters.frames += 1
+        self._met_ns = arrival_ns if self._met_ns is None else self._met_ns
         timeline = self._timeline_of(camera, stamp_ns, arrival_ns)
+        self._stamp_ns[camera] = stamp_ns
         refusal = timeline.refusal(camera, stamp_ns) if timeline else self._misfit(camera, stamp_ns)
         if timeline and not refusal:
             timeline.take(camera, stamp_ns, frame, arrival_ns)
@@ -256,8 +260,10 @@ class FrameSetCollector(Generic[T]):
 
     def _is_lagging(self, camera: str, stamp_ns: int, arrival_ns: int) -> bool:
         """Return whether a frame comes late in the present timeline, and no new one begins with it."""
-        last_ns, head_ns = self._present.last_stamp_ns.get(camera), self._present.head_ns
-        if last_ns is None or head_ns is None or not last_ns < stamp_ns < head_ns:
+        if self._candidate is not None and camera in self._candidate.last_stamp_ns:
+            return False
+        last_ns, head_ns = self._stamp_ns.get(camera), self._present.head_ns
+        if last_ns is None or head_ns is None or not last_ns < stamp_ns < head_ns < stamp_ns + MOST_LAG_NS:
             return False
         return self._met_ns is not None and arrival_ns - self._met_ns < LAG_NS
 
