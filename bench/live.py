@@ -11,8 +11,9 @@ server is what `sagoma up` starts. Beside it the server of an older commit (--be
 the two are played to in turns, so that whatever else the machine does hits both. Processor time is the server
 processes' own (user and system) over the counted turns; per answered set, as sets that are dropped cost less. Latency
 runs from the stamp to the joint state's arrival at a subscriber in another process. Silhouettes: a session of the test
-data as camera clients segment it or, where there is none, exact ones of the built-in studio. The last line is JSON:
-this tree's figures, and those of the older one under "before".
+data as camera clients segment it or, where there is none, exact ones of the built-in studio. Last,
+camera clients of this tree on simulated GigE cameras (bench/camera.py). The last line is JSON: this tree's figures, and
+those of the older one under "before".
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from typing import Any
 
 from report import Table, add_settings, execute, finish, parser
 
+import camera
 import numpy as np
 import psutil
 from live_overload import measure_overload, print_overload
@@ -46,6 +48,7 @@ FEWER_CAMERAS = {
     "hull_server.min_seeing": 4
 }  # as of all six: with three of five, SESSION's T-pose has a ghost beside it
 FIRST_DOMAIN = 90  # of the servers; beside another bench, give --domain
+CLIENTS, CLIENT_FPS, CLIENT_S = 2, 60.0, 10.0
 QUICK_S, QUICK_TURNS = 10.0, 2
 
 
@@ -107,6 +110,14 @@ def measure(servers: Sequence[Server], hz: float, seconds: float, turns: int) ->
     return [Figures.of(own) for own in played]
 
 
+def client_ms_per_frame(folder: Path, domain: int) -> float:
+    """Processor time of a camera client for one frame, as bench/camera.py measures it on simulated GigE cameras."""
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
+    seen = argparse.Namespace(cameras=CLIENTS, shadow=False)
+    session = camera.built_in_session(folder / "session", seen)
+    return camera.measure(session, folder / "clients", CLIENT_FPS, 0.0, CLIENT_S).client_ms_per_frame
+
+
 def arguments() -> argparse.ArgumentParser:
     """Of this bench."""
     given = parser(__doc__, quick=f"{QUICK_S:g} s a server")
@@ -130,24 +141,23 @@ def main() -> None:
     args = arguments().parse_args()
     clip = clip_of(args.session, args.cameras)
     settings, seconds = parse_settings(args.settings), QUICK_S if args.quick else args.seconds
-    folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_live_"))
     if args.overload:
         with tempfile.TemporaryDirectory(prefix="sagoma_bench_live_") as held:
             figures = measure_overload(clip, args.processes, Path(held), args.domain, settings)
         print_overload(figures)
         finish(asdict(figures))
         return
+    folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_live_"))  # stays, with the logs, when the bench fails
     trees = [("now", TREE, args.processes, settings)]
     trees += [(args.before, tree_of(args.before), "three", {})] if args.before else []
-    try:
-        with contextlib.ExitStack() as stack:
-            servers = [
-                stack.enter_context(running(name, tree, processes, clip, folder / name, args.domain + k, own))
-                for k, (name, tree, processes, own) in enumerate(trees)
-            ]
-            figures = measure(servers, args.hz, seconds, args.turns)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.ExitStack() as stack:
+        servers = [
+            stack.enter_context(running(name, tree, processes, clip, folder / name, args.domain + k, own))
+            for k, (name, tree, processes, own) in enumerate(trees)
+        ]
+        figures = measure(servers, args.hz, seconds, args.turns)
+    client_ms = client_ms_per_frame(folder, args.domain)
+    shutil.rmtree(folder, ignore_errors=True)
     table = Table(
         "server:<9 | processes:>9 | ms/set:>7.2f | Hz sent:>8.1f | Hz answered:>11.1f | latency p50 ms:>14.1f"
         " | p95 ms:>8.1f | sets:>7d | answered:>8d | tracked:>8d | incomplete:>10d | dropped:>8d",
@@ -159,7 +169,13 @@ def main() -> None:
         f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
         f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}"
     )
-    finish(asdict(figures[0]) | ({"before": asdict(figures[1])} if args.before else {}))
+    print(
+        f"a camera client on a simulated GigE camera at {CLIENT_FPS:g} Hz: {client_ms:.2f} ms of processor time a frame"
+    )
+    finish(
+        {**asdict(figures[0]), "client_ms_per_frame": client_ms}
+        | ({"before": asdict(figures[1])} if args.before else {})
+    )
 
 
 if __name__ == "__main__":

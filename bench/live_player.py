@@ -39,7 +39,7 @@ JOINT_STATES, HULL_SERVER = "/mocap/joint_states", "/hull_server"
 START_HZ = 15.0  # slow enough for any machine: the person is found before the load begins
 FOUND_SETS = 10  # joint states of the held first frame, from which on the person moves
 SETTLE_S = 2.0  # at the full rate before counting begins
-FIND_TIMEOUT_S, ANSWER_TIMEOUT_S, REPORT_TIMEOUT_S = 120.0, 3.0, 5.0
+FIND_TIMEOUT_S, ANSWER_TIMEOUT_S, REPORT_TIMEOUT_S = 300.0, 3.0, 5.0  # found: a server may have to compile its kernels
 STAMP = struct.Struct("<iI")  # behind the four bytes that lead in a serialised message (CDR, little-endian)
 STAMP_OFFSET, NS_PER_S = 4, 1_000_000_000
 
