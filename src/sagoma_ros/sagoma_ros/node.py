@@ -56,6 +56,8 @@ class SagomaNode(LifecycleNode):
         self.settings: Any = None
         self.health = NodeHealth(self, hardware_id=name)
         self.health.status(OK, "unconfigured")
+        self.on_active: Callable[[], None] = _do_nothing
+        """What the process does each time the node has become active."""
 
     def configure(self) -> None:
         """Connect: open what the settings name."""
@@ -85,6 +87,8 @@ class SagomaNode(LifecycleNode):
         if result != TransitionCallbackReturn.SUCCESS:
             self._attempt(self.deactivate, None)
             super().on_deactivate(state)
+        else:
+            self.on_active()
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -174,6 +178,10 @@ class SagomaNode(LifecycleNode):
         if done is not None:
             self.health.status(OK, done)
         return TransitionCallbackReturn.SUCCESS
+
+
+def _do_nothing() -> None:
+    pass
 
 
 # --- parameters -----------------------------------------------------------------------------------------------------

@@ -37,10 +37,8 @@ MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
 SHADOW_REACH_M = 1.5  # around the capture volume: a person's shadow by a lamp at 50 degrees
 WALL_DARKEST = 0.6  # a shadow off the floor leaves more: a hole in the person costs more than a shadow beside them
 TEXTURE_WINDOW_PX = 9  # of the halved image
-TEXTURE_SIGMAS, TEXTURE_LEFT = (
-    3.0,
-    0.1,
-)  # a texture that noise and codec do not hide; the share of it that shows it still there
+TEXTURE_SIGMAS = 3.0  # a texture that noise and codec do not hide; ...
+TEXTURE_LEFT = 0.1  # ... the share of it that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
 LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
