@@ -82,8 +82,8 @@ def autostart(nodes: Sequence[SagomaNode]) -> bool:
 def spare_the_collector() -> None:
     """Free what is garbage now, and let later garbage collections leave alone what is in use.
 
-    Modules and compiled kernels are some 400 000 objects: a full collection through them takes 0.15 s and more, in which
-    frame sets would wait.
+    Modules and compiled kernels are some 400 000 objects: a full collection through them takes 0.15 s and more, while
+    frame sets wait.
     """
     gc.unfreeze()
     gc.collect()
