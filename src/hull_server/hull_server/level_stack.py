@@ -13,6 +13,7 @@ from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE
 
 from .views import Box, Masks, RigViews
+from .words import span_of_words
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from and to of pixels that may be shadow
@@ -162,15 +163,8 @@ def bounds_of_words(words):  # type: ignore[no-untyped-def]
     left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
     for v in range(words.shape[0]):
         row = words[v]
-        filled = np.uint64(0)
-        for word in range(row.size):
-            filled |= row[word]
-        if filled != 0:
+        first, last = span_of_words(row)
+        if last:
             top, bottom = min(top, v), v + 1
-            first, last = 0, row.size
-            while row[first] == 0:
-                first += 1
-            while row[last - 1] == 0:
-                last -= 1
             left, right = min(left, first), max(right, last)
     return (left, top, right, bottom) if bottom else (0, 0, 0, 0)

@@ -71,3 +71,19 @@ def transpose8(word):  # type: ignore[no-untyped-def]
 def nonzero_bytes(word):  # type: ignore[no-untyped-def]
     """Return a word with 1 in every byte of ``word`` that is not zero."""
     return ((word & _LOW_BITS) + _LOW_BITS | word) >> np.uint64(7) & _FIRST_BITS
+
+
+@kernel
+def span_of_words(row):  # type: ignore[no-untyped-def]
+    """Return the first word of (n,) that is not zero, and the one after the last such; 0, 0 where all are zero."""
+    filled = np.uint64(0)
+    for word in row:
+        filled |= word
+    if filled == 0:
+        return 0, 0
+    first, last = 0, row.size
+    while row[first] == 0:
+        first += 1
+    while row[last - 1] == 0:
+        last -= 1
+    return first, last

@@ -122,7 +122,7 @@ def _refined(
 
 
 def _agreed(predicted: Floats, changed: Floats, noise: float, places: Places, shape: tuple[int, ...]) -> bool:
-    """Whether what changed at the places (n,) is what the displacement predicts, in most of the picture's regions."""
+    """Return whether most regions of the picture changed at the places (n,) as the displacement predicts."""
     region = places.row * REGIONS_DOWN // shape[0] * REGIONS_ACROSS + places.column * REGIONS_ACROSS // shape[1]
     bound = MOST_RATIO * np.abs(predicted)
     square, product = predicted**2, predicted * np.clip(changed, -bound, bound)

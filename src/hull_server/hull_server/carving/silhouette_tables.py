@@ -10,7 +10,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from ..views import Box
-from ..words import nonzero_bytes
+from ..words import nonzero_bytes, span_of_words
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels
 
@@ -154,15 +154,8 @@ def _foreground_bounds(words, part, reach):  # type: ignore[no-untyped-def]
         if begin >= end:
             continue
         row = words[v, begin:end]
-        filled = np.uint64(0)
-        for word in range(row.size):
-            filled |= row[word]
-        if filled != 0:
+        first, last = span_of_words(row)
+        if last:
             top, bottom = min(top, v), v + 1
-            first, last = 0, row.size
-            while row[first] == 0:
-                first += 1
-            while row[last - 1] == 0:
-                last -= 1
             left, right = min(left, begin + first), max(right, begin + last)
     return (left, top, right, bottom) if bottom else (0, 0, 0, 0)
