@@ -100,8 +100,8 @@ def _search(seen: Floats, level: Floats, steep2: Floats, noise: float, places: P
     precision = 1 / (noise + 0.25 * unit * unit * steep2).astype(np.float32)
     some = slice(None, None, -(-len(level) // MOST_PLACES))
     costs = np.zeros((len(rolls), len(shifts), len(shifts)))
-    given = (each[some] for each in (level, precision, *places))
-    cost_of_shifts(seen, *given, shifts, rolls, WORST, costs)
+    searched = Places(places.row[some], places.column[some], places.trust[some])
+    cost_of_shifts(seen, level[some], precision[some], searched, shifts, rolls, WORST, costs)
     roll, down, right = np.unravel_index(np.argmin(costs), costs.shape)
     return Displacement(float(shifts[right]), float(shifts[down]), float(rolls[roll]))
 
@@ -134,13 +134,13 @@ def _agreed(predicted: Floats, changed: Floats, noise: float, places: Places, sh
 
 
 @njit(**OPTIONS)
-def cost_of_shifts(seen, level, precision, row, column, trust, shifts, rolls, worst, costs):  # type: ignore[no-untyped-def]
+def cost_of_shifts(seen, level, precision, places, shifts, rolls, worst, costs):  # type: ignore[no-untyped-def]
     """Add up, for each roll and shift, the squared residuals of all places, bounded; what is out of view is the worst.
 
-    seen (H, W) float32; level, precision, trust (n,) float32 : what the places should show, 1 / variance of it, and
-    their weight; row, column (n,); shifts (m,) float32 px, down and right; rolls (r,) float32 rad. costs (r, m, m) :
-    zeros, written.
+    seen (H, W) float32; level, precision (n,) float32 : what the ``places`` should show, and 1 / variance of it;
+    shifts (m,) float32 px, down and right; rolls (r,) float32 rad. costs (r, m, m) : zeros, written.
     """
+    row, column, trust = places
     height, width = seen.shape
     x0, y0 = 0.5 * (width - 1), 0.5 * (height - 1)
     for i in range(len(level)):
