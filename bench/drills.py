@@ -10,6 +10,7 @@ import numpy as np
 from scenes import Clip
 
 from icp_tracker.tracker import TRACKING
+from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Tracking
 from mocap_pipeline.pipeline import MocapPipeline, Step
@@ -148,7 +149,7 @@ def wrong_pose(wrong: Callable[[Body, Pose], Pose]) -> Disturb:
     """Tracker and filter take a wrong pose, made of the right one, for certain."""
 
     def disturb(pipeline: MocapPipeline, clip: Clip, frame: int, before: Pose) -> Answer:
-        body = pipeline.body.tracker.body
+        body = pipeline.body.tracker.body_of(FIRST_PERSON)
         return None if body is None else pipeline.body.restart_at(clip.stamp_ns(frame), wrong(body, before))
 
     return disturb

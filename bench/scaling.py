@@ -37,11 +37,12 @@ from hull_baselines import PLACES_M
 
 from capture_rig import Rig
 from capture_rig.mask_levels import ATTENUATED_LEVELS, FOREGROUND, SHADOW_CANDIDATE
-from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.people import PeopleFilter
 from hull_server import hull_pipeline
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.settings import TrackerSettings
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.frame_set import FrameSet
@@ -88,8 +89,8 @@ class Server:
 
     def __post_init__(self) -> None:
         self._hull = HullPipeline(self.rig, HullSettings(voxel_size_m=self.voxel_mm / 1e3, backend="cpu"))
-        tracker = IcpTracker(KnownPose(self.first, self.body), TrackerSettings(acquire_inliers=0.0))
-        self._body = BodyFollower(tracker, ArticulatedEkf())
+        source, settings = KnownPose(self.first, self.body), TrackerSettings(acquire_inliers=0.0)
+        self._body = BodyFollower(PeopleTracker(lambda: IcpTracker(source, settings), most=1), PeopleFilter())
 
     def answer(self, number: int) -> None:
         """Answer one set, and note what it cost."""

@@ -31,6 +31,7 @@ import numpy as np  # noqa: E402
 
 from capture_rig.session import load_session  # noqa: E402
 from hull_server import hull_pipeline  # noqa: E402
+from mocap_packets.fit import FIRST_PERSON  # noqa: E402
 from mocap_packets.frame_set import FrameSet  # noqa: E402
 from mocap_pipeline.configuration import Configuration  # noqa: E402
 from mocap_pipeline.pipeline import MocapPipeline  # noqa: E402
@@ -78,9 +79,9 @@ def run(work: Work) -> Iterator[dict[str, Any]]:
         laps.append(time.thread_time())
         products = result.products.as_sent()
         laps.append(time.thread_time())
-        fit = pipeline.body.fit(products)
+        fits = pipeline.body.fit(products)
         laps.append(time.thread_time())
-        answer = pipeline.body.filter(fit)
+        answer, fit = pipeline.body.filter(fits)[FIRST_PERSON], fits[0]
         laps.append(time.thread_time())
         hull, sent, icp, ekf = (1e3 * float(lap) for lap in np.diff(laps))
         stages = {f"hull: {name}": ms for name, ms in result.stage_ms.items()} | parts

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.people import PeopleFilter
 from ekf_tracker.settings import EkfSettings
 from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import NO_VOXELS, HullProducts, VoxelSamples
@@ -79,15 +80,15 @@ def track(
     method: Method, clip: Clip, points: list[np.ndarray], sigma_m: float, voxels: list[VoxelSamples] | None = None
 ) -> Run:
     """Follow the clouds (n, 3) m of a clip; sigma_m: what the points say of their own noise."""
-    tracker, ekf = IcpTracker(KnownPose(clip.poses[0], clip.body), method.icp), ArticulatedEkf(None, method.ekf)
-    follower = BodyFollower(tracker, ekf, method.feedback)
+    tracker = PeopleTracker(lambda: IcpTracker(KnownPose(clip.poses[0], clip.body), method.icp), most=1)
+    follower = BodyFollower(tracker, PeopleFilter(method.ekf), method.feedback)
     errors, times, inside = [], [], []
     for frame, (cloud, true) in enumerate(zip(points, clip.points_world, strict=True)):
         stamp_ns, samples = round(frame * NS / FPS), voxels[frame] if voxels else NO_VOXELS
         began = time.thread_time()
-        fit = follower.fit(HullProducts.of_points(stamp_ns, cloud, sigma_m, samples))
+        (fit,) = follower.fit(HullProducts.of_points(stamp_ns, cloud, sigma_m, samples))
         fitted = time.thread_time()
-        state = follower.filter(fit)
+        state = follower.filter((fit,))[fit.person]
         times.append((1e3 * (fitted - began), 1e3 * (time.thread_time() - fitted)))
         if not isinstance(state, BodyState):
             raise RuntimeError(f"{clip.name}, frame {frame}: the filter has no state: {state.reason}")

@@ -59,6 +59,11 @@ class IcpTracker:
         return self._body
 
     @property
+    def expected_points(self) -> np.ndarray | None:
+        """Where the reference points (15, 3) were in the last set, m; None before the first pose."""
+        return None if self._body is None or self._pose is None else forward(self._body, self._pose)
+
+    @property
     def refined_body(self) -> RefinedBody | None:
         """How well the sizes of a measured body are known by now; None for a body whose sizes were given."""
         return None if self._refiner is None else self._refiner.refined

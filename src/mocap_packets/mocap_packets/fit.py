@@ -17,6 +17,8 @@ LOWER, UPPER = np.tril_indices(3, -1)
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
+FIRST_PERSON = 1
+"""The person whose topics are those of a single one; the others are 2, 3, ..."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,7 @@ class Solution(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The stick figure fitted to one frame set.
+    """The stick figure of one person fitted to one frame set.
 
     state : "acquiring", "tracking", "doubtful" or "lost"; started_from : "nothing", "initial", "own", or the stamp (ns)
     of the filter's state that the fit started from; reason : why there is no fit, or why it is not quite believed, else
@@ -104,7 +106,7 @@ class Fit:
     reference_points_world (15, 3) m, covariance (15, 3, 3) m^2, visible (15,): zeros, huge and False before the first
     pose; the unmoved prediction, huge and False when the set has too few points; not visible when lost.
     solution : the solver's figures, None without a fit. quality : how far it explains what the cameras saw; recovered :
-    what was found anew with this set, else empty.
+    what was found anew with this set, else empty. person : 1, 2, ..., whose fit it is.
     """
 
     stamp_ns: int
@@ -119,6 +121,7 @@ class Fit:
     solution: Solution | None
     quality: TrackQuality = UNKNOWN
     recovered: str = ""
+    person: int = FIRST_PERSON
 
     @property
     def reference_points(self) -> ReferencePoints:

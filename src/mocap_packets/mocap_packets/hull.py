@@ -48,6 +48,12 @@ class Centerline:
     def __len__(self) -> int:
         return len(self.sigma)
 
+    def near(self, reference_points_world: np.ndarray) -> np.ndarray:
+        """Return (n,) bool: what may belong to a person whose reference points (15, 3) are there."""
+        offsets = self.points_world[:, None] - reference_points_world
+        squared: np.ndarray = np.einsum("npk,npk->np", offsets, offsets).min(axis=1)
+        return squared < REACH_M**2
+
     @classmethod
     def of_points(
         cls, points_world: np.ndarray, sigma: np.ndarray | float = 0.0, body: np.ndarray | None = None
@@ -239,6 +245,11 @@ class HullProducts:
         points = self.voxels.points_world
         return {int(body): points[self.voxels.body == body] for body in bodies} or {0: points}
 
+    def numbers(self) -> list[int]:
+        """Return the numbers of the bodies that rows belong to, in order; nobody's rows are no body's."""
+        found = np.concatenate([self.centerline.body, self.voxels.body, self.contour_rays.body])
+        return [int(body) for body in np.unique(found) if body >= 0]
+
     def of_body(self, number: int) -> HullProducts:
         """Return the rows of one body."""
         line, voxels, rays = self.centerline, self.voxels, self.contour_rays
@@ -258,9 +269,7 @@ class HullProducts:
         line = self.centerline
         if (line.body == line.body[:1]).all():
             return self
-        bodies = np.unique(line.body)
-        offsets = line.points_world[:, None] - reference_points_world
-        near = np.einsum("npk,npk->np", offsets, offsets).min(axis=1) < REACH_M**2
+        bodies, near = np.unique(line.body), line.near(reference_points_world)
         return self.of_body(int(bodies[np.argmax([np.count_nonzero(near & (line.body == body)) for body in bodies])]))
 
 

@@ -1,4 +1,4 @@
-"""From the images of one instant to a body's joint angles: the whole method on one page.
+"""From the images of one instant to the joint angles of everybody in view: the whole method on one page.
 
 The nodes of the graph hold the same objects and call them in the same order; what travels between two of them is
 rounded here as it is in a message (``as_sent``), so this page and the graph give the same numbers, bit for bit.
@@ -19,10 +19,11 @@ from camera_client.settings import CameraClientSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, Volume
-from ekf_tracker.filter import ArticulatedEkf
+from ekf_tracker.people import PeopleFilter
 from hull_server.hull_pipeline import HullPipeline
-from icp_tracker.tracker import TRACKING, IcpTracker, make_tracker
-from mocap_packets.fit import Fit
+from icp_tracker.people.people_tracker import PeopleTracker, make_people_tracker
+from icp_tracker.tracker import TRACKING
+from mocap_packets.fit import FIRST_PERSON, Fit
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from mocap_packets.state import BodyState, NoState, Prediction
@@ -37,11 +38,16 @@ Masks = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """What one frame set gave: the fit, and the filter's answer."""
+class PersonStep:
+    """What one frame set gave of one person: the fit, and the filter's answer."""
 
     fit: Fit
     answer: BodyState | NoState
+
+    @property
+    def person(self) -> int:
+        """The person's number: 1, 2, ..."""
+        return self.fit.person
 
     @property
     def state(self) -> BodyState | None:
@@ -49,8 +55,30 @@ class Step:
         return self.answer if isinstance(self.answer, BodyState) else None
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one frame set gave, person by person in the order of their numbers; the first one is always there."""
+
+    people: tuple[PersonStep, ...]
+
+    @property
+    def fit(self) -> Fit:
+        """The first person's fit."""
+        return self.people[0].fit
+
+    @property
+    def answer(self) -> BodyState | NoState:
+        """What the filter says of the first person."""
+        return self.people[0].answer
+
+    @property
+    def state(self) -> BodyState | None:
+        """The filter's state of the first person, if it has one."""
+        return self.people[0].state
+
+
 class MocapPipeline:
-    """Images or silhouettes of a calibrated rig in, one body's state out. Deterministic; stamps must rise."""
+    """Images or silhouettes of a calibrated rig in, everybody's state out. Deterministic; stamps must rise."""
 
     def __init__(
         self, rig: Rig, configuration: Configuration, backgrounds: Mapping[str, BackgroundModel] | None = None
@@ -64,7 +92,7 @@ class MocapPipeline:
         self.body = BodyFollower.of(configuration, rig.volume)
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
-        """Return the body at one instant, from the cameras' images (H, W[, 3]) uint8."""
+        """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8."""
         return self.step_masks(stamp_ns, self.segment(stamp_ns, images))
 
     def segment(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Masks:
@@ -73,7 +101,7 @@ class MocapPipeline:
         return masks
 
     def step_masks(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> Step:
-        """Return the body at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
+        """Return the persons at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
         return self.body.step(self.carve(stamp_ns, masks, missing))
 
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
@@ -97,53 +125,58 @@ class MocapPipeline:
 
 
 class BodyFollower:
-    """Tracker and filter of one body: each fit starts from the filter's state after the frame set before."""
+    """Tracker and filters of everybody: each fit starts from the filter's state after the frame set before."""
 
-    def __init__(self, tracker: IcpTracker, ekf: ArticulatedEkf, feedback: bool = True) -> None:
+    def __init__(self, tracker: PeopleTracker, filters: PeopleFilter, feedback: bool = True) -> None:
         """Without ``feedback`` each fit starts from the fit before (thesis 4.3)."""
-        self.tracker, self.ekf = tracker, ekf
+        self.tracker, self.filters = tracker, filters
         self._feeds_back = feedback
-        self._prediction: Prediction | None = None
+        self._predictions: dict[int, Prediction] = {}
 
     @classmethod
     def of(cls, configuration: Configuration, volume: Volume | None = None) -> BodyFollower:
-        """Build tracker and filter as the settings say; ``volume`` : where hulls end."""
-        ekf = ArticulatedEkf(None, configuration.ekf)
-        return cls(make_tracker(configuration.icp, volume), ekf, configuration.feedback)
+        """Build tracker and filters as the settings say; ``volume`` : where hulls end."""
+        filters = PeopleFilter(configuration.ekf)
+        return cls(make_people_tracker(configuration.icp, volume), filters, configuration.feedback)
 
     def step(self, products: HullProducts) -> Step:
         """Fit and filter one frame set."""
-        fit = self.fit(products)
-        return Step(fit, self.filter(fit))
+        fits = self.fit(products)
+        answers = self.filter(fits)
+        return Step(tuple(PersonStep(fit, answers[fit.person]) for fit in fits))
 
-    def fit(self, products: HullProducts) -> Fit:
-        """Find the first pose, later fit the stick figure to the hull from where it is expected (4.3;
-        icp_tracker/tracker.py with acquisition/, articulated_fit.py, monitor/, refinement/, thesis/)."""
-        return self.tracker.step(products, self._prediction)
+    def fit(self, products: HullProducts) -> tuple[Fit, ...]:
+        """Find first poses, later fit the stick figures to the hull from where they are expected (4.3;
+        icp_tracker/people/ for whose is what of the hull; icp_tracker/tracker.py with acquisition/, articulated_fit.py,
+        monitor/, refinement/, thesis/)."""
+        return self.tracker.step(products, self._predictions)
 
-    def filter(self, fit: Fit) -> BodyState | NoState:
-        """Correct the prediction with the fitted reference points (5.2; ekf_tracker/filter.py, kernels.py)."""
-        # the body is measured with the first pose; its sizes are refined as it moves (acquisition/, refinement/)
-        if self.tracker.body is not None:
-            self.ekf.follow(self.tracker.body)
+    def filter(self, fits: tuple[Fit, ...]) -> dict[int, BodyState | NoState]:
+        """Correct the predictions with the fitted reference points (5.2; ekf_tracker/people.py, filter.py)."""
+        # a body is measured with the first pose; its sizes are refined as it moves (acquisition/, refinement/)
+        for fit in fits:
+            if (body := self.tracker.body_of(fit.person)) is not None:
+                self.filters.follow(fit.person, body)
         # extended Kalman filter over pose and velocity, predicted to this stamp (tables 5.5 and 5.7)
-        answer = self.ekf.step(fit.stamp_ns, *fit.reference_points.as_sent())
+        measured = {fit.person: fit.reference_points.as_sent() for fit in fits}
+        answers = self.filters.step(fits[0].stamp_ns, measured)
         # predict: where the next fit starts (table 5.5; ekf_tracker/motion_model.py)
-        self._prediction = answer.prediction.as_sent() if self._feeds_back else None
-        return answer
+        if self._feeds_back:
+            self._predictions = {person: answer.prediction.as_sent() for person, answer in answers.items()}
+        return answers
 
     def restart_at(self, stamp_ns: int, pose: Pose, sd_m: float = 0.02) -> Step:
-        """Start filter and tracker anew at this pose, right or wrong, sure of it to ``sd_m``.
+        """Start filter and tracker of the first person anew at this pose, right or wrong, sure of it to ``sd_m``.
 
         A drill, to see how they recover. ValueError while no body is followed.
         """
-        body = self.tracker.body
+        body = self.tracker.body_of(FIRST_PERSON)
         if body is None:
             raise ValueError("no body is followed yet")
-        self.ekf.reset()
+        self.filters.of(FIRST_PERSON).reset()
         covariance, visible = np.tile(sd_m**2 * np.eye(3), (15, 1, 1)), np.ones(15, dtype=bool)
         fit = Fit(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
-        step = Step(fit, self.filter(fit))
+        step = Step((PersonStep(fit, self.filter((fit,))[FIRST_PERSON]),))
         self.fit(HullProducts(stamp_ns, NO_CENTERLINE))  # a set without points leaves the tracker at the prediction
         return step
 

@@ -46,7 +46,7 @@ def test_pipeline_restarted_at_a_wrong_pose_believes_the_wrong_pose_and_starts_t
     pipeline, step, stamp_ns = standing
     wrong = replace(step.state.pose, position_world=step.state.pose.position_world + np.array([0.0, 0.0, 0.3]))
     restarted = pipeline.body.restart_at(stamp_ns, wrong)
-    body = pipeline.body.tracker.body
+    body = pipeline.body.tracker.body_of(1)
     np.testing.assert_allclose(restarted.state.points_world, forward(body, wrong), atol=5e-3)
     unseen = pipeline.step_masks(stamp_ns + FRAME_NS, _no_masks(pipeline))
     assert unseen.fit.started_from == str(stamp_ns)
