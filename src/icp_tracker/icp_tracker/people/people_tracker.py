@@ -1,8 +1,8 @@
 """From one frame set's hull to a fit of every person in it.
 
 Every person has an :class:`~icp_tracker.tracker.IcpTracker`. The parts of the hull that do not touch are given to the
-persons who are expected there; a part that nobody explains starts an acquisition of its own, which sees this part alone. One person
-alone is followed as the tracker of one body follows it, to the last bit.
+persons who are expected there; a part that nobody explains starts an acquisition of its own, which sees this part
+alone. One person alone is followed as the tracker of one body follows it, to the last bit.
 """
 
 from __future__ import annotations
