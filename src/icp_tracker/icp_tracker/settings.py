@@ -42,9 +42,11 @@ class TrackerSettings:
         "articulated.volume.clearance_worth": "articulated.volume.clearance_weight",
         "refinement.flesh_sd_m": "refinement.surface_sd_m",
         "recovery.lead_rays": "recovery.margin_rays",
-        "recovery.lead_sets": "recovery.margin_sets",
     }
-    removed: ClassVar[Mapping[str, str]] = dict.fromkeys(CONSTANT_NOW, "it is a constant now: no user had to turn it")
+    removed: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(CONSTANT_NOW, "it is a constant now: no user had to turn it"),
+        **dict.fromkeys(("recovery.lead_sets", "recovery.margin_sets"), "it is a time now: recovery.margin_s"),
+    }
 
     method: str = setting(
         "articulated",

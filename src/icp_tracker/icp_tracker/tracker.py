@@ -7,7 +7,7 @@ filter's prediction, choose the rows of the body that is expected there, fit, le
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,7 +33,21 @@ ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 NS_PER_S = 1e9
 AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
-FOLLOW_SETS = 15  # sets that the fit starts from its own pose at most, until the filter has followed
+FOLLOW_S = 0.25  # that the fit starts from its own pose at most, until the filter has followed
+FOLLOW_SETS = 7  # ... but so many sets at least: the filter believes a jump after five
+
+
+@dataclass(frozen=True)
+class OwnStart:
+    """Since when fits start from the tracker's own pose, and for how many sets they have."""
+
+    since_ns: int
+    sets: int = 0
+
+    def next(self, stamp_ns: int) -> OwnStart | None:
+        """Return one more set; None when the filter has had time enough."""
+        over = stamp_ns - self.since_ns >= FOLLOW_S * NS_PER_S and self.sets + 1 >= FOLLOW_SETS
+        return None if over else OwnStart(self.since_ns, self.sets + 1)
 
 
 class IcpTracker:
@@ -51,7 +65,7 @@ class IcpTracker:
         self._pose: Pose | None = None
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
-        self._own_sets = 0  # fits that still start from the own pose, because the filter has to follow first
+        self._own: OwnStart | None = None  # while fits start from the own pose, because the filter has to follow
 
     @property
     def body(self) -> Body | None:
@@ -104,13 +118,13 @@ class IcpTracker:
 
         data = self._data(seen)
         fit = self._solve(body, start, data)
-        found = self._monitor.examine(body, fit.pose, data, self._settings.articulated)
+        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, self._settings.articulated)
         if found.better is not None:
             fit = assess(body, found.better, data, fit.iterations, fit.converged, self._settings.articulated)
         elif found.quality.state == GOOD:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:
-            self._own_sets = FOLLOW_SETS
+            self._own = OwnStart(seen.stamp_ns)
         self._pose = fit.pose
         return self._judged(seen.stamp_ns, started_from, fit, found)
 
@@ -121,10 +135,10 @@ class IcpTracker:
         ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
         ahead_s = min(max(ahead_s, 0.0), self._settings.extrapolation_limit_s)
         predicted = prediction.pose.retract(prediction.velocity * ahead_s)
-        if self._own_sets > 0:
+        if self._own is not None:
             apart = np.linalg.norm(forward(body, predicted) - forward(body, own), axis=1).max()
-            self._own_sets = self._own_sets - 1 if apart > AGREES_M else 0
-            if self._own_sets > 0:
+            self._own = self._own.next(stamp_ns) if apart > AGREES_M else None
+            if self._own is not None:
                 return own, FROM_OWN
         return predicted, str(prediction.stamp_ns)
 

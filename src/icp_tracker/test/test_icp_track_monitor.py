@@ -101,11 +101,11 @@ def seen(person, k, rng, R=None, t=None):
     return inside[::9], VoxelSamples.checked(inside, np.zeros(len(inside), bool)), rays
 
 
-def follow(person, sets, start=None, wrong_at=None, wrong=None, settings=None):
-    """Results and truths of a tracker that starts right and is given the pose ``wrong`` at a set."""
+def follow(person, sets, start=None, wrong_at=None, wrong=None, settings=None, every=1):
+    """Results and truths of a tracker that starts right and is given the pose ``wrong`` at a set; of every n-th set."""
     tracker = IcpTracker(KnownPose(start or person.pose, person.body), settings or TrackerSettings(acquire_inliers=0.0))
     rng, results, truths = np.random.default_rng(3), [], []
-    for k in range(sets):
+    for k in range(0, sets, every):
         truth = moved(person.pose, *walked(person, k))
         line, voxels, rays = seen(person, k, rng)
         prediction = None
@@ -243,6 +243,17 @@ def test_a_wrong_pose_is_replaced_within_a_second(person, wrong):
     results, truths = follow(person, 65, wrong_at=5, wrong=wrong)
     assert max(worst_m(r, t) for r, t in zip(results[-3:], truths[-3:], strict=True)) < 0.06
     assert results[-1].state == "tracking"
+
+
+@pytest.mark.parametrize("every", [2, 4], ids=["30 Hz", "15 Hz"])
+def test_a_folded_arm_is_found_in_the_same_time_at_a_lower_rate(person, every):
+    found_s = {}
+    for sets in (1, every):
+        results, truths = follow(person, 65, wrong_at=4, wrong=lambda pose: posed(FOLDED, pose), every=sets)
+        bad = [k for k, (r, t) in enumerate(zip(results, truths, strict=True)) if worst_m(r, t) > 0.06]
+        found_s[sets] = (bad[-1] + 1) * sets / FPS
+    assert 4 / FPS < found_s[1] < 0.7
+    assert found_s[every] < found_s[1] + 0.2  # three sets at 15 Hz: fewer show no margin
 
 
 def test_without_the_search_a_folded_arm_stays_lost(person):

@@ -3,8 +3,9 @@
 A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a wide hull, a body
 that faces backward, both are local optima that no prior leaves. So other poses are tried, a few every frame set: places
 of one limb, the body turned round, and when all is lost, stances anywhere in the hull. A pose that explains the
-silhouettes' outlines better becomes the hypothesis, is followed beside the first for some frame sets, and takes over
-once its margin is clear: a single set is not enough, chance margins do not last.
+silhouettes' outlines better becomes the hypothesis, is followed beside the first for a while, and takes over once its
+margin is clear: a single set is not enough, chance margins do not last. What lasts is a time, not a number of sets: the
+body that causes a chance margin moves on as fast at any rate.
 """
 
 from __future__ import annotations
@@ -48,14 +49,20 @@ class RecoverySettings:
         low=0.0,
         high=1e4,
     )
-    margin_sets: int = setting(6, "frame sets that it must be compared in", low=1, high=1000)
+    margin_s: float = setting(
+        0.1, "time that it must be compared for, three frame sets at least", unit="s", low=0.0, high=100.0
+    )
 
 
 # checked by the drills of bench/recovery.py
 CLEAR_RAYS = 20.0  # margin with which two frame sets are enough
-PATIENT_SETS = 30  # frame sets after which a hypothesis without the margin is dropped
-LIMB_PARTS = 4  # a limb's library is searched in so many parts, one a frame set (a doubtful limb's at once)
-TURNED_EVERY = 16  # frame sets between two tries of the whole body turned round
+MARGIN_SETS = 3  # sets that a hypothesis is compared in at least: one may be torn, two may share a chance
+PATIENT_S = 0.5  # after which a hypothesis without the margin is dropped
+LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
+LIMB_PARTS = 4  # a limb's library is searched in so many parts, one a look (a doubtful limb's at once)
+TURNED_EVERY = 16  # looks from one at the whole body turned round to the next
+LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
+NS_PER_S = 1e9
 SAME_M = 0.10  # poses whose 15 points are so near to each other are one
 FAR_M = 0.4  # a pose so far from the followed one, or farther, needs twice the evidence: tracks slip, they seldom leap
 FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
@@ -77,8 +84,9 @@ class Examination:
 
 @dataclass(frozen=True, eq=False)
 class ObservedSet:
-    """One frame set as the monitor examines it."""
+    """One frame set as the monitor examines it; ``apart_s`` : since the one before."""
 
+    apart_s: float
     body: Body
     data: Data
     settings: ArticulatedSettings
@@ -108,14 +116,17 @@ class TrackMonitor:
         """Forget the body's baseline, and the hypothesis."""
         self._baseline = Baseline()
         self._hypothesis: Hypothesis | None = None
-        self._sets = self._looks = self._limb_looks = 0
+        self._sets = self._turns = self._looks = self._limb_looks = 0
+        self._last_stamp_ns: int | None = None
         self._last_good: Pose | None = None
 
-    def examine(self, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Examination:
-        """Judge a pose that was fitted to the data, and look for a better one."""
+    def examine(self, stamp_ns: int, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Examination:
+        """Judge a pose that was fitted to a set's data, and look for a better one."""
+        last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
+        apart_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
         if len(data.contour_rays.information) == 0 or len(data.hull.points) == 0:
             return Examination(UNKNOWN)
-        observed = ObservedSet(body, data, settings)
+        observed = ObservedSet(apart_s, body, data, settings)
         evidence = observed.evidence_of(pose)
         quality = judge_track(evidence, self._baseline.share)
         self._sets += 1
@@ -139,30 +150,40 @@ class TrackMonitor:
         if observed.apart_m(fitted, pose) < SAME_M:
             self._hypothesis = None
             return
-        self._hypothesis = hypothesis.compared(fitted, observed.evidence_of(fitted), evidence)
+        self._hypothesis = hypothesis.compared(fitted, observed.evidence_of(fitted), evidence, observed.apart_s)
 
     def _decide(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Examination:
         hypothesis, s = self._hypothesis, self._settings
         if hypothesis is None:
             return Examination(quality)
-        sets = s.margin_sets * (1.0 + min(observed.apart_m(hypothesis.pose, pose) / FAR_M, 1.0))
-        enough = hypothesis.sets >= s.margin_sets and hypothesis.margin >= s.margin_rays * max(
-            1.0, sets / hypothesis.sets
-        )
-        if enough or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
+        if self._has_lasted(hypothesis, observed, pose) or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
             self._hypothesis = None
             known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline.share)
             return Examination(known, hypothesis.pose, hypothesis.why)
-        if hypothesis.sets >= PATIENT_SETS or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
+        if hypothesis.seconds >= PATIENT_S or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
             self._hypothesis = None
             return Examination(quality)
         return Examination(contested(quality, hypothesis, s.margin_rays), hypothesis=hypothesis.pose)
 
+    def _has_lasted(self, hypothesis: Hypothesis, observed: ObservedSet, pose: Pose) -> bool:
+        """Return whether the margin has held for long enough; stamps jitter, so half an interval may be missing."""
+        s, sets, seconds = self._settings, hypothesis.sets, hypothesis.seconds
+        if sets < MARGIN_SETS or seconds < s.margin_s - 0.5 * observed.apart_s:
+            return False
+        far = 1.0 + min(observed.apart_m(hypothesis.pose, pose) / FAR_M, 1.0)
+        return hypothesis.margin >= s.margin_rays * max(1.0, far * s.margin_s / seconds, far * MARGIN_SETS / sets)
+
     def _look_for_another(self, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality) -> None:
-        """Try one other pose; it becomes the hypothesis if it explains more than the pose and the hypothesis so far."""
+        """Try other poses; one becomes the hypothesis if it explains more than the pose and the hypothesis so far."""
+        looks = min(max(round(observed.apart_s * LOOKS_HZ), 1), LOOKS_A_SET)
+        self._turns += looks
         if self._hypothesis is not None and quality.state != LOST and self._sets % 2:
             return  # following one takes as long as trying one
-        guess = self._guess(observed, pose, quality)
+        for turn in range(self._turns - looks, self._turns):
+            self._look(observed, pose, evidence, self._guess(turn + 1, observed, pose, quality))
+
+    def _look(self, observed: ObservedSet, pose: Pose, evidence: Evidence, guess: Hypothesis | None) -> None:
+        """Fit another pose, and keep it as the hypothesis if it explains more."""
         if guess is None:
             return
         fitted = observed.fitted(guess.pose, free=guess.part is None)
@@ -175,9 +196,9 @@ class TrackMonitor:
 
     # --- where to look -----------------------------------------------------------------------------------------------
 
-    def _guess(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
-        """Return what to try at this set: a lost body's stances, the whole body turned, or one limb elsewhere."""
-        turn, every = self._sets, TURNED_EVERY
+    def _guess(self, turn: int, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
+        """Return what to try in this turn: a lost body's stances, the whole body turned, or one limb elsewhere."""
+        every = TURNED_EVERY
         if quality.state == LOST and turn % 2 == 0:
             return self._stance(observed, turn // 2)
         if quality.state != GOOD:

@@ -19,8 +19,8 @@ class Hypothesis:
     """Another pose, and what speaks for it.
 
     why : in words, what differs. part : of evidence.PART_NAMES if one limb alone differs, else None. evidence : about
-    the pose at the last set. sets : frame sets it has been compared in; lead : mean over them of its lead over
-    the followed pose, in rays (Evidence.margin_of).
+    the pose at the last set. sets, seconds : frame sets it has been compared in, and the time between them; margin :
+    mean over them of its lead over the followed pose, in rays (Evidence.margin_of).
     """
 
     pose: Pose
@@ -28,19 +28,20 @@ class Hypothesis:
     part: int | None
     evidence: Evidence | None = None
     sets: int = 0
+    seconds: float = 0.0
     margin: float = 0.0
 
-    def compared(self, pose: Pose, evidence: Evidence, followed: Evidence) -> Hypothesis:
-        """Return one more frame set: its pose there, the evidence about it, and about the followed pose."""
+    def compared(self, pose: Pose, evidence: Evidence, followed: Evidence, apart_s: float) -> Hypothesis:
+        """Return one more frame set, so long after the last: its pose, the evidence about it and the followed pose."""
         sets = self.sets + 1
         margin = self.margin + (followed.margin_of(evidence) - self.margin) / sets
-        return Hypothesis(pose, self.why, self.part, evidence, sets, margin)
+        return Hypothesis(pose, self.why, self.part, evidence, sets, self.seconds + apart_s, margin)
 
 
 LOST_SHARE = 0.35  # of the outline: what hardly any wrong pose explains less of
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains
 OUTSIDE_LIMB = 2  # of a limb's six points: so many outside the hull are no accident
-CONTESTED_SETS = 3  # sets in which another pose must have led before it is a reason for doubt
+CONTESTED_SETS, CONTESTED_S = 2, 0.04  # in which another pose must have led before it is a reason for doubt
 BASELINE_SETS = 300.0  # the usual share is the mean over about so many good sets
 
 
@@ -78,7 +79,8 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
     if hypothesis.sets == 0:
         return quality
     quality = replace(quality, hypothesis_margin=hypothesis.margin)
-    if hypothesis.sets < CONTESTED_SETS or hypothesis.margin < margin_rays or quality.state == LOST:
+    lasting = hypothesis.sets >= CONTESTED_SETS and hypothesis.seconds >= CONTESTED_S
+    if not lasting or hypothesis.margin < margin_rays or quality.state == LOST:
         return quality
     parts = list(quality.parts)
     for part in range(len(PART_NAMES)) if hypothesis.part is None else [hypothesis.part]:
