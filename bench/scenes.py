@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from camera_client.settings import CameraClientSettings
 from capture_rig import Rig
 from capture_rig.errors import InputError
-from capture_rig.session import Session, footage_stamp_ns, load_session
+from capture_rig.session import Session, Truth, footage_stamp_ns, load_session
 from mocap_packets.hull import HullProducts
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
@@ -27,7 +27,8 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.people import VolumetricBody
+from virtual_studio.motions.together import TOGETHER
+from virtual_studio.people import VolumetricBody, together
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
@@ -71,7 +72,7 @@ def studio_masks(rig: Rig, body: Body, poses: Iterable[Pose], build: float = 1.0
 class Clip:
     """Canvas masks of every camera, frame after frame, compressed: a clip in memory is a hundredth of its pixels.
 
-    truth : (F, 15, 3) m, NaN where unknown. start : settings of the first pose.
+    truth : (F, 15, 3) m, NaN where unknown; others : those of further persons. start : settings of the first pose.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Clip:
     packed: list[dict[str, tuple[bytes, tuple[int, ...]]]]
     truth: np.ndarray = field(default_factory=lambda: np.empty((0, 15, 3)))
     start: Mapping[str, Any] = field(default_factory=dict)
+    others: tuple[np.ndarray, ...] = ()
 
     @classmethod
     def of(cls, name: str, rig: Rig, fps: float, frames: Iterable[Masks], **more: Any) -> Clip:
@@ -115,6 +117,22 @@ class Clip:
         return [pipeline.carve(self.stamp_ns(frame), self.masks(frame)) for frame in range(len(self))]
 
 
+def together_clip(scene: str, persons: Sequence[VolumetricBody], cameras: int = 6, fps: float = STUDIO_FPS) -> Clip:
+    """Several of the studio's persons in a named scene, exact silhouettes of a ring of cameras and one on the ceiling.
+
+    Roles that nobody is given for are left out.
+    """
+    whole = TOGETHER[scene]
+    rig, motions = ring(cameras - 1), replace(whole, roles=whole.roles[: len(persons)]).motions(persons, fps)
+    eyes, instants = ExactSilhouettes(rig), zip(*(motion.poses for motion in motions), strict=True)
+    frames = (eyes.render(together(*map(VolumetricBody.place, persons, poses))) for poses in instants)
+    truth, *others = (
+        np.array([forward(person.body, pose) for pose in motion.poses])
+        for person, motion in zip(persons, motions, strict=True)
+    )
+    return Clip.of(f"{scene}_{cameras}", rig, fps, frames, truth=truth, others=tuple(others))
+
+
 def studio_clip(motion: str, seconds: float, cameras: int = 6, body: Body | None = None, build: float = 1.0) -> Clip:
     """A named motion of the virtual studio, exact silhouettes of a ring of cameras and one on the ceiling."""
     rig, body = ring(cameras - 1), body or Body.from_stature(STATURE_M)
@@ -128,7 +146,13 @@ def session_clip(folder: Path, exact: bool) -> Clip:
     session = session_with_truth(folder)
     assert session.truth is not None
     clip = Clip.of(folder.name, session.rig, session.fps, canvas_masks(session, exact))
-    truth = np.full((len(clip), 15, 3), np.nan)
-    known = session.truth.frames < len(clip)
-    truth[session.truth.frames[known]] = session.truth.stick_figure_points()[known]
-    return Clip(clip.name, clip.rig, clip.fps, clip.packed, truth, start_settings(session, "auto"))
+    truth, *others = (truth_of_frames(known, len(clip)) for known in session.truths)
+    return Clip(clip.name, clip.rig, clip.fps, clip.packed, truth, start_settings(session, "auto"), tuple(others))
+
+
+def truth_of_frames(truth: Truth, frames: int) -> np.ndarray:
+    """Return (F, 15, 3) m of the first so many frames, NaN where unknown."""
+    points = np.full((frames, 15, 3), np.nan)
+    known = truth.frames < frames
+    points[truth.frames[known]] = truth.stick_figure_points()[known]
+    return points

@@ -192,7 +192,7 @@ class SilhouetteSettings:
     )
     near: float = setting(
         0.12,
-        "Components are kept within this gap of the largest one (or of one kept)",
+        "Components too small for a person are kept within this gap of one that is kept",
         unit="share of height",
         low=0,
         high=10,

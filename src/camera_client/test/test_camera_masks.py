@@ -167,12 +167,20 @@ def test_chain_of_pieces_survives_link_by_link():
     assert np.array_equal(keep(mask), mask)
 
 
-def test_piece_far_from_everything_is_dropped():
+def test_small_piece_far_from_everything_is_dropped():
     mask = blank()
     mask[40:120, 100:140] = 255
     expected = mask.copy()
-    mask[40:60, 161:190] = 255  # 21 px off
+    mask[40:50, 161:190] = 255  # 21 px off
     assert np.array_equal(keep(mask), expected)
+
+
+def test_second_person_far_from_the_first_survives_with_a_foot_of_its_own():
+    mask = blank()
+    mask[40:200, 60:120] = 255
+    mask[60:120, 250:270] = 255  # an eighth of the first one's area
+    mask[130:136, 252:262] = 255
+    assert np.array_equal(keep(mask), mask)
 
 
 def test_noise_speck_is_dropped_even_beside_the_person():
@@ -204,8 +212,8 @@ def test_small_hole_is_filled_and_large_one_kept():
 def test_hole_of_a_dropped_component_stays_empty():
     mask = blank()
     mask[40:120, 10:60] = 255
-    mask[40:70, 200:230] = 255
-    mask[50:55, 210:215] = 0
+    mask[40:56, 200:218] = 255
+    mask[46:51, 205:210] = 0
     assert not keep(mask)[:, 190:].any()
 
 

@@ -1,13 +1,15 @@
 """A session folder: one video and one background a camera, the rig, and optionally the truth.
 
 Files: ``camNN.mp4``, ``camNN_background.mp4`` or ``.png``, ``rig.yaml``; optional ``camNN_mask.mp4`` (exact
-silhouettes), ``truth.csv`` or ``reference*.csv``, ``session.yaml`` (``fps``, ``units``, ``source``).
+silhouettes), ``truth.csv`` or ``reference*.csv``, of further persons ``truth_2.csv``, ``truth_3.csv``, ...;
+``session.yaml`` (``fps``, ``units``, ``source``).
 """
 
 from __future__ import annotations
 
 import csv
 from dataclasses import dataclass, replace
+from itertools import count, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -163,7 +165,10 @@ STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif")
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """Footage of one capture: every rig camera has a video; backgrounds, exact masks and truth are optional."""
+    """Footage of one capture: every rig camera has a video; backgrounds, exact masks and truth are optional.
+
+    other_truths : of the second person in view, the third, ...
+    """
 
     folder: Path
     rig: Rig
@@ -172,6 +177,12 @@ class Session:
     backgrounds: dict[str, Path]
     masks: dict[str, Path]
     truth: Truth | None
+    other_truths: tuple[Truth, ...] = ()
+
+    @property
+    def truths(self) -> tuple[Truth, ...]:
+        """Those of everybody, the first person's first; empty without any."""
+        return () if self.truth is None else (self.truth, *self.other_truths)
 
 
 def load_session(folder: str | Path) -> Session:
@@ -191,6 +202,7 @@ def load_session(folder: str | Path) -> Session:
         backgrounds=_present(folder, rig, "_background", VIDEO_SUFFIXES + STILL_SUFFIXES),
         masks=_present(folder, rig, "_mask", VIDEO_SUFFIXES),
         truth=_truth(folder),
+        other_truths=_other_truths(folder),
     )
 
 
@@ -271,3 +283,8 @@ def stated_rate(path: Path) -> float | None:
 def _truth(folder: Path) -> Truth | None:
     candidates = [folder / "truth.csv", *sorted(folder.glob("reference*.csv"))]
     return next((load_truth(path) for path in candidates if path.is_file()), None)
+
+
+def _other_truths(folder: Path) -> tuple[Truth, ...]:
+    paths = (folder / f"truth_{number}.csv" for number in count(2))
+    return tuple(load_truth(path) for path in takewhile(Path.is_file, paths))

@@ -61,6 +61,11 @@ class Capsules(NamedTuple):
     albedo: Array
 
 
+def together(*bodies: Capsules) -> Capsules:
+    """Returns the parts of several bodies as one thing to look at."""
+    return Capsules(*(np.concatenate(parts) for parts in zip(*bodies, strict=True)))
+
+
 @dataclass(frozen=True)
 class _Part:
     stick: int

@@ -164,6 +164,9 @@ def majority_count(side_px: int) -> int:
     return side_px // 2 + 1
 
 
+PERSON = 15.0  # times the least area, a hand's: a person seen from the side, half hidden, is so large
+
+
 @dataclass(frozen=True, eq=False)
 class _Part:
     """An outer contour with its area in pixels and its bounding box (x, y, w, h)."""
@@ -174,12 +177,13 @@ class _Part:
 
 
 def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float, things: Mask | None = None) -> Mask:
-    """Mask (H, W) without specks, far components and small holes.
+    """Mask (H, W) without specks, far small components and small holes.
 
-    A component counts from ``min_area_px`` on. Kept are the largest, and every one whose bounding box lies within
-    ``near_px`` of a kept one: dark clothes on a dark floor cut legs from the trunk, and they must survive. Holes
-    below ``max_hole_px`` are filled; larger ones stay, or the gap between the legs would be lost. Components that lie
-    mostly on ``things`` (H, W), 255 where foreground is hardly a person, are left out unless there are no others.
+    A component counts from ``min_area_px`` on. Kept are the largest, any other that is large enough to be a person, and
+    every one whose bounding box lies within ``near_px`` of a kept one: dark clothes on a dark floor cut legs from the
+    trunk, and they must survive. Holes below ``max_hole_px`` are filled; larger ones stay, or the gap between the legs
+    would be lost. Components that lie mostly on ``things`` (H, W), 255 where foreground is hardly a person, are left
+    out unless there are no others.
     """
     contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not contours:
@@ -189,7 +193,9 @@ def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: flo
     if things is not None:
         parts = [part for part in parts if not _lies_on(part, mask, things)] or parts
     kept = np.zeros_like(mask)
-    cv2.drawContours(kept, [part.contour for part in _near_the_largest(parts, near_px)], -1, 255, cv2.FILLED)
+    cv2.drawContours(
+        kept, [part.contour for part in _people(parts, PERSON * min_area_px, near_px)], -1, 255, cv2.FILLED
+    )
     cv2.bitwise_and(kept, mask, dst=kept)
     holes = [c for c, outer in zip(contours, is_outer, strict=True) if not outer and _hole_area_px(c) < max_hole_px]
     holes = [hole for hole in holes if kept[hole.reshape(-1, 2)[0, 1], hole.reshape(-1, 2)[0, 0]]]
@@ -213,9 +219,10 @@ def _lies_on(part: _Part, mask: Mask, places: Mask) -> bool:
     return 2 * cv2.countNonZero(cv2.bitwise_and(mask[box], places[box])) > cv2.countNonZero(mask[box])
 
 
-def _near_the_largest(parts: list[_Part], near_px: float) -> list[_Part]:
-    kept, waiting = parts[:1], parts[1:]
-    frontier = kept
+def _people(parts: list[_Part], person_px: float, near_px: float) -> list[_Part]:
+    """Return the largest part, every other of a person's area, and what is near them; parts come largest first."""
+    kept = parts[:1] + [part for part in parts[1:] if part.area_px >= person_px]
+    frontier, waiting = kept, parts[len(kept) :]
     while frontier and waiting:
         frontier = [part for part in waiting if any(_gap_px(part.box, other.box) <= near_px for other in frontier)]
         waiting = [part for part in waiting if part not in frontier]

@@ -61,7 +61,10 @@ class Track:
 
     def between(self, first: int, end: int) -> Track:
         """Return the rows of frames first, first + 1, ... end - 1."""
-        rows = (self.frames >= first) & (self.frames < end)
+        return self.chosen((self.frames >= first) & (self.frames < end))
+
+    def chosen(self, rows: np.ndarray) -> Track:
+        """Return some of the rows, by mask or index."""
         return Track(*(column[rows] for column in self._columns))
 
     def at(self, frames: np.ndarray) -> Track:
