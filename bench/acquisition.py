@@ -19,6 +19,7 @@ import numpy as np
 from scenes import canvas_masks, session_with_truth
 
 from capture_rig.session import Session, footage_stamp_ns
+from capture_rig.sight import Sight
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.body_sizes import (
@@ -50,7 +51,7 @@ def of_session(session: Session, exact: bool) -> dict[str, object]:
     """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
     pipeline, source = (
         HullPipeline(session.rig, HullSettings(backend="cpu")),
-        TPoseSource(TPoseSettings(), session.rig.volume),
+        TPoseSource(TPoseSettings(), Sight(session.rig)),
     )
     points = session.truth.stick_figure_points()
     for frame, frame_masks in enumerate(islice(canvas_masks(session, exact), LONGEST)):
@@ -83,9 +84,9 @@ def angle(first: np.ndarray, second: np.ndarray) -> float:
 def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
     """Many people in the studio: mean and rms error of each size, refusals, and how many are taken back to front."""
     rng, errors, claims, refused, backward = np.random.default_rng(cameras), [], [], [], 0
-    for body, pose, voxels, volume in people(cameras, ceiling, number, rng):
+    for body, pose, voxels, sight in people(cameras, ceiling, number, rng):
         try:
-            measured = measure_t_pose(voxels, TPoseSettings(), volume)
+            measured = measure_t_pose(voxels, TPoseSettings(), sight)
         except PoseRejected as refusal:
             refused.append(refusal.reason)
             continue
@@ -111,6 +112,7 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
 def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
     """Body, pose and hull voxels of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
     rig = ring(cameras, ceiling=ceiling)
+    sight = Sight(rig)
     eyes, pipeline = ExactSilhouettes(rig), HullPipeline(rig, HullSettings(backend="cpu"))
     for k in range(number):
         body = body_of_sizes(MEAN_OVER_STATURE * rng.uniform(1.4, 2.05) * rng.uniform(0.95, 1.05, len(SIZES)))
@@ -120,7 +122,7 @@ def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -
         masks = eyes.render(parts)
         stamp_ns = (k + 1) * 1_000_000_000
         hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
-        yield body, pose, hull.products.voxels.points_world, rig.volume
+        yield body, pose, hull.products.voxels.points_world, sight
 
 
 def t_pose(body: Body, rng: np.random.Generator) -> Pose:

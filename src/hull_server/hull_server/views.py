@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import InputError, Rig
+from capture_rig.sight import min_seeing as min_seeing
 
 from .grid import BrickVolume
 
@@ -98,17 +99,6 @@ class RigViews:
         for index in present:
             width, height = self.sizes[index]
             np.bitwise_and(masks[self.names[index]], self.seen[index, :height, :width], out=out[index, :height, :width])
-
-
-def min_seeing(cameras: int, requested: int = 0) -> int:
-    """Return how many cameras must see a voxel before it can be occupied, when ``cameras`` delivered a silhouette.
-
-    By the rig (``requested`` = 0): three fifths of the cameras, rounded up, but at least three and at most all:
-    3 of 3, 3 of 4, 3 of 5, 4 of 6, 5 of 7, 5 of 8. A requested number is lowered to the number of cameras. Never
-    below two: the cone of a single silhouette is no hull, so with one camera nothing is occupied.
-    """
-    wanted = requested if requested > 0 else max(3, -(-3 * cameras // 5))
-    return max(2, min(wanted, cameras))
 
 
 # --- What every carving backend offers.

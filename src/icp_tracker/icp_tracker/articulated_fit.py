@@ -22,6 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from capture_rig.settings import setting
+from capture_rig.sight import EVERYWHERE, Sight
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
@@ -218,27 +219,38 @@ def make_data(
     voxels: VoxelSamples,
     settings: ArticulatedSettings,
     contour_rays: ContourRays = NO_CONTOUR_RAYS,
+    sight: Sight | None = None,
 ) -> Data:
-    """Lay out the data. A point's variance is its own noise and the model's, added in quadrature."""
+    """Lay out the data. A point's variance is its own noise and the model's, added in quadrature.
+
+    Where the rig's ``sight`` ends, a hull ends too: its cut ends are no surface, and slices that reach beyond are cut
+    off their middle. Neither is used.
+    """
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
     volume = settings.volume
     surface = (voxels if volume.weight > 0.0 else NO_VOXELS).surface_points(volume.samples)
     hull = (voxels if volume.inside_weight > 0.0 else NO_VOXELS).hull_points(INSIDE_SAMPLES)
+    contour_rays = contour_rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS
+    if sight is not None:
+        whole = ~sight.near_unseen.at(points)
+        points, sigma = np.ascontiguousarray(points[whole]), sigma[whole]
+        surface = np.ascontiguousarray(surface[~sight.near_unseen.at(surface)])
+        contour_rays = contour_rays.chosen(~sight.unseen_cells.at(contour_rays.points_world))
     gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
     return Data(
         points,
         1.0 / (settings.model_sigma_m**2 + sigma**2),
         gate2,
         surface,
-        HullSamples.of(hull),
+        HullSamples.of(hull, EVERYWHERE if sight is None else sight.unseen_cells),
         _contour_rays(contour_rays, settings),
     )
 
 
 def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
     """Lay out the rays with their share of the weight of all of them."""
-    rays = (rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS).thinned(settings.contour.rays)
+    rays = rays.thinned(settings.contour.rays)
     trust = settings.contour.surface_sd_m**2 / (settings.contour.surface_sd_m**2 + rays.sigma**2)
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
     return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, information)

@@ -31,7 +31,7 @@ from stick_figure.body_file import format_body
 from .icp_ros import FilterFeedback, SaveBodyService, SavedBody
 from .monitor.evidence import PART_NAMES
 from .settings import IcpNodeSettings
-from .tracker import ACQUIRING, TRACKING, IcpTracker, make_tracker, warm_up
+from .tracker import ACQUIRING, TRACKING, IcpTracker, make_tracker, sight_of, warm_up
 
 CLOUDS_KEPT = 8
 T = TypeVar("T", Centerline, VoxelSamples, ContourRays)
@@ -57,7 +57,7 @@ class IcpNode(SagomaNode):
 
     def configure(self) -> None:
         settings: IcpNodeSettings = self.settings
-        self._tracker = make_tracker(settings)
+        self._tracker = make_tracker(settings, sight_of(settings))
         warm_up(settings)
         self._points_publisher = PacketPublisher[ReferencePoints](
             self, PointCloud2, "icp/reference_points", packet_cloud

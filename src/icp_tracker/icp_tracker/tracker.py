@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.rig import Volume
+from capture_rig.rig import Rig, load_rig
+from capture_rig.sight import Sight
 from mocap_packets.fit import GOOD, LOST, Fit, Solution
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
@@ -53,8 +54,9 @@ class OwnStart:
 class IcpTracker:
     """Follows one body. Deterministic: the same sets and predictions give the same results to the last bit."""
 
-    def __init__(self, source: PoseSource, settings: TrackerSettings | None = None) -> None:
-        self._source = source
+    def __init__(self, source: PoseSource, settings: TrackerSettings | None = None, sight: Sight | None = None) -> None:
+        """``sight`` : where hulls show a body; without it, everywhere."""
+        self._source, self._sight = source, sight
         self._settings = settings or TrackerSettings()
         self._monitor = TrackMonitor(self._settings.recovery)
         self.reset()
@@ -151,7 +153,7 @@ class IcpTracker:
         """Lay out what the fit uses."""
         voxels, contour_rays = (seen.voxels, seen.contour_rays) if self._all_joints else (NO_VOXELS, NO_CONTOUR_RAYS)
         line = seen.centerline
-        return make_data(line.points_world, line.sigma, voxels, self._settings.articulated, contour_rays)
+        return make_data(line.points_world, line.sigma, voxels, self._settings.articulated, contour_rays, self._sight)
 
     def _solve(self, body: Body, start: Pose, data: Data, iterations: int | None = None) -> FitResult:
         """Fit the figure by the chosen method; ``iterations`` of the all-joints solve, else as the settings say."""
@@ -209,12 +211,23 @@ class IcpTracker:
         return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
 
 
-def make_tracker(settings: IcpNodeSettings, volume: Volume | None = None) -> IcpTracker:
-    """Make a tracker whose first pose comes from where the settings say; ``volume`` : where hulls end, else.
+def make_tracker(settings: IcpNodeSettings, sight: Sight | None = None) -> IcpTracker:
+    """Make a tracker whose first pose comes from where the settings say; ``sight`` : where hulls show a body.
 
     Raises InputError for files that cannot be used.
     """
-    return IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, volume), settings)
+    return IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, sight), settings, sight)
+
+
+def sight_of(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> Sight | None:
+    """Return the sight of the settings' rig file, else of a rig whose hulls need ``min_seeing`` cameras.
+
+    Without either None: hulls are taken to show all. Raises InputError for a rig file that cannot be used.
+    """
+    start = settings.initial_pose
+    if start.rig_file:
+        rig, min_seeing = load_rig(start.rig_file), start.min_seeing
+    return None if rig is None else Sight(rig, min_seeing)
 
 
 def warm_up(settings: TrackerSettings) -> None:

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from capture_rig.sight import Sight
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
@@ -65,8 +66,8 @@ def box(low, high, radius=0.15):
 class Studio:
     """A rig of cameras around the volume and what it shows of people."""
 
-    def __init__(self, cameras, ceiling):
-        self.rig = ring(cameras, ceiling=ceiling)
+    def __init__(self, rig):
+        self.rig, self.sight = rig, Sight(rig)
         self._eyes = [(c.name, VirtualCamera(c), c.undistorted_view()) for c in self.rig.cameras]
         self._pipeline = HullPipeline(self.rig, HullSettings(backend="cpu"))
         self._stamp_ns = 0
@@ -86,4 +87,4 @@ class Studio:
 @lru_cache
 def studio(cameras=5, ceiling=True):
     """A rig; made once."""
-    return Studio(cameras, ceiling)
+    return Studio(ring(cameras, ceiling=ceiling))

@@ -174,7 +174,11 @@ class ContourRays:
         """At most ``count`` rays, evenly spread over the rows (which follow the outlines); the same ones every time."""
         if len(self) <= count:
             return self
-        return _rows(self, np.arange(count) * len(self) // count)
+        return self.chosen(np.arange(count) * len(self) // count)
+
+    def chosen(self, rows: np.ndarray) -> ContourRays:
+        """Return some rows, by number or mask."""
+        return _rows(self, rows)
 
     def to_table(self) -> np.ndarray:
         """Return the rows as the structured array LAYOUT."""

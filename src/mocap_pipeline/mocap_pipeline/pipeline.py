@@ -89,7 +89,7 @@ class MocapPipeline:
             for name, background in (backgrounds or {}).items()
         }
         self.hull = HullPipeline(rig, configuration.hull)
-        self.body = BodyFollower.of(configuration, rig.volume)
+        self.body = BodyFollower.of(configuration, rig)
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
         """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8."""
@@ -134,10 +134,10 @@ class BodyFollower:
         self._predictions: dict[int, Prediction] = {}
 
     @classmethod
-    def of(cls, configuration: Configuration, volume: Volume | None = None) -> BodyFollower:
-        """Build tracker and filters as the settings say; ``volume`` : where hulls end."""
-        filters = PeopleFilter(configuration.ekf)
-        return cls(make_people_tracker(configuration.icp, volume), filters, configuration.feedback)
+    def of(cls, configuration: Configuration, rig: Rig | None = None) -> BodyFollower:
+        """Build tracker and filters as the settings say; ``rig`` : whose hulls it gets."""
+        tracker = make_people_tracker(configuration.icp, rig, configuration.hull.min_seeing)
+        return cls(tracker, PeopleFilter(configuration.ekf), configuration.feedback)
 
     def step(self, products: HullProducts) -> Step:
         """Fit and filter one frame set."""

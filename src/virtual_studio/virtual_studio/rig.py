@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,6 +44,29 @@ def azimuths(n: int) -> Array:
     if n % 2 == 0:
         angles[n // 2 :] += 0.25 * spacing
     return angles
+
+
+def tilted(camera: CameraModel, up_rad: float) -> CameraModel:
+    """Return the camera looking higher (negative: lower) than at the room's middle, its horizon level."""
+    place = camera.centre_world
+    away = np.linalg.norm((LOOK_AT_WORLD - place)[:2])
+    pitch = np.arctan2(LOOK_AT_WORLD[2] - place[2], away) + up_rad
+    target = np.array([*LOOK_AT_WORLD[:2], place[2] + away * np.tan(pitch)])
+    return replace(camera, T_camera_world=looking_at(place, target))
+
+
+def narrowed(camera: CameraModel, factor: float) -> CameraModel:
+    """Return the camera with so many times the focal length."""
+    K = camera.K.copy()
+    K[:2, :2] *= factor
+    return replace(camera, K=K)
+
+
+def with_camera(rig: Rig, number: int, camera: CameraModel) -> Rig:
+    """Return the rig with one camera exchanged."""
+    cameras = list(rig.cameras)
+    cameras[number] = camera
+    return Rig(tuple(cameras), rig.volume)
 
 
 def _ring_camera(index: int, n: int) -> CameraModel:

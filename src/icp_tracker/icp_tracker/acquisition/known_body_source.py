@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from capture_rig.rig import Volume
+from capture_rig.sight import Sight
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -87,9 +87,9 @@ class KnownBodySource:
         return True
 
     def __init__(
-        self, settings: TPoseSettings, body: Body, volume: Volume | None = None, girths: LimbGirths | None = None
+        self, settings: TPoseSettings, body: Body, sight: Sight | None = None, girths: LimbGirths | None = None
     ) -> None:
-        self._settings, self._body, self._volume, self._girths = settings, body, volume, girths
+        self._settings, self._body, self._sight, self._girths = settings, body, sight, girths
         figure = Figure.of(body)
         self._figure = figure._replace(surface=(girths or LimbGirths()).on(figure.surface))
         self._agreed: list[np.ndarray] = []
@@ -123,7 +123,7 @@ class KnownBodySource:
         voxels = seen.voxels
         if len(voxels) < FEWEST_VOXELS:
             raise PoseRejected("no hull" if len(voxels) == 0 else "the hull is too small")
-        upright, crown = stand_known(voxels.points_world, self._body.stature, CROUCH, self._volume)
+        upright, crown = stand_known(voxels.points_world, self._body.stature, CROUCH, self._sight)
         start = self._best_start(upright, crown, voxels)
         fits = [self._fitted(seen, voxels, upright, pose) for pose in (start, _turned_round(start))]
         other, best = sorted(fits, key=lambda fitted: fitted.facing)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from capture_rig.errors import InputError
-from capture_rig.rig import Volume, load_rig
 from capture_rig.settings import setting
+from capture_rig.sight import Sight
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, load_thickness
 
@@ -33,23 +33,23 @@ class InitialPoseSettings:
     session: str = setting("", "session folder with a reference, for source 'session'")
     frame: int = setting(0, "video frame of the reference, for source 'session'", low=0)
     rig_file: str = setting(
-        "", "rig (YAML) whose volume a person must be inside of to be measured; empty: its borders are not known"
+        "", "rig (YAML) of the hulls: where its cameras and volume can show a body; empty: taken as everywhere"
     )
+    min_seeing: int = setting(0, "the hull server's parameter of this name, with rig_file", low=0, high=63)
     t_pose: TPoseSettings = setting(TPoseSettings, "what counts as a T-pose")
 
 
-def make_pose_source(settings: InitialPoseSettings, body_file: str = "", volume: Volume | None = None) -> PoseSource:
+def make_pose_source(settings: InitialPoseSettings, body_file: str = "", sight: Sight | None = None) -> PoseSource:
     """Return the source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
 
-    A known body needs no T-pose: anything near one will do. ``volume`` (or that of the settings' rig file) is where
-    hulls end. Raises InputError naming parameter or file, value and remedy.
+    A known body needs no T-pose: anything near one will do. ``sight`` is where hulls show a body. Raises InputError
+    naming parameter or file, value and remedy.
     """
     body = load_body(body_file) if body_file else None
     if settings.source == "t_pose":
-        volume = load_rig(settings.rig_file).volume if settings.rig_file else volume
         if body is None:
-            return TPoseSource(settings.t_pose, volume)
-        return KnownBodySource(settings.t_pose, body, volume, LimbGirths.of(load_thickness(body_file)))
+            return TPoseSource(settings.t_pose, sight)
+        return KnownBodySource(settings.t_pose, body, sight, LimbGirths.of(load_thickness(body_file)))
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.rig import Volume
+from capture_rig.sight import Sight
+
+from .visibility import HEAD, TYPICAL_STATURE_M, Stance, cut_parts, what_to_do
 
 
 class PoseRejected(Exception):
@@ -29,6 +31,7 @@ def reasons_of_bodies(reasons: dict[int, str]) -> str:
 
 FEWEST_VOXELS, FEWEST_OF_A_PART = 200, 8
 TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
+FEET_LOST_M = 0.6  # a hull that ends no higher than at the knees may lack its feet
 SAGGING_M = 0.08  # cameras look down: a hull reaches this far below the soles
 # heights over the stature between which a part of a standing body is looked for
 HEAD_FROM, ARMS_FROM, TRUNK, SHINS, FEET_TO = 0.92, 0.45, (0.55, 0.75), (0.08, 0.20), 0.045
@@ -68,13 +71,13 @@ class Upright:
         return replace(self, local=self.local * [-1.0, -1.0, 1.0], forward_world=-self.forward_world)
 
 
-def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, volume: Volume | None) -> Upright:
+def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, sight: Sight | None) -> Upright:
     """Find floor, stature and the axis of the arms on hull voxels (m, 3) of one body, z up.
 
-    Raises PoseRejected when the hull is cut off by the ``volume`` or is no single upright body.
+    Raises PoseRejected when the rig does not show all of it, or it is no single upright body.
     """
-    pitch = _pitch(voxels_world)
-    reject_cut_off(voxels_world, pitch, volume)
+    pitch = pitch_of(voxels_world)
+    reject_cut_off(voxels_world, pitch, sight)
     low, high = np.percentile(voxels_world[:, 2], [TRIMMED, 100.0 - TRIMMED])
     low, high = low - pitch / 2, high + pitch / 2
     floor = _floor(low)
@@ -88,14 +91,14 @@ def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float,
 
 
 def stand_known(
-    voxels_world: np.ndarray, stature_m: float, crouch: float, volume: Volume | None
+    voxels_world: np.ndarray, stature_m: float, crouch: float, sight: Sight | None
 ) -> tuple[Upright, float]:
     """Do the same for a body of known stature, whose hands may be above its head; return also its crown's height.
 
-    Raises PoseRejected when the hull is cut off by the ``volume``, or the crown lower than ``crouch`` of the stature.
+    Raises PoseRejected when the rig does not show all of it, or the crown is lower than ``crouch`` of the stature.
     """
-    pitch = _pitch(voxels_world)
-    reject_cut_off(voxels_world, pitch, volume)
+    pitch = pitch_of(voxels_world)
+    reject_cut_off(voxels_world, pitch, sight)
     body = _in_its_frame(
         voxels_world, _floor(float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2), stature_m, pitch
     )
@@ -119,22 +122,33 @@ def _in_its_frame(voxels_world: np.ndarray, floor: float, stature: float, pitch:
     return Upright(local, centre, forward, floor, stature, pitch)
 
 
-def _pitch(voxels_world: np.ndarray) -> float:
+def pitch_of(voxels_world: np.ndarray) -> float:
     """Edge of a voxel, metres: the least distance of two layers."""
     layers = np.unique(np.round(voxels_world[:, 2], 4))
     return float(np.diff(layers).min()) if len(layers) > 1 else 0.0
 
 
-def reject_cut_off(voxels_world: np.ndarray, pitch: float, volume: Volume | None) -> None:
-    """Raises PoseRejected when the body touches a wall or the ceiling of the volume (its floor may)."""
-    if volume is None:
+def reject_cut_off(voxels_world: np.ndarray, pitch: float, sight: Sight | None) -> None:
+    """Raises PoseRejected, with what to do, when some part of the body is where the rig does not show it."""
+    if sight is None:
         return
-    beyond_low = voxels_world.min(axis=0) - pitch < volume.low
-    beyond_high = voxels_world.max(axis=0) + pitch > volume.high
-    for k, name in enumerate("xyz"):
-        if beyond_high[k] or (beyond_low[k] and name != "z"):
-            wall = volume.high[k] if beyond_high[k] else volume.low[k]
-            raise PoseRejected(f"partly outside the volume, which ends at {name} = {wall:.2f} m")
+    stance = stance_of(voxels_world, pitch)
+    parts = cut_parts(voxels_world, stance, pitch, sight)
+    if HEAD in parts:
+        stance = replace(stance, stature=max(stance.stature, TYPICAL_STATURE_M))
+    if parts:
+        raise PoseRejected(what_to_do(parts, stance, sight))
+
+
+def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:
+    """Return about where a body stands, whatever its hull lacks: on the map's floor unless it is far above."""
+    low, high = np.percentile(voxels_world[:, 2], [TRIMMED, 100.0 - TRIMMED])
+    floor = _floor(low - pitch / 2)
+    floor = 0.0 if floor < FEET_LOST_M else floor
+    stature = max(float(high) + pitch / 2 - floor, 0.5 * TYPICAL_STATURE_M)
+    place = np.median(voxels_world[:, :2], axis=0)
+    axis = np.linalg.eigh(np.cov((voxels_world[:, :2] - place).T))[1][:, -1]
+    return Stance(place, np.array([axis[1], -axis[0]]), floor, stature)
 
 
 def _arms_axis(flat: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

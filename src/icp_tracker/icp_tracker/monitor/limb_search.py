@@ -17,7 +17,7 @@ from stick_figure import kernels
 from stick_figure.body_surface import BodySurface, place_capsules
 from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, sum_rays
 from stick_figure.least_squares.contour_factor import TANGENT as ALONG
-from stick_figure.least_squares.hull_samples import HullSamples, is_in_hull
+from stick_figure.least_squares.hull_samples import HullSamples, is_in_hull, is_unseen
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -212,5 +212,6 @@ def _is_held(placed, limb, hull):
     for stick in (limb.upper, limb.lower):
         A, B = placed.A[stick], placed.B[stick]
         for u in HELD_AT:
-            held += is_in_hull(hull, A[0] + u * (B[0] - A[0]), A[1] + u * (B[1] - A[1]), A[2] + u * (B[2] - A[2]))
+            x, y, z = A[0] + u * (B[0] - A[0]), A[1] + u * (B[1] - A[1]), A[2] + u * (B[2] - A[2])
+            held += is_in_hull(hull, x, y, z) or is_unseen(hull.unseen, x, y, z)
     return held >= HELD_LEAST

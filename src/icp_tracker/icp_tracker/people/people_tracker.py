@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_rig.rig import Volume
+from capture_rig.rig import Rig
 from mocap_packets.fit import FIRST_PERSON, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Prediction
@@ -21,7 +21,7 @@ from stick_figure.body import Body
 from ..acquisition.upright import reasons_of_bodies
 from ..refinement.body_refiner import RefinedBody
 from ..settings import IcpNodeSettings
-from ..tracker import ACQUIRING, NS_PER_S, IcpTracker, make_tracker
+from ..tracker import ACQUIRING, NS_PER_S, IcpTracker, make_tracker, sight_of
 
 MOST_PERSONS = 4
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
@@ -139,11 +139,12 @@ class PeopleTracker:
         return found
 
 
-def make_people_tracker(settings: IcpNodeSettings, volume: Volume | None = None) -> PeopleTracker:
-    """Make a tracker of everybody; first poses come from where the settings say. ``volume`` : where hulls end, else.
+def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> PeopleTracker:
+    """Make a tracker of everybody; first poses come from where the settings say; rig, min_seeing as of `sight_of`.
 
     A pose from a file or a session is that of one person: then nobody else is followed. Raises InputError for files
     that cannot be used.
     """
     most = MOST_PERSONS if settings.initial_pose.source == "t_pose" else 1
-    return PeopleTracker(lambda: make_tracker(settings, volume), most)
+    sight = sight_of(settings, rig, min_seeing)
+    return PeopleTracker(lambda: make_tracker(settings, sight), most)

@@ -65,7 +65,7 @@ def track_variants(
         raise ValueError("variants of one run differ in the settings of cameras or hull")
     pipeline = MocapPipeline(session.rig, first)
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, first.camera, pipeline, ended)
-    followers = [pipeline.body, *(BodyFollower.of(other, session.rig.volume) for other in others)]
+    followers = [pipeline.body, *(BodyFollower.of(other, session.rig) for other in others)]
     rows: list[list[tuple[int, BodyState]]] = [[] for _ in followers]
     for frame, frame_masks in enumerate(masks):
         progress(frame)

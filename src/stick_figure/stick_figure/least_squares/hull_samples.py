@@ -1,7 +1,8 @@
 """Samples of the hull in cells, so that a point of the figure is compared with those near it alone.
 
 A stick point is asked at every iteration whether some sample is near; nearly always one is, and it is found in the
-point's own cell or a neighbouring one. Only points outside the hull are compared with all samples.
+point's own cell or a neighbouring one. Only points outside the hull are compared with all samples. Where too few
+cameras see for a hull (``capture_rig/sight.py``) a body may be though no sample is: such a place counts as hull.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import numpy as np
 from numba import njit
 
 from capture_rig.kernel import kernel
+from capture_rig.sight import CELL_M as UNSEEN_CELL_M
+from capture_rig.sight import EVERYWHERE, UnseenCells
 
 CELL_M = 0.05  # a cell and its neighbours count as hull: within 0.05 to 0.1 m of a sample
 NONE = -1
@@ -22,6 +25,7 @@ class HullSamples(NamedTuple):
 
     low (3,) m : corner of the first cell. newest (x, y, z) int32 : a sample in each cell, NONE where there is none;
     next (m,) int32 : another one in the same cell. near (x, y, z) bool : a sample here or in a neighbouring cell.
+    unseen : the places that no hull can show.
     """
 
     points: np.ndarray
@@ -29,11 +33,12 @@ class HullSamples(NamedTuple):
     newest: np.ndarray
     next: np.ndarray
     near: np.ndarray
+    unseen: UnseenCells
 
     @staticmethod
-    def of(points: np.ndarray) -> HullSamples:
+    def of(points: np.ndarray, unseen: UnseenCells = EVERYWHERE) -> HullSamples:
         """Map samples (m, 3); without any, the map has no cells."""
-        return HullSamples(*_map_samples(np.ascontiguousarray(points, dtype=np.float64)))
+        return HullSamples(*(*_map_samples(np.ascontiguousarray(points, dtype=np.float64)), unseen))
 
 
 @njit(cache=True, nogil=True)
@@ -74,15 +79,30 @@ def is_in_hull(hull, x, y, z):
 
 
 @kernel
+def is_unseen(unseen, x, y, z):
+    """Return whether a point lies where no hull can show a body: :meth:`capture_rig.sight.UnseenCells.at` for one."""
+    cells = unseen.unseen
+    a, b = (x - unseen.low[0]) / UNSEEN_CELL_M, (y - unseen.low[1]) / UNSEEN_CELL_M
+    c = (z - unseen.low[2]) / UNSEEN_CELL_M
+    if cells.shape[0] == 0 or c < 0.0:
+        return False
+    if a < 0.0 or b < 0.0 or a >= cells.shape[0] or b >= cells.shape[1] or c >= cells.shape[2]:
+        return True
+    return cells[int(a), int(b), int(c)]
+
+
+@kernel
 def nearest_sample(hull, point, near_enough):
     """Return index and distance (m) of the sample nearest to a point; or of any that is ``near_enough``.
 
-    ``near_enough`` is at most CELL_M.
+    ``near_enough`` is at most CELL_M. Where no hull can be seen, NONE and zero: the point may well be in the body.
     """
     best, at = near_enough * near_enough, NONE
     if is_in_hull(hull, point[0], point[1], point[2]):
         at, best = _sample_near(hull, point, best)
-    if at == NONE:
+    if at == NONE and is_unseen(hull.unseen, point[0], point[1], point[2]):
+        best = 0.0
+    elif at == NONE:
         best = np.inf
         for n in range(hull.points.shape[0]):
             squared = _squared_distance(hull.points, n, point)

@@ -1,0 +1,125 @@
+"""Where a rig can show a body: the part of its volume that enough cameras see.
+
+Outside of it a hull is empty although a body may go on there, so what a hull lacks there is unknown, not absent.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .rig import Rig
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+CELL_M = 0.05  # of the map of places: three voxels, a third of a limb
+
+
+def min_seeing(cameras: int, requested: int = 0) -> int:
+    """Return how many cameras must see a voxel before it can be occupied, when ``cameras`` delivered a silhouette.
+
+    By the rig (``requested`` = 0): three fifths of the cameras, rounded up, but at least three and at most all:
+    3 of 3, 3 of 4, 3 of 5, 4 of 6, 5 of 7, 5 of 8. A requested number is lowered to the number of cameras. Never
+    below two: the cone of a single silhouette is no hull, so with one camera nothing is occupied.
+    """
+    wanted = requested if requested > 0 else max(3, -(-3 * cameras // 5))
+    return max(2, min(wanted, cameras))
+
+
+class UnseenCells(NamedTuple):
+    """A map of the cells (x, y, z) bool, CELL_M wide, in which some place is not seen by enough cameras.
+
+    low (3,) m : corner of the first cell, world. All that lies beside or above the map is unseen too; what lies below
+    it is under the floor, where no body is. A map without cells stands for a rig that is not known: nothing is unseen.
+    """
+
+    low: Array
+    unseen: Flags
+
+    def at(self, points_world: Array) -> Flags:
+        """Return which of the points (n, 3), metres, are in unseen cells."""
+        if self.unseen.size == 0:
+            return np.zeros(len(points_world), np.bool_)
+        cell = np.floor((points_world - self.low) / CELL_M).astype(np.int64)
+        inside = ((cell >= 0) & (cell < self.unseen.shape)).all(axis=1)
+        held = np.minimum(np.maximum(cell, 0), np.array(self.unseen.shape) - 1)
+        found: Flags = np.where(inside, self.unseen[held[:, 0], held[:, 1], held[:, 2]], cell[:, 2] >= 0)
+        return found
+
+    def widened(self) -> UnseenCells:
+        """Return the map with the cells beside unseen ones unseen too, for what is measured over a cell's reach."""
+        if self.unseen.size == 0:
+            return self
+        wide = np.pad(self.unseen, ((1, 1), (1, 1), (0, 1)), constant_values=True)
+        wide = np.pad(wide, ((0, 0), (0, 0), (1, 0)), constant_values=False)  # under the floor nobody is
+        for axis in range(3):
+            first, middle, last = (np.take(wide, range(k, wide.shape[axis] - 2 + k), axis) for k in range(3))
+            wide = first | middle | last
+        return UnseenCells(self.low, wide)
+
+
+EVERYWHERE = UnseenCells(np.zeros(3), np.zeros((0, 0, 0), np.bool_))
+"""The map of a rig that is not known."""
+
+
+class Sight:
+    """What each camera of a rig sees, and where enough of them do. All points (n, 3) world frame, metres."""
+
+    def __init__(self, rig: Rig, requested_seeing: int = 0) -> None:
+        """``requested_seeing`` is the hull's setting ``min_seeing``."""
+        self.rig, self.names, self.volume = rig, rig.names, rig.volume
+        self.needed = min_seeing(len(rig.cameras), requested_seeing)
+        self._views = [camera.undistorted_view() for camera in rig.cameras]
+
+    def seen_by(self, points_world: Array) -> Flags:
+        """Return which cameras (n, N) see the points: by the carver's rule, the pixel that the place projects to."""
+        seen = np.zeros((len(points_world), len(self._views)), np.bool_)
+        for number, view in enumerate(self._views):
+            u, v, depth = _project(view.camera.P, points_world)
+            height, width = view.seen.shape
+            inside = (depth > 0.0) & (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
+            rows = np.flatnonzero(inside)
+            seen[rows, number] = view.seen[(v[rows] + 0.5).astype(int), (u[rows] + 0.5).astype(int)]
+        return seen
+
+    def in_volume(self, points_world: Array) -> Flags:
+        """Return which points lie inside the volume's walls and ceiling (its floor counts as below everything)."""
+        low, high = self.volume.low, self.volume.high
+        flat = ((points_world[:, :2] >= low[:2]) & (points_world[:, :2] <= high[:2])).all(axis=1)
+        inside: Flags = flat & (points_world[:, 2] <= high[2])
+        return inside
+
+    def shows(self, points_world: Array) -> Flags:
+        """Return which points (n,) a hull would show: inside the volume and seen by enough cameras."""
+        enough: Flags = self.in_volume(points_world) & (self.seen_by(points_world).sum(axis=1) >= self.needed)
+        return enough
+
+    @cached_property
+    def unseen_cells(self) -> UnseenCells:
+        """The map of the volume's places that are not shown; computed once, in a tenth of a second a camera or less."""
+        low, high = self.volume.low, self.volume.high
+        size = np.ceil((high - low) / CELL_M).astype(int)
+        axes = [low[k] + CELL_M * np.arange(size[k] + 1) for k in range(3)]
+        corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        shown = (self.seen_by(corners).sum(axis=1) >= self.needed).reshape(*(size + 1))
+        for axis in range(3):  # a cell is seen when all its corners are
+            count = shown.shape[axis]
+            shown = np.take(shown, range(count - 1), axis) & np.take(shown, range(1, count), axis)
+        return UnseenCells(low, ~shown)
+
+    @cached_property
+    def near_unseen(self) -> UnseenCells:
+        """The same with the cells beside them, for what is measured over a cell's reach."""
+        return self.unseen_cells.widened()
+
+
+def _project(P: Array, points_world: Array) -> tuple[Array, Array, Array]:
+    """Return pixels u, v (n,), NaN behind the camera, and depth (n,)."""
+    x, y, depth = (points_world @ P[:, :3].T + P[:, 3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = np.where(depth > 0.0, depth, np.nan)
+        return x / ahead, y / ahead, depth

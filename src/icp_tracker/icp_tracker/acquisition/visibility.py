@@ -1,0 +1,191 @@
+"""Parts of a body that a rig does not show: which are cut off, which camera does not see them, where to step.
+
+Outside the volume, and where too few cameras see, a hull ends although the body goes on. A part of which the hull ends
+there is unknown: it may not be measured. The step is the smallest one within the volume after which enough cameras see
+head, hands and feet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.sight import Sight
+
+FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right hand", "body"
+HAND = "hand"  # of a person whose front is not known
+
+REACH_VOXELS = 1.5  # from a voxel's centre to where the hull must be able to go on
+FEWEST_CUT = 5  # voxels (of some 3000 samples of a body) that make a cut
+FEET_TO, HEAD_FROM = 0.20, 0.90  # heights over the stature
+TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
+BODY_CUT = 0.12  # share of a body's voxels at the cut from which it is not one limb that is missing
+# places of a T-pose over the stature: ahead, to the left, up (Drillis & Contini 1966: feet .152 long, span about 1)
+ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
+STEP_M, FARTHEST_M, DIRECTIONS = 0.1, 2.5, 16  # steps that are tried
+MARGIN_M = 0.10  # a place is seen with so much to spare: the hull of three cameras is so much wider than a hand
+SURE_FACING = 2.0  # log-likelihood ratio from which left and right are said
+WORDS = ("forwards", "forwards and left", "to the left of where you face", "backwards and left", "backwards")
+WORDS_RIGHT = ("backwards and right", "to the right of where you face", "forwards and right")
+TYPICAL_STATURE_M = 1.75  # of somebody whose head is not seen
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """Where somebody stands: place (2,) m, forward (2,) unit, floor and stature m; facing : how sure ``forward`` is
+    against its opposite, a log-likelihood ratio."""
+
+    place_world: np.ndarray
+    forward_world: np.ndarray
+    floor_world: float
+    stature: float
+    facing: float = 0.0
+
+    def places_of(self, part: str = "") -> np.ndarray:
+        """Return points (k, 3) about one part of a T-pose in this stance, or about all of it, world, metres."""
+        ahead = np.array([*self.forward_world, 0.0])
+        left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
+        origin = np.array([*self.place_world, self.floor_world])
+        parts = _T_POSE if part == "" else {part: _T_POSE[part]}
+        local = np.concatenate(list(parts.values())) * self.stature
+        return np.asarray(origin + local @ np.array([ahead, left, up]))
+
+    def moved(self, by: np.ndarray) -> Stance:
+        """Return the same somewhere else."""
+        return Stance(self.place_world + by, self.forward_world, self.floor_world, self.stature, self.facing)
+
+
+_T_POSE = {
+    FEET: np.array([[x, y, SOLE] for x in (HEEL, TOES) for y in (-ANKLES_APART, ANKLES_APART)]),
+    HEAD: np.array([[x, y, z] for x in (-DEEP, DEEP) for y in (-0.05, 0.05) for z in (0.93, CROWN)]),
+    LEFT_HAND: np.array([[0.0, y, SHOULDERS] for y in (FINGERS - 0.06, FINGERS)]),
+    RIGHT_HAND: np.array([[0.0, -y, SHOULDERS] for y in (FINGERS - 0.06, FINGERS)]),
+    BODY: np.array([[x, y, z] for x in (-DEEP, DEEP) for y in (-0.12, 0.12) for z in (0.5, SHOULDERS)]),
+}
+
+
+def at_the_cut(voxels_world: np.ndarray, pitch: float, sight: Sight) -> np.ndarray:
+    """Return which voxels (m,) bool of a hull have a neighbour that the rig cannot show, above the floor."""
+    cut = np.zeros(len(voxels_world), dtype=bool)
+    for axis in range(3):
+        for way in (-1.0, 1.0):
+            beyond = voxels_world.copy()
+            beyond[:, axis] += way * REACH_VOXELS * pitch
+            cut |= ~sight.shows(beyond) & (beyond[:, 2] > sight.volume.low[2] + pitch)
+    return cut
+
+
+def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, sight: Sight) -> tuple[str, ...]:
+    """Name the parts of a hull (m, 3) that are cut off where the rig sees no farther."""
+    cut = at_the_cut(voxels_world, pitch, sight)
+    if np.count_nonzero(cut) < FEWEST_CUT:
+        return ()
+    flat = voxels_world[cut, :2] - stance.place_world
+    height = (voxels_world[cut, 2] - stance.floor_world) / stance.stature
+    across = flat @ np.array([-stance.forward_world[1], stance.forward_world[0]])
+    near = np.linalg.norm(flat, axis=1) < TRUNK_REACH * stance.stature
+    low = height < FEET_TO
+    rows = {
+        FEET: low,
+        HEAD: near & (height > HEAD_FROM),
+        LEFT_HAND: ~near & ~low & (across > 0.0),
+        RIGHT_HAND: ~near & ~low & (across < 0.0),
+        BODY: near & ~low & (height <= HEAD_FROM),
+    }
+    found = tuple(part for part, chosen in rows.items() if np.count_nonzero(chosen) >= FEWEST_CUT)
+    return (BODY,) if BODY in found or cut.mean() > BODY_CUT else found
+
+
+def what_to_do(parts: tuple[str, ...], stance: Stance, sight: Sight) -> str:
+    """Say in one sentence what is not seen, by which cameras, and where to step or which camera to turn."""
+    names = [_told(part, stance) for part in parts]
+    yours = "you" if parts == (BODY,) else "your " + " and ".join(dict.fromkeys(names))
+    places = np.concatenate([stance.places_of(part) for part in parts])
+    inside, seen = sight.in_volume(places), sight.seen_by(places)
+    blind = [name for name, sees in zip(sight.names, seen[inside].T, strict=True) if not sees.all()]
+    if not inside.all() or not blind:
+        be = "are" if yours == "you" or "feet" in yours or len(set(names)) > 1 else "is"
+        what = f"{yours} {be} partly outside the volume"
+    else:
+        what = f"{_listed(blind)} {'does' if len(blind) == 1 else 'do'} not see {yours}"
+        what = what.replace("see you", "see all of you") if yours == "you" else what
+    step = smallest_step(stance, sight)
+    if step is not None:
+        return f"{what}: {_said(step, stance, sight)}"
+    return f"{what}: {_turn(stance, sight)}"
+
+
+def smallest_step(stance: Stance, sight: Sight) -> np.ndarray | None:
+    """Return the smallest step (2,) m after which a T-pose of this stance is shown whole; None if there is no place."""
+    places = stance.places_of()
+    spread = MARGIN_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
+    places = (places[:, None] + spread).reshape(-1, 3)
+    angles = np.arange(DIRECTIONS) * 2.0 * np.pi / DIRECTIONS
+    for length in np.arange(STEP_M, FARTHEST_M, STEP_M):
+        steps = length * np.column_stack([np.cos(angles), np.sin(angles)])
+        stands = (
+            (stance.place_world + steps >= sight.volume.low[:2]) & (stance.place_world + steps <= sight.volume.high[:2])
+        ).all(axis=1)
+        moved = places + np.column_stack([steps, np.zeros(DIRECTIONS)])[:, None]
+        shown = sight.shows(moved.reshape(-1, 3)).reshape(DIRECTIONS, -1).all(axis=1) & stands
+        if shown.any():
+            return np.asarray(steps[int(np.argmax(shown))])
+    return None
+
+
+def _told(part: str, stance: Stance) -> str:
+    return HAND if part in (LEFT_HAND, RIGHT_HAND) and abs(stance.facing) < SURE_FACING else part
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+
+
+def _said(step: np.ndarray, stance: Stance, sight: Sight) -> str:
+    """Put a step into words: about where the person faces, or towards a camera when that is not known."""
+    length = float(np.linalg.norm(step))
+    if abs(stance.facing) >= SURE_FACING:
+        forward = stance.forward_world * (1.0 if stance.facing > 0.0 else -1.0)
+        ahead, left = step @ forward, step @ np.array([-forward[1], forward[0]])
+        words = (*WORDS, *WORDS_RIGHT)
+        return f"step {length:.1f} m {words[round(float(np.arctan2(left, ahead)) / (np.pi / 4)) % 8]}"
+    ways = [(camera.centre_world[:2] - stance.place_world, camera.name) for camera in sight.rig.cameras]
+    along = {name: float(step @ way / max(np.linalg.norm(way), 1e-6)) for way, name in ways}
+    toward, away = max(along, key=along.__getitem__), min(along, key=along.__getitem__)
+    if along[toward] >= -along[away]:
+        return f"step {length:.1f} m towards {toward}"
+    return f"step {length:.1f} m away from {away}"
+
+
+def _turn(stance: Stance, sight: Sight) -> str:
+    """Say which camera to turn so that somebody in the middle of the volume is seen."""
+    middle = 0.5 * (sight.volume.low + sight.volume.high)[:2]
+    places = stance.moved(middle - stance.place_world).places_of()
+    if not sight.in_volume(places).all():
+        return "the volume is too small for a T-pose"
+    missed = (~sight.seen_by(places)).sum(axis=0)
+    camera = sight.rig.cameras[int(np.argmax(missed))]
+    return f"no place in the volume is seen by {sight.needed} cameras; {_turned(camera, places)}"
+
+
+def _turned(camera: CameraModel, places_world: np.ndarray) -> str:
+    """Say how a camera has to be turned towards places, or that they do not fit into its picture."""
+    x, y, depth = (places_world @ camera.R_camera_world.T + camera.t_camera_world).T
+    if (depth <= 0.0).any():
+        return f"turn {camera.name} round"
+    ideal = camera.ideal_points(_border(camera))
+    low, high = np.nanmin(ideal, axis=0), np.nanmax(ideal, axis=0)
+    u, v = x / depth, y / depth
+    if np.ptp(u) > high[0] - low[0] or np.ptp(v) > high[1] - low[1]:
+        return f"move {camera.name} back, you do not fit into its picture"
+    beyond = {"down": v.max() - high[1], "up": low[1] - v.min(), "to its right": u.max() - high[0]}
+    beyond["to its left"] = low[0] - u.min()
+    return f"turn {camera.name} {max(beyond, key=beyond.__getitem__)}"
+
+
+def _border(camera: CameraModel) -> np.ndarray:
+    """Middles of the image's four sides, pixels."""
+    w, h = camera.width - 1.0, camera.height - 1.0
+    return np.array([[0.5 * w, 0.0], [0.5 * w, h], [0.0, 0.5 * h], [w, 0.5 * h]])

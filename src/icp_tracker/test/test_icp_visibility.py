@@ -1,0 +1,88 @@
+"""People whom a rig does not show whole: what is cut off, and the sentence that tells them what to do."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from t_pose_studio import Studio, both_sides, person, standing
+
+from icp_tracker.acquisition.t_pose_measures import TPoseSettings
+from icp_tracker.acquisition.t_pose_source import find_t_pose
+from icp_tracker.acquisition.visibility import FEET, LEFT_HAND, Stance, cut_parts, smallest_step, what_to_do
+from stick_figure.body import Body
+from virtual_studio.rig import narrowed, ring, tilted, with_camera
+
+BODY = Body.from_stature(1.75)
+T_POSE = both_sides()
+RING = ring(3, ceiling=False)
+TOWARDS_LAST = RING.cameras[2].centre_world[:2] / np.linalg.norm(RING.cameras[2].centre_world[:2])
+
+
+@lru_cache
+def room(up=0.0, factor=1.0):
+    """Three cameras, the last of them tilted up (rad), all with a lens of so many times the focal length."""
+    rig = with_camera(RING, 2, tilted(RING.cameras[2], up))
+    for number, camera in enumerate(rig.cameras):
+        rig = with_camera(rig, number, narrowed(camera, factor))
+    return Studio(rig)
+
+
+def answer(studio, place, heading=0.4):
+    """Why a T-pose there is refused; empty when it is measured."""
+    return find_t_pose(
+        studio.render(person(BODY, standing(BODY, T_POSE, heading, place))), TPoseSettings(), studio.sight
+    )[1]
+
+
+def test_whole_body_is_measured():
+    assert answer(room(), (0.0, 0.0)) == ""
+
+
+@pytest.mark.parametrize(
+    ("up", "place", "heading", "starts"),
+    [
+        (0.24, tuple(0.5 * TOWARDS_LAST), 1.4, "cam03 does not see your feet: step "),
+        (-0.24, tuple(0.5 * TOWARDS_LAST), 1.4, "cam03 does not see your head: step "),
+        (0.0, (1.25, 0.0), 0.0, "you are partly outside the volume: step "),
+        (0.0, (0.0, 0.95), 0.0, "your hand is partly outside the volume: step "),
+    ],
+)
+def test_cut_off_person_is_told_what_is_missing_and_where_to_go(up, place, heading, starts):
+    studio = room(up)
+    told = answer(studio, place, heading)
+    assert told.startswith(starts), told
+    stance = Stance(np.array(place), np.array([np.cos(heading), np.sin(heading)]), 0.0, BODY.stature)
+    step = smallest_step(stance, studio.sight)
+    assert abs(np.linalg.norm(step) - step_of(told)) <= 0.2
+    there = np.array(place) + step  # whoever obeys is measured, or asked for a short step more: hulls are wide
+    left = answer(studio, tuple(there), heading)
+    assert left == "" or step_of(left) <= 0.2
+
+
+def step_of(told):
+    """The length of the step in a sentence, metres."""
+    return float(told.split("step ")[1].split(" m")[0])
+
+
+def test_step_is_said_about_where_the_person_faces_when_that_is_known():
+    sight = room().sight
+    for forward, word in (((1.0, 0.0), " right"), ((-1.0, 0.0), " left")):
+        stance = Stance(np.array([0.0, 0.95]), np.array(forward), 0.0, 1.75, facing=5.0)
+        told = what_to_do((LEFT_HAND,), stance, sight)
+        assert "left hand" in told and word in told
+
+
+def test_without_a_place_a_camera_is_to_be_turned():
+    stance = Stance(np.zeros(2), np.array([1.0, 0.0]), 0.0, 1.75)
+    assert what_to_do((FEET,), stance, room(0.6).sight) == (
+        "cam03 does not see your feet: no place in the volume is seen by 3 cameras; turn cam03 down"
+    )
+    assert "you do not fit into its picture" in what_to_do((FEET,), stance, room(0.0, 2.2).sight)
+
+
+def test_whole_body_near_the_border_is_not_called_cut():
+    """The hull of hands and feet a few voxels inside the border is whole."""
+    studio = room()
+    voxels = studio.render(person(BODY, standing(BODY, T_POSE, 0.0, (0.0, 0.35)))).voxels.points_world
+    stance = Stance(np.array([0.0, 0.35]), np.array([1.0, 0.0]), 0.0, BODY.stature)
+    assert cut_parts(voxels, stance, 0.02, studio.sight) == ()
