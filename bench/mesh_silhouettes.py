@@ -1,0 +1,63 @@
+"""Exact silhouettes of meshes: every pixel whose centre lies in a triangle, through the lens, of all people at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from mesh_body import MeshBody
+from mesh_motions import MeshMotion
+from numba import njit
+from numpy.typing import NDArray
+
+from capture_rig import Rig
+from capture_rig.camera import CameraModel
+
+Array = NDArray[np.float64]
+NEAR_M = 0.1
+"""What is nearer to a camera than this is not drawn."""
+
+
+def mesh_silhouettes(rig: Rig, bodies: list[MeshBody], motions: list[MeshMotion], frame: int) -> dict[str, np.ndarray]:
+    """Every camera's picture (H, W), 0 or 255, of the people in one frame."""
+    vertices = [
+        body.posed(motion.rotations[frame], motion.roots[frame])[0]
+        for body, motion in zip(bodies, motions, strict=True)
+    ]
+    triangles = [body.triangles for body in bodies]
+    return {camera.name: silhouette(camera, vertices, triangles) for camera in rig.cameras}
+
+
+def silhouette(camera: CameraModel, vertices: Iterable[Array], triangles: Iterable[NDArray[np.int32]]) -> np.ndarray:
+    """One camera's picture of meshes in the world."""
+    picture = np.zeros((camera.height, camera.width), np.uint8)
+    for points, corners in zip(vertices, triangles, strict=True):
+        pixels = camera.project(points)
+        depth = points @ camera.R_camera_world[2] + camera.t_camera_world[2]
+        pixels[depth < NEAR_M] = np.nan
+        _fill(pixels, corners, picture)
+    return picture
+
+
+@njit(cache=True)
+def _fill(pixels: Array, triangles: NDArray[np.int32], picture: NDArray[np.uint8]) -> None:
+    """Sets the pixels whose centres, at whole numbers, lie in a triangle or on its edge."""
+    height, width = picture.shape
+    for t in range(len(triangles)):
+        ax, ay = pixels[triangles[t, 0], 0], pixels[triangles[t, 0], 1]
+        bx, by = pixels[triangles[t, 1], 0], pixels[triangles[t, 1], 1]
+        cx, cy = pixels[triangles[t, 2], 0], pixels[triangles[t, 2], 1]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if not area * area > 0.0:
+            continue
+        left, right = max(0.0, np.ceil(min(ax, bx, cx))), min(width - 1.0, np.floor(max(ax, bx, cx)))
+        top, bottom = max(0.0, np.ceil(min(ay, by, cy))), min(height - 1.0, np.floor(max(ay, by, cy)))
+        sign = 1.0 if area > 0.0 else -1.0
+        for y in range(int(top), int(bottom) + 1):
+            for x in range(int(left), int(right) + 1):
+                if (
+                    sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) >= 0.0
+                    and sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)) >= 0.0
+                    and sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) >= 0.0
+                ):
+                    picture[y, x] = 255
