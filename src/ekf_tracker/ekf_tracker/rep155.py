@@ -11,12 +11,15 @@ In the zero pose of the `human_description` URDF all limbs hang along -z and eve
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
 
+from capture_rig.errors import InputError
+from mocap_packets.fit import FIRST_PERSON
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 
@@ -43,12 +46,27 @@ HRI_JOINT_NAMES = (
     "r_knee",
 )
 
+BODY_ID = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 SINGULAR_SINE = 1e-6
 SHOULDER_PITCH_LOW = -0.4
 """rad; lower limit of p_shoulder in the URDF."""
 
 _ARM_TO_HANGING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Columns: the hanging arm's x, y, z in the stick figure's arm frame, where the arm points along +y."""
+
+
+def body_id_of(first_id: str, person: int) -> str:
+    """Return the id of a person, given that of person 1: b0001, b0002, ...; an id without a number gets one.
+
+    Raises InputError when ``first_id`` is no REP-155 id: letters, digits and underscores, a letter first.
+    """
+    if not BODY_ID.fullmatch(first_id):
+        what, remedy = f"body_id = {first_id!r} is no REP-155 id", "as in b0001."
+        raise InputError(what, where="body_id", remedy=f"Use letters, digits and underscores, a letter first, {remedy}")
+    name, digits = re.fullmatch(r"(.*?)(\d*)", first_id).groups()  # type: ignore[union-attr]
+    if not digits:
+        return first_id if person == FIRST_PERSON else f"{first_id}_{person}"
+    return f"{name}{int(digits) + person - FIRST_PERSON:0{len(digits)}d}"
 
 
 def hri_angles(pose: Pose, previous: np.ndarray | None = None) -> np.ndarray:

@@ -107,7 +107,10 @@ class EkfNodeSettings:
     skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
     skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
     publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
-    body_id: str = setting("b0001", "REP-155 id of the person")
+    body_id: str = setting("b0001", "REP-155 id of the first person; the others count on from it")
+    stale_after_s: float = setting(
+        0.75, "without frame sets for so long, everybody is reported lost; 0: never", unit="s", low=0.0, high=60.0
+    )
     filter: EkfSettings = field(default_factory=EkfSettings)
 
     renamed: ClassVar[Mapping[str, str]] = {"filter.lasting_errors": "filter.measurement_bias"}
@@ -118,7 +121,7 @@ class EkfNodeSettings:
         "filter.joint_sd_cap_rad": "it is JOINT_SD_CAP_RAD in ekf_tracker/filter.py",
         "filter.hinge_margin_rad": "it is HINGE_MARGIN_RAD in stick_figure/pose.py",
         "filter.constant_velocity.reference_period_s": "it is 25 ms",
-        "restart_after_sets": "it is RESTART_AFTER_SETS in ekf_tracker/ekf_node.py",
+        "restart_after_sets": "it is RESTART_AFTER in mocap_packets/stamp_order.py",
     }
 
 

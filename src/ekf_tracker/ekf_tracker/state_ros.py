@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
+from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
 from std_msgs.msg import ColorRGBA, Header
@@ -26,12 +29,32 @@ STICK_WIDTH_M = 0.03
 JOINT_DIAMETER_M = 0.06
 SIGMAS = 2.0
 """Half axes of the published ellipsoids in standard deviations."""
+LIFETIME_S = 1
+"""How long a viewer keeps markers that nothing replaces: as long as the filter keeps an unmeasured body."""
 _COLOURS = {
     Tracking.TRACKING: ColorRGBA(r=0.2, g=0.8, b=0.3, a=1.0),
     Tracking.DOUBTFUL: ColorRGBA(r=0.95, g=0.7, b=0.1, a=1.0),
     Tracking.LOST: ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0),
 }
 _ELLIPSOID_COLOUR = ColorRGBA(r=0.4, g=0.6, b=1.0, a=0.3)
+_PERSONS = ((0.34, 0.71, 0.91), (0.80, 0.47, 0.65), (0.0, 0.45, 0.70), (0.94, 0.89, 0.26))
+"""Sky blue, purple, blue, yellow: told apart by the colour-blind (Okabe and Ito 2008), and from the states' colours."""
+
+
+@dataclass(frozen=True)
+class SkeletonStyle:
+    """How a person's markers look: ``prefix`` of their namespaces; ``sticks`` : colour, None for that of the state."""
+
+    frame_id: str
+    with_ellipsoids: bool
+    prefix: str = ""
+    sticks: ColorRGBA | None = None
+
+    @classmethod
+    def of_person(cls, person: int, body_id: str, frame_id: str, with_ellipsoids: bool) -> SkeletonStyle:
+        """Return the style of one among several: sticks in a colour of their own, joints in that of the state."""
+        r, g, b = _PERSONS[(person - 1) % len(_PERSONS)]
+        return cls(frame_id, with_ellipsoids, f"{body_id}/", ColorRGBA(r=r, g=g, b=b, a=1.0))
 
 
 def torso_message(state: BodyState, frame_id: str) -> PoseWithCovarianceStamped:
@@ -55,20 +78,38 @@ def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatu
     )
 
 
-def skeleton_markers(state: BodyState, body: Body, frame_id: str, with_ellipsoids: bool) -> MarkerArray:
+def silence_message(tracking: Tracking, reason: str, node_name: str) -> DiagnosticStatus:
+    """Return the state between frame sets, so without a stamp: nothing comes any more."""
+    values = key_values({"reason": reason})
+    return DiagnosticStatus(level=LEVELS[tracking], name=node_name, message=str(tracking), values=values)
+
+
+def skeleton_markers(state: BodyState, body: Body, style: SkeletonStyle) -> MarkerArray:
     """Sticks as one line list, joints as one sphere list, and if wanted one ellipsoid of covariance a point.
 
-    Namespaces and ids stay the same from set to set, so a viewer replaces what it shows.
+    Namespaces and ids stay the same from set to set, so a viewer replaces what it shows; what is replaced no longer
+    disappears after LIFETIME_S.
     """
-    header = _header(state.stamp_ns, frame_id)
-    lines = _marker(header, "sticks", 0, Marker.LINE_LIST, _COLOURS[state.tracking])
+    header, colour = _header(state.stamp_ns, style.frame_id), _COLOURS[state.tracking]
+    sticks_colour = colour if style.sticks is None or state.tracking == Tracking.LOST else style.sticks
+    lines = _marker(header, f"{style.prefix}sticks", 0, Marker.LINE_LIST, sticks_colour)
     lines.scale.x = STICK_WIDTH_M
     lines.points = [_point(end) for end in sticks(body, state.pose).reshape(20, 3)]
-    joints = _marker(header, "joints", 0, Marker.SPHERE_LIST, _COLOURS[state.tracking])
+    joints = _marker(header, f"{style.prefix}joints", 0, Marker.SPHERE_LIST, colour)
     joints.scale.x = joints.scale.y = joints.scale.z = JOINT_DIAMETER_M
     joints.points = [_point(point) for point in state.points_world]
-    ellipsoids = _ellipsoids(header, state) if with_ellipsoids else []
+    ellipsoids = _ellipsoids(header, state, f"{style.prefix}covariance") if style.with_ellipsoids else []
     return MarkerArray(markers=[lines, joints, *ellipsoids])
+
+
+def deleted_markers(shown: Iterable[Marker], stamp_ns: int) -> MarkerArray:
+    """Take markers back: those of the same namespaces and ids."""
+    return MarkerArray(
+        markers=[
+            Marker(header=_header(stamp_ns, one.header.frame_id), ns=one.ns, id=one.id, action=Marker.DELETE)
+            for one in shown
+        ]
+    )
 
 
 def quaternion(R: np.ndarray) -> Quaternion:
@@ -80,11 +121,11 @@ def quaternion(R: np.ndarray) -> Quaternion:
     return Quaternion(x=x, y=y, z=z, w=math.cos(angle / 2.0))
 
 
-def _ellipsoids(header: Header, state: BodyState) -> list[Marker]:
+def _ellipsoids(header: Header, state: BodyState, namespace: str) -> list[Marker]:
     markers = []
     variances, axes = np.linalg.eigh(state.point_covariance)
     for i, (point, variance, axis) in enumerate(zip(state.points_world, variances, axes, strict=True)):
-        marker = _marker(header, "covariance", i, Marker.SPHERE, _ELLIPSOID_COLOUR)
+        marker = _marker(header, namespace, i, Marker.SPHERE, _ELLIPSOID_COLOUR)
         marker.pose.position = _point(point)
         marker.pose.orientation = quaternion(axis * [1.0, 1.0, np.linalg.det(axis)])  # eigh may return a reflection
         marker.scale.x, marker.scale.y, marker.scale.z = 2.0 * SIGMAS * np.sqrt(variance)
@@ -94,6 +135,7 @@ def _ellipsoids(header: Header, state: BodyState) -> list[Marker]:
 
 def _marker(header: Header, namespace: str, number: int, kind: int, colour: ColorRGBA) -> Marker:
     marker = Marker(header=header, ns=namespace, id=number, type=kind, action=Marker.ADD, color=colour)
+    marker.lifetime = Duration(sec=LIFETIME_S)
     marker.pose.orientation.w = 1.0
     return marker
 

@@ -1,4 +1,7 @@
-"""The node: centerline, voxels and contour rays of the hull in; reference points and fit out, one for every set."""
+"""The node: centerline, voxels and contour rays of the hull in; everybody's reference points and fits out.
+
+One message a set holds everybody: the filter knows from it who is there, and waits for nobody else.
+"""
 
 from __future__ import annotations
 
@@ -14,57 +17,62 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
-from mocap_packets.fit import Fit, ReferencePoints
+from mocap_packets.fit import FIRST_PERSON, Fit
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
-from mocap_packets.state import Prediction
+from mocap_packets.people import PeoplePoints, Predictions, format_bodies
+from mocap_packets.stamp_order import Order, StampOrder
 from sagoma_ros.exchange import Delivery, HeardPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.health import OK, WARN
 from sagoma_ros.messages import key_values, to_stamp
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import Text, packet_cloud, read_finite, read_prediction
+from sagoma_ros.packets import Text, people_cloud, read_finite, read_predictions
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED
+from sagoma_ros.silence import SilenceWatch
 from sagoma_ros.worker import Mailbox, Worker
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
 from .icp_ros import FilterFeedback, SaveBodyService, SavedBody
 from .monitor.evidence import PART_NAMES
+from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
-from .tracker import ACQUIRING, TRACKING, IcpTracker, make_tracker, sight_of, warm_up
+from .tracker import ACQUIRING, TRACKING, warm_up
 
 CLOUDS_KEPT = 8
 T = TypeVar("T", Centerline, VoxelSamples, ContourRays)
 
 
 class IcpNode(SagomaNode):
-    """Fits the stick figure to every centerline, in stamp order, on a thread of its own."""
+    """Fits a stick figure a person to every centerline, in stamp order, on a thread of its own."""
 
     Settings = IcpNodeSettings
 
     def __init__(self, name: str = "icp_tracker", **options: object) -> None:
         super().__init__(name, **options)
-        self._tracker: IcpTracker | None = None
+        self._tracker: PeopleTracker | None = None
         self._worker: Worker[Delivery[Centerline]] | None = None
         self._subscriptions_held: list[PacketSubscription] = []
         self._publishers_held: list[PacketPublisher | HeardPublisher] = []
-        self._lock = threading.Lock()  # tracker and last stamp: worker against ~/reset
-        self._last_stamp_ns = -1
-        self._state = ""
-        self._published_body: Body | None = None
+        self._lock = threading.Lock()  # tracker and stamps: worker against ~/reset
+        self._order = StampOrder()
+        self._told: dict[int, str] = {}
+        self._published: dict[int, Body] = {}
+        self._silence: SilenceWatch | None = None
 
     # --- lifecycle -----------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         settings: IcpNodeSettings = self.settings
-        self._tracker = make_tracker(settings, sight_of(settings))
+        self._tracker = make_people_tracker(settings)
         warm_up(settings)
-        self._points_publisher = PacketPublisher[ReferencePoints](
-            self, PointCloud2, "icp/reference_points", packet_cloud
-        )
+        self._points_publisher = PacketPublisher[PeoplePoints](self, PointCloud2, "icp/reference_points", people_cloud)
         self._fit_publisher = HeardPublisher(self, DiagnosticArray, "icp/fit")
         self._body_publisher = PacketPublisher[Text](self, String, "icp/body", Text.to_message, LATCHED)
-        self._publishers_held = [self._points_publisher, self._fit_publisher, self._body_publisher]
+        self._bodies_publisher = PacketPublisher[Text](self, String, "icp/bodies", Text.to_message, LATCHED)
+        self._publishers_held = [
+            *(self._points_publisher, self._fit_publisher, self._body_publisher, self._bodies_publisher)
+        ]
         self._reset_service = self.create_service(Trigger, "~/reset", self._on_reset)
         self._save_body = SaveBodyService(self, settings.bodies)
 
@@ -73,7 +81,8 @@ class IcpNode(SagomaNode):
         self._feedback = FilterFeedback(settings.prediction_wait_s)
         self._voxels: Mailbox[Delivery[VoxelSamples]] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
         self._contour_rays: Mailbox[Delivery[ContourRays]] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
-        self._last_stamp_ns = -1
+        self._order.reset()
+        self._silence = SilenceWatch(self, settings.stale_after_s, self._on_silence)
         self._worker = Worker(
             "icp",
             self._process,
@@ -92,6 +101,8 @@ class IcpNode(SagomaNode):
         for subscription in self._subscriptions_held:
             subscription.close()
         self._subscriptions_held = []
+        if self._silence is not None:
+            self._silence.close()
         if self._worker is not None:
             self._feedback.mailbox.close()
             self._voxels.close()
@@ -106,13 +117,14 @@ class IcpNode(SagomaNode):
             self.destroy_service(self._reset_service)
             self._save_body.close()
         self._publishers_held = []
-        self._published_body = None
+        self._published = {}
         self._tracker = None
 
     # --- callbacks -----------------------------------------------------------------------------------------------
 
     def _on_centerline(self, line: Delivery[Centerline]) -> None:
-        if self._worker is not None:
+        if self._worker is not None and self._silence is not None:
+            self._silence.heard()
             self._worker.put(line)
 
     def _on_voxels(self, voxels: Delivery[VoxelSamples]) -> None:
@@ -123,45 +135,70 @@ class IcpNode(SagomaNode):
         if self._tracker is not None and self._tracker.needs_contour_rays:
             self._contour_rays.put(rays.stamp_ns, rays)
 
-    def _on_prediction(self, prediction: Delivery[Prediction]) -> None:
+    def _on_prediction(self, prediction: Delivery[Predictions]) -> None:
         if prediction.packet is not None:
             self._feedback.put(prediction.packet.as_sent())
             return
         try:
-            self._feedback.put(read_prediction(prediction.message, self.resolve_topic_name("ekf/prediction")))
+            self._feedback.put(read_predictions(prediction.message, self.resolve_topic_name("ekf/prediction")))
         except InputError as error:
             self._refuse("bad_predictions", error)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            if self._tracker is not None:
-                self._tracker.reset()
-            self._last_stamp_ns = -1
+            self._begin_anew()
+            self._order.reset()
         response.success = True
         response.message = f"looking for the first pose again ({self.settings.initial_pose.source})"
         return response
+
+    def _begin_anew(self) -> None:
+        """Forget everybody; the lock is held."""
+        if self._tracker is not None:
+            self._tracker.reset()
+        self._save_body.forget()
+        self._told = {}
+
+    def _on_silence(self, silent_s: float) -> None:
+        """Report that no frame sets come; a fit that comes reports for itself."""
+        self.health.status(WARN, f"no frame sets for {silent_s:.0f} s: do the hull server and the cameras run?")
 
     # --- one frame set, on the worker's thread -------------------------------------------------------------------
 
     def _process(self, centerline: Delivery[Centerline]) -> None:
         stamp_ns = centerline.stamp_ns
-        if stamp_ns <= self._last_stamp_ns:
-            self.health.count("backward_stamps")
+        if not self._in_order(stamp_ns):
             return
         line = self._read(centerline, Centerline, "centerline")
         seen = HullProducts(stamp_ns, line, self._voxels_of(stamp_ns), self._contour_rays_of(stamp_ns))
-        prediction = self._feedback.after_previous_set()
+        predictions = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:
                 return
-            self._last_stamp_ns = stamp_ns
             began = time.perf_counter()
-            result = self._tracker.step(seen, prediction)
-            body = self._tracker.body
+            fits = self._tracker.step(seen, predictions)
+            bodies = {fit.person: body for fit in fits if (body := self._tracker.body_of(fit.person)) is not None}
+            acquiring = self._tracker.acquiring
             self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
         self._feedback.asked(stamp_ns)
-        self._publish_body(stamp_ns, body)
-        self._publish(result, centerline.frame_id)
+        self._publish_bodies(stamp_ns, bodies)
+        self._publish(fits, acquiring, centerline.frame_id)
+
+    def _in_order(self, stamp_ns: int) -> bool:
+        """Return whether a set is to be fitted; stamps that went back begin anew, which is said once."""
+        with self._lock:
+            before_ns = self._order.last_ns or 0
+            order = self._order.take(stamp_ns)
+            if order is Order.RESTART:
+                self._begin_anew()
+                self._feedback.forget()
+        if order is Order.PAST:
+            self.health.count("backward_stamps")
+        elif order is Order.RESTART:
+            self.health.count("restarts")
+            back_s = 1e-9 * (before_ns - stamp_ns)
+            self.get_logger().warning(f"stamps went back by {back_s:.3f} s: a new beginning, for everybody")
+        return order is not Order.PAST
 
     def _voxels_of(self, stamp_ns: int) -> VoxelSamples:
         """Return the set's voxels, if they are wanted and there."""
@@ -197,30 +234,43 @@ class IcpNode(SagomaNode):
             self.health.count("dropped_points" if name == "centerline" else f"dropped_{name}", dropped)
         return packet
 
-    def _publish_body(self, stamp_ns: int, body: Body | None) -> None:
-        """The body as latched YAML, before the first points that were fitted with it: the filter takes the same."""
-        if body is not None and body is not self._published_body:
-            self._body_publisher.publish(Text(format_body(body, source="icp_tracker")), stamp_ns, "")
-            self._published_body = body
-            refined = self._tracker.refined_body if self._tracker is not None else None
+    def _publish_bodies(self, stamp_ns: int, bodies: dict[int, Body]) -> None:
+        """Bodies as latched YAML, before the first points that were fitted with them: the filter takes the same."""
+        changed = [person for person, body in bodies.items() if body is not self._published.get(person)]
+        self._published = self._published | bodies
+        for person in changed:
+            refined = self._tracker.refined_body_of(person) if self._tracker is not None else None
             known = refined is not None and refined.keyframes > 0  # else thickness is but the average's
-            self._save_body.keep(SavedBody(stamp_ns, body, refined.girths if refined and known else None))
+            girths = refined.girths if refined and known else None
+            self._save_body.keep(person, SavedBody(stamp_ns, bodies[person], girths))
+        if FIRST_PERSON in changed:
+            self._body_publisher.publish(Text(format_body(bodies[FIRST_PERSON], source="icp_tracker")), stamp_ns, "")
+        if set(changed) - {FIRST_PERSON}:
+            others = {person: body for person, body in self._published.items() if person != FIRST_PERSON}
+            self._bodies_publisher.publish(Text(format_bodies(others, source="icp_tracker")), stamp_ns, "")
 
-    def _publish(self, result: Fit, frame_id: str) -> None:
-        self._points_publisher.publish(result.reference_points, result.stamp_ns, frame_id)
-        self._fit_publisher.publish(fit_message, result, self.settings.method)
-        self.health.tick(result.stamp_ns)
+    def _publish(self, fits: tuple[Fit, ...], acquiring: tuple[str, ...], frame_id: str) -> None:
+        stamp_ns = fits[0].stamp_ns
+        self._points_publisher.publish(PeoplePoints.of_fits(fits), stamp_ns, frame_id)
+        self._fit_publisher.publish(fit_message, fits, self.settings.method)
+        self.health.tick(stamp_ns)
         self.health.set("late_predictions", self._feedback.mailbox.timeouts)
-        summary = f"{result.state}: {result.reason}" if result.reason else result.state
-        self.health.status(OK if result.state == TRACKING else WARN, summary)
+        good = not acquiring and all(fit.state == TRACKING for fit in fits)
+        self.health.status(OK if good else WARN, summary_of(fits, acquiring))
+        for fit in fits:
+            self._tell(fit)
+
+    def _tell(self, fit: Fit) -> None:
+        """Log how it stands with a person, whenever that has changed."""
+        who = "" if fit.person == FIRST_PERSON else f"person {fit.person}: "
         # while looking for a first pose every new reason tells the person what to do; later ones hold changing figures
-        told = summary if result.state == ACQUIRING else result.state
-        if told != self._state:
-            self._state = told
-            self.get_logger().info(summary)
-        if result.recovered:
+        told = _state_of(fit) if fit.state == ACQUIRING else fit.state
+        if told != self._told.get(fit.person):
+            self._told[fit.person] = told
+            self.get_logger().info(f"{who}{_state_of(fit)}")
+        if fit.recovered:
             self.health.count("recoveries")
-            self.get_logger().info(f"found again: {result.recovered}")
+            self.get_logger().info(f"{who}found again: {fit.recovered}")
 
     def _refuse(self, counter: str, error: InputError) -> None:
         self.health.count(counter)
@@ -231,34 +281,55 @@ class IcpNode(SagomaNode):
         self.get_logger().error(f"a frame set failed: {error!r}", throttle_duration_sec=5.0)
 
 
-def fit_message(result: Fit, method: str) -> DiagnosticArray:
-    """Return how the fit of one set went, for icp/fit. Holds no clock times, so equal inputs give equal bytes."""
-    values: dict[str, object] = {"state": result.state, "method": method, "started_from": result.started_from}
-    if result.solution is not None:
+def summary_of(fits: tuple[Fit, ...], acquiring: tuple[str, ...] = ()) -> str:
+    """Return in one line how it stands with everybody: of one person alone state and reason; ``acquiring`` : why each
+    body that is nobody's yet has no first pose."""
+    if len(fits) == 1 and not acquiring:
+        return _state_of(fits[0])
+    people = [f"{fit.person} {fit.state}" + (f" ({fit.reason})" if fit.reason else "") for fit in fits]
+    others = [f"another acquiring ({reason})" for reason in acquiring]
+    return f"{len(fits) + len(acquiring)} persons: {', '.join([*people, *others])}"
+
+
+def _state_of(fit: Fit) -> str:
+    return f"{fit.state}: {fit.reason}" if fit.reason else fit.state
+
+
+def fit_message(fits: tuple[Fit, ...], method: str) -> DiagnosticArray:
+    """Return how the fits of one set went, for icp/fit: one status a person, the first person's first.
+
+    Holds no clock times, so equal inputs give equal bytes.
+    """
+    message = DiagnosticArray(status=[_fit_status(fit, method) for fit in fits])
+    message.header.stamp = to_stamp(fits[0].stamp_ns)
+    return message
+
+
+def _fit_status(fit: Fit, method: str) -> DiagnosticStatus:
+    values: dict[str, object] = {"state": fit.state, "method": method, "started_from": fit.started_from}
+    if fit.solution is not None:
         values |= {
-            "rms_mm": f"{1e3 * result.solution.rms_m:.3f}",
-            "points": result.solution.points,
-            "inliers": result.solution.inliers,
-            "iterations": result.solution.iterations,
-            "converged": result.solution.converged,
+            "rms_mm": f"{1e3 * fit.solution.rms_m:.3f}",
+            "points": fit.solution.points,
+            "inliers": fit.solution.inliers,
+            "iterations": fit.solution.iterations,
+            "converged": fit.solution.converged,
         }
-    values |= {"visible": int(result.visible.sum()), "dropped_points": result.dropped_points}
-    if result.solution is not None:
-        quality = result.quality
-        values |= {"explained": f"{quality.explained:.3f}", "recovered": result.recovered}
+    values |= {"visible": int(fit.visible.sum()), "dropped_points": fit.dropped_points}
+    if fit.solution is not None:
+        quality = fit.quality
+        values |= {"explained": f"{quality.explained:.3f}", "recovered": fit.recovered}
         values |= dict(zip(PART_NAMES, quality.parts, strict=True))
         if quality.hypothesis_margin is not None:
             values["hypothesis_margin"] = f"{quality.hypothesis_margin:.1f}"
-    trusted = result.solution is not None and result.state == TRACKING
-    status = DiagnosticStatus(
+    trusted = fit.solution is not None and fit.state == TRACKING
+    person = "" if fit.person == FIRST_PERSON else f" of person {fit.person}"
+    return DiagnosticStatus(
         level=DiagnosticStatus.OK if trusted else DiagnosticStatus.WARN,
-        name="icp_tracker: fit",
-        message=result.reason or "fitted",
+        name=f"icp_tracker: fit{person}",
+        message=fit.reason or "fitted",
         values=key_values(values),
     )
-    message = DiagnosticArray(status=[status])
-    message.header.stamp = to_stamp(result.stamp_ns)
-    return message
 
 
 def main(args: list[str] | None = None) -> None:

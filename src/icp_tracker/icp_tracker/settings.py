@@ -65,11 +65,21 @@ class TrackerSettings:
     acquire_inliers: float = setting(0.4, "share of the points that the first fit must explain", low=0.0, high=1.0)
 
 
+MOST_PERSONS = 4  # in one volume: more hide each other from most cameras of a ring
+
+
+@dataclass(frozen=True)
+class PeopleSettings:
+    """How many persons are followed."""
+
+    max: int = setting(MOST_PERSONS, "persons that are followed at most", low=1, high=MOST_PERSONS)
+
+
 @dataclass(frozen=True)
 class SaveBodySettings:
     """Where bodies are saved."""
 
-    folder: str = setting("output/bodies", "folder that ~/save_body writes body_STAMP.yaml to")
+    folder: str = setting("output/bodies", "folder that ~/save_body writes body_STAMP.yaml to, for each person")
 
 
 @dataclass(frozen=True)
@@ -78,6 +88,7 @@ class IcpNodeSettings(TrackerSettings):
 
     body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
     initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
+    people: PeopleSettings = setting(PeopleSettings, "how many persons are followed")
     bodies: SaveBodySettings = setting(SaveBodySettings, "where bodies are saved")
     prediction_wait_s: float = setting(
         0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
@@ -86,3 +97,6 @@ class IcpNodeSettings(TrackerSettings):
         0.05, "a fit that uses voxels or contour rays waits at most this long for those of its set", unit="s", low=0.0
     )
     queue_depth: int = setting(4, "frame sets that may wait; one more drops the oldest", low=1, high=1000)
+    stale_after_s: float = setting(
+        0.75, "without frame sets for so long, silence is reported; 0: never", unit="s", low=0.0, high=60.0
+    )

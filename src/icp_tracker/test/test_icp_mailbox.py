@@ -10,7 +10,7 @@ NEVER_S = 3600.0
 
 class Answer:
     def __init__(self, stamp_ns):
-        self.stamp_ns, self.pose, self.velocity = stamp_ns, None, None
+        self.stamp_ns, self.of = stamp_ns, {1: stamp_ns}
 
 
 def test_item_that_is_there_is_taken_without_waiting():
@@ -61,11 +61,23 @@ def test_closing_releases_the_waiter_and_counts_nothing():
 
 def test_feedback_hands_out_the_state_after_the_previous_set_or_the_newest():
     feedback = FilterFeedback(wait_s=0.0)
-    assert feedback.after_previous_set() is None  # nothing was asked yet
+    assert feedback.after_previous_set() == {}  # nothing was asked yet
     feedback.asked(10)
-    assert feedback.after_previous_set() is None
+    assert feedback.after_previous_set() == {}
     feedback.put(Answer(10))
     feedback.asked(20)
-    assert feedback.after_previous_set().stamp_ns == 10
+    assert feedback.after_previous_set() == {1: 10}
     feedback.put(Answer(20))
-    assert feedback.after_previous_set().stamp_ns == 20
+    assert feedback.after_previous_set() == {1: 20}
+
+
+def test_feedback_hands_out_nothing_of_before_stamps_went_back():
+    feedback = FilterFeedback(wait_s=0.0)
+    feedback.asked(1000)
+    feedback.put(Answer(1000))
+    feedback.forget()
+    assert feedback.after_previous_set() == {}
+    feedback.asked(10)  # the answer to this set comes too late
+    assert feedback.after_previous_set() == {}
+    feedback.put(Answer(10))
+    assert feedback.after_previous_set() == {1: 10}

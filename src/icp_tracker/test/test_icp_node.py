@@ -288,4 +288,4 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
         answer = node.answer(message)
         expected = tracker.step(HullProducts(stamp(k), read_packet(message, Centerline, "test")))
         assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
-        assert fit_message(expected, "articulated") == node.fits[-1]
+        assert fit_message((expected,), "articulated") == node.fits[-1]

@@ -42,12 +42,23 @@ def counter(open_probe, tmp_path):
 
 def test_body_is_saved_with_the_thickness_of_its_limbs(counter, tmp_path):
     asked, body = counter(), Body.from_stature(1.68)
-    asked.service.keep(SavedBody(123, body, LimbGirths.of({"thigh": 1.1})))
+    asked.service.keep(1, SavedBody(123, body, LimbGirths.of({"thigh": 1.1})))
     answer = asked.ask()
     path = tmp_path / "bodies" / "body_123.yaml"
     assert answer.success and answer.message == str(path)
     assert load_body(path).lengths == pytest.approx(body.lengths)
     assert load_thickness(path) == {"thigh": 1.1}
+
+
+def test_each_person_has_a_file_and_nobody_is_kept_who_was_forgotten(counter, tmp_path):
+    asked, folder = counter(), tmp_path / "bodies"
+    asked.service.keep(1, SavedBody(123, Body.from_stature(1.68)))
+    asked.service.keep(3, SavedBody(456, Body.from_stature(1.82)))
+    answer = asked.ask()
+    assert answer.success and answer.message == f"{folder}/body_123.yaml, {folder}/body_456_person3.yaml"
+    assert load_body(folder / "body_456_person3.yaml").stature == pytest.approx(Body.from_stature(1.82).stature)
+    asked.service.forget()
+    assert not asked.ask().success
 
 
 def test_before_anybody_is_followed_the_answer_says_so(counter):
@@ -58,6 +69,6 @@ def test_before_anybody_is_followed_the_answer_says_so(counter):
 def test_folder_that_cannot_be_written_is_named(counter, tmp_path):
     (tmp_path / "file").write_text("")
     asked = counter(tmp_path / "file" / "bodies")
-    asked.service.keep(SavedBody(1, Body.from_stature(1.68)))
+    asked.service.keep(1, SavedBody(1, Body.from_stature(1.68)))
     answer = asked.ask()
     assert not answer.success and str(tmp_path / "file" / "bodies") in answer.message

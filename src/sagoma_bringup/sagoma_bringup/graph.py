@@ -80,7 +80,9 @@ LOSSLESS_SETTINGS: Mapping[str, Any] = {
     "icp_tracker.prediction_wait_s": 20.0,
     "icp_tracker.voxels_wait_s": 20.0,
     "icp_tracker.queue_depth": 1000,
+    "icp_tracker.stale_after_s": 0.0,  # between two sets may lie any time
     "ekf_tracker.body_wait_s": 20.0,
+    "ekf_tracker.stale_after_s": 0.0,
 }
 ALL_CAMERAS, SERVER = "cameras", "server"
 

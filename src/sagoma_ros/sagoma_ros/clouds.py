@@ -12,7 +12,7 @@ from capture_rig.errors import InputError
 
 from .messages import to_stamp
 
-ONE_BODY = {"body": 0.0}  # what a cloud without this field means: all of it is the same body
+ALONE = {"body": 0.0, "person": 1.0}  # what a cloud without one of these fields means: all is one body, one person's
 
 _NUMPY_TYPES = {
     PointField.INT8: "i1",
@@ -26,10 +26,10 @@ _NUMPY_TYPES = {
 }
 
 
-def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
-    """Structured array (n,) of float32 fields to an unordered cloud."""
+def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1) -> PointCloud2:
+    """Structured array (n,) of float32 fields to an unordered cloud, or to one of so many rows."""
     names = points.dtype.names or ()
-    cloud = PointCloud2(height=1, width=len(points), is_bigendian=False, is_dense=True)
+    cloud = PointCloud2(height=rows, width=len(points) // rows, is_bigendian=False, is_dense=True)
     cloud.header.stamp = to_stamp(stamp_ns)
     cloud.header.frame_id = frame_id
     cloud.fields = [
@@ -37,7 +37,7 @@ def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
         for index, name in enumerate(names)
     ]
     cloud.point_step = points.dtype.itemsize
-    cloud.row_step = cloud.point_step * len(points)
+    cloud.row_step = cloud.point_step * cloud.width
     cloud.data = array.array("B", np.ascontiguousarray(points).tobytes())
     return cloud
 
@@ -45,12 +45,12 @@ def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str) -> PointCloud2:
 def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     """Return the fields of ``layout`` of a cloud as a structured array (n,), whatever order and types they came in.
 
-    A cloud without the field ``body`` is of one body, number 0.
+    A cloud without the field ``body`` is of one body, number 0; without ``person``, of the first person.
 
     Raises InputError when a field is missing, the size does not fit, or a number is not finite.
     """
     fields = {field.name: field for field in cloud.fields}
-    wanted = [name for name in layout.names or () if name in fields or name not in ONE_BODY]
+    wanted = [name for name in layout.names or () if name in fields or name not in ALONE]
     missing = [name for name in wanted if name not in fields]
     if missing:
         raise InputError(
@@ -62,7 +62,7 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     points = np.empty(len(wire), layout)
     with np.errstate(over="ignore"):  # a double too big for float32 is refused below
         for name in layout.names or ():
-            points[name] = wire[name] if name in fields else ONE_BODY[name]
+            points[name] = wire[name] if name in fields else ALONE[name]
     if not np.isfinite(points.view(np.float32)).all():
         raise InputError(
             "the cloud holds numbers that are not finite", where=where, remedy="Drop such points before publishing."

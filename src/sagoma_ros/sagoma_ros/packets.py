@@ -11,7 +11,8 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from capture_rig.errors import InputError
-from mocap_packets.fit import ReferencePoints
+from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from mocap_packets.people import PeoplePoints, Predictions
 from mocap_packets.state import NoState, Prediction
 from stick_figure.skeleton import TANGENT_NAMES
 
@@ -68,6 +69,20 @@ def read_reference_points(cloud: PointCloud2, where: str) -> ReferencePoints:
     return points
 
 
+def people_cloud(people: PeoplePoints, stamp_ns: int, frame_id: str) -> PointCloud2:
+    """Return everybody's points as a cloud, one row of 15 a person; the first person alone: as :func:`packet_cloud`."""
+    return to_cloud(people.to_table(), stamp_ns, frame_id, rows=len(people.of))
+
+
+def read_people_points(cloud: PointCloud2, where: str) -> PeoplePoints:
+    """Return the inverse of :func:`people_cloud`; InputError unless it has 15 points each."""
+    table = from_cloud(cloud, PeoplePoints.LAYOUT, where)
+    try:
+        return PeoplePoints.from_table(table)
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from None
+
+
 def joint_state_message(
     names: Sequence[str], angles: np.ndarray, rates: np.ndarray, stamp_ns: int, frame_id: str = ""
 ) -> JointState:
@@ -88,22 +103,52 @@ def prediction_message(prediction: Prediction, frame_id: str = "map") -> JointSt
     return joint_state_message(TANGENT_NAMES, prediction.to_row(), velocity, prediction.stamp_ns, frame_id)
 
 
-def read_prediction(message: JointState, where: str) -> Prediction:
-    """Return the inverse of :func:`prediction_message`; InputError when names or lengths are not ours."""
-    stamp_ns = to_ns(message.header.stamp)
-    if not message.name:
-        return NoState(stamp_ns, "").prediction
-    sizes = {len(message.name), len(message.position), len(message.velocity)}
-    if tuple(message.name) != TANGENT_NAMES or len(sizes) != 1:
-        raise InputError(
-            "names or lengths are not those of a prediction",
-            where=where,
-            remedy=f"Give position and velocity of {', '.join(TANGENT_NAMES)}.",
-        )
+def predictions_message(predictions: Predictions, stamp_ns: int, frame_id: str = "map") -> JointState:
+    """Return everybody's predictions as one JointState: the first person's as :func:`prediction_message`, then those of
+    the others who have a pose, every name with ``person_N/`` before it."""
+    message = prediction_message(predictions.of[FIRST_PERSON], frame_id)
+    for person, other in predictions.of.items():
+        if person != FIRST_PERSON and other.pose is not None:
+            message.name.extend(_names_of(person))
+            message.position.extend(other.to_row().tolist())
+            message.velocity.extend(np.asarray(other.velocity).tolist())
+    return message
+
+
+def read_predictions(message: JointState, where: str) -> Predictions:
+    """Return the inverse of :func:`predictions_message`; InputError when names or lengths are not ours."""
+    stamp_ns, size = to_ns(message.header.stamp), len(TANGENT_NAMES)
+    predictions = {FIRST_PERSON: NoState(stamp_ns, "").prediction}
     row, velocity = np.array(message.position), np.array(message.velocity)
     if not (np.isfinite(row).all() and np.isfinite(velocity).all()):
         raise InputError("the prediction holds numbers that are not finite", where=where, remedy="Check its publisher.")
-    return Prediction.from_row(stamp_ns, row, velocity)
+    whole = len({len(message.name), len(row), len(velocity)}) == 1 and len(row) % size == 0
+    for start in range(0, len(message.name), size):
+        names = tuple(message.name[start : start + size])
+        person = _person_of(names[0])
+        if not whole or names != _names_of(person):
+            raise InputError(
+                "names or lengths are not those of a prediction",
+                where=where,
+                remedy=f"Give position and velocity of {', '.join(TANGENT_NAMES)}.",
+            )
+        own = slice(start, start + size)
+        predictions[person] = Prediction.from_row(stamp_ns, row[own], velocity[own])
+    return Predictions(stamp_ns, predictions)
+
+
+def read_prediction(message: JointState, where: str) -> Prediction:
+    """Return the first person's prediction; InputError as :func:`read_predictions`."""
+    return read_predictions(message, where).of[FIRST_PERSON]
+
+
+def _names_of(person: int) -> tuple[str, ...]:
+    return TANGENT_NAMES if person == FIRST_PERSON else tuple(f"person_{person}/{name}" for name in TANGENT_NAMES)
+
+
+def _person_of(name: str) -> int:
+    head, _, number = name.partition("/")[0].partition("_")
+    return int(number) if head == "person" and number.isdigit() else FIRST_PERSON
 
 
 def covariance_message(names: Sequence[str], covariance: np.ndarray) -> Float64MultiArray:

@@ -20,10 +20,9 @@ from stick_figure.body import Body
 
 from ..acquisition.upright import reasons_of_bodies
 from ..refinement.body_refiner import RefinedBody
-from ..settings import IcpNodeSettings
+from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, IcpTracker, make_tracker, sight_of
 
-MOST_PERSONS = 4
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
 
 
@@ -46,6 +45,8 @@ class PeopleTracker:
         self._trackers: dict[int, IcpTracker] = {FIRST_PERSON: self._first}
         self._newcomers: dict[int, IcpTracker] = {}  # by the number of their part of the hull
         self._seen_ns: dict[int, int] = {}
+        self.acquiring: tuple[str, ...] = ()
+        """Of each body of the last set that is nobody's yet, while somebody is followed: why it has no first pose."""
 
     @property
     def persons(self) -> tuple[int, ...]:
@@ -75,6 +76,7 @@ class PeopleTracker:
         bodies = seen.numbers()
         if len(bodies) <= 1 and len(self._trackers) == 1:
             self._newcomers.clear()
+            self.acquiring = ()
             return (self._first.step(seen, predictions.get(FIRST_PERSON)),)
         seen, dropped = seen.finite()
         owners = self._owners(seen, bodies)
@@ -133,8 +135,9 @@ class PeopleTracker:
             if person == FIRST_PERSON:
                 self._first = tracker
             found[person] = replace(fit, person=person)
+        self.acquiring = tuple(reasons.values())
         if FIRST_PERSON not in fits and FIRST_PERSON not in found:
-            empty = self._first.step(seen.of_body(-2))
+            empty, self.acquiring = self._first.step(seen.of_body(-2)), ()
             found[FIRST_PERSON] = replace(empty, reason=reasons_of_bodies(reasons))
         return found
 
@@ -145,6 +148,6 @@ def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_s
     A pose from a file or a session is that of one person: then nobody else is followed. Raises InputError for files
     that cannot be used.
     """
-    most = MOST_PERSONS if settings.initial_pose.source == "t_pose" else 1
+    most = settings.people.max if settings.initial_pose.source == "t_pose" else 1
     sight = sight_of(settings, rig, min_seeing)
     return PeopleTracker(lambda: make_tracker(settings, sight), most)

@@ -1,0 +1,98 @@
+"""What tracker and filter say to each other of everybody in one frame set: one packet each way, whoever is there.
+
+One packet a set, not one a person: whoever gets it knows that nobody else is there and waits for no other message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import yaml
+
+from capture_rig.errors import InputError
+from capture_rig.settings import parse_mapping
+from stick_figure.body import Body
+from stick_figure.body_file import format_body, parse_body
+
+from .fit import FIRST_PERSON, Fit, ReferencePoints
+from .state import Prediction
+from .table import fill, layout
+
+POINTS = 15
+
+
+@dataclass(frozen=True, eq=False)
+class PeoplePoints:
+    """The reference points of every person who is there, by number, in order.
+
+    As a table: 15 rows a person, of `ReferencePoints.LAYOUT` and the person's number; those of the first person alone
+    are a table of `ReferencePoints`.
+    """
+
+    LAYOUT: ClassVar[np.dtype] = layout(*(ReferencePoints.LAYOUT.names or ()), "person")
+
+    of: Mapping[int, ReferencePoints]
+
+    @classmethod
+    def of_fits(cls, fits: tuple[Fit, ...]) -> PeoplePoints:
+        """Return the points of one frame set's fits."""
+        return cls({fit.person: fit.reference_points for fit in fits})
+
+    def to_table(self) -> np.ndarray:
+        """Return the rows of everybody as a structured array."""
+        tables = [points.to_table() for points in self.of.values()]
+        if list(self.of) == [FIRST_PERSON]:
+            return tables[0]
+        rows = [table.view(np.float32).reshape(POINTS, -1) for table in tables]
+        return fill(self.LAYOUT, np.concatenate(rows), np.repeat(list(self.of), POINTS))
+
+    @classmethod
+    def from_table(cls, table: np.ndarray) -> PeoplePoints:
+        """Return the inverse of :meth:`to_table`, of rows that have a person.
+
+        Raises InputError unless each person has 15 rows on end, in the order of their numbers, the first one first.
+        """
+        persons = [int(person) for person in table["person"][::POINTS]]
+        whole = len(table) > 0 and np.array_equal(table["person"], np.repeat(persons, POINTS))
+        if not whole or persons != sorted({*persons}) or persons[0] != FIRST_PERSON:
+            what = f"{len(table)} rows are not {POINTS} points of each person"
+            raise InputError(what, remedy="Publish the 15 reference points of each person, one after another.")
+        return cls(
+            {p: ReferencePoints.from_table(own) for p, own in zip(persons, table.reshape(-1, POINTS), strict=True)}
+        )
+
+    def as_sent(self) -> PeoplePoints:
+        """Return the same, rounded as in the cloud between the nodes."""
+        return PeoplePoints({person: points.as_sent() for person, points in self.of.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """The filter's answer to a frame set, by the person's number, in order: where the next fits start."""
+
+    stamp_ns: int
+    of: Mapping[int, Prediction]
+
+    def as_sent(self) -> Predictions:
+        """Return the same, poses described by angles as they are between the nodes."""
+        return Predictions(self.stamp_ns, {person: one.as_sent() for person, one in self.of.items()})
+
+
+def format_bodies(bodies: Mapping[int, Body], source: str = "") -> str:
+    """Return the bodies of several persons as YAML: the number of each person, and under it what a body file holds."""
+    documents = {person: yaml.safe_load(format_body(body, source)) for person, body in sorted(bodies.items())}
+    return yaml.safe_dump(documents, sort_keys=False)
+
+
+def parse_bodies(text: str, where: str) -> dict[int, Body]:
+    """Return the inverse of :func:`format_bodies`. Raises InputError naming ``where``, person, key and remedy."""
+    remedy = "Give a body for each person, by number."
+    bodies = dict[int, Body]()
+    for person, document in parse_mapping(text, where, remedy).items():
+        if not isinstance(person, int) or person < FIRST_PERSON:
+            raise InputError(f"{person!r} is no person's number", where=where, remedy=remedy)
+        bodies[person] = parse_body(yaml.safe_dump(document), f"{where}: person {person}")
+    return bodies
