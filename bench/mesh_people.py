@@ -166,8 +166,9 @@ class Made:
         return np.array(rows)
 
     def clip(self) -> Clip:
-        """The silhouettes, with the first person's truth."""
-        return Clip.of(self.name, self.rig, FPS, self.masks(), truth=self.points(0), start=self.start)
+        """The silhouettes, with everybody's truth."""
+        truth, *others = map(self.points, range(len(self.bodies)))
+        return Clip.of(self.name, self.rig, FPS, self.masks(), truth=truth, others=tuple(others), start=self.start)
 
 
 def make(name: str, body_data: Path, motion_data: Path) -> Made:
@@ -198,8 +199,7 @@ def main() -> int:
         path = options.out / "clips" / f"{made.name}.pkl"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(pickle.dumps(clip))
-        others = [made.points(person) for person in range(1, len(made.bodies))]
-        Recorded.of(clip, *others).save(options.out / "products" / path.name)
+        Recorded.of(clip).save(options.out / "products" / path.name)
         print(f"{made.name}: {len(made)} frames, {time.process_time() - began:.0f} s of processor time", flush=True)
     return 0
 

@@ -32,9 +32,9 @@ class Recorded:
     start: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, clip: Clip, *others: np.ndarray) -> Recorded:
-        """Carves a clip; ``others``: the truths of further persons."""
-        return cls(clip.name, clip.rig, clip.fps, clip.carved({}), (clip.truth, *others), clip.start)
+    def of(cls, clip: Clip) -> Recorded:
+        """Carves a clip."""
+        return cls(clip.name, clip.rig, clip.fps, clip.carved({}), (clip.truth, *clip.others), clip.start)
 
     def save(self, path: Path) -> None:
         """Writes it as plain tables, which outlive changes of the classes."""
