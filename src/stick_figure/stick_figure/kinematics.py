@@ -134,6 +134,13 @@ def sticks(body: Body, pose: Pose) -> Array:
     return np.stack([A, B], axis=1)
 
 
+def stick_frames(pose: Pose) -> Array:
+    """Rotations (10, 3, 3) of the sticks' own frames, in which they lie along `skeleton.STICK_AXIS`, to the world."""
+    G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
+    kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
+    return G
+
+
 def jacobian(body: Body, pose: Pose) -> Array:
     """Derivative (15, 3, 24) of the 15 points with respect to the pose's tangent (`Pose.retract`)."""
     _, axes, A, B = _placed(body, pose)

@@ -1,0 +1,106 @@
+"""Joint angles by the recommendations of the International Society of Biomechanics (Wu et al. 2002 and 2005), degrees.
+
+Segment frames: x forward, y up along the segment, z to the right. Left limbs are mirrored at the sagittal plane first,
+so that the same movement of both sides has the same sign (Wu et al. 2005, 2.3.5). What a stick figure cannot show is
+left out: the pelvis apart from the thorax, the clavicle, the forearm's pronation, the ankle.
+docs/joint_angles.md says what each angle means.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stick_figure.skeleton import (
+    HEAD,
+    L_CALF,
+    L_FOREARM,
+    L_THIGH,
+    L_UPPER_ARM,
+    R_CALF,
+    R_FOREARM,
+    R_THIGH,
+    R_UPPER_ARM,
+    TORSO,
+)
+
+from .axes import R_BIOMECHANICS_WORLD
+from .motion import Motion
+
+Array = np.ndarray
+
+TRUNK_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""Columns: a segment's x, y, z in the axes of our torso, head and leg sticks (x forward, y left, z up)."""
+ARM_AXES = np.diag([1.0, -1.0, -1.0])
+"""The same in the axes of our arm sticks, which lie along their y, towards the hand, and bend about their -z."""
+MIRROR = np.diag([1.0, 1.0, -1.0])
+ARMS = {"right": (R_UPPER_ARM, R_FOREARM), "left": (L_UPPER_ARM, L_FOREARM)}
+LEGS = {"right": (R_THIGH, R_CALF), "left": (L_THIGH, L_CALF)}
+
+
+def isb_angles(motion: Motion) -> dict[str, Array]:
+    """Return each angle (F,) by name, degrees, continuous over time; NaN in gaps.
+
+    Cardan sequence z, x, y for trunk, neck, hips and knees (Grood & Suntay 1983: flexion, adduction, axial rotation);
+    y, x, y for the shoulders (plane of elevation, elevation, axial rotation; Wu et al. 2005, 2.4.7).
+    """
+    known = motion.tracked
+    R = motion.R_world_sticks[known]
+    trunk = R[:, TORSO] @ TRUNK_AXES
+    angles: dict[str, Array] = {}
+    upright = R_BIOMECHANICS_WORLD.T  # columns: x forward, y up, z right of the world
+    tilt, lean, turn = _cardan(upright, trunk)
+    angles |= {"thorax_tilt": tilt, "thorax_lateral_flexion": lean, "thorax_axial_rotation": turn}
+    tilt, lean, _ = _cardan(trunk, R[:, HEAD] @ TRUNK_AXES)
+    angles |= {"neck_flexion": -tilt, "neck_lateral_flexion": lean}
+    for side, (upper, lower) in ARMS.items():
+        relative = _relative(trunk, R[:, upper] @ ARM_AXES, side)
+        plane, elevation, axial = _degrees(relative, "YXY")
+        raised = elevation > 0.0  # the same rotation with the elevation of Wu et al.'s sign: negative
+        plane, axial = plane + 180.0 * raised, axial - 180.0 * raised
+        angles |= {
+            f"{side}_shoulder_plane_of_elevation": plane,
+            f"{side}_shoulder_elevation": -np.abs(elevation),
+            f"{side}_shoulder_axial_rotation": axial,
+        }
+        flexion, _, _ = _cardan_of(_relative(R[:, upper] @ ARM_AXES, R[:, lower] @ ARM_AXES, side))
+        angles[f"{side}_elbow_flexion"] = flexion
+    for side, (upper, lower) in LEGS.items():
+        thigh, calf = R[:, upper] @ TRUNK_AXES, R[:, lower] @ TRUNK_AXES
+        flexion, adduction, axial = _cardan_of(_relative(trunk, thigh, side))
+        angles |= {f"{side}_hip_flexion": flexion, f"{side}_hip_adduction": adduction}
+        angles[f"{side}_hip_internal_rotation"] = axial
+        angles[f"{side}_knee_flexion"] = -_cardan_of(_relative(thigh, calf, side))[0]
+    return {name: _over_time(values, known) for name, values in angles.items()}
+
+
+def _relative(R_proximal: Array, R_distal: Array, side: str) -> Array:
+    """Rotations (F, 3, 3) of the distal frame in the proximal one; of a left limb mirrored to the right."""
+    relative = np.swapaxes(R_proximal, -1, -2) @ R_distal
+    return MIRROR @ relative @ MIRROR if side == "left" else relative
+
+
+def _cardan(R_proximal: Array, R_distal: Array) -> Array:
+    return _cardan_of(_relative(R_proximal, R_distal, "right"))
+
+
+def _cardan_of(relative: Array) -> Array:
+    """(3, F) degrees about z, x, y, body-fixed."""
+    return _degrees(relative, "ZXY")
+
+
+def _degrees(R: Array, sequence: str) -> Array:
+    """(3, F) angles of rotations (F, 3, 3); where two axes fall together all of their turn is given to the first."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
+        return Rotation.from_matrix(R).as_euler(sequence, degrees=True).T
+
+
+def _over_time(values: Array, known: Array) -> Array:
+    """(F,) continuous angles, NaN in gaps, the first one within half a turn of zero."""
+    out = np.full(len(known), np.nan)
+    continuous = np.unwrap(values, period=360.0)
+    out[known] = continuous - 360.0 * np.round(continuous[0] / 360.0) if len(values) else continuous
+    return out

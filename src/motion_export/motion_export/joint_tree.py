@@ -1,0 +1,119 @@
+"""The stick figure as a tree of joints, as animation formats describe it: offsets in the T-pose, local rotations.
+
+A joint turns the bone that begins there. The trunk is one rigid bone: Hips carries Spine (its centre, p1), neck,
+shoulders and hips. All 15 reference points are joints or ends of bones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stick_figure.skeleton import (
+    HEAD,
+    L_CALF,
+    L_FOREARM,
+    L_THIGH,
+    L_UPPER_ARM,
+    POINT_NAMES,
+    R_CALF,
+    R_FOREARM,
+    R_THIGH,
+    R_UPPER_ARM,
+    TORSO,
+)
+
+from .axes import R_ANIMATION_WORLD, rotated
+from .motion import T_POSE_STICKS, Motion, fill_linearly, fill_rotations
+
+Array = np.ndarray
+RIGID_M = 1e-3
+"""Bones that change by less have one length for the whole take: a millimetre is below what exports must keep."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint by the name that animation programs look for; its parent, the reference point where it is, the stick
+    that it turns with.
+
+    point : None for the root, which lies in the middle between the hips.
+    """
+
+    name: str
+    parent: str | None
+    point: str | None
+    stick: int
+
+
+JOINTS = (
+    Joint("Hips", None, None, TORSO),
+    Joint("Spine", "Hips", "torso", TORSO),
+    Joint("Neck", "Spine", "neck", HEAD),
+    Joint("Head", "Neck", "head", HEAD),
+    Joint("LeftArm", "Spine", "left_shoulder", L_UPPER_ARM),
+    Joint("LeftForeArm", "LeftArm", "left_elbow", L_FOREARM),
+    Joint("LeftHand", "LeftForeArm", "left_hand", L_FOREARM),
+    Joint("RightArm", "Spine", "right_shoulder", R_UPPER_ARM),
+    Joint("RightForeArm", "RightArm", "right_elbow", R_FOREARM),
+    Joint("RightHand", "RightForeArm", "right_hand", R_FOREARM),
+    Joint("LeftUpLeg", "Hips", "left_hip", L_THIGH),
+    Joint("LeftLeg", "LeftUpLeg", "left_knee", L_CALF),
+    Joint("LeftFoot", "LeftLeg", "left_foot", L_CALF),
+    Joint("RightUpLeg", "Hips", "right_hip", R_THIGH),
+    Joint("RightLeg", "RightUpLeg", "right_knee", R_CALF),
+    Joint("RightFoot", "RightLeg", "right_foot", R_CALF),
+)
+"""Parents before children, each limb to its end. The last joint of a limb (and the head) is the end of the stick."""
+PARENTS = tuple(next((i for i, p in enumerate(JOINTS) if p.name == joint.parent), -1) for joint in JOINTS)
+
+
+@dataclass(frozen=True, eq=False)
+class JointTree:
+    """A motion as a tree of joints in animation axes (y up), metres.
+
+    translations : (F, J, 3) of each joint in its parent; the root's in the world. rotations : (F, J, 3, 3) local. Gaps
+    are filled: joints turn the short way, places move along straight lines.
+    offsets : (J, 3) medians of the translations over the take, 0 for the root. rigid : whether the offsets say as much
+    as the translations, because all bones keep their lengths.
+    """
+
+    translations: Array
+    rotations: Array
+    offsets: Array
+    rigid: bool
+
+    @classmethod
+    def of_motion(cls, motion: Motion) -> JointTree:
+        """Build the tree of a motion."""
+        number = {name: i for i, name in enumerate(POINT_NAMES)}
+        tracked = motion.tracked
+        points = motion.points_world[tracked] @ R_ANIMATION_WORLD.T
+        middle = 0.5 * (points[:, number["left_hip"]] + points[:, number["right_hip"]])
+        places = np.stack([middle if j.point is None else points[:, number[j.point]] for j in JOINTS], axis=1)
+        # rotations since the T-pose, in animation axes
+        turned = rotated(motion.R_world_sticks[tracked] @ T_POSE_STICKS.transpose(0, 2, 1), R_ANIMATION_WORLD)
+        world = np.stack([turned[:, joint.stick] for joint in JOINTS], axis=1)
+        translations, rotations = places.copy(), world.copy()
+        for j, parent in enumerate(PARENTS):
+            if parent >= 0:
+                R_parent_world = world[:, parent].transpose(0, 2, 1)
+                apart = places[:, j] - places[:, parent]
+                translations[:, j] = np.einsum("fij,fj->fi", R_parent_world, apart)
+                rotations[:, j] = R_parent_world @ world[:, j]
+        offsets = np.median(translations, axis=0)
+        offsets[0] = 0.0
+        rigid = bool(np.abs(translations - offsets)[:, 1:].max() < RIGID_M)
+        return cls(
+            fill_linearly(_in_frames(translations, tracked), tracked),
+            np.stack([fill_rotations(_in_frames(R, tracked), tracked) for R in rotations.swapaxes(0, 1)], axis=1),
+            offsets,
+            rigid,
+        )
+
+
+def _in_frames(values: Array, tracked: Array) -> Array:
+    """Spread rows of the tracked frames over all frames, NaN in gaps."""
+    out = np.full((len(tracked), *values.shape[1:]), np.nan)
+    out[tracked] = values
+    return out

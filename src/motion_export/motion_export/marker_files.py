@@ -1,0 +1,61 @@
+"""The 15 reference points as markers: TRC (OpenSim, Visual3D) and C3D (the field's exchange format, c3d.org)."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import numpy as np
+from c3d import Writer
+
+from stick_figure.skeleton import POINT_NAMES
+
+from .axes import R_BIOMECHANICS_WORLD
+from .motion import Motion
+
+MM_PER_M = 1000.0
+LABEL_LENGTH = 16
+"""Characters of the longest label, "right_shoulder", and some: C3D labels have one length."""
+NO_POINT = -1.0
+"""The residual by which C3D marks a point as not there."""
+
+
+def write_trc(motion: Motion, path: Path) -> None:
+    """Write markers in millimetres, y up (OpenSim's axes); a gap is a row of empty cells."""
+    points_mm = MM_PER_M * (motion.points_world @ R_BIOMECHANICS_WORLD.T)
+    rate, frames = f"{motion.rate_hz:g}", len(motion)
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{motion.name}.trc",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{frames}\t{len(POINT_NAMES)}\tmm\t{rate}\t1\t{frames}",
+        "Frame#\tTime\t" + "\t\t\t".join(POINT_NAMES) + "\t\t",
+        "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, len(POINT_NAMES) + 1)),
+        "",
+    ]
+    for frame, (time_s, row) in enumerate(zip(motion.times_s, points_mm, strict=True), 1):
+        cells = ("" if np.isnan(value) else f"{value:.4f}" for value in row.ravel())
+        lines.append("\t".join([str(frame), f"{time_s:.6f}", *cells, ""]))  # a last tab, else a last empty cell is lost
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_c3d(motion: Motion, path: Path) -> None:
+    """Write points in millimetres, z up, as floats; the residual is the point's standard deviation (mm), -1 in a gap.
+
+    The standard deviation is the root mean square of those along the covariance's three axes.
+    """
+    writer = Writer(point_rate=motion.rate_hz, analog_rate=0, point_scale=-1.0, point_units="mm  ", gen_scale=1.0)
+    labels = [name.ljust(LABEL_LENGTH) for name in POINT_NAMES]
+    writer.set_point_labels(labels)
+    writer.set_screen_axis("+X", "+Z")
+    rows = np.zeros((len(motion), len(POINT_NAMES), 5), np.float32)
+    rows[..., :3] = MM_PER_M * np.nan_to_num(motion.points_world)
+    sigma_mm = MM_PER_M * np.sqrt(np.trace(motion.covariance, axis1=-2, axis2=-1) / 3.0)
+    rows[..., 3] = np.where(np.isnan(sigma_mm), NO_POINT, sigma_mm)
+    nothing = np.empty((0, 0))
+    writer.add_frames([(row, nothing) for row in rows])
+    stream = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "No analog data", UserWarning)  # there is none to write
+        writer.write(stream)
+    path.write_bytes(stream.getvalue())

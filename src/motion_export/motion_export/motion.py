@@ -1,0 +1,146 @@
+"""The motion of one person at a constant rate; gaps are NaN, and filled for formats that cannot hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from capture_rig.errors import InputError
+from stick_figure.kinematics import stick_frames
+from stick_figure.pose import Pose
+from stick_figure.skeleton import T_POSE_ANGLES
+
+Array = np.ndarray
+NS_PER_S = 1e9
+UNTRACKED = ""
+"""The state of a frame in a gap."""
+SHORTEST_FRAMES = 2
+CAMERA_RATES_HZ = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 75.0, 90.0, 100.0, 120.0, 144.0, 200.0, 240.0)
+NEAR_A_CAMERA_RATE = 0.005
+"""Relative: stamps jitter by more than cameras' clocks drift, so that a rate so near to a usual one is that one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One person's filtered states as they were recorded, in stamp order.
+
+    stamps_ns : (N,) increasing. points_world : (N, 15, 3) m; covariance : (N, 15, 3, 3) m^2. angles : (N, 18) rad.
+    torso_position_world : (N, 3) m; R_world_torso : (N, 3, 3). states : (N,) the tracker's state.
+    """
+
+    stamps_ns: Array
+    points_world: Array
+    covariance: Array
+    angles: Array
+    torso_position_world: Array
+    R_world_torso: Array
+    states: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One person's motion at a constant rate; world frame of REP-103 (z up), metres, radians, seconds.
+
+    name : of the person or take. rate_hz : frames a second. start_ns : stamp of frame 0.
+    points_world : (F, 15, 3), order of ``stick_figure.skeleton.POINT_NAMES``; covariance : (F, 15, 3, 3) m^2.
+    angles : (F, 18), order of ``ANGLE_NAMES``. torso_position_world : (F, 3); R_world_torso : (F, 3, 3).
+    R_world_sticks : (F, 10, 3, 3) frame of each stick (``stick_figure.skeleton.STICK_NAMES``).
+    states : (F,) the tracker's state, empty in a gap, where all numbers are NaN.
+    """
+
+    name: str
+    rate_hz: float
+    start_ns: int
+    points_world: Array
+    covariance: Array
+    angles: Array
+    torso_position_world: Array
+    R_world_torso: Array
+    R_world_sticks: Array
+    states: Array
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @classmethod
+    def of_samples(cls, samples: Samples, name: str, rate_hz: float | None = None) -> Motion:
+        """Place samples on frames of a constant rate, each on the nearest frame; frames without a sample are gaps.
+
+        ``rate_hz`` : else that of the median interval. Raises InputError for fewer than two samples or a bad rate.
+        """
+        stamps = np.asarray(samples.stamps_ns, np.int64)
+        if len(stamps) < SHORTEST_FRAMES:
+            raise InputError(f"{name} has {len(stamps)} tracked frames", remedy="Export a take in which a body moves.")
+        rate = rate_hz if rate_hz is not None else usual_rate(stamps)
+        if not (np.isfinite(rate) and rate > 0):
+            raise InputError(f"a rate of {rate} Hz is none", remedy="Give frames a second, above 0.")
+        frames = np.rint((stamps - stamps[0]) * (rate / NS_PER_S)).astype(int)
+        frames, first = np.unique(frames, return_index=True)
+        total = int(frames[-1]) + 1
+
+        def spread(values: Array) -> Array:
+            out = np.full((total, *values.shape[1:]), np.nan)
+            out[frames] = values[first]
+            return out
+
+        states = np.full(total, UNTRACKED, dtype=object)
+        states[frames] = np.asarray(samples.states)[first]
+        columns = (samples.points_world, samples.covariance, samples.angles, samples.torso_position_world)
+        points, covariance, angles, position = map(spread, columns)
+        R_torso = spread(samples.R_world_torso)
+        sticks = _frames_of_sticks(position, R_torso, angles)
+        return cls(name, float(rate), int(stamps[0]), points, covariance, angles, position, R_torso, sticks, states)
+
+    @cached_property
+    def times_s(self) -> Array:
+        """(F,) seconds since the first frame."""
+        return np.arange(len(self)) / self.rate_hz
+
+    @property
+    def tracked(self) -> Array:
+        """(F,) bool, False in a gap."""
+        return self.states != UNTRACKED
+
+    @property
+    def gaps(self) -> list[tuple[int, int]]:
+        """First frame, and the one after the last, of each gap."""
+        edges = np.flatnonzero(np.diff(np.r_[True, self.tracked, True].astype(int)))
+        return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def usual_rate(stamps_ns: Array) -> float:
+    """Return the frames a second of stamps (N,) ns: of their median interval, as a usual camera rate where near one."""
+    rate = NS_PER_S / float(np.median(np.diff(stamps_ns)))
+    nearest = min(CAMERA_RATES_HZ, key=lambda usual: abs(usual - rate))
+    return nearest if abs(nearest - rate) <= NEAR_A_CAMERA_RATE * nearest else rate
+
+
+def _frames_of_sticks(position: Array, R_torso: Array, angles: Array) -> Array:
+    """(F, 10, 3, 3) by forward kinematics; NaN where there is no pose."""
+    out = np.full((len(angles), 10, 3, 3), np.nan)
+    for frame in np.flatnonzero(np.isfinite(angles).all(axis=1)):
+        out[frame] = stick_frames(Pose.from_angles(position[frame], R_torso[frame], angles[frame]))
+    return out
+
+
+def fill_linearly(values: Array, tracked: Array) -> Array:
+    """Fill the gaps of values (F, ...) by straight lines; before the first and after the last frame they are held."""
+    known, every = np.flatnonzero(tracked), np.arange(len(values))
+    flat = values.reshape(len(values), -1)
+    return np.stack([np.interp(every, known, column[known]) for column in flat.T], axis=1).reshape(values.shape)
+
+
+def fill_rotations(R: Array, tracked: Array) -> Array:
+    """Fill the gaps of rotations (F, 3, 3) by spherical interpolation, the short way (Shoemake 1985)."""
+    known = np.flatnonzero(tracked)
+    if len(known) == 1:
+        return np.broadcast_to(R[known[0]], R.shape).copy()
+    every = np.clip(np.arange(len(R)), known[0], known[-1])
+    return Slerp(known, Rotation.from_matrix(R[known]))(every).as_matrix()
+
+
+T_POSE_STICKS = stick_frames(Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
+"""(10, 3, 3) frames of the sticks in the T-pose of a torso along the world's axes."""

@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+package_name = "motion_export"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    description="Motion as files of other programs: BVH, glTF, C3D, TRC, OpenSim, CSV; joint angles of the ISB.",
+    license="Apache-2.0",
+    maintainer="sagoma maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-689beada.example",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+)
