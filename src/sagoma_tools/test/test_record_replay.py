@@ -184,7 +184,7 @@ def test_bag_metadata_carries_the_type_hashes_that_ros_itself_announces(link, tm
 
 def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
     recorder = Recorder(link.node, tmp_path / "bag", [])
-    recorder.follow_cameras()
+    recorder.follow_graph()
     publishers = connected_publishers(far_link)
     publishers.publish(silhouette("cam01", 0))
     assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)
@@ -194,7 +194,10 @@ def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
 def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
     stamped = {topic.name for topic in OUTPUT_TOPICS if has_header(topic.msgtype)}
     unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
-    assert unstamped == {"/icp/body", "/mocap/joint_covariance", "/mocap/skeleton", "/mocap/state"}
+    assert unstamped == {
+        *("/icp/body", "/icp/bodies", "/mocap/point_names"),
+        *("/mocap/joint_covariance", "/mocap/skeleton", "/mocap/state"),
+    }
 
 
 def test_link_close_is_idempotent_and_ends_its_thread():

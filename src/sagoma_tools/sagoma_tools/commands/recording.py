@@ -11,7 +11,7 @@ from capture_rig.rig import load_rig
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, parse_settings
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
-from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics
+from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, topics_of_others
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder, read_configuration
@@ -59,12 +59,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 
 def record(args: argparse.Namespace) -> int:
-    """Record until stopped; cameras that the rig does not name are found as they appear."""
+    """Record until stopped; cameras that the rig does not name, and persons, are found as they appear."""
     cameras = load_rig(args.rig).names if args.rig else ()
-    topics = [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS]
+    topics = [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, *topics_of_others()]
     with StopOnSignal() as stop, RosLink("sagoma_recorder") as link:
         recorder = Recorder(link.node, args.bag, topics if args.no_diagnostics else [*topics, DIAGNOSTICS])
-        recorder.follow_cameras()
+        recorder.follow_graph()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         stop.wait(args.seconds)
         configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)

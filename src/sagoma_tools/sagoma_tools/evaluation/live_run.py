@@ -18,6 +18,7 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import Session
+from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.latency import POINTS
 from sagoma_ros.images import decode_silhouette
 
@@ -30,7 +31,7 @@ from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_sta
 from .held_rate import OtherPrograms
 from .live_inputs import LiveInput
 from .pictures import session_overlay
-from .track import Track, track_from_bag
+from .track import Track, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
@@ -55,6 +56,7 @@ class LiveRun:
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     others : share of the processors that other programs took meanwhile.
+    tracks : everybody's, by the person's number; ``track`` is the first person's.
     """
 
     session: Session
@@ -72,7 +74,12 @@ class LiveRun:
     latency_ms: dict[str, np.ndarray]
     ages_ms: dict[str, np.ndarray]
     others: float
-    track: Track
+    tracks: dict[int, Track]
+
+    @property
+    def track(self) -> Track:
+        """The first person's track."""
+        return self.tracks[FIRST_PERSON]
 
     @property
     def hz_held(self) -> float:
@@ -187,7 +194,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
         others=meter.others,
-        track=track_from_bag(bag, clock.frame_of).between(0, clock.frames),
+        tracks={n: track.between(0, clock.frames) for n, track in tracks_from_bag(bag, clock.frame_of).items()},
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,20 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
+from ekf_tracker.rep155 import body_id_of
+from icp_tracker.settings import MOST_PERSONS
+from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
-from ..recording.reader import read_messages
+from ..graph.topics import persons_in
+from ..recording.reader import bag_topics, read_messages, read_provenance
+from ..recording.recorder import first_body_id
 
-POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC = "/mocap/reference_points", "/mocap/joint_states", "/mocap/state"
+FIRST_PREFIX = "/mocap"
+POINTS, ANGLES, STATE = "reference_points", "joint_states", "state"
+POINTS_TOPIC, ANGLES_TOPIC = f"{FIRST_PREFIX}/{POINTS}", f"{FIRST_PREFIX}/{ANGLES}"
 NO_STATE = "tracking"
 """The state of every body in a bag that holds none."""
 
@@ -86,32 +93,58 @@ class Track:
 
 
 def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Track:
-    """Read the track from a bag; ``frame_of_stamp`` converts a stamp in ns into a frame number. Raises InputError."""
+    """Read the first person's track from a bag; ``frame_of_stamp`` converts a stamp in ns into a frame number.
+
+    Raises InputError when the bag holds none.
+    """
+    track = _read_track(bag, frame_of_stamp, FIRST_PREFIX)
+    if not len(track):
+        remedy = f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person."
+        raise InputError("holds no tracked body", where=str(bag), remedy=remedy)
+    return track
+
+
+def tracks_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> dict[int, Track]:
+    """Read everybody's track, by the person's number; the first person's is there, others' where they have any row.
+
+    Raises InputError as :func:`track_from_bag`.
+    """
+    tracks = {FIRST_PERSON: track_from_bag(bag, frame_of_stamp)}
+    nodes = read_provenance(bag).get("graph", {}).values()
+    first_id = first_body_id(node for node in nodes if isinstance(node, Mapping))
+    others = [body_id for body_id in persons_in(bag_topics(bag)) if body_id != first_id]
+    number_of = {body_id_of(first_id, person): person for person in range(2, MOST_PERSONS + 1)}
+    for place, body_id in enumerate(others, MOST_PERSONS + 1):
+        track = _read_track(bag, frame_of_stamp, f"{FIRST_PREFIX}/bodies/{body_id}")
+        if len(track):
+            tracks[number_of.get(body_id, place)] = track
+    return dict(sorted(tracks.items()))
+
+
+def _read_track(bag: str | Path, frame_of_stamp: Callable[[int], int], prefix: str) -> Track:
     points: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     angles: dict[int, np.ndarray] = {}
     states: dict[int, str] = {}
-    for message in read_messages(bag, {POINTS_TOPIC, ANGLES_TOPIC, STATE_TOPIC}.__contains__):
-        if message.topic == STATE_TOPIC:  # without a header: its values hold the stamp
+    points_topic, angles_topic, state_topic = (f"{prefix}/{what}" for what in (POINTS, ANGLES, STATE))
+    for message in read_messages(bag, {points_topic, angles_topic, state_topic}.__contains__):
+        if message.topic == state_topic:  # without a header: its values hold the stamp
             status = deserialize_message(message.data, DiagnosticStatus)
             stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
             states.update((frame_of_stamp(stamp_ns), status.message) for stamp_ns in stamps)
             continue
         frame = frame_of_stamp(message.stamp_ns)
-        if message.topic == POINTS_TOPIC:
+        if message.topic == points_topic:
             cloud = deserialize_message(message.data, PointCloud2)
-            measured = read_reference_points(cloud, f"{bag}: {POINTS_TOPIC}")
+            measured = read_reference_points(cloud, f"{bag}: {points_topic}")
             points[frame] = measured.points_world, measured.covariance
         else:
-            angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {ANGLES_TOPIC}")
+            angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {angles_topic}")
     frames = sorted(set(points) & set(angles))
-    if not frames:
-        remedy = f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person."
-        raise InputError("holds no tracked body", where=str(bag), remedy=remedy)
     return Track(
-        np.array(frames),
-        np.stack([points[f][0] for f in frames]),
-        np.stack([points[f][1] for f in frames]),
-        np.stack([angles[f] for f in frames]),
+        np.array(frames, dtype=int),
+        np.array([points[f][0] for f in frames]).reshape(-1, 15, 3),
+        np.array([points[f][1] for f in frames]).reshape(-1, 15, 3, 3),
+        np.array([angles[f] for f in frames]).reshape(-1, len(ANGLE_NAMES)),
         np.array([states.get(f, NO_STATE) for f in frames], dtype=str),
     )
 

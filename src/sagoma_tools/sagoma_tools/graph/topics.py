@@ -10,6 +10,8 @@ from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from ekf_tracker.rep155 import body_id_of
+from icp_tracker.settings import MOST_PERSONS
 from sagoma_ros.qos import LATCHED
 
 SILHOUETTE_SUFFIX = "/silhouette/compressed"
@@ -17,6 +19,8 @@ CAMERA_INFO_SUFFIX = "/camera_info"
 PREDICTION_TOPIC = "/ekf/prediction"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 CAMERA_TOPIC = re.compile(r"^/(?P<camera>[^/]+)/silhouette/compressed$")
+PERSON_TOPIC = re.compile(r"^/mocap/bodies/(?P<body_id>[^/]+)/(?P<what>[a-z_]+)$")
+FIRST_BODY_ID = "b0001"  # where the graph sets no other
 
 # a recorder may lag behind for a second without losing a message
 LOSSLESS = QoSProfile(
@@ -29,13 +33,14 @@ LOSSLESS = QoSProfile(
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic: absolute name, message type, whether a lockstep replay repeats its bytes exactly, and whether its
-    publisher keeps the last message for later subscribers."""
+    """One topic: absolute name, message type, whether a lockstep replay repeats its bytes exactly, whether the last
+    message is kept for later subscribers, and whether it comes with a person, who may never come."""
 
     name: str
     msgtype: str
     repeatable: bool = True
     latched: bool = False
+    of_person: bool = False
 
     @property
     def qos(self) -> QoSProfile:
@@ -43,6 +48,15 @@ class Topic:
         return LATCHED if self.latched else LOSSLESS
 
 
+OF_A_PERSON = {
+    "joint_states": "sensor_msgs/msg/JointState",
+    "torso": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "joint_covariance": "std_msgs/msg/Float64MultiArray",
+    "reference_points": "sensor_msgs/msg/PointCloud2",
+    "skeleton": "visualization_msgs/msg/MarkerArray",
+    "state": "diagnostic_msgs/msg/DiagnosticStatus",
+}
+"""What is published of each person, with its type: of the first under /mocap, of everybody under /mocap/bodies/ID."""
 OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/hull/contour_rays", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/centerline", "sensor_msgs/msg/PointCloud2"),
@@ -52,12 +66,9 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/icp/reference_points", "sensor_msgs/msg/PointCloud2"),
     Topic("/icp/fit", "diagnostic_msgs/msg/DiagnosticArray"),
     Topic("/icp/body", "std_msgs/msg/String", latched=True),
-    Topic("/mocap/joint_states", "sensor_msgs/msg/JointState"),
-    Topic("/mocap/torso", "geometry_msgs/msg/PoseWithCovarianceStamped"),
-    Topic("/mocap/joint_covariance", "std_msgs/msg/Float64MultiArray"),
-    Topic("/mocap/reference_points", "sensor_msgs/msg/PointCloud2"),
-    Topic("/mocap/skeleton", "visualization_msgs/msg/MarkerArray"),
-    Topic("/mocap/state", "diagnostic_msgs/msg/DiagnosticStatus"),
+    Topic("/icp/bodies", "std_msgs/msg/String", latched=True),
+    *(Topic(f"/mocap/{what}", msgtype) for what, msgtype in OF_A_PERSON.items()),
+    Topic("/mocap/point_names", "std_msgs/msg/String", latched=True),
     Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
     Topic(PREDICTION_TOPIC, "sensor_msgs/msg/JointState"),
 )
@@ -72,6 +83,23 @@ def camera_topics(camera: str) -> tuple[Topic, ...]:
         Topic(f"/{camera}{CAMERA_INFO_SUFFIX}", "sensor_msgs/msg/CameraInfo"),
         Topic(f"/{camera}{SILHOUETTE_SUFFIX}", "sensor_msgs/msg/CompressedImage"),
     )
+
+
+def person_topics(body_id: str) -> tuple[Topic, ...]:
+    """Return the topics of one person under /mocap/bodies/ID."""
+    return tuple(Topic(f"/mocap/bodies/{body_id}/{what}", kind, of_person=True) for what, kind in OF_A_PERSON.items())
+
+
+def topics_of_others(first_id: str = FIRST_BODY_ID) -> tuple[Topic, ...]:
+    """Return the topics of everybody who may come, but of the first person: those are a copy of /mocap/..."""
+    others = [body_id_of(first_id, person) for person in range(2, MOST_PERSONS + 1)]
+    return tuple(topic for body_id in others for topic in person_topics(body_id))
+
+
+def persons_in(topic_names: Iterable[str]) -> tuple[str, ...]:
+    """Return the ids of the bodies that have topics of their own among ``topic_names``, in order."""
+    matches = (PERSON_TOPIC.match(name) for name in topic_names)
+    return tuple(sorted({match["body_id"] for match in matches if match and match["what"] in OF_A_PERSON}))
 
 
 def cameras_in(topic_names: Iterable[str]) -> tuple[str, ...]:

@@ -17,9 +17,9 @@ from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
-from ..graph.topics import OUTPUT_TOPICS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX
+from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
 from .reader import SIDECAR_RIG, bag_cameras, bag_topics, frame_tolerance_ns, input_topics, read_frame_sets
-from .recorder import GraphRecorder
+from .recorder import GraphRecorder, server_topics
 from .replayer import Answers, InputPublishers, LockstepReport, play_lockstep
 
 ANSWER_TIMEOUT_S = 30.0
@@ -74,7 +74,7 @@ def replay_through_graph(
         supervisor.configure()
         with (
             GraphRecorder(
-                graph, output, topics=OUTPUT_TOPICS, domain_id=domain_id, provenance=made_from, canonical=True
+                graph, output, topics=server_topics(graph), domain_id=domain_id, provenance=made_from, canonical=True
             ) as recorder,
             RosLink("sagoma_replayer", domain_id=domain_id) as link,
         ):

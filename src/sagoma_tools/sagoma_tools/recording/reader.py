@@ -34,6 +34,8 @@ from ..graph.topics import (
     SILHOUETTE_SUFFIX,
     camera_topics,
     cameras_in,
+    person_topics,
+    persons_in,
 )
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -209,7 +211,8 @@ def bag_digest(bag: str | Path, topics: Iterable[str] | None = None) -> dict[str
 def default_comparison(bag: str | Path) -> tuple[str, ...]:
     """Return the repeatable output topics that the bag has."""
     present = bag_topics(bag)
-    return tuple(topic.name for topic in OUTPUT_TOPICS if topic.repeatable and topic.name in present)
+    of_persons = [topic for body_id in persons_in(present) for topic in person_topics(body_id)]
+    return tuple(topic.name for topic in (*OUTPUT_TOPICS, *of_persons) if topic.repeatable and topic.name in present)
 
 
 def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> Difference | None:

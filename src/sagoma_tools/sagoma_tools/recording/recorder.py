@@ -19,7 +19,18 @@ from rclpy.parameter import parameter_value_to_python
 from sagoma_bringup.graph import NodeSpec, Role
 
 from ..graph.ros_link import RosLink, call_all
-from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, Topic, camera_topics, cameras_in, message_class
+from ..graph.topics import (
+    DIAGNOSTICS,
+    FIRST_BODY_ID,
+    OUTPUT_TOPICS,
+    Topic,
+    camera_topics,
+    cameras_in,
+    message_class,
+    person_topics,
+    persons_in,
+    topics_of_others,
+)
 from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
@@ -54,11 +65,12 @@ class Recorder:
             return dict(self._writer.counts)
 
     def add(self, topic: Topic) -> None:
-        """Record this topic too, from now on."""
+        """Record this topic too, from now on; the bag has that of a person only once there is something on it."""
         with self._arrived:
             if topic.name in self._subscriptions:
                 return
-            self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
+            if not topic.of_person:
+                self._announce(topic)
         self._subscriptions[topic.name] = self._node.create_subscription(
             message_class(topic.msgtype),
             topic.name,
@@ -68,10 +80,13 @@ class Recorder:
             event_callbacks=SubscriptionEventCallbacks(matched=self._on_match(topic)),
         )
 
-    def follow_cameras(self) -> None:
-        """Look for cameras that publish silhouettes every DISCOVERY_S, and record them too."""
+    def follow_graph(self, first_id: str = FIRST_BODY_ID) -> None:
+        """Look for cameras that publish silhouettes, and for persons, every DISCOVERY_S, and record them too.
+
+        first_id : of the person whose topics are those under /mocap.
+        """
         if self._discovery is None:
-            self._discovery = self._node.create_timer(DISCOVERY_S, self._add_cameras)
+            self._discovery = self._node.create_timer(DISCOVERY_S, lambda: self._add_newcomers(first_id))
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -127,6 +142,7 @@ class Recorder:
             now_ns = self._node.get_clock().now().nanoseconds
             with self._arrived:
                 if self._open:
+                    self._announce(topic)
                     written = canonical_bytes(data, topic.msgtype) if self._canonical else data
                     self._writer.write(topic.name, now_ns, written)
                     if stamped:
@@ -143,10 +159,14 @@ class Recorder:
 
         return note
 
-    def _add_cameras(self) -> None:
+    def _announce(self, topic: Topic) -> None:
+        self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
+
+    def _add_newcomers(self, first_id: str) -> None:
         names = [name for name, _ in self._node.get_topic_names_and_types()]
-        for camera in cameras_in(names):
-            for topic in camera_topics(camera):
+        others = [body_id for body_id in persons_in(names) if body_id != first_id]
+        for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, others)):
+            for topic in topics:
                 self.add(topic)
 
 
@@ -181,11 +201,13 @@ class GraphRecorder:
             raise
 
     def wait_for_publishers(self, timeout_s: float = CONNECT_TIMEOUT_S) -> tuple[str, ...]:
-        """Return once every topic but the latched ones has a publisher; returns those that have none in time.
+        """Return once every topic but latched ones and persons' has a publisher; returns those that have none in time.
 
-        Nodes open their publishers when they are configured: call it between configure and activate.
+        Nodes open their publishers when they are configured: call it between configure and activate. A publisher that
+        is opened later finds this recorder listening, and its first message is recorded.
         """
-        return self.recorder.wait_for_publishers([t.name for t in self._topics if not t.latched], timeout_s)
+        awaited = [t.name for t in self._topics if not (t.latched or t.of_person)]
+        return self.recorder.wait_for_publishers(awaited, timeout_s)
 
     def close(self, **provenance: Any) -> dict[str, int]:
         """Finish the bag; returns the messages written by topic. May be called twice."""
@@ -204,7 +226,17 @@ class GraphRecorder:
 def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
     """Return the topics that the nodes publish: the cameras', the server's, and diagnostics."""
     cameras = [node.label for node in graph if node.role is Role.CAMERA]
-    return [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, DIAGNOSTICS]
+    return [*(topic for camera in cameras for topic in camera_topics(camera)), *server_topics(graph), DIAGNOSTICS]
+
+
+def server_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
+    """Return the topics that the server publishes, and may publish once there are several persons."""
+    return [*OUTPUT_TOPICS, *topics_of_others(first_body_id(node.parameters for node in graph))]
+
+
+def first_body_id(parameters: Iterable[Mapping[str, Any]]) -> str:
+    """Return the id of the first person by the nodes' parameters."""
+    return next((str(given["body_id"]) for given in parameters if "body_id" in given), FIRST_BODY_ID)
 
 
 def graph_document(graph: Sequence[NodeSpec]) -> dict[str, Any]:
