@@ -62,7 +62,7 @@ def test_every_format_is_written_beside_the_take(tmp_path, capsys):
     assert main(["export", str(take)]) == 0
     names = {path.name for path in (take / "export").iterdir()}
     assert names == {f"first.{kind}" for kind in ("bvh", "glb", "c3d", "trc", "osim", "mot", "csv")}
-    assert "person 1: 20 frames at 50 Hz, no gaps" in capsys.readouterr().out
+    assert "b0001: 20 frames at 50 Hz, no gaps" in capsys.readouterr().out
 
 
 def test_numbers_of_the_bag_arrive(tmp_path):
@@ -75,12 +75,12 @@ def test_numbers_of_the_bag_arrive(tmp_path):
 
 
 def test_several_persons_get_a_file_each(tmp_path):
-    take = write_take(tmp_path / "two", prefixes=("/mocap", "/mocap/bodies/2"))
+    take = write_take(tmp_path / "two", prefixes=("/mocap", "/mocap/bodies/b0002"))
     motions = recorded_motions(take)
-    assert sorted(motions) == [1, 2]
-    assert motions[2].points_world[0, 0, 0] - motions[1].points_world[0, 0, 0] == pytest.approx(1.0)
+    assert sorted(motions) == ["b0001", "b0002"]
+    assert motions["b0002"].points_world[0, 0, 0] - motions["b0001"].points_world[0, 0, 0] == pytest.approx(1.0)
     assert main(["export", str(take), "--format", "bvh", "--output", str(tmp_path)]) == 0
-    assert (tmp_path / "two_1.bvh").exists() and (tmp_path / "two_2.bvh").exists()
+    assert (tmp_path / "two_b0001.bvh").exists() and (tmp_path / "two_b0002.bvh").exists()
 
 
 def test_files_that_exist_are_not_overwritten(tmp_path, capsys):

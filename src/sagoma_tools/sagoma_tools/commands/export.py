@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
         remedy = "Give another --output, or --overwrite."
         raise InputError(f"{', '.join(existing)} exists", where="--output", remedy=remedy)
     folder.mkdir(parents=True, exist_ok=True)
-    for person, motion in motions.items():
-        print(f"person {person}: {describe(motion)}")
+    for body_id, motion in motions.items():
+        print(f"{body_id}: {describe(motion)}")
     for motion, kind, path, write in planned:
         write_whole(motion, path, write)
         print(f"  {path}{note(motion, kind)}")

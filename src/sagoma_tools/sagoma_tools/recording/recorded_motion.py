@@ -19,46 +19,42 @@ from motion_export.motion import Motion, Samples
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
-from .reader import bag_topics, read_messages
+from ..graph.topics import FIRST_BODY_ID
+from .reader import read_messages
 
-PERSON_TOPIC = re.compile(r"^/mocap/(?:bodies/(?P<person>\d+)/)?(?P<kind>reference_points|joint_states|torso|state)$")
-FIRST_PERSON = 1
+ROW_TOPIC = re.compile(r"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>reference_points|joint_states|torso|state)$")
 TRUSTED = "tracking"
 """The state of every row in a bag that recorded none."""
 LOST = "lost"
 """Rows in this state are extrapolated: a gap."""
 
 
-def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[int, Motion]:
-    """Read the motion of every person of a bag, by the person's number; frames in which one is lost are gaps.
+def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str, Motion]:
+    """Read the motion of every person of a bag, by the body's id; frames in which one is lost are gaps.
 
     Raises InputError for a bag that cannot be read or holds no tracked person.
     """
-    first_again = any(topic.startswith(f"/mocap/bodies/{FIRST_PERSON}/") for topic in bag_topics(bag))
-    rows: dict[int, dict[str, dict[int, Any]]] = defaultdict(lambda: defaultdict(dict))
-    for message in read_messages(bag, lambda topic: PERSON_TOPIC.match(topic) is not None):
-        match = PERSON_TOPIC.match(message.topic)
+    rows: dict[str, dict[str, dict[int, Any]]] = defaultdict(lambda: defaultdict(dict))
+    for message in read_messages(bag, lambda topic: ROW_TOPIC.match(topic) is not None):
+        match = ROW_TOPIC.match(message.topic)
         assert match is not None
-        if first_again and match["person"] is None:
-            continue
-        kind, person = match["kind"], int(match["person"] or FIRST_PERSON)
+        kind, body_id = match["kind"], match["body_id"] or FIRST_BODY_ID
         if kind == "state":
             status = deserialize_message(message.data, DiagnosticStatus)
             stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
-            rows[person][kind].update(dict.fromkeys(stamps, status.message))
+            rows[body_id][kind].update(dict.fromkeys(stamps, status.message))
         else:
-            rows[person][kind][message.stamp_ns] = _READERS[kind](message.data, f"{bag}: {message.topic}")
+            rows[body_id][kind][message.stamp_ns] = _READERS[kind](message.data, f"{bag}: {message.topic}")
+    found = {body_id: _samples(kinds) for body_id, kinds in sorted(rows.items())}
+    found = {body_id: samples for body_id, samples in found.items() if len(samples.stamps_ns) > 1}
     name = Path(bag).resolve().name
-    found = {person: _samples(kinds) for person, kinds in sorted(rows.items())}
-    motions = {
-        person: Motion.of_samples(samples, name if len(found) == 1 else f"{name}_{person}", rate_hz)
-        for person, samples in found.items()
-        if len(samples.stamps_ns) > 1
-    }
-    if not motions:
+    if not found:
         remedy = "Record /mocap/reference_points, /mocap/joint_states and /mocap/torso while the graph tracks a person."
         raise InputError("holds no tracked person", where=str(bag), remedy=remedy)
-    return motions
+    return {
+        body_id: Motion.of_samples(samples, name if len(found) == 1 else f"{name}_{body_id}", rate_hz)
+        for body_id, samples in found.items()
+    }
 
 
 def _samples(kinds: dict[str, dict[int, Any]]) -> Samples:
