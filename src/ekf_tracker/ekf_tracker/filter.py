@@ -26,7 +26,7 @@ from .kernels import (
 from .measurement import GateDecision, InnovationGate, Measurement, Sizes, linearised
 from .motion_model import MotionModel
 from .settings import EkfSettings, limit_weight, motion_model
-from .state import DIMENSION, POSE, VELOCITY, assess, per_slot
+from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
 
 NS = 1e-9
 POINT_SD_FLOOR_M = 0.001
@@ -51,7 +51,7 @@ TORSO_SD_RAD = 1.0
 """What is known of the torso before its first measurement: it stands about where inverse kinematics puts it."""
 STATURE_M = 1.75
 FRAME_NS = 10_000_000
-NONE_REJECTED = np.zeros(15, bool)
+NONE = np.zeros(15, bool)
 
 
 class ArticulatedEkf:
@@ -91,16 +91,22 @@ class ArticulatedEkf:
         return 0 if self._track is None else self._track.repairs
 
     def step(
-        self, stamp_ns: int, points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray
+        self,
+        stamp_ns: int,
+        points_world: np.ndarray,
+        covariance: np.ndarray,
+        visible: np.ndarray,
+        doubtful: np.ndarray = NONE,
     ) -> BodyState | NoState:
         """Predict to a frame set's stamp, then update with its points: the thesis's Algorithm 3 for one set.
 
-        Arguments as for :meth:`predict` and :meth:`update`; both are checked before the filter moves.
+        Arguments as for :meth:`predict` and :meth:`update`; both are checked before the filter moves. doubtful (15,)
+        bool : points that may be elsewhere, as whoever measured them says; their covariance has to say it too.
         """
         if self.body is None:
             return NoState(stamp_ns, NO_BODY)
         z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
-        return self._update(self.predict(stamp_ns), z)
+        return self._update(self.predict(stamp_ns), z, doubtful)
 
     def is_past(self, stamp_ns: int) -> bool:
         """Return whether a set of this stamp comes too late: not after the last one."""
@@ -127,23 +133,23 @@ class ArticulatedEkf:
         if self._stamp_ns is None:
             raise ValueError("update before the first predict")
         z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
-        return self._update(self._stamp_ns, z)
+        return self._update(self._stamp_ns, z, NONE)
 
-    def _update(self, stamp_ns: int, z: Measurement) -> BodyState | NoState:
+    def _update(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray) -> BodyState | NoState:
         if self._track is None:
             if not enough_to_start(z):
                 return NoState(stamp_ns, f"waiting for the torso: {z.visible.sum()} of 15 points visible")
-            return self._start(stamp_ns, z)
+            return self._start(stamp_ns, z, doubtful)
         lost = self._track.unmeasured_s > self.settings.lost_after_s
         if lost and enough_to_start(z):
-            return self._start(stamp_ns, z)
-        return self._track.update(z) or self._start(stamp_ns, z)
+            return self._start(stamp_ns, z, doubtful)
+        return self._track.update(z, doubtful) or self._start(stamp_ns, z, doubtful)
 
-    def _start(self, stamp_ns: int, z: Measurement) -> BodyState:
+    def _start(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray) -> BodyState:
         """Take the state from this measurement alone."""
         assert self.body is not None
         self._track = Track(self.body, self.settings, stamp_ns, z)
-        return self._track.first_state
+        return self._track.state(z.visible, NONE, doubtful, np.zeros(15))
 
 
 class Track:
@@ -164,7 +170,6 @@ class Track:
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
         self._estimate = first_estimate(body, z, self._motion, JOINT_SD_CAP_RAD, self._update_options)
         self._note_measured(z, z.visible)
-        self.first_state = self._state(z.visible, NONE_REJECTED, np.zeros(15))
 
     @property
     def unmeasured_s(self) -> float:
@@ -191,8 +196,8 @@ class Track:
             self._forget_velocity()
         self._advance(stamp_ns)
 
-    def update(self, z: Measurement) -> BodyState | None:
-        """Correct the estimate with points of the predicted stamp (thesis Table 5.7).
+    def update(self, z: Measurement, doubtful: np.ndarray) -> BodyState | None:
+        """Correct the estimate with points of the predicted stamp (thesis Table 5.7), of which some are doubtful.
 
         None when the torso's points have contradicted the prediction for so long that the track has to start anew.
         """
@@ -207,7 +212,7 @@ class Track:
         if decision.n_accepted:
             self._estimate = self._correct(z, decision)
             self._note_measured(z, decision.accepted)
-        return self._state(decision.accepted, decision.rejected, distances)
+        return self.state(decision.accepted, decision.rejected, doubtful, distances)
 
     def _correct(self, z: Measurement, decision: GateDecision) -> Estimate:
         prior, start = self._estimate, None
@@ -252,7 +257,8 @@ class Track:
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
         return Estimate(prior.arrays, velocity, P)
 
-    def _state(self, accepted: np.ndarray, gated: np.ndarray, distances: np.ndarray) -> BodyState:
+    def state(self, accepted: np.ndarray, gated: np.ndarray, doubtful: np.ndarray, distances: np.ndarray) -> BodyState:
+        """Return the state after points (15,) bool were used, left out, and doubtful; and their squared distances."""
         x, pose = self._estimate, self._estimate.pose
         self._angles = pose.angles(self._angles)
         points_world, point_covariance, covariance, rates = report(
@@ -278,6 +284,7 @@ class Track:
             accepted=accepted,
             gated=gated,
             distances=distances,
+            doubtful=doubtful_points(doubtful, gated),
             tracking=tracking,
             reason=reason,
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mocap_packets.fit import PART_POINTS, points_of_parts
 from mocap_packets.state import Tracking
 from stick_figure.kernels import HINGE_SLOT
 from stick_figure.skeleton import POINT_NAMES
@@ -38,3 +39,16 @@ def assess(accepted: np.ndarray, gated: np.ndarray, unmeasured_s: float, lost_af
     if left_out:
         return Tracking.TRACKING, f"{used} points used, left out: {names}"
     return Tracking.TRACKING, f"{used} points used"
+
+
+def doubtful_points(doubtful: np.ndarray, gated: np.ndarray) -> np.ndarray:
+    """Return (15,) bool: every point of the parts of the body that somebody doubts.
+
+    Points (15,) that were measured as doubtful make their part so, and points that were left out of a limb: the limb
+    is either where they are or where the filter has it. Of the trunk's seven points, half of them do.
+    """
+    doubts = []
+    for points in PART_POINTS:
+        left_out = int(np.count_nonzero(gated[list(points)]))
+        doubts.append(bool(doubtful[list(points)].any() or 2 * left_out >= len(points)))
+    return points_of_parts(doubts)

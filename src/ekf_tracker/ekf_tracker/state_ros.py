@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from mocap_packets.fit import DOUBTFUL, PART_NAMES, PART_POINTS
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.messages import key_values, to_stamp
 from stick_figure.body import Body
@@ -36,6 +37,8 @@ _COLOURS = {
     Tracking.DOUBTFUL: ColorRGBA(r=0.95, g=0.7, b=0.1, a=1.0),
     Tracking.LOST: ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0),
 }
+PART_OF_STICK = (0, 0, 1, 2, 3, 4, 1, 2, 3, 4)
+PART_OF_POINT = tuple(next(part for part, own in enumerate(PART_POINTS) if i in own) for i in range(15))
 _ELLIPSOID_COLOUR = ColorRGBA(r=0.4, g=0.6, b=1.0, a=0.3)
 _PERSONS = ((0.34, 0.71, 0.91), (0.80, 0.47, 0.65), (0.0, 0.45, 0.70), (0.94, 0.89, 0.26))
 """Sky blue, purple, blue, yellow: told apart by the colour-blind (Okabe and Ito 2008), and from the states' colours."""
@@ -67,12 +70,13 @@ def torso_message(state: BodyState, frame_id: str) -> PoseWithCovarianceStamped:
 
 
 def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatus:
-    """Return what the tracker thinks of itself: message = state, values = reason and the innovation."""
+    """Return what the tracker thinks of itself: message = its state; values = why, and the parts' states."""
     values = {"reason": state.reason, "stamp_ns": str(state.stamp_ns)}
     if isinstance(state, BodyState):
         values["points_used"] = str(int(state.accepted.sum()))
         values["points_left_out"] = str(int(state.gated.sum()))
         values["normalised_innovation"] = f"{state.normalised_innovation:.3f}"
+        values |= dict(zip(PART_NAMES, state.parts, strict=True))
     return DiagnosticStatus(
         level=LEVELS[state.tracking], name=node_name, message=str(state.tracking), values=key_values(values)
     )
@@ -87,17 +91,19 @@ def silence_message(tracking: Tracking, reason: str, node_name: str) -> Diagnost
 def skeleton_markers(state: BodyState, body: Body, style: SkeletonStyle) -> MarkerArray:
     """Sticks as one line list, joints as one sphere list, and if wanted one ellipsoid of covariance a point.
 
-    Namespaces and ids stay the same from set to set, so a viewer replaces what it shows; what is replaced no longer
-    disappears after LIFETIME_S.
+    Doubtful parts of the body have the colour of doubt. Namespaces and ids stay the same from set to set, so a viewer
+    replaces what it shows; what is replaced no longer disappears after LIFETIME_S.
     """
     header, colour = _header(state.stamp_ns, style.frame_id), _COLOURS[state.tracking]
     sticks_colour = colour if style.sticks is None or state.tracking == Tracking.LOST else style.sticks
     lines = _marker(header, f"{style.prefix}sticks", 0, Marker.LINE_LIST, sticks_colour)
     lines.scale.x = STICK_WIDTH_M
     lines.points = [_point(end) for end in sticks(body, state.pose).reshape(20, 3)]
+    lines.colors = [one for one in _colours(state, PART_OF_STICK, sticks_colour) for _ in range(2)]
     joints = _marker(header, f"{style.prefix}joints", 0, Marker.SPHERE_LIST, colour)
     joints.scale.x = joints.scale.y = joints.scale.z = JOINT_DIAMETER_M
     joints.points = [_point(point) for point in state.points_world]
+    joints.colors = _colours(state, PART_OF_POINT, colour)
     ellipsoids = _ellipsoids(header, state, f"{style.prefix}covariance") if style.with_ellipsoids else []
     return MarkerArray(markers=[lines, joints, *ellipsoids])
 
@@ -110,6 +116,12 @@ def deleted_markers(shown: Iterable[Marker], stamp_ns: int) -> MarkerArray:
             for one in shown
         ]
     )
+
+
+def _colours(state: BodyState, part_of: Sequence[int], usual: ColorRGBA) -> list[ColorRGBA]:
+    """Return a colour for each stick or point: that of doubt where its part of the body is doubtful."""
+    of_part = [_COLOURS[Tracking.DOUBTFUL] if part == DOUBTFUL else usual for part in state.parts]
+    return [of_part[part] for part in part_of]
 
 
 def quaternion(R: np.ndarray) -> Quaternion:

@@ -25,6 +25,7 @@ from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.motion_model import DampedVelocity
 from ekf_tracker.settings import DampedVelocitySettings, EkfSettings
 from ekf_tracker.state import POSE, VELOCITY
+from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES
 from mocap_packets.state import BodyState, NoState, Tracking
 from stick_figure.body import Body
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
@@ -180,6 +181,27 @@ def test_arm_that_really_jumped_is_found_again(body, person):
     assert error_mm[0] > 300.0
     assert max(error_mm[12:]) < 60.0
     assert states[-1].tracking == Tracking.TRACKING
+
+
+def test_limb_whose_points_are_left_out_is_doubtful_and_no_other(body, person):
+    def spoil(k, points):
+        if k == 60:
+            points[LEFT_ARM] += [0.0, 0.0, 0.6]
+
+    states, _ = run(ArticulatedEkf(body), person, 65, spoil=spoil)
+    assert states[59].parts == (GOOD,) * 5 == states[64].parts
+    assert states[60].parts == tuple(DOUBTFUL if name == "left arm" else GOOD for name in PART_NAMES)
+    assert states[60].tracking == Tracking.TRACKING  # the rest of the body is
+
+
+def test_doubt_of_a_measured_limb_is_the_filters_too(body, person):
+    doubtful = np.arange(15) == HAND
+    for sets in (1, 2):  # at the first set as at the next
+        ekf = ArticulatedEkf(body)
+        for k in range(sets):
+            state = ekf.step(stamp(k), person.points(0.0), isotropic(0.02), ALL, doubtful if k == sets - 1 else NONE)
+        assert state.parts == tuple(DOUBTFUL if name == "left arm" else GOOD for name in PART_NAMES)
+        assert np.flatnonzero(state.reference_points.doubtful).tolist() == sorted(LEFT_ARM)
 
 
 def test_body_that_really_jumped_is_found_again(body, person):

@@ -114,7 +114,7 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     assert [d.size for d in covariance.layout.dim] == [24, 24]
     assert covariance.layout.dim[0].label.split(",") == list(TANGENT_NAMES)
     np.testing.assert_array_equal(np.reshape(covariance.data, (24, 24)), expected.covariance[:24, :24])
-    points, covariances, used = read_reference_points(by_topic.mocap_reference_points, "test")
+    points, covariances, used, _ = read_reference_points(by_topic.mocap_reference_points, "test")
     np.testing.assert_allclose(points, expected.points_world, atol=1e-6)
     np.testing.assert_allclose(covariances, expected.point_covariance, rtol=1e-5, atol=1e-12)
     assert used.all()
@@ -202,7 +202,7 @@ def test_body_from_the_topic_is_used_when_no_file_is_given(bench, body, person):
     b.body.publish(String(data=format_body(body)))
     got = b.fit(stamp(0), person.points(0.0))  # the set may overtake the body: it is held until the body is there
     assert read_prediction(got[-1][1], "test").pose is not None
-    points, _, _ = read_reference_points(b.latest("mocap/reference_points"), "test")
+    points, *_ = read_reference_points(b.latest("mocap/reference_points"), "test")
     assert np.linalg.norm(points - person.points(0.0), axis=1).max() < 5e-3
 
 
@@ -299,7 +299,7 @@ def test_reset_service_lets_the_next_set_start_anew(bench, body_file, person):
     assert b.ask(Trigger, "/ekf_tracker/reset").success
     got = b.fit(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
     assert got[-1][1].name
-    points, _, _ = read_reference_points(b.latest("mocap/reference_points"), "test")
+    points, *_ = read_reference_points(b.latest("mocap/reference_points"), "test")
     assert np.linalg.norm(points - person.points(5.0), axis=1).max() < 5e-3
 
 

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
-from mocap_packets.fit import FIRST_PERSON, Fit
+from mocap_packets.fit import FIRST_PERSON, PART_NAMES, Fit
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.people import PeoplePoints, Predictions, format_bodies
 from mocap_packets.stamp_order import Order, StampOrder
@@ -34,7 +34,6 @@ from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
 from .icp_ros import FilterFeedback, SaveBodyService, SavedBody
-from .monitor.evidence import PART_NAMES
 from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up

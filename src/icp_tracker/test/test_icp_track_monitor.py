@@ -11,7 +11,7 @@ from test_icp_contour_rays import grazing_rays
 
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
-from icp_tracker.monitor.evidence import LEFT_ARM, PART_NAMES, PART_POINTS, RIGHT_LEG, evidence_of
+from icp_tracker.monitor.evidence import LEFT_ARM, RIGHT_LEG, evidence_of
 from icp_tracker.monitor.limb_search import other_place, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
@@ -24,7 +24,7 @@ from icp_tracker.monitor.pose_library import (
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.monitor.track_quality import judge_track, widened_covariance
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.fit import DOUBTFUL, GOOD, LOST, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, TrackQuality
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward

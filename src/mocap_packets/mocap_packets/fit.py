@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -17,6 +17,9 @@ LOWER, UPPER = np.tril_indices(3, -1)
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
+PART_NAMES = ("trunk", "left arm", "right arm", "left leg", "right leg")
+PART_POINTS = ((0, 1, 2, 3, 4, 5, 6), (7, 11), (8, 12), (9, 13), (10, 14))
+"""Reference points that only this part of the body holds."""
 FIRST_PERSON = 1
 """The person whose topics are those of a single one; the others are 2, 3, ..."""
 
@@ -25,23 +28,26 @@ FIRST_PERSON = 1
 class ReferencePoints:
     """The 15 reference points in the order of `stick_figure.skeleton.POINT_NAMES`; world frame.
 
-    points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured.
+    points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured. doubtful :
+    (15,) bool, those of a part of the body that may be elsewhere; without it, none.
     """
 
-    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible")
+    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible", "doubtful")
 
     points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
+    doubtful: np.ndarray = field(default_factory=lambda: np.zeros(15, bool))
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Points, covariance, visibility."""
-        return iter((self.points_world, self.covariance, self.visible))
+        """Points, covariance, visibility, doubt."""
+        return iter((self.points_world, self.covariance, self.visible, self.doubtful))
 
     def to_table(self) -> np.ndarray:
         """Return the 15 rows as the structured array LAYOUT."""
         covariance = np.asarray(self.covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
-        return fill(self.LAYOUT, self.points_world, covariance, np.asarray(self.visible, float))
+        flags = np.asarray(self.visible, float), np.asarray(self.doubtful, float)
+        return fill(self.LAYOUT, self.points_world, covariance, *flags)
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> ReferencePoints:
@@ -49,14 +55,16 @@ class ReferencePoints:
         covariance = np.empty((len(table), 3, 3))
         for name, row, col in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
             covariance[:, row, col] = covariance[:, col, row] = column(table, name)
-        return cls(columns(table, "x", "y", "z"), covariance, table["visible"] > 0.5)
+        return cls(columns(table, "x", "y", "z"), covariance, table["visible"] > 0.5, table["doubtful"] > 0.5)
 
     def as_sent(self) -> ReferencePoints:
         """Return the same, rounded to float32 as the cloud between the nodes is."""
         covariance = np.asarray(self.covariance, np.float32).astype(np.float64)
         covariance[:, LOWER, UPPER] = covariance[:, UPPER, LOWER]  # as six numbers make a matrix again
         points_world = np.asarray(self.points_world, np.float32).astype(np.float64)
-        return ReferencePoints(points_world, covariance, np.asarray(self.visible, bool))
+        return ReferencePoints(
+            points_world, covariance, np.asarray(self.visible, bool), np.asarray(self.doubtful, bool)
+        )
 
 
 NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))
@@ -67,7 +75,7 @@ class TrackQuality:
     """How well a fit explains what the cameras saw.
 
     state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
-    parts (5,) states of trunk, arms and legs; explained : share of the contour rays that the pose explains;
+    parts (5,) states of PART_NAMES; explained : share of the contour rays that the pose explains;
     hypothesis_margin : rays that the best other pose explains more, over several sets; None without another pose.
     """
 
@@ -126,4 +134,13 @@ class Fit:
     @property
     def reference_points(self) -> ReferencePoints:
         """What travels on to the filter."""
-        return ReferencePoints(self.reference_points_world, self.covariance, self.visible)
+        doubtful = points_of_parts([state != GOOD for state in self.quality.parts])
+        return ReferencePoints(self.reference_points_world, self.covariance, self.visible, doubtful)
+
+
+def points_of_parts(parts: Sequence[bool]) -> np.ndarray:
+    """Return (15,) bool: the reference points of the chosen parts (5,) of the body."""
+    points = np.zeros(15, bool)
+    for chosen, own in zip(parts, PART_POINTS, strict=True):
+        points[list(own)] = chosen
+    return points

@@ -11,7 +11,7 @@ from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import JOINTS, TORSO_POSITION, TORSO_ROTATION
 
-from .fit import ReferencePoints
+from .fit import DOUBTFUL, GOOD, LOST, PART_POINTS, ReferencePoints
 
 
 class Tracking(StrEnum):
@@ -70,7 +70,8 @@ class BodyState:
     points_world, point_covariance : (15, 3) m and (15, 3, 3) m^2, the filtered reference points
     accepted, gated : (15,) bool, measured points that were used, and that were left out as outliers
     distances : (15,) squared Mahalanobis distance of each measured point from its prediction, 0 where not visible
-    tracking, reason : how far to trust it, and why
+    doubtful : (15,) bool, points of a part of the body that may be elsewhere
+    tracking, reason : how far to trust the whole, and why
     """
 
     stamp_ns: int
@@ -85,13 +86,21 @@ class BodyState:
     accepted: np.ndarray
     gated: np.ndarray
     distances: np.ndarray
+    doubtful: np.ndarray
     tracking: Tracking
     reason: str
 
     @property
     def reference_points(self) -> ReferencePoints:
-        """The filtered points; visible are those whose own measurement was used."""
-        return ReferencePoints(self.points_world, self.point_covariance, self.accepted)
+        """The filtered points; visible are those whose own measurement was used, doubtful those of a doubtful part."""
+        return ReferencePoints(self.points_world, self.point_covariance, self.accepted, self.doubtful)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """How far to trust each part of the body, in the order of `fit.PART_NAMES`: good, doubtful or lost."""
+        if self.tracking == Tracking.LOST:
+            return (LOST,) * len(PART_POINTS)
+        return tuple(DOUBTFUL if self.doubtful[list(points)].any() else GOOD for points in PART_POINTS)
 
     @property
     def prediction(self) -> Prediction:

@@ -12,7 +12,8 @@ from capture_rig.errors import InputError
 
 from .messages import to_stamp
 
-ALONE = {"body": 0.0, "person": 1.0}  # what a cloud without one of these fields means: all is one body, one person's
+UNLESS_SAID = {"body": 0.0, "person": 1.0, "doubtful": 0.0}
+"""What a cloud without one of these fields means: all is one body, one person's, and nothing is doubtful."""
 
 _NUMPY_TYPES = {
     PointField.INT8: "i1",
@@ -45,12 +46,13 @@ def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1) ->
 def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     """Return the fields of ``layout`` of a cloud as a structured array (n,), whatever order and types they came in.
 
-    A cloud without the field ``body`` is of one body, number 0; without ``person``, of the first person.
+    A cloud without the field ``body`` is of one body, number 0; without ``person``, of the first person; without
+    ``doubtful``, nothing in it is.
 
     Raises InputError when a field is missing, the size does not fit, or a number is not finite.
     """
     fields = {field.name: field for field in cloud.fields}
-    wanted = [name for name in layout.names or () if name in fields or name not in ALONE]
+    wanted = [name for name in layout.names or () if name in fields or name not in UNLESS_SAID]
     missing = [name for name in wanted if name not in fields]
     if missing:
         raise InputError(
@@ -62,7 +64,7 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     points = np.empty(len(wire), layout)
     with np.errstate(over="ignore"):  # a double too big for float32 is refused below
         for name in layout.names or ():
-            points[name] = wire[name] if name in fields else ALONE[name]
+            points[name] = wire[name] if name in fields else UNLESS_SAID[name]
     if not np.isfinite(points.view(np.float32)).all():
         raise InputError(
             "the cloud holds numbers that are not finite", where=where, remedy="Drop such points before publishing."

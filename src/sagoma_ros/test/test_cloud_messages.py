@@ -7,6 +7,7 @@ import struct
 
 import numpy as np
 import pytest
+from numpy.lib.recfunctions import repack_fields
 from sensor_msgs.msg import PointCloud2, PointField
 
 from capture_rig.errors import InputError
@@ -150,7 +151,7 @@ def test_field_that_cannot_lie_in_a_point_is_refused_by_name(key: str, value: in
 @pytest.mark.parametrize("kind", KINDS)
 def test_packet_comes_back_with_the_same_table_in_double_precision(kind) -> None:
     table = random_points(kind.LAYOUT, 15)
-    for name in {"axis", "body", "camera", "surface", "visible"} & set(table.dtype.names):
+    for name in {"axis", "body", "camera", "surface", "visible", "doubtful"} & set(table.dtype.names):
         table[name] = np.arange(15) % 2
     packet = read_packet(packet_cloud(kind.from_table(table), STAMP, "map"), kind, TOPIC)
     assert packet.points_world.dtype == np.float64
@@ -174,6 +175,14 @@ def test_reference_points_keep_covariance_and_visibility() -> None:
     assert again.covariance == pytest.approx(sent.covariance, rel=1e-6)
     assert np.array_equal(again.covariance, again.covariance.transpose(0, 2, 1))
     assert np.array_equal(again.visible, sent.visible)
+
+
+def test_reference_points_of_a_cloud_that_knows_no_doubt_are_not_doubtful() -> None:
+    names = [name for name in ReferencePoints.LAYOUT.names or () if name != "doubtful"]
+    table = random_points(ReferencePoints.LAYOUT, 15)
+    table["doubtful"] = 1.0
+    assert read_reference_points(to_cloud(table, STAMP, "map"), TOPIC).doubtful.all()
+    assert not read_reference_points(to_cloud(repack_fields(table[names]), STAMP, "map"), TOPIC).doubtful.any()
 
 
 def test_another_number_of_reference_points_is_refused() -> None:

@@ -22,11 +22,8 @@ from stick_figure.pose import Pose
 
 PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
-PART_NAMES = ("trunk", "left arm", "right arm", "left leg", "right leg")
 LIMBS_OF_STICKS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
 PART_OF_STICK = np.array((TRUNK, TRUNK, *LIMBS_OF_STICKS, *LIMBS_OF_STICKS))
-PART_POINTS = ((0, 1, 2, 3, 4, 5, 6), (7, 11), (8, 12), (9, 13), (10, 14))
-"""Reference points that only this part holds."""
 
 GATE_M = 0.06  # a ray this far off costs a half
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
-from mocap_packets.fit import GOOD, LOST, UNKNOWN, TrackQuality
+from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
@@ -23,7 +23,7 @@ from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
-from .evidence import PART_NAMES, Evidence, evidence_of
+from .evidence import Evidence, evidence_of
 from .limb_search import other_place
 from .pose_library import (
     LIMBS,

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_packets.fit import DOUBTFUL, GOOD, LOST, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, TrackQuality
 from stick_figure.pose import Pose
 
-from .evidence import LEFT_ARM, PART_NAMES, PART_POINTS, TRUNK, Evidence
+from .evidence import LEFT_ARM, TRUNK, Evidence
 
 # --- hypotheses: other poses, followed beside the first until the evidence of several frame sets decides
 
