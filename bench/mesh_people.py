@@ -5,7 +5,9 @@
 
 writes the hull's products OUT/products/mesh_NAME.pkl (`bench/products.py`, what trackers are compared on) and the
 silhouettes OUT/clips/mesh_NAME.pkl (`bench/scenes.py` Clip). Constants may be fitted to the sets called fit_; those
-called prove_ are for proof only: other bodies, other clips, other rigs.
+called prove_ are for proof only: other bodies, other clips, other rigs. Those of FILMED are made a second time as _own:
+filmed in the studio's room, in clothes and with shadows, and segmented by the camera client; their session folders are
+OUT/sessions/mesh_NAME.
 """
 
 from __future__ import annotations
@@ -15,16 +17,17 @@ import pickle
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mesh_body import MeshBody, Phenotype, make_body
+from mesh_footage import Look, film, write_truth
 from mesh_motions import FPS, MeshMotion, Play, play
 from mesh_silhouettes import mesh_silhouettes
 from products import Recorded
-from scenes import Clip
+from scenes import Clip, session_clip
 
 from capture_rig import Rig
 from capture_rig.camera import CameraModel, looking_at
@@ -130,6 +133,19 @@ SETS = {
 }  # fmt: skip
 
 
+FILMED = {
+    "fit_b1_walk_ring6": Look("room", 0.5),
+    "fit_b2_dance_a_ring4": Look("middle", 0.5),
+    "fit_b3_floor_ring6": Look("light", 1.0),
+    "prove_b4_walk_ring4": Look("room", 1.0),
+    "prove_b4_dance_b_high6": Look("middle", 1.0),
+    "prove_b5_spinkick_ring8": Look("light", 0.5),
+    "prove_b6_punch_ring6": Look("dark", 1.0),
+    "two_prove_pass_ring6": Look("middle", 0.5),
+}
+"""Which sets are filmed, too, and how people and light look; "room": clothes of the walls' own grey."""
+
+
 @dataclass(frozen=True, eq=False)
 class Made:
     """A set made: its rig, and the people with what they do and where their points are."""
@@ -165,6 +181,13 @@ class Made:
             rows.append([row["torso"] if len(parts) > 1 else row[parts[0]] for parts in RENDERED])
         return np.array(rows)
 
+    def session(self, folder: Path, look: Look) -> Path:
+        """Films it into a session folder."""
+        film(folder, self.rig, self.bodies, self.motions, look)
+        for person in range(len(self.bodies)):
+            write_truth(folder / ("truth.csv" if person == 0 else f"truth_{person + 1}.csv"), self.truth(person))
+        return folder
+
     def clip(self) -> Clip:
         """The silhouettes, with everybody's truth."""
         truth, *others = map(self.points, range(len(self.bodies)))
@@ -183,6 +206,14 @@ def make(name: str, body_data: Path, motion_data: Path) -> Made:
     return Made(f"mesh_{name}", rig, bodies, motions, T_POSE)
 
 
+def _keep(folder: Path, clip: Clip) -> None:
+    """Writes a clip and its hull's products."""
+    path = folder / "clips" / f"{clip.name}.pkl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(pickle.dumps(clip))
+    Recorded.of(clip).save(folder / "products" / path.name)
+
+
 def main() -> int:
     """Makes the sets named, or all of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -195,11 +226,10 @@ def main() -> int:
         if options.names and not any(part in name for part in options.names):
             continue
         began, made = time.process_time(), make(name, options.body, options.motions)
-        clip = made.clip()
-        path = options.out / "clips" / f"{made.name}.pkl"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(pickle.dumps(clip))
-        Recorded.of(clip).save(options.out / "products" / path.name)
+        _keep(options.out, made.clip())
+        if name in FILMED:
+            folder = made.session(options.out / "sessions" / made.name, FILMED[name])
+            _keep(options.out, replace(session_clip(folder, exact=False), name=f"{made.name}_own"))
         print(f"{made.name}: {len(made)} frames, {time.process_time() - began:.0f} s of processor time", flush=True)
     return 0
 

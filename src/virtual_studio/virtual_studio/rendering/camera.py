@@ -42,11 +42,13 @@ class VirtualCamera:
 
     def render(self, capsules: Capsules, shadow: NDArray[np.float32] | None) -> tuple[Light, Image]:
         """Returns light and exact silhouette (h, w), 0 or 255, of a body and, if given, its `floor_shadow`."""
-        light = self._view.grey.copy()
-        if shadow is not None:
-            light *= self._on_floor(shadow)
+        light = self.shaded_room(shadow)
         _, mask = draw_capsules(self.camera, self._view.rays, capsules, light)
         return light, mask
+
+    def shaded_room(self, shadow: NDArray[np.float32] | None) -> Light:
+        """Returns the light of the room with a `floor_shadow` in it, and nobody who throws it."""
+        return self._view.grey.copy() if shadow is None else self._view.grey * self._on_floor(shadow)
 
     def empty_room_colour(self) -> Light:
         """Returns the light (h, w, 3), BGR, of the room with nobody in it."""
