@@ -14,16 +14,18 @@ import numpy as np
 from capture_rig.rig import Rig, load_rig
 from capture_rig.sight import Sight
 from mocap_packets.fit import GOOD, LOST, Fit, Solution
-from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
+from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import FitResult, assess, make_data, minimise, unknown_covariance
+from .monitor.evidence import evidence_of
 from .monitor.track_monitor import Examination, TrackMonitor
 from .monitor.track_quality import widened_covariance
 from .refinement.body_refiner import BodyRefiner, RefinedBody, warm_up_refiner
@@ -68,6 +70,7 @@ class IcpTracker:
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
         self._own: OwnStart | None = None  # while fits start from the own pose, because the filter has to follow
+        self._data_fitted: Data | None = None
 
     @property
     def body(self) -> Body | None:
@@ -75,9 +78,34 @@ class IcpTracker:
         return self._body
 
     @property
-    def expected_points(self) -> np.ndarray | None:
-        """Where the reference points (15, 3) were in the last set, m; None before the first pose."""
-        return None if self._body is None or self._pose is None else forward(self._body, self._pose)
+    def pose(self) -> Pose | None:
+        """The pose in the last set; None before the first one."""
+        return self._pose
+
+    @property
+    def has_outline(self) -> bool:
+        """Whether the last set was fitted, and to contour rays."""
+        return self._data_fitted is not None and len(self._data_fitted.contour_rays.information) > 0
+
+    def expected(self, stamp_ns: int, prediction: Prediction | None = None) -> Pose | None:
+        """Return where the body is expected in the next set; None before the first pose."""
+        if prediction is None or prediction.pose is None or self._own is not None:
+            return self._pose
+        return None if self._pose is None else self._predicted(stamp_ns, prediction, prediction.pose)
+
+    def cost_of(self, body: Body, pose: Pose) -> float:
+        """Return how badly (rays) a body explains the last set, fitted to it from a pose; needs a fit there."""
+        assert self._data_fitted is not None
+        fitted, _, _ = minimise(body, pose, self._data_fitted, self._settings.articulated)
+        data = self._data_fitted
+        return evidence_of(Figure.of(body), fitted, data.contour_rays, data.hull).cost
+
+    def move_to(self, stamp_ns: int, pose: Pose) -> None:
+        """Go on from another pose of the same body; the filter has to follow. ValueError while there is no body."""
+        if self._body is None:
+            raise ValueError("no body is followed yet")
+        self._pose, self._own = pose, OwnStart(stamp_ns)
+        self._monitor.reset()
 
     @property
     def refined_body(self) -> RefinedBody | None:
@@ -101,16 +129,17 @@ class IcpTracker:
     def _all_joints(self) -> bool:
         return self._settings.method == "articulated"
 
-    def step(self, seen: HullProducts, prediction: Prediction | None = None) -> Fit:
-        """Fit one frame set. Of several people one is followed."""
+    def step(self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True) -> Fit:
+        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too."""
         seen, dropped = seen.finite()
+        self._data_fitted = None
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
-            fit = self._follow(self._body, self._pose, seen, prediction)
+            fit = self._follow(self._body, self._pose, seen, prediction, learn)
         return replace(fit, dropped_points=dropped)
 
-    def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None) -> Fit:
+    def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
         start, started_from = self._start(body, pose, seen.stamp_ns, prediction)
         seen = seen.of_body_at(forward(body, start))
@@ -118,12 +147,12 @@ class IcpTracker:
             self._pose = start
             return _not_seen(seen, LOST, started_from, f"nobody in the volume: {reason}", body, start)
 
-        data = self._data(seen)
+        data = self._data_fitted = self._data(seen)
         fit = self._solve(body, start, data)
         found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, self._settings.articulated)
         if found.better is not None:
             fit = assess(body, found.better, data, fit.iterations, fit.converged, self._settings.articulated)
-        elif found.quality.state == GOOD:
+        elif found.quality.state == GOOD and learn:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:
             self._own = OwnStart(seen.stamp_ns)
@@ -134,15 +163,19 @@ class IcpTracker:
         """Return the pose to start from, and whose it is: the filter's prediction, or the own of the set before."""
         if prediction is None or prediction.pose is None:
             return own, FROM_OWN
-        ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
-        ahead_s = min(max(ahead_s, 0.0), self._settings.extrapolation_limit_s)
-        predicted = prediction.pose.retract(prediction.velocity * ahead_s)
+        predicted = self._predicted(stamp_ns, prediction, prediction.pose)
         if self._own is not None:
             apart = np.linalg.norm(forward(body, predicted) - forward(body, own), axis=1).max()
             self._own = self._own.next(stamp_ns) if apart > AGREES_M else None
             if self._own is not None:
                 return own, FROM_OWN
         return predicted, str(prediction.stamp_ns)
+
+    def _predicted(self, stamp_ns: int, prediction: Prediction, pose: Pose) -> Pose:
+        """Return the filter's pose moved on to a stamp."""
+        ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
+        ahead_s = min(max(ahead_s, 0.0), self._settings.extrapolation_limit_s)
+        return pose.retract(prediction.velocity * ahead_s)
 
     def _too_few(self, seen: HullProducts) -> str:
         """Return why a set has too few points to be fitted; empty when it has enough."""
@@ -249,6 +282,11 @@ def _seen(stamp_ns: int, started_from: str, fit: FitResult) -> Fit:
     solution = Solution(fit.points, fit.inliers, fit.rms_m, fit.iterations, fit.converged)
     points = (fit.reference_points_world, fit.covariance, fit.visible)
     return Fit(stamp_ns, TRACKING, started_from, "", 0, *points, fit.pose, solution)
+
+
+def fits_nothing(stamp_ns: int, reason: str) -> Fit:
+    """Return the answer of somebody who looks for a first pose to a set that shows none, and why."""
+    return _not_seen(HullProducts(stamp_ns, NO_CENTERLINE), ACQUIRING, FROM_NOTHING, reason)
 
 
 def _not_seen(

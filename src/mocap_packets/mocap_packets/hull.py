@@ -251,18 +251,28 @@ class HullProducts:
 
     def numbers(self) -> list[int]:
         """Return the numbers of the bodies that rows belong to, in order; nobody's rows are no body's."""
-        found = np.concatenate([self.centerline.body, self.voxels.body, self.contour_rays.body])
-        return [int(body) for body in np.unique(found) if body >= 0]
+        packets = (self.centerline, self.voxels, self.contour_rays)
+        counts = [np.bincount(packet.body + 1) for packet in packets]  # nobody's rows have number -1
+        return sorted({int(row) - 1 for count in counts for row in np.flatnonzero(count)} - {-1})
 
     def of_body(self, number: int) -> HullProducts:
         """Return the rows of one body."""
         line, voxels, rays = self.centerline, self.voxels, self.contour_rays
+        return self.of_rows(line.body == number, voxels.body == number, rays.body == number)
+
+    def of_rows(self, line: np.ndarray, voxels: np.ndarray, contour_rays: np.ndarray) -> HullProducts:
+        """Return some rows of each kind, by masks."""
         return HullProducts(
             self.stamp_ns,
-            _rows(line, line.body == number),
-            _rows(voxels, voxels.body == number),
-            _rows(rays, rays.body == number),
+            _rows(self.centerline, line),
+            _rows(self.voxels, voxels),
+            _rows(self.contour_rays, contour_rays),
         )
+
+    def as_one_body(self) -> HullProducts:
+        """Return the same rows, all numbered as those of body 0."""
+        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
+        return HullProducts(self.stamp_ns, _numbered_zero(line), _numbered_zero(voxels), _numbered_zero(rays))
 
     def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
         """Return the rows of the body that is expected at the reference points (15, 3).
@@ -280,6 +290,11 @@ class HullProducts:
 def _rows(packet: Rows, rows: np.ndarray) -> Rows:
     """Return the chosen rows of every column, contiguous."""
     return replace(packet, **{name: np.ascontiguousarray(values[rows]) for name, values in vars(packet).items()})
+
+
+def _numbered_zero(packet: Rows) -> Rows:
+    """Return the packet with all rows as body 0's."""
+    return replace(packet, body=np.zeros(len(packet), np.int32))
 
 
 def _as_sent(packet: Rows) -> Rows:

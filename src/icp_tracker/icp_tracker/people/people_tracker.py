@@ -1,19 +1,21 @@
 """From one frame set's hull to a fit of every person in it.
 
-Every person has an :class:`~icp_tracker.tracker.IcpTracker`. The parts of the hull that do not touch are given to the
-persons who are expected there; a part that nobody explains starts an acquisition of its own, which sees this part
-alone. One person alone is followed as the tracker of one body follows it, to the last bit.
+Every person has an :class:`~icp_tracker.tracker.IcpTracker`. The hull is shared out to the persons who are expected in
+it (``shares.py``); a part that nobody explains belongs to somebody who comes back, or to a newcomer, whose acquisition
+sees this part alone. Who was not told apart from another for a while is recognised by size (``identity.py``). One
+person alone is followed as the tracker of one body follows it, to the last bit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from capture_rig.rig import Rig
-from mocap_packets.fit import FIRST_PERSON, Fit
+from mocap_packets.fit import FIRST_PERSON, LOST, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
@@ -21,9 +23,33 @@ from stick_figure.body import Body
 from ..acquisition.upright import reasons_of_bodies
 from ..refinement.body_refiner import RefinedBody
 from ..settings import MOST_PERSONS, IcpNodeSettings
-from ..tracker import ACQUIRING, NS_PER_S, IcpTracker, make_tracker, sight_of
+from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, sight_of
+from .identity import ALIKE, IdentityCheck, Verdict, sizes_apart
+from .shares import Expected, Shares, find_shares, is_ghost, share_rows
 
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
+AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
+TOGETHER_S = 0.2  # persons who shared a part of the hull for so long may have been taken for each other
+APART_S = 0.3  # so long after it their sizes are compared: by then neither hides much of the other
+SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
+NO_PART = -2  # is the number of no part of a hull
+
+
+@dataclass
+class _Person:
+    """Somebody who is known: since when, and until when seen; away: not expected anywhere."""
+
+    tracker: IcpTracker
+    seen_ns: int
+    away: bool = False
+
+
+@dataclass
+class _Meeting:
+    """Two persons who share, or shared, a part of the hull: from when until when."""
+
+    began_ns: int
+    until_ns: int
 
 
 class PeopleTracker:
@@ -34,112 +60,275 @@ class PeopleTracker:
     """
 
     def __init__(self, make: Callable[[], IcpTracker], most: int = MOST_PERSONS) -> None:
-        """``make`` : returns a tracker that looks for a first pose. ``most`` : persons that are followed at once."""
+        """``make`` : returns a tracker that looks for a first pose. ``most`` : persons that are known at most."""
         self._make, self._most = make, most
-        self._first = make()
         self.reset()
 
     def reset(self) -> None:
         """Forget everybody and look for first poses again."""
-        self._first.reset()
-        self._trackers: dict[int, IcpTracker] = {FIRST_PERSON: self._first}
-        self._newcomers: dict[int, IcpTracker] = {}  # by the number of their part of the hull
-        self._seen_ns: dict[int, int] = {}
-        self.acquiring: tuple[str, ...] = ()
-        """Of each body of the last set that is nobody's yet, while somebody is followed: why it has no first pose."""
+        self._persons: dict[int, _Person] = {}
+        self._newcomers: dict[int, IcpTracker] = {NO_PART: self._make()}  # by the number of their part of the hull
+        self._reasons: dict[int, str] = {}
+        self._meetings: dict[tuple[int, int], _Meeting] = {}
+        self._checks: list[IdentityCheck] = []
 
     @property
     def persons(self) -> tuple[int, ...]:
-        """The persons that are known, in order; the first one always is."""
-        return tuple(sorted(self._trackers))
+        """The persons that are known, in order."""
+        return tuple(sorted(self._persons))
+
+    @property
+    def acquiring(self) -> tuple[str, ...]:
+        """Of each part of the last hull that is nobody's, while somebody is followed: why it has no first pose."""
+        return tuple(self._reasons.values()) if self._persons else ()
 
     def body_of(self, person: int) -> Body | None:
-        """Return a person's body; None for one who is not known, or has no first pose yet."""
-        return self._trackers[person].body if person in self._trackers else None
+        """Return a person's body; None for one who is not known."""
+        return self._persons[person].tracker.body if person in self._persons else None
 
     def refined_body_of(self, person: int) -> RefinedBody | None:
         """Return how well the sizes of a measured body are known; None for a body whose sizes were given."""
-        return self._trackers[person].refined_body if person in self._trackers else None
+        return self._persons[person].tracker.refined_body if person in self._persons else None
 
     @property
     def needs_voxels(self) -> bool:
         """Whether the next step uses the hull's voxels."""
-        return any(tracker.needs_voxels for tracker in self._all)
+        return any(tracker.needs_voxels for tracker in self._trackers)
 
     @property
     def needs_contour_rays(self) -> bool:
         """Whether the next step uses the contour rays."""
-        return any(tracker.needs_contour_rays for tracker in self._all)
+        return any(tracker.needs_contour_rays for tracker in self._trackers)
+
+    @property
+    def _trackers(self) -> tuple[IcpTracker, ...]:
+        return (*(person.tracker for person in self._persons.values()), *self._newcomers.values())
 
     def step(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
         """Fit one frame set: one answer for each person that is there, in order, and always one for the first."""
-        bodies = seen.numbers()
-        if len(bodies) <= 1 and len(self._trackers) == 1:
-            self._newcomers.clear()
-            self.acquiring = ()
-            return (self._first.step(seen, predictions.get(FIRST_PERSON)),)
+        parts = seen.numbers()
+        if len(parts) <= 1 and len(self._persons) + len(self._newcomers) <= 1:
+            return (self._step_alone(seen, predictions.get(FIRST_PERSON)),)
         seen, dropped = seen.finite()
-        owners = self._owners(seen, bodies)
-        fits = self._follow(seen, owners, predictions)
-        fits |= self._acquire(seen, [body for body in bodies if body not in owners], fits)
+        expected = self._expected(seen.stamp_ns, predictions)
+        shares = find_shares(seen, parts, expected)
+        there = [one for one in expected if one.person in shares.parts]
+        free = [part for part in parts if part not in shares.claimed and not is_ghost(seen, part, there)]
+        back = self._give_back(seen, shares, free)
+        fits = self._follow(seen, share_rows(seen, shares, there), back, shares, predictions)
+        fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
+        self._part_doubles(fits)
+        self._note_meetings(seen.stamp_ns, shares)
+        fits = self._tell_apart(seen.stamp_ns, shares, fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
-    @property
-    def _all(self) -> tuple[IcpTracker, ...]:
-        return (*self._trackers.values(), *self._newcomers.values())
+    def _step_alone(self, seen: HullProducts, prediction: Prediction | None) -> Fit:
+        """Fit the only person there is, or look for the first one."""
+        if self._persons:
+            person = self._persons[FIRST_PERSON]
+            fit = person.tracker.step(seen, prediction)
+            person.seen_ns = person.seen_ns if fit.state == LOST else seen.stamp_ns
+            return fit
+        ((part, newcomer),) = self._newcomers.items()
+        fit = newcomer.step(seen)
+        self._reasons = {part: fit.reason}
+        return fit if fit.state == ACQUIRING else self._admit(part, fit)
 
-    def _owners(self, seen: HullProducts, bodies: list[int]) -> dict[int, int]:
-        """Return the person of each part of the hull that somebody explains."""
-        line, owners = seen.centerline, dict[int, int]()
-        for person, tracker in sorted(self._trackers.items()):
-            if tracker.expected_points is None:
-                continue
-            near = line.near(tracker.expected_points)
-            counts = [0 if body in owners else int(np.count_nonzero(near & (line.body == body))) for body in bodies]
-            if max(counts, default=0) > 0:
-                owners[bodies[int(np.argmax(counts))]] = person
-        return owners
+    # --- those who are known -----------------------------------------------------------------------------------------
+
+    def _expected(self, stamp_ns: int, predictions: Mapping[int, Prediction]) -> list[Expected]:
+        """Return everybody who is not away, where they should be now."""
+        expected = []
+        for number, person in sorted(self._persons.items()):
+            pose, body = person.tracker.expected(stamp_ns, predictions.get(number)), person.tracker.body
+            if pose is not None and body is not None and not person.away:
+                expected.append(Expected(number, body, pose))
+        return expected
+
+    def _give_back(self, seen: HullProducts, shares: Shares, free: Sequence[int]) -> dict[int, int]:
+        """Return for each person whom the hull does not show where they were expected the part to be looked for in."""
+        missed = {number: p for number, p in sorted(self._persons.items()) if number not in shares.parts}
+        places = {part: _place_of(seen, part) for part in free}
+        pairs = sorted(
+            (float(np.linalg.norm(person.tracker.pose.position_world[:2] - place)), number, part)
+            for number, person in missed.items()
+            for part, place in places.items()
+            if person.tracker.pose is not None
+        )
+        back: dict[int, int] = {}
+        for _, number, part in pairs:
+            if number not in back and part not in back.values():
+                back[number] = part
+        for number, person in missed.items():
+            person.away |= number in back or seen.stamp_ns - person.seen_ns >= AWAY_AFTER_S * NS_PER_S
+        return back
 
     def _follow(
-        self, seen: HullProducts, owners: Mapping[int, int], predictions: Mapping[int, Prediction]
+        self,
+        seen: HullProducts,
+        rows: Mapping[int, HullProducts],
+        back: Mapping[int, int],
+        shares: Shares,
+        predictions: Mapping[int, Prediction],
     ) -> dict[int, Fit]:
-        fits, nobody = dict[int, Fit](), seen.of_body(-2)
-        part_of = {person: body for body, person in owners.items()}
-        for person, tracker in sorted(self._trackers.items()):
-            if tracker.body is None:
+        """Fit everybody to their rows, and those who are away to what may be theirs."""
+        fits = dict[int, Fit]()
+        for number, person in sorted(self._persons.items()):
+            if number in rows:
+                own = rows[number]
+            else:
+                own = seen.of_body(back.get(number, NO_PART)).as_one_body()
+            gone = number != FIRST_PERSON and seen.stamp_ns - person.seen_ns >= GONE_AFTER_S * NS_PER_S
+            if gone and number not in rows and number not in back:
                 continue
-            there = person in part_of
-            if there:
-                self._seen_ns[person] = seen.stamp_ns
-            away_s = (seen.stamp_ns - self._seen_ns.get(person, seen.stamp_ns)) / NS_PER_S
-            if there or person == FIRST_PERSON or away_s < GONE_AFTER_S:
-                own = seen.of_body(part_of[person]) if there else nobody
-                fits[person] = replace(tracker.step(own, predictions.get(person)), person=person)
+            learn = not person.away and not shares.sharers(number)
+            learn &= not any(check.concerns(number) for check in self._checks)
+            fit = person.tracker.step(own, predictions.get(number), learn)
+            if number in rows:
+                person.seen_ns = seen.stamp_ns
+            elif number in back and fit.state == TRACKING:
+                self._has_returned(number, person, seen.stamp_ns)
+            elif gone:
+                continue
+            fits[number] = replace(fit, person=number)
         return fits
 
-    def _acquire(self, seen: HullProducts, unowned: list[int], fits: Mapping[int, Fit]) -> dict[int, Fit]:
+    def _has_returned(self, number: int, person: _Person, stamp_ns: int) -> None:
+        """Take somebody for a person who was away, until the sizes of others who are away say otherwise."""
+        person.away, person.seen_ns = False, stamp_ns
+        for other, another in sorted(self._persons.items()):
+            if another.away and another.tracker.body is not None:
+                self._checks.append(IdentityCheck(number, other))
+
+    def _part_doubles(self, fits: Mapping[int, Fit]) -> None:
+        """Of two figures in one place, let the one go that explains less: one person is not there twice."""
+        for first, second in combinations(sorted(fits), 2):
+            places = [fits[number].reference_points_world for number in (first, second)]
+            if any(self._persons[number].away for number in (first, second)):
+                continue
+            if np.linalg.norm(places[0] - places[1], axis=1).mean() < SAME_PLACE_M:
+                explained = [fits[number].quality.explained for number in (first, second)]
+                self._persons[first if explained[0] < explained[1] else second].away = True
+
+    # --- newcomers ---------------------------------------------------------------------------------------------------
+
+    def _is_just_away(self, back: Mapping[int, int], part: int, seen: HullProducts) -> bool:
+        """Whether a part of the hull is looked through for somebody who was here a moment ago."""
+        numbers = [number for number, given in back.items() if given == part]
+        gone_ns = GONE_AFTER_S * NS_PER_S
+        return any(not self._persons[n].away or seen.stamp_ns - self._persons[n].seen_ns < gone_ns for n in numbers)
+
+    def _acquire(self, seen: HullProducts, free: Sequence[int], fits: Mapping[int, Fit]) -> dict[int, Fit]:
         """Look for a first pose in every part of the hull that is nobody's."""
-        found, reasons = dict[int, Fit](), dict[int, str]()
-        self._newcomers = {body: t for body, t in self._newcomers.items() if body in unowned}
-        for body in unowned:
-            tracker = self._newcomers.setdefault(body, self._make())
-            fit = tracker.step(seen.of_body(body))
-            if fit.state == ACQUIRING:
-                reasons[body] = fit.reason
-                continue
-            person = FIRST_PERSON if self._first.body is None else max(self._trackers) + 1
-            if person > self._most:
-                continue
-            del self._newcomers[body]
-            self._trackers[person], self._seen_ns[person] = tracker, seen.stamp_ns
-            if person == FIRST_PERSON:
-                self._first = tracker
-            found[person] = replace(fit, person=person)
-        self.acquiring = tuple(reasons.values())
+        found = dict[int, Fit]()
+        self._reasons = {}
+        self._newcomers = self._newcomers_of(free)
+        for part, tracker in list(self._newcomers.items()):
+            fit = tracker.step(seen.of_body(part).as_one_body())
+            self._reasons[part] = fit.reason
+            present = sum(not person.away for person in self._persons.values())
+            if fit.state != ACQUIRING and present < self._most:
+                fit = self._admit(part, fit)
+                found[fit.person] = fit
         if FIRST_PERSON not in fits and FIRST_PERSON not in found:
-            empty, self.acquiring = self._first.step(seen.of_body(-2)), ()
-            found[FIRST_PERSON] = replace(empty, reason=reasons_of_bodies(reasons))
+            fit = fits_nothing(seen.stamp_ns, reasons_of_bodies(self._reasons))
+            found[FIRST_PERSON] = fit
+        if not self._persons and not self._newcomers:
+            self._newcomers = {NO_PART: self._make()}
         return found
+
+    def _newcomers_of(self, free: Sequence[int]) -> dict[int, IcpTracker]:
+        """Return who is looked at in each free part: the same one as before, also where its number is a new one."""
+        spare = [tracker for part, tracker in self._newcomers.items() if part not in free]
+        return {
+            part: self._newcomers.get(part) or (spare.pop(0) if spare and not self._persons else self._make())
+            for part in free
+        }
+
+    def _admit(self, part: int, fit: Fit) -> Fit:
+        """Let the newcomer of a part be somebody: a person who was away and has these sizes, or a new one."""
+        tracker = self._newcomers.pop(part)
+        self._reasons.pop(part, None)
+        for number in self._away_like(tracker):
+            known = self._persons[number]
+            assert tracker.pose is not None
+            known.tracker.move_to(fit.stamp_ns, tracker.pose)
+            known.away, known.seen_ns = False, fit.stamp_ns
+            return replace(fit, person=number, recovered="somebody of this person's sizes")
+        number = max(self._persons, default=0) + 1
+        self._persons[number] = _Person(tracker, fit.stamp_ns)
+        return replace(fit, person=number)
+
+    def _away_like(self, newcomer: IcpTracker) -> list[int]:
+        """Return the persons who are away and of the newcomer's sizes, the likest first."""
+        measured, likeness = newcomer.refined_body, list[tuple[float, int]]()
+        for number, person in sorted(self._persons.items()):
+            known = person.tracker.refined_body
+            if person.away and known is not None and measured is not None:
+                likeness.append((sizes_apart(known.estimate, measured.estimate), number))
+        return [number for apart, number in sorted(likeness) if apart < ALIKE]
+
+    # --- who is who --------------------------------------------------------------------------------------------------
+
+    def _note_meetings(self, stamp_ns: int, shares: Shares) -> None:
+        """Note who shares a part of the hull; some time after they have parted they are compared."""
+        for persons in shares.shared.values():
+            for pair in combinations(persons, 2):
+                meeting = self._meetings.setdefault(pair, _Meeting(stamp_ns, stamp_ns))
+                meeting.until_ns = stamp_ns
+        for pair, meeting in sorted(self._meetings.items()):
+            if stamp_ns - meeting.until_ns >= APART_S * NS_PER_S:
+                del self._meetings[pair]
+                if meeting.until_ns - meeting.began_ns >= TOGETHER_S * NS_PER_S:
+                    self._checks.append(IdentityCheck(*pair))
+
+    def _tell_apart(self, stamp_ns: int, shares: Shares, fits: dict[int, Fit]) -> dict[int, Fit]:
+        """Compare the sizes of those who may have been taken for each other; exchange them where that fits better."""
+        for check in list(self._checks):
+            first, second = check.first, check.second
+            if self._persons[first].away:
+                first, second = second, first
+            away = self._persons[second].away
+            if first not in fits or self._persons[first].away or not (away or second in fits):
+                continue
+            if second in shares.sharers(first):
+                continue
+            verdict = check.look(self._persons[first].tracker, self._persons[second].tracker, away)
+            if verdict == Verdict.OPEN:
+                continue
+            self._checks.remove(check)
+            if verdict == Verdict.EXCHANGED:
+                fits = self._exchange(stamp_ns, first, second, fits)
+            elif verdict == Verdict.ALIKE:
+                note = f"perhaps person {second}: their sizes are too much alike to tell"
+                fits[first] = replace(fits[first], recovered=note)
+        return fits
+
+    def _exchange(self, stamp_ns: int, first: int, second: int, fits: dict[int, Fit]) -> dict[int, Fit]:
+        """Let two persons change places, one of whom may be away."""
+        one, other = self._persons[first], self._persons[second]
+        assert one.tracker.pose is not None and other.tracker.pose is not None
+        poses = other.tracker.pose, one.tracker.pose
+        one.tracker.move_to(stamp_ns, poses[0])
+        other.tracker.move_to(stamp_ns, poses[1])
+        one.away, other.away = other.away, one.away
+        one.seen_ns, other.seen_ns = other.seen_ns, one.seen_ns
+        exchanged = dict(fits)
+        for number, source in ((first, second), (second, first)):
+            exchanged.pop(number, None)
+            if source in fits:
+                told = f"exchanged with person {source}: their sizes fit better so"
+                exchanged[number] = replace(fits[source], person=number, recovered=told)
+        if FIRST_PERSON not in exchanged:
+            exchanged[FIRST_PERSON] = fits_nothing(stamp_ns, "taken for somebody else")
+        return exchanged
+
+
+def _place_of(seen: HullProducts, part: int) -> np.ndarray:
+    """Return where a part of the hull stands (2,), m."""
+    packet = seen.voxels if len(seen.voxels) else seen.centerline
+    place: np.ndarray = np.median(packet.points_world[packet.body == part, :2], axis=0)
+    return place
 
 
 def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> PeopleTracker:

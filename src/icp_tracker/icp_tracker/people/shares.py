@@ -1,0 +1,180 @@
+"""Whose is what of the hull: parts that do not touch by who is expected in them, and shared ones row by row.
+
+A person's figure, placed where it is expected, explains the points inside it and near its surface, and the contour rays
+that graze it. A part of the hull belongs to everybody of whom it holds a good deal. Persons who touch share a part:
+each row of it (centerline point, surface voxel, contour ray) goes to those who explain it, to both where neither
+explains it clearly better, and so does what nobody explains: it may be the limb that somebody has lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mocap_packets.hull import ContourRays, HullProducts
+from stick_figure.body import Body
+from stick_figure.least_squares.contour_factor import RayArrays, match_rays
+from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
+from stick_figure.pose import Pose
+
+NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
+OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
+PART_SHARE = 0.08  # of a part's points: fewer are a neighbour's hand (four persons in one wide hull explain 0.15 each)
+SAMPLES = 600  # of the hull's voxels that tell whose its parts are
+EXPLAINED_M = 0.08  # a row this near to somebody's surface may be that person's alone
+CLEARLY_M = 0.03  # so much nearer to one surface than to the other is clear: twice the error of a good prediction
+SLACK_M = 0.05  # a body may touch a ray this far from the stretch where the ray touches the hull
+ANYWHERE_M = 100.0  # and as far as this when it is a line
+GRAZED_M = 0.04  # a line that passes a body's surface so near is a view of it: EXPLAINED_M of monitor/evidence.py
+GHOST_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a ghost nearly all do
+GHOST_LEAST_RAYS = 20  # fewer say nothing
+HALF_TRUST_SD_M = 0.01  # as surface_sd_m of the contour settings: added to a ray's sigma it halves what the ray counts
+
+
+class Expected(NamedTuple):
+    """A person where a frame set should find them."""
+
+    person: int
+    body: Body
+    pose: Pose
+
+    @property
+    def placed(self) -> PlacedFigure:
+        """The figure in the world."""
+        return place(State(*self.pose.arrays), Figure.of(self.body))
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """The parts of one hull, by their numbers, of each person who has any; persons of each part that has several."""
+
+    parts: Mapping[int, tuple[int, ...]]
+    shared: Mapping[int, tuple[int, ...]]
+
+    @property
+    def claimed(self) -> frozenset[int]:
+        """Parts that are somebody's."""
+        return frozenset(part for parts in self.parts.values() for part in parts)
+
+    def sharers(self, person: int) -> tuple[int, ...]:
+        """Everybody else with whom a person shares a part."""
+        together = {other for persons in self.shared.values() if person in persons for other in persons}
+        return tuple(sorted(together - {person}))
+
+    def with_part(self, person: int, part: int) -> Shares:
+        """Return the same with a part that was nobody's."""
+        return Shares({**self.parts, person: (part,)}, self.shared)
+
+
+def find_shares(seen: HullProducts, bodies: Sequence[int], expected: Sequence[Expected]) -> Shares:
+    """Find the parts of each person who is expected in the hull."""
+    packet = seen.voxels if len(seen.voxels) else seen.centerline
+    every = max(len(packet) // SAMPLES, 1)
+    points, body = np.ascontiguousarray(packet.points_world[::every]), packet.body[::every]
+    totals = np.array([np.count_nonzero(body == part) for part in bodies])
+    parts: dict[int, tuple[int, ...]] = {}
+    for one in expected:
+        near = surface_distances(points, one.placed)[2] < NEAR_M
+        counts = np.array([np.count_nonzero(near & (body == part)) for part in bodies])
+        own = (counts >= OWN_SHARE * counts.sum()) & (counts >= PART_SHARE * totals) & (counts > 0)
+        if own.any():
+            parts[one.person] = tuple(part for part, is_own in zip(bodies, own, strict=True) if is_own)
+    holders = {part: tuple(sorted(p for p, own in parts.items() if part in own)) for part in bodies}
+    return Shares(parts, {part: persons for part, persons in holders.items() if len(persons) > 1})
+
+
+def share_rows(seen: HullProducts, shares: Shares, expected: Sequence[Expected]) -> dict[int, HullProducts]:
+    """Return every person's rows, numbered as one body's.
+
+    All voxels of a shared part stay samples of the hull, in which sticks have to lie; those that another person
+    explains are no surface of this one.
+    """
+    together = [one for one in expected if shares.sharers(one.person)]
+    distances = {one.person: _Distances.of(seen, one.placed) for one in together}
+    rows = {}
+    for person, parts in shares.parts.items():
+        own = _rows_of(seen, parts)
+        if sharers := shares.sharers(person):
+            others = [distances[other].of_rows(own) for other in sharers]
+            own = _of_person(own, distances[person].of_rows(own), others)
+        rows[person] = own.products
+    return rows
+
+
+def is_ghost(seen: HullProducts, part: int, expected: Sequence[Expected]) -> bool:
+    """Whether a part of the hull has no outline of its own: nearly all of its contour rays graze persons elsewhere.
+
+    Where silhouettes of two persons cross, few cameras leave a volume that all of them see as foreground; but what
+    bounds it in every picture is the outline of somebody in front of it or behind it.
+    """
+    rays = seen.of_body(part).contour_rays
+    if not expected or len(rays) < GHOST_LEAST_RAYS:
+        return False
+    arrays, grazed = _arrays(rays), np.zeros(len(rays), bool)
+    for one in expected:
+        grazed |= match_rays(arrays, one.placed, ANYWHERE_M).separation < GRAZED_M
+    return bool(grazed.mean() >= GHOST_SHARE)
+
+
+class _Rows(NamedTuple):
+    """Rows of some parts of a hull, and which rows of the whole they are."""
+
+    products: HullProducts
+    line: np.ndarray
+    voxels: np.ndarray
+    rays: np.ndarray
+
+
+class _Distances(NamedTuple):
+    """How far (m) one person's surface is from centerline points, surface voxels and contour rays."""
+
+    line: np.ndarray
+    voxels: np.ndarray
+    rays: np.ndarray
+
+    @classmethod
+    def of(cls, seen: HullProducts, placed: PlacedFigure) -> _Distances:
+        rays = match_rays(_arrays(seen.contour_rays), placed, SLACK_M).separation
+        points = np.ascontiguousarray(seen.voxels.points_world)
+        line = np.ascontiguousarray(seen.centerline.points_world)
+        return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], rays)
+
+    def of_rows(self, rows: _Rows) -> _Distances:
+        return _Distances(self.line[rows.line], self.voxels[rows.voxels], self.rays[rows.rays])
+
+
+def _rows_of(seen: HullProducts, parts: tuple[int, ...]) -> _Rows:
+    masks = (np.isin(packet.body, parts) for packet in (seen.centerline, seen.voxels, seen.contour_rays))
+    line, voxels, rays = masks
+    own = seen.of_rows(line, voxels, rays).as_one_body()
+    return _Rows(own, line, voxels, rays)
+
+
+def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _Rows:
+    """Return the rows without those that are clearly another's; rays that may be either's count half."""
+    others_line = np.min([other.line for other in others], axis=0)
+    others_voxels = np.min([other.voxels for other in others], axis=0)
+    others_rays = np.min([other.rays for other in others], axis=0)
+    seen = rows.products
+    line = ~_is_others(own.line, others_line)
+    rays = ~_is_others(own.rays, others_rays)
+    either = np.abs(own.rays - others_rays)[rays] <= CLEARLY_M
+    either &= np.minimum(own.rays, others_rays)[rays] < EXPLAINED_M
+    kept = seen.of_rows(line, np.ones(len(seen.voxels), bool), rays)
+    voxels = replace(seen.voxels, surface=seen.voxels.surface & ~_is_others(own.voxels, others_voxels))
+    sigma = kept.contour_rays.sigma
+    doubted = np.sqrt(2.0 * sigma**2 + HALF_TRUST_SD_M**2)
+    kept_rays = replace(kept.contour_rays, sigma=np.where(either, doubted, sigma))
+    return rows._replace(products=replace(kept, voxels=voxels, contour_rays=kept_rays))
+
+
+def _is_others(own: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Which rows another person explains clearly better."""
+    return np.asarray((others < EXPLAINED_M) & (others + CLEARLY_M < own))
+
+
+def _arrays(rays: ContourRays) -> RayArrays:
+    return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, np.ones(len(rays)))
