@@ -14,6 +14,9 @@ from ..settings import BodySettings
 from .skeletonisation import HullRuns
 
 NOBODY = -1
+FAR_M = (
+    0.5  # a hand cut off at the shoulder is nearer to the trunk; a leg that steps into the volume is another person's
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +26,8 @@ class Bodies:
     litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
     number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
     number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a part that is no
-        body itself, that of the body with the nearest box; NOBODY for all where there is no body. It numbers the
-        rows of centerline, voxels and contour rays.
+        body itself, that of the body with the nearest box; NOBODY for parts farther than FAR_M from every box, and for
+        all where there is no body. It numbers the rows of centerline, voxels and contour rays.
     """
 
     litres: Array
@@ -73,9 +76,10 @@ class BodyTracker:
         chosen = order[parts.litres[order] >= self._settings.min_litres]
         centroid = parts.centroid_world[chosen]
         number = self._numbers(stamp_ns, centroid)
-        number_of_part = np.full(len(parts.litres), number[0] if len(chosen) else NOBODY, np.int32)
-        if len(chosen) > 1:
-            number_of_part = number[_nearest_box(parts, chosen)]
+        number_of_part = np.full(len(parts.litres), NOBODY, np.int32)
+        if len(chosen) > 0:
+            nearest, gap_m = _nearest_box(parts, chosen)
+            number_of_part = np.where(gap_m <= FAR_M, number[nearest], NOBODY).astype(np.int32)
         low, high = parts.low_world[chosen], parts.high_world[chosen]
         return Bodies(parts.litres[chosen], centroid, low, high, number, number_of_part)
 
@@ -134,11 +138,12 @@ def _sum_parts(starts, ends, first, part, layers, rows, parts):  # type: ignore[
     return sums, low, high
 
 
-def _nearest_box(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Find the nearest of the chosen parts (p,), by the gap between boxes, then by centroids."""
+def _nearest_box(parts: Parts, chosen: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], Array]:
+    """Find the nearest of the chosen parts (p,), by the gap between boxes, then by centroids; and that gap (p,), m."""
     low, high, centroid = parts.low_world[:, None], parts.high_world[:, None], parts.centroid_world[:, None]
     gaps = np.maximum(np.maximum(low - parts.high_world[chosen], parts.low_world[chosen] - high), 0.0)
     apart = np.linalg.norm(centroid - parts.centroid_world[chosen], axis=-1)
-    nearest = np.lexsort((apart, np.linalg.norm(gaps, axis=-1)), axis=-1)[:, 0]
+    gap_m = np.linalg.norm(gaps, axis=-1)
+    nearest = np.lexsort((apart, gap_m), axis=-1)[:, 0]
     nearest[chosen] = np.arange(len(chosen))
-    return nearest
+    return nearest, gap_m[np.arange(len(nearest)), nearest]

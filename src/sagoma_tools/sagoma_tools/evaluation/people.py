@@ -7,17 +7,18 @@ change counts as an identity switch, and so does every further number that a per
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from capture_rig.session import Session, Truth
+from capture_rig.sight import Sight
 from mocap_packets.state import Tracking
 
 from .scores import Scores, score
 from .track import Track
 
-LOST = str(Tracking.LOST)
+LOST, SURE = str(Tracking.LOST), str(Tracking.TRACKING)
 FIRST_S = 1.0
 GHOST_M = 0.5  # a track that is farther from every truth, mean of its points, follows nobody
 SWITCHED_FOR_S = 0.1  # so long another truth is nearer before it counts: in a hug two persons share a place
@@ -42,7 +43,7 @@ class PersonScores:
 class PeopleScores:
     """Every person's scores, in the order of the truths.
 
-    ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some track is with nobody.
+    ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not doubtful is with nobody.
     """
 
     persons: tuple[PersonScores, ...]
@@ -55,10 +56,13 @@ class PeopleScores:
         return sum(person.switches for person in self.persons)
 
 
-def score_people(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> PeopleScores:
+def score_people(
+    tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float, sight: Sight | None = None
+) -> PeopleScores:
     """Score the tracks of persons 1, 2, ... against the truths of a session of ``fps`` frames a second.
 
-    Where a track says that it has lost its person it is not looked at: that person may have left.
+    Where a track says that it has lost its person it is not looked at: that person may have left. With ``sight`` errors
+    count of those points alone that the rig shows.
     """
     tracks = {number: track.chosen(track.states != LOST) for number, track in sorted(tracks.items())}
     distances = {number: distances_m(track, truths) for number, track in tracks.items() if len(track)}
@@ -70,15 +74,24 @@ def score_people(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: floa
         switches = max(len(numbers) - 1, 0)
         switches += sum(changes(distances[number], patience) for number in numbers)
         first = tracks[numbers[0]] if numbers else None
-        persons.append(PersonScores(place, numbers, switches, _scores(first, truth)))
+        persons.append(PersonScores(place, numbers, switches, _scores(first, truth, sight)))
     ghosts = tuple(number for number, owner in owners.items() if owner is None)
     astray = {
         int(frame)
         for number, rows in distances.items()
-        for frame, row in zip(tracks[number].frames, rows, strict=True)
-        if np.isfinite(row).any() and np.nanmin(row) > GHOST_M
+        for frame, state, row in zip(tracks[number].frames, tracks[number].states, rows, strict=True)
+        if state == SURE and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
     }
     return PeopleScores(tuple(persons), ghosts, len(astray))
+
+
+def shown(truth: Truth, sight: Sight) -> Truth:
+    """Return the truth without the points that lie where hulls show nothing."""
+    points = truth.points_world.copy()
+    flat = points.reshape(-1, 3)
+    known = np.isfinite(flat).all(axis=1)
+    flat[known & ~sight.shows(np.where(known[:, None], flat, 0.0))] = np.nan
+    return replace(truth, points_world=points)
 
 
 def distances_m(track: Track, truths: Sequence[Truth]) -> np.ndarray:
@@ -133,7 +146,8 @@ def main_track(tracks: Mapping[int, Track], session: Session) -> Track:
     return tracks[of_first[0]] if of_first else first
 
 
-def _scores(track: Track | None, truth: Truth) -> Scores | None:
+def _scores(track: Track | None, truth: Truth, sight: Sight | None) -> Scores | None:
+    truth = truth if sight is None else shown(truth, sight)
     if track is None or not np.isin(truth.frames, track.frames).any():
         return None
     return score(track, truth)
