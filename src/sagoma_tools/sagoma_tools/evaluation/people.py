@@ -43,7 +43,8 @@ class PersonScores:
 class PeopleScores:
     """Every person's scores, in the order of the truths.
 
-    ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not doubtful is with nobody.
+    ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not
+    doubtful is with nobody.
     """
 
     persons: tuple[PersonScores, ...]
@@ -89,8 +90,8 @@ def shown(truth: Truth, sight: Sight) -> Truth:
     """Return the truth without the points that lie where hulls show nothing."""
     points = truth.points_world.copy()
     flat = points.reshape(-1, 3)
-    known = np.isfinite(flat).all(axis=1)
-    flat[known & ~sight.shows(np.where(known[:, None], flat, 0.0))] = np.nan
+    known = np.flatnonzero(np.isfinite(flat).all(axis=1))
+    flat[known[~sight.shows(flat[known])]] = np.nan
     return replace(truth, points_world=points)
 
 
