@@ -127,7 +127,8 @@ class EkfNode(SagomaNode):
                 self._filters.follow(FIRST_PERSON, bodies[FIRST_PERSON])
             statures = [f"{body.stature:.2f} m" for body in bodies.values()]
             self.get_logger().info(f"{topic}: stature {', '.join(statures)}")
-            self._answer_waiting()
+            while self._waiting and not self._waits_for_a_body(self._waiting[0][1]):
+                self._answer(*self._waiting.popleft())
 
     def _body_of(self, person: int) -> Body | None:
         return self._bodies.get(person, self._given)
@@ -139,13 +140,17 @@ class EkfNode(SagomaNode):
                 self._take(points.stamp_ns, self._read(points), self._latency.now_ns())
 
     def _take(self, stamp_ns: int, measured: PeoplePoints, fitted_ns: int) -> None:
-        if any(points.visible.any() and self._body_of(person) is None for person, points in measured.of.items()):
-            self._waiting.append((stamp_ns, measured, fitted_ns))  # a body was measured with this set, and will come
+        if self._waiting or self._waits_for_a_body(measured):
+            self._waiting.append((stamp_ns, measured, fitted_ns))
             if len(self._waiting) > RESULT.depth:
                 self._answer(*self._waiting.popleft())
             self._body_timeout.reset()
             return
         self._answer(stamp_ns, measured, fitted_ns)
+
+    def _waits_for_a_body(self, measured: PeoplePoints) -> bool:
+        """Return whether somebody is seen whose body was measured with this set, and will come."""
+        return any(points.visible.any() and self._body_of(person) is None for person, points in measured.of.items())
 
     def _answer_waiting(self) -> None:
         with self._answering:
@@ -251,11 +256,14 @@ class EkfNode(SagomaNode):
 
 
 def summary_of(answers: dict[int, Answer]) -> str:
-    """Return in one line how it stands with everybody: of one person alone state and reason."""
+    """Return in one line how it stands with everybody: of one person alone state and reason, of several why not."""
     if len(answers) == 1:
         (answer,) = answers.values()
         return f"{answer.tracking}: {answer.reason}"
-    people = [f"{p} {a.tracking}" + (f" ({a.reason})" if a.reason else "") for p, a in answers.items()]
+    people = [
+        f"{p} {a.tracking}" if a.tracking == Tracking.TRACKING else f"{p} {a.tracking} ({a.reason})"
+        for p, a in answers.items()
+    ]
     return f"{len(answers)} persons: {', '.join(people)}"
 
 

@@ -7,7 +7,7 @@ import pytest
 from ekf_person import Person
 from scipy.spatial.transform import Rotation
 
-from ekf_tracker.rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, human_urdf
+from ekf_tracker.rep155 import HRI_JOINT_NAMES, body_frame, body_id_of, hri_angles, human_urdf
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, POINT_NAMES
@@ -135,3 +135,11 @@ def test_every_urdf_name_carries_the_body_id(body):
     assert all(name.endswith("_b0042") for name in names) and len(set(names)) > 20
     movable = [j.get("name").removesuffix("_b0042") for j in robot.findall("joint") if j.get("type") != "fixed"]
     assert sorted(movable) == sorted(HRI_JOINT_NAMES)
+
+
+@pytest.mark.parametrize(
+    ("first", "ids"),
+    [("b0001", ["b0001", "b0002", "b0004"]), ("anna", ["anna", "anna_2", "anna_4"]), ("p9", ["p9", "p10", "p12"])],
+)
+def test_ids_of_others_count_on_from_the_first_persons(first, ids):
+    assert [body_id_of(first, person) for person in (1, 2, 4)] == ids

@@ -5,19 +5,28 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_probe import FAILURE, SUCCESS, NodeProbe, values_of
 from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
+from mocap_packets.people import Predictions, parse_bodies
 from mocap_packets.state import Prediction
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import packet_cloud, prediction_message, read_packet, read_reference_points
-from sagoma_ros.qos import RESULT
+from sagoma_ros.packets import (
+    packet_cloud,
+    prediction_message,
+    predictions_message,
+    read_packet,
+    read_people_points,
+    read_reference_points,
+)
+from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.kinematics import forward
 
 NAMESPACE = f"/test_{os.getpid()}"  # two runs of these tests at once do not hear each other
@@ -184,6 +193,30 @@ def test_stamp_that_goes_back_is_dropped_and_counted(bench, walk):
     assert node.node.health.counter("backward_stamps") == 2
 
 
+def test_stamps_that_go_back_begin_anew_at_once_and_say_so_once(bench, walk, capfd):
+    """A bag played twice, footage that starts again, a clock that was set back."""
+    node = bench(**{**walk.parameters, "prediction_wait_s": 0.0}).start()
+    for k in (40, 41):
+        node.answer(centerline(walk.clouds[0], k))
+    later = Prediction(stamp(41), walk.poses[5], np.ones(24))
+    node.predictions.publish(prediction_message(later))
+    node.until(lambda: node.node._feedback.mailbox.newest() is not None)
+    answers = [node.answer(centerline(walk.clouds[k], k)) for k in range(4)]
+    assert [answer.started_from for answer in answers] == ["initial", "own", "own", "own"]
+    assert {answer.state for answer in answers} == {"tracking"}
+    assert node.node.health.counter("restarts") == 1
+    assert capfd.readouterr().err.count("stamps went back by 1.025 s: a new beginning") == 1
+
+
+def test_silence_of_the_hull_server_is_reported_within_a_second_and_its_return_too(bench, walk):
+    node = bench(**{**walk.parameters, "stale_after_s": 0.4}).start()
+    node.until_said("no frame sets for")
+    node.answer(centerline(walk.clouds[0], 0))
+    node.until(lambda: not node.diagnostics[-1].status[0].message.startswith("no frame sets"))
+    node.until_said("no frame sets for")
+    assert node.diagnostics[-1].status[0].level == DiagnosticStatus.WARN
+
+
 def test_bad_prediction_is_counted_and_not_used(bench, walk):
     node = bench(**walk.parameters).start()
     node.answer(centerline(walk.clouds[0], 0))
@@ -210,6 +243,56 @@ def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body
     assert response.success and "t_pose" in response.message
     node.voxels.publish(voxel_cloud(voxels, 3))
     assert node.answer(centerline(cloud, 3)).state == "acquiring"
+
+
+def two_in_a_t_pose(body, synthetic):
+    """Two persons 2 m apart: centerline and voxels of both, each row with its body's number."""
+    height = 0.53 * 1.75 + body.half_lengths[0]
+    poses = [synthetic.t_pose((x, 0.0, height), heading=0.4) for x in (-1.0, 1.0)]
+    rng = np.random.default_rng(3)
+    clouds = [synthetic.stick_cloud(body, pose, rng, 300, 0.01) for pose in poses]
+    voxels = [synthetic.voxels(body, pose) for pose in poses]
+    numbers = [np.repeat([0.0, 1.0], [len(part) for part in parts]) for parts in (clouds, voxels)]
+    line = Centerline.of_points(np.vstack(clouds), 0.005, numbers[0])
+    return poses, line, VoxelSamples(np.vstack(voxels), np.zeros(len(numbers[1])), numbers[1])
+
+
+def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, synthetic, tmp_path):
+    poses, line, voxels = two_in_a_t_pose(body, synthetic)
+    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": NEVER_S, "voxels_wait_s": NEVER_S}
+    node = bench(**parameters, **{"bodies.folder": str(tmp_path)})
+    others = node.listen(String, "icp/bodies", LATCHED)
+    node.start()
+    for k in range(3):
+        node.voxels.publish(packet_cloud(voxels, stamp(k), "map"))
+        node.centerlines.publish(packet_cloud(line, stamp(k), "map"))
+        node.until(lambda count=k + 1: len(node.points) == len(node.fits) == count)
+        if k == 0:
+            assert node.points[0].height == 1 and len(read_people_points(node.points[0], "test").of) == 1
+        predictions = {1: Prediction(stamp(k), None, np.zeros(24)), 2: Prediction(stamp(k), poses[1], np.zeros(24))}
+        node.predictions.publish(predictions_message(Predictions(stamp(k), predictions), stamp(k)))
+    assert (node.points[-1].height, node.points[-1].width) == (2, 15)
+    people = read_people_points(node.points[-1], "test")
+    for pose, points in zip(poses, people.of.values(), strict=True):
+        assert np.linalg.norm(points.points_world - forward(body, pose), axis=1).mean() < 0.05
+    started = {status.name: status.values[2].value for status in node.fits[-1].status}
+    assert started == {"icp_tracker: fit": "own", "icp_tracker: fit of person 2": str(stamp(1))}
+    node.until(lambda: others)
+    assert list(parse_bodies(others[-1].data, "test")) == [2]
+    node.until_said("2 persons: 1 tracking, 2 tracking")
+    saved = node.ask(Trigger, "icp_tracker/save_body")
+    assert saved.success and [path.split("_")[-1] for path in saved.message.split(", ")][1] == "person2.yaml"
+
+
+def test_no_more_persons_are_followed_than_the_parameter_says(bench, body, synthetic):
+    _, line, voxels = two_in_a_t_pose(body, synthetic)
+    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0, "voxels_wait_s": NEVER_S}
+    node = bench(**parameters, **{"people.max": 1}).start()
+    for k in range(3):
+        node.voxels.publish(packet_cloud(voxels, stamp(k), "map"))
+        node.centerlines.publish(packet_cloud(line, stamp(k), "map"))
+        node.until(lambda count=k + 1: len(node.points) == count)
+    assert [message.height for message in node.points] == [1, 1, 1]
 
 
 def test_missing_voxels_are_not_waited_for_for_ever(bench, walk):
