@@ -1,0 +1,108 @@
+"""Two persons through the server's nodes: recorded silhouettes in, a bag with everybody out, one process or three."""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.serialization import deserialize_message
+from silhouette_bag import EPOCH_NS, write_silhouette_bag
+
+from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.pipeline import MocapPipeline
+from sagoma_bringup.processes import SERVER_LAYOUTS
+from sagoma_tools.evaluation.track import tracks_from_bag
+from sagoma_tools.recording.lockstep import replay_through_graph
+from sagoma_tools.recording.reader import bag_digest, bag_topics, read_messages
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from virtual_studio.motions.together import TOGETHER
+from virtual_studio.people import VolumetricBody, together
+from virtual_studio.rendering.camera import ExactSilhouettes
+from virtual_studio.rig import ring
+
+pytestmark = pytest.mark.slow
+
+FPS, TOGETHER_S, ALONE_S = 20.0, 2.0, 1.5
+RIG = ring(4, True)
+PERSONS = [VolumetricBody(Body.from_stature(1.75)), VolumetricBody(Body.from_stature(1.65))]
+SETTINGS = {"hull_server.backend": "cpu"}
+BESIDE = "/mocap/bodies/b0002"
+
+
+def frame_of(stamp_ns):
+    return round((stamp_ns - EPOCH_NS) * 1e-9 * FPS)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """The two's poses, and silhouettes of both, then of the first one alone."""
+    crowd = TOGETHER["crowd"]
+    motions = replace(crowd, roles=crowd.roles[:2]).motions(PERSONS, FPS, TOGETHER_S + ALONE_S)
+    eyes, both_until = ExactSilhouettes(RIG), round(TOGETHER_S * FPS)
+    placed = [[person.place(pose) for pose in motion.poses] for person, motion in zip(PERSONS, motions, strict=True)]
+    frames = [
+        eyes.render(together(first, second) if k < both_until else first)
+        for k, (first, second) in enumerate(zip(*placed, strict=True))
+    ]
+    return [motion.poses for motion in motions], frames
+
+
+@pytest.fixture(scope="module")
+def bags(clip, tmp_path_factory) -> list[Path]:
+    """The silhouettes through a fresh graph in lockstep, the server in one process and in three."""
+    folder = tmp_path_factory.mktemp("people")
+    recorded = write_silhouette_bag(folder / "silhouettes", RIG, clip[1], FPS)
+    outputs = [folder / server for server in SERVER_LAYOUTS]
+    for output in outputs:
+        logs = folder / f"{output.name}_logs"
+        report = replay_through_graph(recorded, output, logs, settings=SETTINGS, server=output.name)
+        assert report.unanswered_ns == [] and not report.unrecorded
+    return outputs
+
+
+def test_one_process_and_three_give_the_same_bytes_of_two_persons(bags):
+    one, three = (bag_digest(bag) for bag in bags)
+    assert one == three
+    assert one[f"{BESIDE}/joint_states"].count > 20
+
+
+def test_both_persons_are_in_the_bag_with_the_numbers_of_the_page(clip, bags):
+    """The pipeline in this process, on the same silhouettes."""
+    pipeline = MocapPipeline(RIG, Configuration.of({**SETTINGS, "icp_tracker.initial_pose.rig_file": rig_of(bags[0])}))
+    angles: dict[int, dict[int, np.ndarray]] = {1: {}, 2: {}}
+    for k, masks in enumerate(clip[1]):
+        for step in pipeline.step_masks(EPOCH_NS + round(k * 1e9 / FPS), masks).people:
+            if step.state is not None and step.state.tracking != "lost":
+                angles[step.person][k] = step.state.angles
+    tracks = tracks_from_bag(bags[0], frame_of)
+    assert list(tracks) == [1, 2]
+    for person, track in tracks.items():
+        assert track.frames.tolist() == list(angles[person])
+        np.testing.assert_array_equal(track.angles, list(angles[person].values()))
+
+
+def rig_of(bag):
+    return str(bag / "rig.yaml")
+
+
+def test_both_persons_follow_their_truth(clip, bags):
+    for person, track in tracks_from_bag(bags[0], frame_of).items():
+        sure = track.chosen(track.states == "tracking")
+        truth = np.array([forward(PERSONS[person - 1].body, clip[0][person - 1][frame]) for frame in sure.frames])
+        assert len(sure) > 0.7 * TOGETHER_S * FPS
+        assert np.linalg.norm(sure.points_world - truth, axis=2).mean() < 0.03
+
+
+def test_person_who_leaves_is_lost_and_says_so_on_the_own_topic(bags):
+    said = [
+        {value.key: value.value for value in status.values} | {"state": status.message}
+        for message in read_messages(bags[0], f"{BESIDE}/state".__eq__)
+        for status in [deserialize_message(message.data, DiagnosticStatus)]
+    ]
+    states = Counter(one["state"] for one in said)
+    assert states["tracking"] > 20 and said[-1]["state"] == "lost" and said[-1]["reason"] == "has left"
+    assert [one["reason"] for one in said].count("has left") == 1
+    assert not any(topic.startswith("/mocap/bodies/b0001") for topic in bag_topics(bags[0]))  # a copy of /mocap
