@@ -145,7 +145,7 @@ class HullPipeline:
         # centroids of the blobs that look like a limb or trunk cut across (3.2)
         centerline = find_centerline(slices.blobs, self.grid, blob, whose)
         watch.lap("filter")
-        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels, whose)
+        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
         watch.lap("sample")
         # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
         contour_rays = self._contour.trace(under_way.masks, slices.runs, frame_set.frames, whose)

@@ -100,7 +100,7 @@ class HullSettings:
     min_seeing: int = setting(
         0, "cameras that must see a place before it can be occupied; 0: by the number of cameras", low=0, high=63
     )
-    max_voxels: int = setting(3000, "size of the decimated voxel cloud", low=0, high=1_000_000)
+    max_voxels: int = setting(3000, "size of the decimated voxel cloud, for each body", low=0, high=1_000_000)
     blob: BlobSettings = setting(BlobSettings, "blob filters")
     body: BodySettings = setting(BodySettings, "separate bodies")
     contour: ContourSettings = setting(ContourSettings, "rays along the silhouettes' contours")

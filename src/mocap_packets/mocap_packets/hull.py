@@ -289,7 +289,9 @@ class HullProducts:
 
 def _rows(packet: Rows, rows: np.ndarray) -> Rows:
     """Return the chosen rows of every column, contiguous."""
-    return replace(packet, **{name: np.ascontiguousarray(values[rows]) for name, values in vars(packet).items()})
+    if rows.dtype == np.bool_:
+        rows = np.flatnonzero(rows)  # to take rows by number is several times faster than by mask
+    return replace(packet, **{name: values.take(rows, axis=0) for name, values in vars(packet).items()})
 
 
 def _numbered_zero(packet: Rows) -> Rows:

@@ -32,6 +32,7 @@ AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they we
 TOGETHER_S = 0.2  # persons who shared a part of the hull for so long may have been taken for each other
 APART_S = 0.3  # so long after it their sizes are compared: by then neither hides much of the other
 SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
+LOOK_EVERY_SETS = 3  # sets from one look at a newcomer to the next, so that fits do not wait for it
 NO_PART = -2  # is the number of no part of a hull
 
 
@@ -71,6 +72,7 @@ class PeopleTracker:
         self._reasons: dict[int, str] = {}
         self._meetings: dict[tuple[int, int], _Meeting] = {}
         self._checks: list[IdentityCheck] = []
+        self._sets = 0
 
     @property
     def persons(self) -> tuple[int, ...]:
@@ -221,9 +223,9 @@ class PeopleTracker:
     def _acquire(self, seen: HullProducts, free: Sequence[int], fits: Mapping[int, Fit]) -> dict[int, Fit]:
         """Look for a first pose in every part of the hull that is nobody's."""
         found = dict[int, Fit]()
-        self._reasons = {}
         self._newcomers = self._newcomers_of(free)
-        for part, tracker in list(self._newcomers.items()):
+        self._reasons = {part: reason for part, reason in self._reasons.items() if part in self._newcomers}
+        for part, tracker in self._looked_at():
             fit = tracker.step(seen.of_body(part).as_one_body())
             self._reasons[part] = fit.reason
             present = sum(not person.away for person in self._persons.values())
@@ -236,6 +238,15 @@ class PeopleTracker:
         if not self._persons and not self._newcomers:
             self._newcomers = {NO_PART: self._make()}
         return found
+
+    def _looked_at(self) -> list[tuple[int, IcpTracker]]:
+        """Return whom to look at in this set: one newcomer after another, now and then while somebody is followed: an
+        acquisition takes as long as several fits."""
+        every = LOOK_EVERY_SETS if self._persons else 1
+        self._sets += 1
+        if not self._newcomers or self._sets % every:
+            return []
+        return [sorted(self._newcomers.items())[self._sets // every % len(self._newcomers)]]
 
     def _newcomers_of(self, free: Sequence[int]) -> dict[int, IcpTracker]:
         """Return who is looked at in each free part: the same one as before, also where its number is a new one."""

@@ -26,6 +26,7 @@ PART_SHARE = 0.08  # of a part's points: fewer are a neighbour's hand (four pers
 SAMPLES = 600  # of the hull's voxels that tell whose its parts are
 EXPLAINED_M = 0.08  # a row this near to somebody's surface may be that person's alone
 CLEARLY_M = 0.03  # so much nearer to one surface than to the other is clear: twice the error of a good prediction
+ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb either: the length of a hand
 SLACK_M = 0.05  # a body may touch a ray this far from the stretch where the ray touches the hull
 ANYWHERE_M = 100.0  # and as far as this when it is a line
 GRAZED_M = 0.04  # a line that passes a body's surface so near is a view of it: EXPLAINED_M of monitor/evidence.py
@@ -147,8 +148,8 @@ class _Distances(NamedTuple):
 
 
 def _rows_of(seen: HullProducts, parts: tuple[int, ...]) -> _Rows:
-    masks = (np.isin(packet.body, parts) for packet in (seen.centerline, seen.voxels, seen.contour_rays))
-    line, voxels, rays = masks
+    packets = (seen.centerline, seen.voxels, seen.contour_rays)
+    line, voxels, rays = (np.logical_or.reduce([packet.body == part for part in parts]) for packet in packets)
     own = seen.of_rows(line, voxels, rays).as_one_body()
     return _Rows(own, line, voxels, rays)
 
@@ -172,8 +173,9 @@ def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _R
 
 
 def _is_others(own: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows another person explains clearly better."""
-    return np.asarray((others < EXPLAINED_M) & (others + CLEARLY_M < own))
+    """Which rows another person explains clearly better, or is much nearer to."""
+    explained = (others < EXPLAINED_M) & (others + CLEARLY_M < own)
+    return np.asarray(explained | (others + ELSEWHERE_M < own))
 
 
 def _arrays(rays: ContourRays) -> RayArrays:

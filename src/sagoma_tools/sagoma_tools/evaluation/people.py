@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.session import Session, Truth
+from capture_rig.session import Truth
 from capture_rig.sight import Sight
 from mocap_packets.state import Tracking
 
@@ -138,12 +138,12 @@ def changes(rows: np.ndarray, patience: int) -> int:
     return count
 
 
-def main_track(tracks: Mapping[int, Track], session: Session) -> Track:
-    """Return the track of the person that the session's first truth is of; person 1's without several truths."""
+def main_track(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Track:
+    """Return the track of the person that the first truth is of; the first person's without several truths."""
     first = tracks[min(tracks)]
-    if len(session.truths) < 2:
+    if len(truths) < 2:
         return first
-    of_first = score_people(tracks, session.truths, session.fps).persons[0].numbers
+    of_first = score_people(tracks, truths, fps).persons[0].numbers
     return tracks[of_first[0]] if of_first else first
 
 

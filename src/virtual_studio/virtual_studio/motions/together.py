@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -36,8 +36,10 @@ APPROACH_STEPS = 6
 BESIDE_M = 0.95
 PROBES_S, PROBE_HZ = (0.0, 0.4, 0.7, 1.0, 1.5, 2.0, 4.0), 10.0
 """Walks (s) that tell how long a person has to walk for a way."""
-CROWD_M = 1.05
-"""How far from the middle each of four people stands whose outstretched arms do not touch."""
+CROWD_M = 0.75
+"""How far from the middle each of four people stands: one of them can hold out the arms without touching another."""
+TURN_S = 1.7
+_CROSS, _FACING_IN = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)), (np.pi, 0.0, -np.pi / 2, np.pi / 2)
 OUTSIDE_M = 2.4
 """Where somebody is who is not in the volume yet, from its middle."""
 
@@ -110,10 +112,13 @@ def staying(person: VolumetricBody) -> Timeline:
     return Timeline((hold(STAND_S, STANDING), turn(2.0 * np.pi), hold(1.0, STANDING)))
 
 
-def stepping_in(person: VolumetricBody) -> Timeline:
-    """Walks towards the others, turns round once, and walks backward again."""
-    activities = hold(STAND_S, STANDING), walk(person, 0.45), turn(2.0 * np.pi), walk(person, -0.4)
-    return Timeline((*activities, hold(1.0, STANDING)))
+def one_after_another(person: VolumetricBody, number: int) -> Timeline:
+    """Takes the T-pose when it is this one's turn, from 0; when all four have, turns round, steps in and back again."""
+    before, after = hold(0.6 + TURN_S * number, STANDING), hold(TURN_S * (3 - number), STANDING)
+    poses = before, hold(TURN_S, T_POSE_ANGLES), after
+    return Timeline(
+        (*poses, turn(2.0 * np.pi), walk(person, 0.2), walk(person, -0.2), hold(1.0, STANDING)), t_pose_s=0.0
+    )
 
 
 def going_first(person: VolumetricBody) -> Timeline:
@@ -138,10 +143,10 @@ TOGETHER: Mapping[str, Scene] = {
     "going_first": Scene((Role(going_first, (0.5, -0.3)), Role(staying, (-0.6, 0.3))), 14.0),
     "crowd": Scene(
         tuple(
-            Role(stepping_in, (CROWD_M * float(np.cos(at)), CROWD_M * float(np.sin(at))), at + np.pi)
-            for at in (0.0, np.pi, 0.5 * np.pi, 1.5 * np.pi)
+            Role(partial(one_after_another, number=k), (CROWD_M * _CROSS[k][0], CROWD_M * _CROSS[k][1]), _FACING_IN[k])
+            for k in range(4)
         ),
-        9.0,
+        14.0,
     ),
 }
 

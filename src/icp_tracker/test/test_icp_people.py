@@ -1,0 +1,201 @@
+"""Several persons before the studio's cameras: standing apart, touching, leaving, coming back, taken for each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hull_server.hull_pipeline import HullPipeline
+from hull_server.settings import HullSettings
+from icp_tracker.people.identity import IdentityCheck, Verdict
+from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
+from icp_tracker.people.shares import Expected, find_shares, is_ghost, share_rows
+from icp_tracker.settings import IcpNodeSettings
+from icp_tracker.tracker import make_tracker, sight_of
+from mocap_packets.frame_set import FrameSet
+from mocap_packets.hull import HullProducts
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.rotations import rotation_matrix
+from virtual_studio.motions.everyday import STANDING
+from virtual_studio.people import ANKLE_HEIGHT, VolumetricBody, person_of, together
+from virtual_studio.rendering.camera import ExactSilhouettes
+from virtual_studio.rig import ring
+
+FRAME_NS = 16_666_667
+TALL, SHORT = VolumetricBody(person_of(1.80)), VolumetricBody(person_of(1.62), 0.95)
+SETTINGS = IcpNodeSettings()
+FOUND_SETS = 40
+"""Sets after which two persons in a T-pose have been found."""
+
+
+def standing(person, x, y, heading=0.0, angles=T_POSE_ANGLES):
+    """A pose with the feet on the floor."""
+    pose = Pose.from_angles(np.zeros(3), rotation_matrix(np.array([0.0, 0.0, heading])), angles)
+    ankles = forward(person.body, pose)[13:15, 2].min()
+    return replace(pose, position_world=np.array([x, y, ANKLE_HEIGHT * person.body.stature - ankles]))
+
+
+TALL_AT, SHORT_AT = standing(TALL, -0.7, 0.0), standing(SHORT, 0.7, 0.0, np.pi)
+CLOSE = standing(TALL, -0.18, 0.0, 0.0, STANDING), standing(SHORT, 0.18, 0.0, np.pi, STANDING)
+
+
+@pytest.fixture(scope="module")
+def hulls():
+    """Hull products by scene, carved once."""
+    rig = ring(5)
+    eyes = ExactSilhouettes(rig)
+
+    def carved(*placed):
+        pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
+        masks = eyes.render(together(*(person.place(pose) for person, pose in placed)))
+        return pipeline.run(FrameSet.of_instant(1, masks, ())).products.as_sent()
+
+    return {
+        "both": carved((TALL, TALL_AT), (SHORT, SHORT_AT)),
+        "tall": carved((TALL, TALL_AT)),
+        "short": carved((SHORT, SHORT_AT)),
+        "close": carved((TALL, CLOSE[0]), (SHORT, CLOSE[1])),
+        "rig": rig,
+    }
+
+
+class Play:
+    """Hands a tracker one set after another."""
+
+    def __init__(self, hulls):
+        self.hulls, self.stamp_ns = hulls, 0
+        self.tracker: PeopleTracker = make_people_tracker(SETTINGS, hulls["rig"])
+
+    def __call__(self, scene, sets, every_ns=FRAME_NS):
+        """The fits of the last of some sets of a scene, by person."""
+        for _ in range(sets):
+            self.stamp_ns += every_ns
+            fits = self.tracker.step(replace(self.hulls[scene], stamp_ns=self.stamp_ns), {})
+        return {fit.person: fit for fit in fits}
+
+
+def off_mm(fit, person, pose):
+    return 1e3 * float(np.linalg.norm(fit.reference_points_world - forward(person.body, pose), axis=1).mean())
+
+
+def number_of(fits, person, pose):
+    """The number of whoever is followed there."""
+    (number,) = [number for number, fit in fits.items() if off_mm(fit, person, pose) < 60.0]
+    return number
+
+
+def test_one_person_alone_is_followed_as_by_the_tracker_of_one_body_to_the_last_bit(hulls):
+    people = make_people_tracker(SETTINGS, hulls["rig"])
+    alone = make_tracker(SETTINGS, sight_of(SETTINGS, hulls["rig"]))
+    for k in range(1, 16):
+        seen = replace(hulls["tall"], stamp_ns=k * FRAME_NS)
+        (of_people,), of_one = people.step(seen, {}), alone.step(seen)
+        assert of_people.person == 1
+        assert (of_people.state, of_people.reason) == (of_one.state, of_one.reason)
+        np.testing.assert_array_equal(of_people.reference_points_world, of_one.reference_points_world)
+        np.testing.assert_array_equal(of_people.covariance, of_one.covariance)
+    assert of_one.state == "tracking"
+
+
+def test_two_persons_in_a_t_pose_are_found_and_numbered_one_and_two(hulls):
+    play = Play(hulls)
+    assert list(play("both", 1)) == [1]  # the first person is answered for from the first set on
+    fits = play("both", FOUND_SETS)
+    assert sorted(fits) == [1, 2]
+    assert {number_of(fits, TALL, TALL_AT), number_of(fits, SHORT, SHORT_AT)} == {1, 2}
+    assert play.tracker.acquiring == ()
+
+
+def test_second_person_who_enters_later_leaves_and_comes_back_keeps_the_number(hulls):
+    play = Play(hulls)
+    assert sorted(play("tall", 15)) == [1]
+    fits = play("both", FOUND_SETS)
+    assert number_of(fits, TALL, TALL_AT) == 1
+    assert number_of(fits, SHORT, SHORT_AT) == 2
+    fits = play("tall", 4)
+    assert fits[2].state == "lost"
+    away = play("tall", 5, round(GONE_AFTER_S * 1e9))
+    assert sorted(away) == [1]
+    assert away[1].state == "tracking"
+    assert number_of(play("both", FOUND_SETS), SHORT, SHORT_AT) == 2
+
+
+def test_first_person_who_leaves_keeps_the_number_and_the_second_stays_the_second(hulls):
+    play = Play(hulls)
+    play("tall", 15)
+    play("both", FOUND_SETS)
+    fits = play("short", 5, round(GONE_AFTER_S * 1e9))
+    assert fits[1].state == "lost"
+    assert fits[2].state == "tracking"
+    assert off_mm(fits[2], SHORT, SHORT_AT) < 60.0
+    assert number_of(play("both", FOUND_SETS), TALL, TALL_AT) == 1
+
+
+def test_persons_of_other_sizes_who_were_taken_for_each_other_are_exchanged_again(hulls):
+    play = Play(hulls)
+    fits = play("both", FOUND_SETS)
+    tall, short = number_of(fits, TALL, TALL_AT), number_of(fits, SHORT, SHORT_AT)
+    people = play.tracker._persons
+    poses = people[tall].tracker.pose, people[short].tracker.pose
+    people[tall].tracker.move_to(play.stamp_ns, poses[1])
+    people[short].tracker.move_to(play.stamp_ns, poses[0])
+    play.tracker._checks.append(IdentityCheck(1, 2))
+    fits = play("both", 60)
+    assert number_of(fits, TALL, TALL_AT) == tall
+    assert number_of(fits, SHORT, SHORT_AT) == short
+    assert not play.tracker._checks
+
+
+def test_check_of_persons_at_their_own_places_says_that_they_are_right(hulls):
+    play = Play(hulls)
+    play("both", FOUND_SETS)
+    first, second = (play.tracker._persons[number].tracker for number in (1, 2))
+    check, verdict = IdentityCheck(1, 2), Verdict.OPEN
+    for _ in range(60):
+        verdict = check.look(first, second, False) if verdict == Verdict.OPEN else verdict
+    assert verdict == Verdict.RIGHT
+
+
+def expected_close():
+    return [Expected(1, TALL.body, CLOSE[0]), Expected(2, SHORT.body, CLOSE[1])]
+
+
+def test_part_of_two_persons_who_touch_belongs_to_both(hulls):
+    seen = hulls["close"]
+    (part,) = seen.numbers()
+    shares = find_shares(seen, [part], expected_close())
+    assert shares.shared == {part: (1, 2)}
+    assert shares.sharers(1) == (2,)
+
+
+def test_rows_of_persons_who_touch_are_shared_out_by_who_explains_them(hulls):
+    seen = hulls["close"]
+    expected = expected_close()
+    rows = share_rows(seen, find_shares(seen, seen.numbers(), expected), expected)
+    for person, side in ((1, -1.0), (2, 1.0)):  # they stand on either side of x = 0, 0.36 m apart
+        own = rows[person]
+        assert len(own.contour_rays) > 0.3 * len(seen.contour_rays)
+        assert np.mean(side * own.centerline.points_world[:, 0] > 0.0) > 0.9
+        assert np.mean(side * own.voxels.points_world[own.voxels.surface][:, 0] > -0.05) > 0.9
+        assert len(own.voxels) == len(seen.voxels)  # sticks lie in the common hull
+
+
+def test_ray_that_nobody_explains_is_left_to_both(hulls):
+    seen = hulls["close"]
+    rays = seen.contour_rays
+    lost = replace(rays, points_world=rays.points_world + np.array([0.0, 0.6, 0.0]))  # as far from either
+    seen = replace(seen, contour_rays=lost)
+    rows = share_rows(seen, find_shares(seen, seen.numbers(), expected_close()), expected_close())
+    kept = {person: len(own.contour_rays) for person, own in rows.items()}
+    assert kept[1] + kept[2] > 1.4 * len(rays)
+
+
+def test_volume_behind_a_person_whose_outline_bounds_it_in_every_picture_is_a_ghost(hulls):
+    seen = hulls["tall"]
+    behind = replace(seen.contour_rays, points_world=seen.contour_rays.points_world + seen.contour_rays.directions)
+    ghost = HullProducts(1, seen.centerline, seen.voxels, behind)
+    (part,) = seen.numbers()
+    assert is_ghost(ghost, part, [Expected(1, TALL.body, TALL_AT)])
+    assert not is_ghost(hulls["short"], hulls["short"].numbers()[0], [Expected(1, TALL.body, TALL_AT)])
+    assert not is_ghost(ghost, part, [])
