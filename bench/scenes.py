@@ -26,7 +26,7 @@ from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.motions.catalogue import MOTIONS, Motion
 from virtual_studio.motions.together import TOGETHER
 from virtual_studio.people import VolumetricBody, together
 from virtual_studio.rendering.camera import ExactSilhouettes
@@ -66,6 +66,14 @@ def studio_masks(rig: Rig, body: Body, poses: Iterable[Pose], build: float = 1.0
     """Exact canvas silhouettes of the studio's person in these poses."""
     person, cameras = VolumetricBody(body, build), ExactSilhouettes(rig)
     return (cameras.render(person.place(pose)) for pose in poses)
+
+
+def motion_masks(rig: Rig, person: VolumetricBody, motion: Motion) -> Iterator[Masks]:
+    """Exact canvas silhouettes of the studio's person in motion, with what it carries; things in the room hide both."""
+    cameras, things = ExactSilhouettes(rig), motion.things
+    for frame, pose in enumerate(motion.poses):
+        placed = person.place(pose)
+        yield cameras.render(things.foreground(placed, frame), things.room(frame)) if things else cameras.render(placed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +144,10 @@ def together_clip(scene: str, persons: Sequence[VolumetricBody], cameras: int = 
 def studio_clip(motion: str, seconds: float, cameras: int = 6, body: Body | None = None, build: float = 1.0) -> Clip:
     """A named motion of the virtual studio, exact silhouettes of a ring of cameras and one on the ceiling."""
     rig, body = ring(cameras - 1), body or Body.from_stature(STATURE_M)
-    poses = MOTIONS[motion](body, seconds, STUDIO_FPS, build).poses
-    truth = np.array([forward(body, pose) for pose in poses])
-    return Clip.of(f"{motion}_{cameras}", rig, STUDIO_FPS, studio_masks(rig, body, poses, build), truth=truth)
+    played = MOTIONS[motion](body, seconds, STUDIO_FPS, build)
+    truth = np.array([forward(body, pose) for pose in played.poses])
+    masks = motion_masks(rig, VolumetricBody(body, build), played)
+    return Clip.of(f"{motion}_{cameras}", rig, STUDIO_FPS, masks, truth=truth)
 
 
 def session_clip(folder: Path, exact: bool) -> Clip:

@@ -114,6 +114,10 @@ class VolumetricBody:
         """(p,) the stick of each part but the feet's, in the order of `place`."""
         return np.array([part.stick for part in self._parts])
 
+    def radii_of(self, stick: int) -> Array:
+        """Returns the radii (p, 2) of a stick's parts, m."""
+        return np.array([part.radii for part in self._parts if part.stick == stick])
+
     def place(self, pose: Pose) -> Capsules:
         """Returns the parts in the world."""
         G, A, B = _frames(self.body, pose)
@@ -123,25 +127,36 @@ class VolumetricBody:
         starts = origins[sticks] + np.einsum("pij,pj->pi", G[sticks], np.array([part.start for part in parts]))
         ends = origins[sticks] + np.einsum("pij,pj->pi", G[sticks], np.array([part.end for part in parts]))
         feet = [self._foot(G[calf], B[calf]) for calf in (L_CALF, R_CALF)]
-        s = self.scale
         return Capsules(
             starts=np.vstack([starts, *(foot[0] for foot in feet)]),
             ends=np.vstack([ends, *(foot[1] for foot in feet)]),
-            radii=np.vstack([[part.radii for part in parts], *[[(0.040 * s, 0.030 * s), (0.036 * s, 0.024 * s)]] * 2]),
+            radii=np.vstack([[part.radii for part in parts], self._foot_radii, self._foot_radii]),
             albedo=np.array([*(part.albedo for part in parts), *[SHOES] * 4]),
         )
 
     def contact_spheres(self, pose: Pose) -> tuple[Array, Array]:
         """Returns the spheres that may rest on the floor: centres (c, 3) m in the world, radii (c,) m.
 
-        The first two stand for the feet: ankles, as high above the floor as of a standing person. The others end the
-        parts above the knees.
+        The first two stand for the feet: ankles, as high above the floor as of a standing person, or higher where a
+        calf lies so low that its foot reaches farther down. The others end the parts above the knees.
         """
         G, A, B = _frames(self.body, pose)
         A[TORSO] = pose.position_world
         sticks, ends, radii = self._above_the_knees
         centres = A[sticks] + np.einsum("pij,pj->pi", G[sticks], ends)
-        return np.vstack([B[[L_CALF, R_CALF]], centres]), np.append(np.full(2, self.ankle_height), radii)
+        feet = [self._reach_below_ankle(G[calf]) for calf in (L_CALF, R_CALF)]
+        return np.vstack([B[[L_CALF, R_CALF]], centres]), np.append(feet, radii)
+
+    @property
+    def _foot_radii(self) -> Array:
+        """Radii (2, 2) of a foot's two capsules, m."""
+        return self.scale * np.array([(0.040, 0.030), (0.036, 0.024)])
+
+    def _reach_below_ankle(self, R_world_calf: Array) -> float:
+        """How far (m) a foot on the floor reaches below its ankle."""
+        starts, ends = self._foot(R_world_calf, np.zeros(3))
+        lowest = np.minimum(starts[:, 2] - self._foot_radii[:, 0], ends[:, 2] - self._foot_radii[:, 1]).min()
+        return max(self.ankle_height, -float(lowest))
 
     @cached_property
     def _above_the_knees(self) -> tuple[NDArray[np.int64], Array, Array]:

@@ -7,7 +7,7 @@ by the feet, which stay where they stand.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -18,8 +18,8 @@ from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix
 
 from ..people import ANKLE_HEIGHT, VolumetricBody
-from . import everyday, hard_cases
-from .timeline import T_POSE_S, Array, BlendedActivity, Motion, Timeline, frame_count
+from . import everyday, hard_cases, with_things
+from .timeline import FADE_S, T_POSE_S, Array, BlendedActivity, Motion, Things, Timeline, frame_count
 
 CIRCLE_RADIUS_M = 0.30
 CIRCLE_RAD_S = 0.9
@@ -59,20 +59,33 @@ def t_pose_only(body: Body, seconds: float, fps: float, build: float = 1.0) -> M
 class HardCase:
     """A motion that trackers are known to fail at; the feet stay where they stand.
 
-    activities: of a person of given sizes; start_xy: where that person's torso begins, m.
+    activities: of a person of given sizes; start_xy: where that person's torso begins, m; things: that fit a motion
+    from its beginning to its end; cut_s: what is left out of the end, where the last activity fades into the first.
     """
 
     activities: Callable[[VolumetricBody], Timeline]
     start_xy: tuple[float, float] = (0.0, 0.0)
+    things: Callable[[VolumetricBody, Motion], Things] | None = None
+    cut_s: float = 0.0
 
     def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
         person = VolumetricBody(body, build)
-        return motion_by_steps(person, seconds, fps, self.activities(person), self.start_xy)
+        motion = motion_by_steps(person, seconds, fps, self.activities(person), self.start_xy)
+        return (
+            motion if self.things is None else replace(motion, things=self.things(person, self._whole(person, motion)))
+        )
+
+    def _whole(self, person: VolumetricBody, motion: Motion) -> Motion:
+        """The motion, or if it ends too soon to tell where the things are, all of it."""
+        if len(motion.poses) >= round(self.duration_s * motion.fps):
+            return motion
+        return motion_by_steps(person, self.duration_s, motion.fps, self.activities(person), self.start_xy)
 
     @property
     def duration_s(self) -> float:
         """Seconds from the T-pose through all activities once."""
-        return T_POSE_S + sum(a.duration_s for a in self.activities(VolumetricBody(Body.from_stature(1.75))).activities)
+        activities = self.activities(VolumetricBody(Body.from_stature(1.75))).activities
+        return T_POSE_S + sum(activity.duration_s for activity in activities) - self.cut_s
 
 
 HARD_CASES: Mapping[str, HardCase] = {
@@ -90,6 +103,11 @@ HARD_CASES: Mapping[str, HardCase] = {
     "kick": HardCase(hard_cases.kick),
     "punch": HardCase(hard_cases.punch),
     "lie_down": HardCase(hard_cases.lie_down, start_xy=(0.4, 0.0)),
+    "kneeling": HardCase(with_things.kneeling),
+    "on_a_chair": HardCase(hard_cases.sitting, things=with_things.chair),
+    "carry_a_box": HardCase(
+        with_things.carry_a_box, start_xy=(-0.3, 0.0), things=with_things.box_on_a_stand, cut_s=FADE_S
+    ),
 }
 
 MOTIONS: Mapping[str, MotionFunction] = {"tour": tour, "walk": walk, "t_pose_only": t_pose_only, **HARD_CASES}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +17,51 @@ from capture_rig.errors import InputError
 from stick_figure.pose import Pose
 from stick_figure.skeleton import T_POSE_ANGLES
 
+from ..people import Capsules, together
+
 Array = NDArray[np.float64]
 
 T_POSE_S, BLEND_S, FADE_S = 1.0, 0.6, 0.6
 
 
 @dataclass(frozen=True, eq=False)
+class Things:
+    """What is beside the person.
+
+    standing: there since before, part of the empty room, and never moved. carried: another thing, one per frame (none:
+    empty), which is part of the empty room until the person takes it in frame ``taken``, and seen with the person then.
+    """
+
+    standing: Capsules
+    carried: tuple[Capsules, ...] = ()
+    taken: int = 0
+
+    def room(self, frame: int) -> Capsules:
+        """What hides the person and is none of it in a frame; the same object as long as it stays the same."""
+        return self.untouched if self.carried and frame < self.taken else self.standing
+
+    def foreground(self, person: Capsules, frame: int) -> Capsules:
+        """The person with what it carries."""
+        return together(person, self.carried[frame]) if self.carried and frame >= self.taken else person
+
+    @cached_property
+    def untouched(self) -> Capsules:
+        """The things as they are before anybody comes."""
+        return together(self.standing, self.carried[0]) if self.carried else self.standing
+
+
+@dataclass(frozen=True, eq=False)
 class Motion:
     """A sequence of poses at a fixed rate.
 
-    poses: one per frame; angles (F, 18) rad, the angles they were made of; fps: frames a second.
+    poses: one per frame; angles (F, 18) rad, the angles they were made of; fps: frames a second; things: beside the
+    person.
     """
 
     poses: tuple[Pose, ...]
     angles: Array
     fps: float
+    things: Things | None = None
 
 
 @dataclass(frozen=True)

@@ -127,27 +127,38 @@ def write_truth(path: Path, body: Body, motion: Motion) -> None:
 def _film(
     folder: Path, rig: Rig, person: VolumetricBody, motion: Motion, settings: RenderSettings, progress: Progress
 ) -> None:
-    sensor = Sensor(settings.noise, settings.flicker, settings.seed)
+    sensor, things = Sensor(settings.noise, settings.flicker, settings.seed), motion.things
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
-        cameras = list(pool.map(VirtualCamera, rig.cameras))
+        rooms = [things and things.untouched, *([things.standing] if things and things.taken else [])]
+        empty, *later = (
+            list(pool.map(lambda camera, room=room: VirtualCamera(camera, standing=room), rig.cameras))
+            for room in rooms
+        )
         footage, masks = [], []
-        for number, camera in enumerate(cameras):
+        for number, camera in enumerate(empty):
             _film_empty_room(folder, number, camera, motion.fps, sensor)
             footage.append(stack.enter_context(VideoFile(folder, camera.camera, FOOTAGE, motion.fps)))
             masks.append(stack.enter_context(VideoFile(folder, camera.camera, LOSSLESS, motion.fps, "_mask")))
 
         def shoot(number: int, frame: int, capsules: Capsules, shadow: Light | None) -> None:
+            cameras = later[0] if later and things and frame >= things.taken else empty
             light, mask = cameras[number].render(capsules, shadow)
             footage[number].write(sensor.expose(light, number, frame))
             masks[number].write(mask)
 
         for frame, pose in enumerate(motion.poses):
             capsules = person.place(pose)
+            if things:
+                capsules = things.foreground(capsules, frame)
             shadow = floor_shadow(capsules) if settings.shadow else None
-            for done in [pool.submit(shoot, number, frame, capsules, shadow) for number in range(len(cameras))]:
+            for done in [pool.submit(shoot, number, frame, capsules, shadow) for number in range(len(empty))]:
                 done.result()
             progress(frame + 1, len(motion.poses))
+
+
+def _cameras_in(standing: Capsules | None, rig: Rig, pool: ThreadPoolExecutor) -> list[VirtualCamera]:
+    return list(pool.map(lambda camera: VirtualCamera(camera, standing=standing), rig.cameras))
 
 
 def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -14,7 +14,7 @@ from capture_rig.rig import Rig
 
 from ..people import Capsules
 from ..scene.room import View, pixel_rays, view_room
-from .capsules import draw_capsules, shadow_lookup, silhouette
+from .capsules import draw_capsules, floor_shadow, shadow_lookup, silhouette
 
 Image = NDArray[np.uint8]
 """A picture: (h, w) grey, or (h, w, 3) BGR."""
@@ -29,10 +29,13 @@ _NOISE_SAMPLES = 1 << 22
 class VirtualCamera:
     """Renders the room with a body and its shadow through one camera; what does not move is computed once."""
 
-    def __init__(self, camera: CameraModel, view: View | None = None) -> None:
-        """``view`` : what it sees of a room that differs from the usual one (`scene.room.view_room`)."""
+    def __init__(self, camera: CameraModel, view: View | None = None, standing: Capsules | None = None) -> None:
+        """``view`` : what it sees of a room that differs from the usual one (`scene.room.view_room`); ``standing`` :
+        things in the room that hide who is behind them, with their shadow."""
         self.camera = camera
-        self._view = view or view_room(camera)
+        self._view, self._depth = view or view_room(camera), None
+        if standing is not None:
+            self._view, self._depth = _furnished(camera, self._view, standing)
         lookup = shadow_lookup(self._view.floor_xy)
         self._shadow_map = cv2.convertMaps(lookup[..., 0], lookup[..., 1], cv2.CV_16SC2)
 
@@ -43,7 +46,7 @@ class VirtualCamera:
     def render(self, capsules: Capsules, shadow: NDArray[np.float32] | None) -> tuple[Light, Image]:
         """Returns light and exact silhouette (h, w), 0 or 255, of a body and, if given, its `floor_shadow`."""
         light = self.shaded_room(shadow)
-        _, mask = draw_capsules(self.camera, self._view.rays, capsules, light)
+        _, mask = draw_capsules(self.camera, self._view.rays, capsules, light, self._depth)
         return light, mask
 
     def shaded_room(self, shadow: NDArray[np.float32] | None) -> Light:
@@ -61,7 +64,8 @@ class VirtualCamera:
         channels = []
         for room, albedo in zip(np.moveaxis(self._view.colour, 2, 0), albedo_bgr.T, strict=True):
             light = room.copy() if shadow is None else room * self._on_floor(shadow)
-            _, mask = draw_capsules(self.camera, self._view.rays, capsules._replace(albedo=albedo.copy()), light)
+            dyed = capsules._replace(albedo=albedo.copy())
+            _, mask = draw_capsules(self.camera, self._view.rays, dyed, light, self._depth)
             channels.append(light)
         return np.stack(channels, axis=2), mask
 
@@ -77,12 +81,37 @@ class ExactSilhouettes:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self._cameras = [(camera, pixel_rays(camera), camera.undistorted_view()) for camera in rig.cameras]
+        self._hiding: Capsules | None = None
+        self._depths: dict[str, NDArray[np.float32]] = {}
 
-    def render(self, capsules: Capsules) -> dict[str, Image]:
-        """Returns each camera's undistorted mask (h, w), 0 or 255, by name."""
+    def render(self, capsules: Capsules, hiding: Capsules | None = None) -> dict[str, Image]:
+        """Returns each camera's undistorted mask (h, w), 0 or 255, by name.
+
+        ``hiding`` : things in the room that are no silhouette, and nor is what lies behind them.
+        """
+        if hiding is None:
+            return {c.name: view.undistort_mask(silhouette(c, rays, capsules)) for c, rays, view in self._cameras}
+        if hiding is not self._hiding:
+            self._hiding = hiding
+            self._depths = {c.name: draw_capsules(c, rays, hiding, _dark(c))[0] for c, rays, _ in self._cameras}
         return {
-            camera.name: view.undistort_mask(silhouette(camera, rays, capsules)) for camera, rays, view in self._cameras
+            c.name: view.undistort_mask(draw_capsules(c, rays, capsules, _dark(c), self._depths[c.name])[1])
+            for c, rays, view in self._cameras
         }
+
+
+def _furnished(camera: CameraModel, view: View, standing: Capsules) -> tuple[View, NDArray[np.float32]]:
+    """The room with things in it, on which no shadow falls, and their depth (h, w) along the rays, m."""
+    columns, rows = np.moveaxis(shadow_lookup(view.floor_xy), 2, 0)
+    share = cv2.remap(floor_shadow(standing), columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 1.0)
+    light = np.asarray(view.grey * share, np.float32)
+    depth, mask = draw_capsules(camera, view.rays, standing, light)
+    floor_xy = np.where(mask[..., None] > 0, np.float32(np.nan), view.floor_xy)
+    return replace(view, grey=light, floor_xy=floor_xy), depth
+
+
+def _dark(camera: CameraModel) -> Light:
+    return np.zeros((camera.height, camera.width), np.float32)
 
 
 @dataclass(frozen=True)

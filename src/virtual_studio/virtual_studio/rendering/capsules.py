@@ -35,13 +35,19 @@ BLUR_CELLS = 1.6
 
 
 def draw_capsules(
-    camera: CameraModel, rays: NDArray[np.float64], capsules: Capsules, light: NDArray[np.float32]
+    camera: CameraModel,
+    rays: NDArray[np.float64],
+    capsules: Capsules,
+    light: NDArray[np.float32],
+    depth: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Draws a body into a camera's light (h, w), in place.
 
-    Returns depth along the ray (h, w), m, inf beside the body, and the silhouette (h, w), 0 or 255.
+    depth : along the ray (h, w), m, of what hides the body where it is nearer; inf elsewhere.
+    Returns depth with the body in it, and the silhouette (h, w), 0 or 255, of what is seen of it.
     """
-    depth, mask = np.full(light.shape, np.inf, np.float32), np.zeros(light.shape, np.uint8)
+    depth = np.full(light.shape, np.inf, np.float32) if depth is None else depth.copy()
+    mask = np.zeros(light.shape, np.uint8)
     _cast(camera.centre_world, rays, capsules, boxes_px(camera, capsules), depth, light, mask)
     return depth, mask
 
@@ -176,7 +182,7 @@ def _normal(point, a, b, ra, rb, out):
 def _cast(origin, rays, capsules, boxes, depth, light, mask):
     """Renders capsules into the arrays of one camera.
 
-    origin (3,); rays (h, w, 3); boxes (P, 4). Only pixels on the body are written: depth (h, w), which must be inf;
+    origin (3,); rays (h, w, 3); boxes (P, 4). Only pixels on the body are written: depth (h, w), inf or what hides it;
     light (h, w), reflected light 0..1; mask (h, w), 255.
     """
     nearest = np.full(depth.shape, -1, np.int16)
