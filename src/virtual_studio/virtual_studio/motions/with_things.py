@@ -50,7 +50,14 @@ def kneeling(person: VolumetricBody) -> Timeline:
     crouched = posture(legs(1.05, 0.85, 0.55, apart=0.12), arms), 0.55
     upright = posture(legs(0.10, TOES_UNDER, 0.05, apart=0.10), arms), 0.05
     working = posture(legs(0.45, TOES_UNDER, 0.75, apart=0.12), low), 0.75
-    keys: list[tuple] = [(0.0, STANDING), (1.0, *crouched), (1.9, *upright), (2.8, *upright), (3.6, *working), (4.8, *working)]
+    keys: list[tuple] = [
+        (0.0, STANDING),
+        (1.0, *crouched),
+        (1.9, *upright),
+        (2.8, *upright),
+        (3.6, *working),
+        (4.8, *working),
+    ]
     keys += [(5.6, *upright), (6.5, *crouched), (7.4, STANDING)]
     return Timeline((hold(BEFORE_S, STANDING), key_postures([Key(*key) for key in keys], 8.0)))
 
