@@ -17,7 +17,8 @@ from room_clips import PERSON_PX, RoomClip
 
 from camera_client.background.model import BackgroundLearner
 from camera_client.settings import SilhouetteSettings
-from camera_client.silhouettes.masks import keep_person, majority
+from camera_client.silhouettes.components import PeopleRule, keep_people
+from camera_client.silhouettes.masks import majority
 from camera_client.silhouettes.pipeline import MIN_AREA
 from hull_server.hull_pipeline import HullPipeline, SetUnderWay
 from mocap_packets.frame_set import FrameSet
@@ -177,7 +178,7 @@ def tidy(mask: np.ndarray) -> np.ndarray:
     """A rival's mask (H, W), 0 or 255, through our majority filter and component rules."""
     settings, height = SilhouetteSettings(), len(mask)
     filtered, area = majority(mask, settings.median_px), height * height
-    return keep_person(filtered, MIN_AREA * area, settings.near * height, settings.max_hole * area)
+    return keep_people(filtered, PeopleRule(MIN_AREA * area, settings.near * height, settings.max_hole * area))
 
 
 def best_of(scores: Iterable[Score]) -> Score:

@@ -39,7 +39,8 @@ from scipy.stats import norm
 from camera_client.background.adaptive import AdaptiveBackground
 from camera_client.background.model import BackgroundModel, Provenance, read_background
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
-from camera_client.silhouettes.masks import BLOCK_PX, keep_person, majority
+from camera_client.silhouettes.components import PeopleRule, keep_people
+from camera_client.silhouettes.masks import BLOCK_PX, majority
 from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline, outline
 from camera_client.sources.footage_reader import open_footage
 from camera_client.sources.frame_checks import FrameChecks
@@ -138,7 +139,7 @@ def methods(clip: Clip) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         raw = subtractor.apply(image, None, FROZEN)
         mask = majority(np.where(raw > MOG2_SHADOW, np.uint8(255), np.uint8(0)), settings.median_px)
         area = image.shape[0] ** 2
-        return keep_person(mask, MIN_AREA * area, settings.near * image.shape[0], settings.max_hole * area)
+        return keep_people(mask, PeopleRule(MIN_AREA * area, settings.near * image.shape[0], settings.max_hole * area))
 
     return {
         "iou": lambda image: np.where(pipeline.run(image).image_mask == FOREGROUND, np.uint8(255), np.uint8(0)),

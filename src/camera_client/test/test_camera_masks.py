@@ -5,16 +5,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from camera_client.background.fixed import FixedBackground
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import (
     BLOCK_PX,
     Box,
     BoxUndistorter,
     ForegroundLocator,
-    keep_person,
     majority,
     majority_count,
     trim_outline,
@@ -91,7 +92,7 @@ def whole_image(camera, background, image, settings):
     height = len(image)
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
-    person = keep_person(person, MIN_AREA * area, settings.near * height, settings.max_hole * area)
+    person = keep_people(person, PeopleRule(MIN_AREA * area, settings.near * height, settings.max_hole * area))
     person = trim_outline(person, image, background.mean, settings.outline_contrast)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
 
@@ -148,7 +149,7 @@ def blank():
 
 
 def keep(mask, min_area_px=20, near_px=20, max_hole_px=30):
-    return keep_person(mask, min_area_px, near_px, max_hole_px)
+    return keep_people(mask, PeopleRule(min_area_px, near_px, max_hole_px))
 
 
 def test_limb_cut_from_the_trunk_survives():
@@ -189,6 +190,27 @@ def test_noise_speck_is_dropped_even_beside_the_person():
     expected = mask.copy()
     mask[60:64, 145:149] = 255  # 16 px of area
     assert np.array_equal(keep(mask), expected)
+
+
+@pytest.mark.parametrize("width", [64, 67])
+def test_holes_and_what_is_in_them_are_those_that_labelling_finds(width):
+    """Holes share edges, foreground also corners; a small hole is filled with the speck in it, a large one stays."""
+    rng = np.random.default_rng(6)
+    mask = cv2.GaussianBlur(rng.random((70, width)).astype(np.float32), (0, 0), 2.0)
+    mask = np.where(mask > np.median(mask), np.uint8(255), np.uint8(0))
+    kept = keep(mask, min_area_px=0, near_px=1e3, max_hole_px=30)
+    background, _ = ndimage.label(np.pad(mask == 0, 1, constant_values=True))
+    assert (kept[mask > 0] == 255).all() and (mask == 0).any()
+    small = 0
+    for hole in range(1, background.max() + 1):
+        if hole == background[0, 0]:
+            continue
+        inside = ndimage.binary_fill_holes(background == hole, np.ones((3, 3)))[1:-1, 1:-1]
+        filled = kept[(background == hole)[1:-1, 1:-1]]
+        assert (filled == filled[0]).all()
+        assert filled[0] == (255 if inside.sum() < 30 else 0)
+        small += inside.sum() < 30
+    assert small >= 2
 
 
 def test_smallest_kept_component_has_exactly_the_minimal_area():
@@ -247,7 +269,7 @@ def test_limb_survives_that_is_cut_off_as(cut):
     mask[cut] = 0
     settings = SilhouetteSettings()
     area = mask.shape[0] ** 2
-    kept = keep_person(mask, MIN_AREA * area, settings.near * mask.shape[0], settings.max_hole * area)
+    kept = keep_people(mask, PeopleRule(MIN_AREA * area, settings.near * mask.shape[0], settings.max_hole * area))
     assert cv2.connectedComponents(mask)[0] > 2  # it is cut off
     assert np.array_equal(kept, mask)
 
@@ -263,10 +285,11 @@ def test_larger_thing_does_not_stand_in_for_the_person():
     mask, things = np.zeros((2, 120, 160), np.uint8)
     mask[20:100, 10:70], mask[30:90, 120:140] = 255, 255
     things[16:104, 8:72] = 255
-    assert keep_person(mask, 20, 5, 10)[60, 30] == 255
-    kept = keep_person(mask, 20, 5, 10, things)
+    assert keep_people(mask, PeopleRule(20, 5, 10))[60, 30] == 255
+    kept = keep_people(mask, PeopleRule(20, 5, 10), things)
     assert kept[60, 130] == 255 and not kept[:, :80].any()
-    assert keep_person(np.where(things > 0, mask, 0).astype(np.uint8), 20, 5, 10, things)[60, 30] == 255  # nothing else
+    thing_alone = np.where(things > 0, mask, 0).astype(np.uint8)
+    assert keep_people(thing_alone, PeopleRule(20, 5, 10), things)[60, 30] == 255
 
 
 def test_spans_hold_the_dense_blocks_and_what_lies_between_them():

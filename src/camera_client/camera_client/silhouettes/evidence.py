@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ..background.kernels import OPTIONS, SCALE
+from ..background.kernels import OPTIONS, SCALE, median
 from ..background.noise import Noise
 from ..frame_source import Mask
 from .masks import Spans, whole_spans
@@ -81,7 +81,7 @@ class EvidenceFilter:
 def typical_level(expected: npt.NDArray[np.float32]) -> float:
     """Return the median grey level of about a thousand pixels of a part (h, w[, 3])."""
     every = max(1, math.isqrt(expected.shape[0] * expected.shape[1] // TYPICAL_SAMPLES))
-    return float(np.median(expected[every // 2 :: every, every // 2 :: every]))
+    return float(median(expected[every // 2 :: every, every // 2 :: every].reshape(-1)))
 
 
 def least_squared_distance(sigma: float, correlation: float, channels: int) -> float:

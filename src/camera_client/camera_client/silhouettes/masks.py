@@ -1,14 +1,12 @@
 """Operations on masks that look only where foreground is: a person fills a tenth of the image.
 
-In the order of the pipeline: :class:`ForegroundLocator` finds the box to work in, :func:`majority` filters noise,
-:func:`keep_person` drops specks and far components, :func:`trim_outline` puts the outline at half contrast, and
+In the order of the pipeline: :class:`ForegroundLocator` finds the box to work in, :func:`majority` filters noise (then
+:mod:`.components` drops specks and far parts), :func:`trim_outline` puts the outline at half contrast, and
 :class:`BoxUndistorter` maps the result onto the canvas.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -162,84 +160,6 @@ def majority_count(side_px: int) -> int:
     where a pixel also stands for its neighbours outside: in the corner, (side + 1) / 2 of them outvote all others.
     """
     return side_px // 2 + 1
-
-
-PERSON = 15.0  # times the least area, a hand's: a person seen from the side, half hidden, is so large
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """An outer contour with its area in pixels and its bounding box (x, y, w, h)."""
-
-    contour: np.ndarray
-    area_px: float
-    box: Sequence[int]
-
-
-def keep_person(mask: Mask, min_area_px: float, near_px: float, max_hole_px: float, things: Mask | None = None) -> Mask:
-    """Mask (H, W) without specks, far small components and small holes.
-
-    A component counts from ``min_area_px`` on. Kept are the largest, any other that is large enough to be a person, and
-    every one whose bounding box lies within ``near_px`` of a kept one: dark clothes on a dark floor cut legs from the
-    trunk, and they must survive. Holes below ``max_hole_px`` are filled; larger ones stay, or the gap between the legs
-    would be lost. Components that lie mostly on ``things`` (H, W), 255 where foreground is hardly a person, are left
-    out unless there are no others.
-    """
-    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    if not contours:
-        return np.zeros_like(mask)
-    is_outer = hierarchy.reshape(-1, 4)[:, 3] < 0
-    parts = _parts([c for c, outer in zip(contours, is_outer, strict=True) if outer], min_area_px)
-    if things is not None:
-        parts = [part for part in parts if not _lies_on(part, mask, things)] or parts
-    kept = np.zeros_like(mask)
-    cv2.drawContours(
-        kept, [part.contour for part in _people(parts, PERSON * min_area_px, near_px)], -1, 255, cv2.FILLED
-    )
-    cv2.bitwise_and(kept, mask, dst=kept)
-    holes = [c for c, outer in zip(contours, is_outer, strict=True) if not outer and _hole_area_px(c) < max_hole_px]
-    holes = [hole for hole in holes if kept[hole.reshape(-1, 2)[0, 1], hole.reshape(-1, 2)[0, 0]]]
-    cv2.drawContours(kept, holes, -1, 255, cv2.FILLED)
-    return kept
-
-
-def _parts(outers: list[np.ndarray], min_area_px: float) -> list[_Part]:
-    """Components of at least ``min_area_px``, the largest first (ties: in the order found, so deterministic)."""
-    areas_px = [cv2.contourArea(c) + len(c) / 2 + 1 for c in outers]  # Pick's theorem, border included
-    parts = [
-        _Part(c, area, cv2.boundingRect(c)) for c, area in zip(outers, areas_px, strict=True) if area >= min_area_px
-    ]
-    return sorted(parts, key=lambda part: -part.area_px)
-
-
-def _lies_on(part: _Part, mask: Mask, places: Mask) -> bool:
-    """Whether more than half of the foreground in a component's bounding box lies on ``places``."""
-    x, y, width, height = part.box
-    box = slice(y, y + height), slice(x, x + width)
-    return 2 * cv2.countNonZero(cv2.bitwise_and(mask[box], places[box])) > cv2.countNonZero(mask[box])
-
-
-def _people(parts: list[_Part], person_px: float, near_px: float) -> list[_Part]:
-    """Return the largest part, every other of a person's area, and what is near them; parts come largest first."""
-    kept = parts[:1] + [part for part in parts[1:] if part.area_px >= person_px]
-    frontier, waiting = kept, parts[len(kept) :]
-    while frontier and waiting:
-        frontier = [part for part in waiting if any(_gap_px(part.box, other.box) <= near_px for other in frontier)]
-        waiting = [part for part in waiting if part not in frontier]
-        kept = kept + frontier
-    return kept
-
-
-def _gap_px(a: Sequence[int], b: Sequence[int]) -> float:
-    """Distance between two boxes (x, y, w, h), 0 where they touch or overlap."""
-    dx = max(a[0] - (b[0] + b[2]), b[0] - (a[0] + a[2]), 0)
-    dy = max(a[1] - (b[1] + b[3]), b[1] - (a[1] + a[3]), 0)
-    return float(np.hypot(dx, dy))
-
-
-def _hole_area_px(contour: np.ndarray) -> float:
-    """Pixels of a hole, whose contour runs on the foreground around it: Pick's theorem, A - B / 2 + 1."""
-    return cv2.contourArea(contour) - len(contour) / 2 + 1
 
 
 # --- the outline: at half contrast, not where the background ends

@@ -26,8 +26,9 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
+from .components import PeopleRule, keep_people
 from .evidence import EvidenceFilter
-from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, keep_person, majority, majority_count, trim_outline
+from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, majority_count, trim_outline
 from .shadows import Scene, make_shadow_test
 from .spill import codec_spill
 
@@ -72,7 +73,9 @@ class SilhouettePipeline:
         self._certainty = CertaintyMeter(camera.width * camera.height, channels, background_settings.rule == "adaptive")
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
-        min_area_px = MIN_AREA * camera.height**2
+        height = camera.height
+        min_area_px = MIN_AREA * height**2
+        self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
         self._locator = ForegroundLocator(self._shape, min_area_px, majority_count(settings.median_px))
         self._undistorter = BoxUndistorter(camera.undistorted_view())
         self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
@@ -168,11 +171,9 @@ class SilhouettePipeline:
         return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.spill, spans)
 
     def _keep_person(self, mask: Mask, box: Box) -> Mask:
-        s, height = self._settings, self._shape[0]
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
-        area = height * height
         things = None if self.moved is None or self.moved.likely is None else self.moved.likely[box.slices]
-        return keep_person(mask, MIN_AREA * area, s.near * height, s.max_hole * area, things)
+        return keep_people(mask, self._people, things)
 
     def _silhouette(
         self, stamp_ns: int | None, levels: Mask, box: Box, canvas_levels: Mask | None = None

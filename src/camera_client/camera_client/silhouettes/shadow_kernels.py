@@ -117,6 +117,70 @@ def shadow_sums(image, expected, mask, window, block, darkest, lightest):  # typ
 
 
 @njit(**OPTIONS)
+def find_rims(image, expected, patch, beside, window, limit, fits):  # type: ignore[no-untyped-def]
+    """Write 255 into ``fits`` (h, w), else 0, where most pixels around one are as dark as the patch near them.
+
+    image (h, w) uint8, expected (h, w) float32; patch (h, w) uint8 : not 0 where shadow was found; beside (h, w)
+    uint8 : not 0 at the pixels that are looked at. window : side of what is near, in pixels of half the resolution.
+    limit : grey levels by which a pixel differs at most from the background, made as dark as the patch is near it.
+    """
+    height, width = patch.shape
+    down, across, reach = (height + 1) // 2, (width + 1) // 2, window // 2
+    seen, there = np.zeros((down, across)), np.zeros((down, across))  # of the patch, every second pixel
+    for v in range(down):
+        for u in range(across):
+            if patch[2 * v, 2 * u]:
+                seen[v, u], there[v, u] = image[2 * v, 2 * u], expected[2 * v, 2 * u]
+    near = np.zeros((height, width), np.uint8)
+    own, other = np.empty(across), np.empty(across)  # sums over the window's rows
+    X, M = np.zeros(across + 1 + 2 * reach), np.zeros(across + 1 + 2 * reach)  # ... and over what lies left of a place
+    scale = 1.0 / (window * window)
+    for v in range(down):
+        first, last = across, -1
+        for y in range(2 * v, min(2 * v + 2, height)):
+            row = beside[y]
+            for x in range(width):
+                if row[x]:
+                    first, last = min(first, x // 2), max(last, x // 2)
+        if last < 0:
+            continue
+        low, high = max(first - reach, 0), min(last + reach + 1, across)
+        own[:], other[:] = 0.0, 0.0
+        for step in range(-reach, reach + 1):
+            at = _reflected(v + step, down)
+            seen_row, there_row, own_part, other_part = seen[at][low:high], there[at][low:high], own[low:], other[low:]
+            for u in range(len(seen_row)):
+                own_part[u] += seen_row[u]
+                other_part[u] += there_row[u]
+        for u in range(first - reach, last + reach + 1):
+            at, k = _reflected(u, across), u + reach
+            X[k + 1], M[k + 1] = X[k] + own[at], M[k] + other[at]
+        for u in range(first, last + 1):
+            sums = X[u + window] - X[u], M[u + window] - M[u]
+            darker = F32(sums[0] * scale) / max(F32(sums[1] * scale), F32(1e-3))
+            for y in range(2 * v, min(2 * v + 2, height)):
+                for x in range(2 * u, min(2 * u + 2, width)):
+                    if beside[y, x] and abs(darker * expected[y, x] - F32(image[y, x])) <= limit:
+                        near[y, x] = 1
+    sums_of_rows = np.zeros((height, width), np.uint8)  # of three in a row
+    for y in range(height):
+        row, to = near[y], sums_of_rows[y]
+        to[0], to[-1] = row[0] + 2 * row[min(1, width - 1)], row[-1] + 2 * row[max(width - 2, 0)]
+        left, middle, right, inner = row[:-2], row[1:-1], row[2:], to[1:-1]
+        for x in range(len(inner)):
+            inner[x] = left[x] + middle[x] + right[x]
+    for y in range(height):
+        above, own_row, below = (
+            sums_of_rows[_reflected(y - 1, height)],
+            sums_of_rows[y],
+            sums_of_rows[_reflected(y + 1, height)],
+        )
+        to = fits[y]
+        for x in range(width):
+            to[x] = np.uint8(255) if above[x] + own_row[x] + below[x] >= 5 else np.uint8(0)
+
+
+@njit(**OPTIONS)
 def _reflected(place, size):  # type: ignore[no-untyped-def]
     """Return a place beyond the border mirrored at the last pixel."""
     if place < 0:

@@ -21,7 +21,7 @@ from ..frame_source import Image, Mask
 from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
 from .evidence import typical_level
 from .masks import Box
-from .shadow_kernels import DarkenedRule, find_darkened, shadow_sums
+from .shadow_kernels import DarkenedRule, find_darkened, find_rims, shadow_sums
 from .spill import COLOUR_SHARE
 
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
@@ -149,15 +149,10 @@ class FloorShadow:
         the body fit nothing."""
         reach = len(self._border)
         rims, at = np.zeros_like(patches), Box.around(patches).grown(reach, patches.shape).slices
-        image, expected, patch = scene.image[at], scene.expected[at], patches[at]
-        # how dark the patch is around, from every second pixel
-        own, window = (patch[::2, ::2] > 0).astype(np.float32), (2 * (reach // 2) + 1,) * 2
-        seen, there = (cv2.blur(cv2.multiply(v[::2, ::2].astype(np.float32), own), window) for v in (image, expected))
-        darker = enlarged(cv2.divide(seen, np.maximum(there, np.float32(1e-3))), 2, patch.shape)
-        differs = cv2.absdiff(cv2.multiply(darker, expected), image.astype(np.float32))
-        fits = cv2.inRange(differs, 0.0, self._settings.residual * sigma)
+        patch = patches[at]
         beside = cv2.bitwise_and(looked_at[at], cv2.subtract(cv2.dilate(patch, self._border), patch))
-        fits = cv2.threshold(cv2.blur(cv2.bitwise_and(fits, beside), (3, 3)), 127, 255, cv2.THRESH_BINARY)[1]
+        fits, limit = np.empty_like(patch), np.float32(self._settings.residual * sigma)
+        find_rims(scene.image[at], scene.expected[at], patch, beside, 2 * (reach // 2) + 1, limit, fits)
         fits = cv2.morphologyEx(cv2.bitwise_or(fits, patch), cv2.MORPH_OPEN, _THREE)
         rims[at] = cv2.bitwise_and(fits, looked_at[at])
         return rims
