@@ -9,23 +9,24 @@ from __future__ import annotations
 import argparse
 import threading
 import time
+from contextlib import nullcontext
 
 from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_bringup.processes import ProcessSpec
 from virtual_studio.gige import command as studio
 
 from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, table_console
-from ..graph.lifecycle_client import LifecycleClient, State
+from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
+from .view import add_page_arguments, page_of
 
 REFRESH_S = 0.5
 # verb -> (the state it leads to, whether the cameras go first, help)
@@ -41,6 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("up", help="run the graph on a session of footage or on a rig of cameras")
     add_graph_arguments(parser)
     add_server_argument(parser)
+    add_page_arguments(parser, "--view")
     parser.add_argument("--record", metavar="BAG", help="record all topics into this bag")
     parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
     parser.add_argument("--run-folder", help="where logs and parameter files go (default: output/up-DATE-TIME)")
@@ -71,6 +73,7 @@ def up(args: argparse.Namespace) -> int:
     with (
         StopOnSignal() as stop,
         Supervisor(graph, folder, on_exit=report_exit, cancel=stop, server=args.server) as supervisor,
+        page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop)
         watch(supervisor, console, stop, args.seconds)
@@ -126,11 +129,8 @@ def change_state(args: argparse.Namespace) -> int:
     """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
     with RosLink("sagoma_control") as link:
         names = discover(link.node, args.expect, args.wait)
-        cameras = [name for name in names if name.endswith(f"/{CAMERA_NODE}")]
-        server = [name for name in names if name not in cameras]
-        groups = [cameras, server] if args.cameras_first else [server, cameras]
         client = LifecycleClient(link.node)
-        outcome = client.bring(groups, args.goal, args.timeout)
+        outcome = client.bring(groups_of(names, args.cameras_first), args.goal, args.timeout)
         states = client.states(names)
     for name in names:
         print(f"{name}: {states[name] or 'did not answer'}")

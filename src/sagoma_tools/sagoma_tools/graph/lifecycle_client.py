@@ -13,6 +13,8 @@ from typing import Any
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
+from sagoma_bringup.graph import CAMERA_NODE
+
 from .ros_link import call_all
 
 STATE_TIMEOUT_S = 5.0
@@ -109,6 +111,14 @@ def path_to(goal: State, label: str) -> tuple[Transition, ...]:
     """Return the transitions that lead from the state called ``label`` (one of LABELS) to ``goal``."""
     here, there = LABELS.index(label), LADDER.index(goal)
     return UP[here:there] if here <= there else DOWN[there:here][::-1]
+
+
+def groups_of(names: Iterable[str], cameras_first: bool) -> list[list[str]]:
+    """Return camera clients and server's nodes (full names) as two groups: cameras last on the way up, first down."""
+    everybody = list(names)
+    cameras = [name for name in everybody if name.endswith(f"/{CAMERA_NODE}")]
+    server = [name for name in everybody if name not in cameras]
+    return [cameras, server] if cameras_first else [server, cameras]
 
 
 class LifecycleClient:

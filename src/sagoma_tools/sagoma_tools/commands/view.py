@@ -1,0 +1,85 @@
+"""``sagoma view``: the live page of the graph, or of a recorded take, in any browser."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from capture_rig.rig import load_rig
+
+from ..graph.diagnostics_table import DiagnosticsTable
+from ..graph.ros_link import RosLink, StopOnSignal
+from ..view.control import Control
+from ..view.guard import ANY_HOST, Guard
+from ..view.live import LiveGraph
+from ..view.page import Page
+
+HOST, PORT = "127.0.0.1", 8080
+TAKES = "output/takes"
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser("view", help="a page to see and run the graph by, or to look at a take")
+    parser.add_argument("take", nargs="?", help="bag to play on the page (default: the live graph)")
+    parser.add_argument("--rig", help="rig YAML, whose cameras are drawn")
+    add_page_arguments(parser)
+    parser.add_argument("--seconds", type=float, help="close after so long (default: run until Ctrl-C)")
+    parser.set_defaults(run=run)
+
+
+def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> None:
+    """The arguments of a page; :func:`page_of` reads them."""
+    if switch:
+        parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/view.md)")
+    help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
+    parser.add_argument("--host", default=HOST, help=help_host)
+    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}, or the next free one")
+    parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
+    parser.add_argument("--takes", default=TAKES, metavar="FOLDER", help=f"where takes are (default: {TAKES})")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C."""
+    with StopOnSignal() as stop, page_of(args):
+        stop.wait(args.seconds)
+    return 0
+
+
+@contextmanager
+def page_of(args: argparse.Namespace) -> Iterator[Page]:
+    """Serve the page that the arguments describe: of a take alone, or of the graph."""
+    take = getattr(args, "take", None)
+    rig = load_rig(args.rig) if args.rig else None
+    guard = Guard.of(args.host, args.token)
+    if take is not None:
+        folder = Path(take).resolve()
+        page = Page(guard, args.port, folder.parent, None, None)
+        try:
+            page.show_take(folder)
+            announce(guard, page.port)
+            yield page
+        finally:
+            page.close()
+        return
+    with RosLink("sagoma_view") as link:
+        diagnostics = DiagnosticsTable(link.node)
+        control = Control(link, diagnostics, Path(args.takes))
+        page = Page(guard, args.port, Path(args.takes), LiveGraph(link, diagnostics), control)
+        try:
+            if rig is not None:
+                page.show_rig(rig)
+            announce(guard, page.port)
+            yield page
+        finally:
+            page.close()
+            control.close()
+
+
+def announce(guard: Guard, port: int) -> None:
+    """Print the address to open."""
+    host = "MACHINE" if guard.host in ANY_HOST else guard.host
+    host = f"[{host}]" if ":" in host else host
+    print(f"the page: http://{host}:{port}/" + (f"?token={guard.token}" if guard.token else ""), flush=True)

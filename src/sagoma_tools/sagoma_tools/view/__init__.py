@@ -1,0 +1,1 @@
+"""The live page: what the graph sees and does, in any browser."""

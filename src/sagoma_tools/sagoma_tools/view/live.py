@@ -1,0 +1,137 @@
+"""The live graph as the page shows it: persons, voxels, pictures, states; subscribed to only while somebody looks."""
+
+from __future__ import annotations
+
+import time
+
+import cv2
+import numpy as np
+import viser
+
+from mocap_packets.hull import VoxelSamples
+from sagoma_ros.packets import read_finite, read_reference_points
+
+from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
+from ..graph.ros_link import RosLink, our_nodes
+from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, persons_in
+from .feed import Feed
+from .scene import Figure
+
+LOOK_S = 1.0
+"""How often the graph is asked who is there: names are cheap, but not free."""
+GONE_S = 1.0
+"""A person of whom nothing has come for so long is not drawn any more."""
+VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
+PREVIEW = "/preview/compressed"
+PICTURE_TYPE = "sensor_msgs/msg/CompressedImage"
+PICTURE_WIDTH = 320
+COLUMNS = ("node", "state", "Hz", "ms", "lost", "says")
+
+
+class LiveGraph:
+    """Reads the graph through a node that another thread spins."""
+
+    def __init__(self, link: RosLink, diagnostics: DiagnosticsTable) -> None:
+        self._node, self._diagnostics = link.node, diagnostics
+        self._feed = Feed(link.node)
+        self._looked_s, self._wanted = -LOOK_S, (False, False)
+        self._bodies: dict[str, str] = {}
+        self._figures: dict[str, tuple[float, Figure]] = {}
+        self._states: dict[str, str] = {}
+        self._cameras: dict[str, str] = {}
+        self._pictures: dict[str, viser.GuiImageHandle] = {}
+
+    @property
+    def watched(self) -> frozenset[str]:
+        """The topics subscribed to."""
+        return self._feed.watched
+
+    def watch_nothing(self) -> None:
+        """Leave all topics."""
+        if self._feed.watched:
+            self._feed.watch(())
+            self._figures.clear()
+        self._looked_s = -LOOK_S
+
+    def watch(self, *, voxels: bool, pictures: bool) -> None:
+        """Subscribe to what is shown, and, once a second, to persons and cameras who have come."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s < LOOK_S and (voxels, pictures) == self._wanted:
+            return
+        self._looked_s, self._wanted = now_s, (voxels, pictures)
+        names = [name for name, _ in self._node.get_topic_names_and_types()]
+        others = [body_id for body_id in persons_in(names) if body_id != FIRST_BODY_ID]
+        self._bodies = {FIRST_BODY_ID: "/mocap", **{body_id: f"/mocap/bodies/{body_id}" for body_id in others}}
+        self._cameras = {
+            camera: preview if (preview := f"/{camera}{PREVIEW}") in names else f"/{camera}/silhouette/compressed"
+            for camera in cameras_in(names)
+        }
+        wanted = [
+            (f"{prefix}/{what}", OF_A_PERSON[what])
+            for prefix in self._bodies.values()
+            for what in ("reference_points", "state")
+        ]
+        wanted += [VOXELS] if voxels else []
+        wanted += [(topic, PICTURE_TYPE) for topic in self._cameras.values()] if pictures else []
+        self._feed.watch(wanted)
+
+    def new_figures(self) -> dict[str, Figure] | None:
+        """Return everybody who is there, by id; None when nothing has changed."""
+        now_s, changed = time.monotonic(), False
+        for body_id, prefix in self._bodies.items():
+            state = self._feed.take(f"{prefix}/state")
+            if state is not None:
+                self._states[body_id] = state.message
+            cloud = self._feed.take(f"{prefix}/reference_points")
+            if cloud is None:
+                continue
+            points = read_reference_points(cloud, f"{prefix}/reference_points")
+            sigma = np.sqrt(np.trace(points.covariance, axis1=-2, axis2=-1) / 3.0)
+            self._figures[body_id] = now_s, Figure(points.points_world, sigma, self._states.get(body_id, ""))
+            changed = True
+        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > GONE_S]
+        for body_id in gone:
+            del self._figures[body_id]
+        if not (changed or gone):
+            return None
+        return {body_id: figure for body_id, (_, figure) in self._figures.items()}
+
+    def new_voxels(self) -> np.ndarray | None:
+        """Return the hull's voxels (m, 3), when there are newer ones."""
+        cloud = self._feed.take(VOXELS[0])
+        return None if cloud is None else read_finite(cloud, VoxelSamples, VOXELS[0])[0].points_world
+
+    def states_table(self) -> str:
+        """Return every node of the graph, by its last diagnostics, as a markdown table."""
+        now_s = time.monotonic()
+        rows = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+        for name in sorted(our_nodes(self._node) | set(self._diagnostics.names())):
+            report = self._diagnostics.report(name)
+            if report is None:
+                rows.append(f"| {name} | | | | | nothing yet |")
+                continue
+            silent_s = now_s - report.heard_s
+            says = f"silent for {silent_s:.0f} s" if silent_s > STALE_S else report.message.replace("|", "/")
+            lost = ", ".join(f"{count} {key}" for key, count in report.losses().items())
+            level = {b"\x00": "ok", b"\x01": "**warning**", b"\x02": "**error**"}.get(report.level, "**stale**")
+            values = report.values
+            cells = (name.strip("/"), level, values.get("rate_hz", ""), values.get("latency_p50_ms", ""), lost, says)
+            rows.append("| " + " | ".join(cells) + " |")
+        return "\n".join(rows)
+
+    def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
+        """Draw each camera's newest picture: its preview where the client publishes one, else its silhouette."""
+        for camera, topic in self._cameras.items():
+            message = self._feed.take(topic)
+            if message is None:
+                continue
+            image = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
+            if image is None:
+                continue
+            height = max(1, round(image.shape[0] * PICTURE_WIDTH / image.shape[1]))
+            small = cv2.cvtColor(cv2.resize(image, (PICTURE_WIDTH, height)), cv2.COLOR_BGR2RGB)
+            if camera in self._pictures:
+                self._pictures[camera].image = small
+            else:
+                with folder:
+                    self._pictures[camera] = gui.add_image(small, label=camera, format="jpeg")

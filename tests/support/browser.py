@@ -1,0 +1,142 @@
+"""A headless Chromium that tests drive: pages opened, buttons pressed by their words, pictures taken."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.sync.client import connect
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+WAIT_S = 180.0
+LISTENING = re.compile(r"DevTools listening on (ws://\S+)")
+
+
+@contextmanager
+def browser(width: int = 1400, height: int = 900) -> Iterator[Browser]:
+    """A browser with one empty tab; the test is skipped where there is none."""
+    program = next((found for name in PROGRAMS if (found := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("no Chromium here: `apt install chromium`")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        flags = ["--headless=new", "--no-sandbox", "--remote-debugging-port=0", f"--user-data-dir={profile}"]
+        flags += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--window-size={width},{height}"]
+        flags += ["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+        process = subprocess.Popen([program, *flags, "about:blank"], stderr=subprocess.PIPE, text=True)
+        try:
+            yield Browser(_debugging_address(process))
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def _debugging_address(process: subprocess.Popen[str]) -> str:
+    assert process.stderr is not None
+    for line in process.stderr:
+        if match := LISTENING.search(line):
+            return match[1]
+    raise AssertionError("the browser ended before it listened")
+
+
+class Browser:
+    """One tab, by the Chrome DevTools protocol."""
+
+    def __init__(self, address: str) -> None:
+        host = address.split("/")[2]
+        with urllib.request.urlopen(f"http://{host}/json/list") as reply:
+            tab = next(target for target in json.load(reply) if target["type"] == "page")
+        self._socket = connect(tab["webSocketDebuggerUrl"], max_size=None)
+        self._numbers = count(1)
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """One command of the protocol, and its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._socket.recv(timeout=2 * WAIT_S))
+            if message.get("id") == number:
+                assert "error" not in message, message
+                return message["result"]
+
+    def open(self, url: str) -> None:
+        """Go there."""
+        self.call("Page.enable")
+        self.call("Page.navigate", url=url)
+
+    def run(self, script: str) -> Any:
+        """The value of an expression on the page; promises are awaited."""
+        result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in result, result
+        return result["result"].get("value")
+
+    def wait_for(self, condition: str) -> Any:
+        """The value of an expression once it is true, looked at with every frame that the page draws."""
+        script = f"""new Promise((resolve, reject) => {{
+            const end = performance.now() + {1e3 * WAIT_S};
+            const look = () => {{
+                const value = {condition};
+                if (value) resolve(value);
+                else if (performance.now() > end) reject(new Error("still not: " + {json.dumps(condition)}));
+                else setTimeout(look, 50);
+            }};
+            look();
+        }})"""
+        return self.run(script)
+
+    def wait_for_text(self, text: str) -> None:
+        """Until the page says so."""
+        self.wait_for(f"document.body && document.body.innerText.includes({json.dumps(text)})")
+
+    def press(self, words: str) -> None:
+        """Click with the mouse on the button or tab of these words."""
+        find = f"""(() => {{
+            const all = [...document.querySelectorAll('button, [role=tab]')];
+            const found = all.find(each => each.innerText.trim() === {json.dumps(words)});
+            if (!found) return null;
+            found.scrollIntoView({{block: 'center'}});
+            const box = found.getBoundingClientRect();
+            return box.width ? [box.x + box.width / 2, box.y + box.height / 2] : null;
+        }})()"""
+        x, y = self.wait_for(find)
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            button = "none" if kind == "mouseMoved" else "left"
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=1)
+
+    def write(self, label: str, text: str) -> None:
+        """Type into the text field that follows this label."""
+        script = f"""(() => {{
+            const label = [...document.querySelectorAll('label')].find(l => l.innerText.trim() === {json.dumps(label)});
+            let box = label;
+            while (box && !box.querySelector('input')) box = box.parentElement;
+            box.querySelector('input').focus();
+        }})()"""
+        self.run(script)
+        self.call("Input.insertText", text=text)
+
+    def picture(self, path: Path) -> None:
+        """What the page looks like, as a PNG."""
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+
+    def frames_a_second(self, seconds: float) -> float:
+        """How often the page is drawn, on average."""
+        script = f"""new Promise(resolve => {{
+            const begin = performance.now(); let frames = 0;
+            const draw = now => {{
+                frames += 1;
+                if (now - begin < {1e3 * seconds}) requestAnimationFrame(draw);
+                else resolve(1e3 * frames / (now - begin));
+            }};
+            requestAnimationFrame(draw);
+        }})"""
+        return float(self.run(script))
