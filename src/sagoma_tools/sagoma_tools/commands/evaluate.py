@@ -13,16 +13,18 @@ from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
+from capture_rig.sight import Sight
 from capture_rig.video_findings import VideoFacts, ended_findings
 from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings, table_console
-from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_variants
+from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
 from ..evaluation.live_run import REFERENCE_START, T_POSE_START, start_settings
+from ..evaluation.people import PeopleScores, main_track, score_people
 from ..evaluation.pictures import draw_stills, write_overlay
 from ..evaluation.scores import Scores, score
-from ..evaluation.tables import print_ablation, print_evaluation
-from ..evaluation.track import Track, track_from_bag
+from ..evaluation.tables import print_ablation, print_evaluation, print_people
+from ..evaluation.track import Track, tracks_from_bag
 from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from ..recording.session_clock import clock_of_bag, is_bag, session_of_bag
 
@@ -53,12 +55,18 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Track or read a bag, evaluate, print tables, draw, and print one line of JSON last."""
     session, bag = find(args)
-    tracks, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
+    everybody, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
+    tracks = {name: main_track(of_all, session.truths, session.fps) for name, of_all in everybody.items()}
     evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS))
     figures, console = evaluated.figures(), table_console(stderr=args.json, width=TABLE_WIDTH)
     rows = ablation_scores(session, tracks) if args.ablation else {}
+    people = people_scores(session, everybody[OURS])
+    if people is not None:
+        figures["people"] = people.figures()
     if not args.json:
         print_evaluation(console, evaluated)
+        if people is not None:
+            print_people(console, people)
         if rows:
             print_ablation(console, rows)
     if args.plots or args.video or not args.json:
@@ -82,22 +90,24 @@ def find(args: argparse.Namespace) -> tuple[Session, str | None]:
     return load_session(given), args.bag
 
 
-def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, Track], int]:
-    """Return the track in a bag that was recorded on the session, the thesis's track where it is wanted, and frames."""
+def recorded(args: argparse.Namespace, session: Session, bag: str) -> tuple[dict[str, dict[int, Track]], int]:
+    """Return everybody's tracks in a bag that was recorded on the session, by the thesis's method, too, where that is
+    wanted, and frames."""
     if args.ablation:
         remedy = f"Run sagoma evaluate {session.folder} --ablation."
         raise InputError("a bag holds one track and no variants of it", where="--ablation", remedy=remedy)
     clock = clock_of_bag(bag, session)
-    tracks = {OURS: track_from_bag(bag, clock.frame_of).between(0, clock.frames)}
+    of_bag = tracks_from_bag(bag, clock.frame_of)
+    tracks = {OURS: {person: track.between(0, clock.frames) for person, track in of_bag.items()}}
     if args.thesis and not session.videos:
         raise InputError("names no footage for the thesis's method", where=bag, remedy="Leave out --thesis.")
     if args.thesis:
         variants = {THESIS: thesis_configuration(_settings(args, session))}
-        tracks |= track_variants(session, variants, exact_masks=args.exact_masks)
+        tracks |= track_people(session, variants, exact_masks=args.exact_masks)
     return tracks, clock.frames
 
 
-def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track], int]:
+def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[int, Track]], int]:
     """The session tracked with the given settings, by the thesis's method, and by every row of an ablation; frames."""
     if args.ablation and session.truth is None:
         remedy = "Leave out --ablation, or give a session with a truth."
@@ -109,12 +119,19 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, Track
         variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
     ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
     came: dict[str, VideoFacts] = {}
-    tracks = track_variants(
+    tracks = track_people(
         session, ours_first, exact_masks=args.exact_masks, progress=counter("tracking"), ended=came.update
     )
     for finding in ended_findings(came):
         print(f"sagoma: {finding}", file=sys.stderr)
     return tracks, min(facts.passed.frames for facts in came.values())
+
+
+def people_scores(session: Session, tracks: Mapping[int, Track]) -> PeopleScores | None:
+    """Return everybody's scores; None for a session of one person."""
+    if len(session.truths) < 2:
+        return None
+    return score_people(tracks, session.truths, session.fps, Sight(session.rig))
 
 
 def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:

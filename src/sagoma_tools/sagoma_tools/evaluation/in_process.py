@@ -16,10 +16,12 @@ from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.video_findings import VideoFacts
+from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower, Masks, MocapPipeline, make_segmenter
 
+from .people import main_track
 from .track import Track
 
 FootageEnded = Callable[[dict[str, VideoFacts]], None]
@@ -54,11 +56,25 @@ def track_variants(
     progress: Callable[[int], None] = lambda frame: None,
     ended: FootageEnded = ignore_end,
 ) -> dict[str, Track]:
-    """Track with several configurations over the same hulls: every frame is segmented and carved once.
+    """Track as :func:`track_people`; of each configuration, the track of the person that the first truth is of."""
+    people = track_people(session, variants, exact_masks=exact_masks, progress=progress, ended=ended)
+    return {name: main_track(tracks, session.truths, session.fps) for name, tracks in people.items()}
 
-    Cameras and hull are set as the first one says, from which the others may differ in fit and filter only; it is also
-    the one that must find a body (InputError): another's track may be empty. ``ended`` : is told what came of the
-    videos when the shortest has ended.
+
+def track_people(
+    session: Session,
+    variants: Mapping[str, Configuration],
+    *,
+    exact_masks: bool = False,
+    progress: Callable[[int], None] = lambda frame: None,
+    ended: FootageEnded = ignore_end,
+) -> dict[str, dict[int, Track]]:
+    """Track everybody with several configurations over the same hulls: every frame is segmented and carved once.
+
+    Returns each configuration's tracks by the person's number; the first person's is always there. Cameras and hull
+    are set as the first one says, from which the others may differ in fit and filter only; it is also the one that must
+    find a body (InputError): another's tracks may be empty. ``ended`` : is told what came of the videos when the
+    shortest has ended.
     """
     first, *others = variants.values()
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
@@ -66,18 +82,21 @@ def track_variants(
     pipeline = MocapPipeline(session.rig, first)
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, first.camera, pipeline, ended)
     followers = [pipeline.body, *(BodyFollower.of(other, session.rig) for other in others)]
-    rows: list[list[tuple[int, BodyState]]] = [[] for _ in followers]
+    rows: list[dict[int, list[tuple[int, BodyState]]]] = [{FIRST_PERSON: []} for _ in followers]
     for frame, frame_masks in enumerate(masks):
         progress(frame)
         products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
         for follower, states in zip(followers, rows, strict=True):
-            state = follower.step(products).state
-            if state is not None:
-                states.append((frame, state))
-    if not rows[0]:
+            for person in follower.step(products).people:
+                if person.state is not None:
+                    states.setdefault(person.person, []).append((frame, person.state))
+    if not rows[0][FIRST_PERSON]:
         remedy = "Start from a T-pose, or give the reference of the first frame."
         raise InputError("no body was found in any frame", where=str(session.folder), remedy=remedy)
-    return {name: Track.of_states(states) for name, states in zip(variants, rows, strict=True)}
+    return {
+        name: {person: Track.of_states(of_person) for person, of_person in sorted(states.items())}
+        for name, states in zip(variants, rows, strict=True)
+    }
 
 
 def segmented(

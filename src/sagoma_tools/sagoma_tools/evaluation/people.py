@@ -15,7 +15,7 @@ from capture_rig.session import Truth
 from capture_rig.sight import Sight
 from mocap_packets.state import Tracking
 
-from .scores import Scores, score
+from .scores import OVERALL, Scores, number, score
 from .track import Track
 
 LOST, SURE = str(Tracking.LOST), str(Tracking.TRACKING)
@@ -38,6 +38,14 @@ class PersonScores:
     switches: int
     scores: Scores | None
 
+    def figures(self) -> dict[str, object]:
+        """Name to number, for a line of JSON."""
+        whole: dict[str, object] = {"numbers": list(self.numbers), "switches": self.switches}
+        if self.scores is not None:
+            whole |= {"frames": self.scores.frames, "tracked": self.scores.tracked}
+            whole |= {name: number(getattr(self.scores, name)) for name in OVERALL}
+        return whole
+
 
 @dataclass(frozen=True, eq=False)
 class PeopleScores:
@@ -56,6 +64,15 @@ class PeopleScores:
         """Identity switches of all persons."""
         return sum(person.switches for person in self.persons)
 
+    def figures(self) -> dict[str, object]:
+        """Name to number, for a line of JSON."""
+        return {
+            "persons": [person.figures() for person in self.persons],
+            "switches": self.switches,
+            "ghosts": list(self.ghosts),
+            "ghost_frames": self.ghost_frames,
+        }
+
 
 def score_people(
     tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float, sight: Sight | None = None
@@ -65,22 +82,22 @@ def score_people(
     Where a track says that it has lost its person it is not looked at: that person may have left. With ``sight`` errors
     count of those points alone that the rig shows.
     """
-    tracks = {number: track.chosen(track.states != LOST) for number, track in sorted(tracks.items())}
-    distances = {number: distances_m(track, truths) for number, track in tracks.items() if len(track)}
+    tracks = {person: track.chosen(track.states != LOST) for person, track in sorted(tracks.items())}
+    distances = {person: distances_m(track, truths) for person, track in tracks.items() if len(track)}
     owners = assign(distances, fps)
     patience = max(round(SWITCHED_FOR_S * fps), 1)
     persons = []
     for place, truth in enumerate(truths):
-        numbers = tuple(number for number, owner in owners.items() if owner == place)
+        numbers = tuple(person for person, owner in owners.items() if owner == place)
         switches = max(len(numbers) - 1, 0)
-        switches += sum(changes(distances[number], patience) for number in numbers)
+        switches += sum(changes(distances[person], patience) for person in numbers)
         first = tracks[numbers[0]] if numbers else None
         persons.append(PersonScores(place, numbers, switches, _scores(first, truth, sight)))
-    ghosts = tuple(number for number, owner in owners.items() if owner is None)
+    ghosts = tuple(person for person, owner in owners.items() if owner is None)
     astray = {
         int(frame)
-        for number, rows in distances.items()
-        for frame, state, row in zip(tracks[number].frames, tracks[number].states, rows, strict=True)
+        for person, rows in distances.items()
+        for frame, state, row in zip(tracks[person].frames, tracks[person].states, rows, strict=True)
         if state == SURE and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
     }
     return PeopleScores(tuple(persons), ghosts, len(astray))
@@ -112,13 +129,13 @@ def distances_m(track: Track, truths: Sequence[Truth]) -> np.ndarray:
 def assign(distances: Mapping[int, np.ndarray], fps: float) -> dict[int, int | None]:
     """Return the truth that each person's track belongs to by its first second; None for one that is with nobody."""
     owners: dict[int, int | None] = {}
-    for number, rows in distances.items():
+    for person, rows in distances.items():
         first = rows[: max(round(FIRST_S * fps), 1)]
         known = np.isfinite(first)
         mean = np.where(known, first, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         mean[~known.any(axis=0)] = np.inf
         nearest = int(np.argmin(mean))
-        owners[number] = nearest if mean[nearest] < GHOST_M else None
+        owners[person] = nearest if mean[nearest] < GHOST_M else None
     return owners
 
 

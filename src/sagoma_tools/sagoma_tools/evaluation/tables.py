@@ -13,6 +13,7 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 from ..graph.diagnostics_table import BUDGET_PERIODS
 from ..graph.processes import Usage
 from .angles import AngleScores
+from .people import PeopleScores
 from .scores import Scores
 from .track_evaluation import TrackEvaluation
 
@@ -117,6 +118,25 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
             f"the thesis's method on the same hulls: mean {evaluated.thesis.mean_mm:.1f} mm, {ratio:.1f} times ours",
             style="bold",
         )
+
+
+def print_people(console: Console, people: PeopleScores) -> None:
+    """Print a row for each person of a session with several truths, where the rig shows that person."""
+    table = _table("every person, where the rig shows them", "truth", "numbers", *POINT_COLUMNS, "frames", "switches")
+    for person in people.persons:
+        name, numbers = f"person {person.truth + 1}", "+".join(map(str, person.numbers)) or "-"
+        scores = person.scores
+        if scores is None:
+            table.add_row(name, numbers, "no track")
+            continue
+        errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
+        over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
+        coverage = f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
+        frames = f"{scores.tracked} of {scores.frames}"
+        table.add_row(name, numbers, *errors, over, offset, *coverage, frames, str(person.switches))
+    console.print(table)
+    nobody = f"; tracks of nobody: {', '.join(map(str, people.ghosts))}" if people.ghosts else ""
+    console.print(f"{people.switches} identity switches; {people.ghost_frames} frames with a track of nobody{nobody}")
 
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
