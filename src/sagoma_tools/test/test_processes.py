@@ -5,8 +5,18 @@ import sys
 import threading
 
 import psutil
+import pytest
 
-from sagoma_tools.graph.processes import Child, Exit, node_command, stop_children
+from sagoma_tools.graph.processes import (
+    LONGEST_START_S,
+    STALLED_S,
+    Child,
+    Exit,
+    StartPatience,
+    busy_machine,
+    node_command,
+    stop_children,
+)
 
 
 def test_installed_executable_is_preferred_to_the_module(tmp_path, monkeypatch):
@@ -80,3 +90,26 @@ def wait_for_text(child, text):
             return log
         threading.Event().wait(0.05)
     raise AssertionError(f"{child.name} never said {text!r}")
+
+
+def test_a_process_that_starts_slowly_is_waited_for_and_one_that_hangs_is_named():
+    now_s, used_s = 0.0, 0.0
+    patience = StartPatience(lambda: used_s, lambda: now_s)
+    while now_s < 600.0:  # a hundredth of a processor, on a machine of load 200
+        now_s, used_s = now_s + 10.0, used_s + 0.1
+        assert patience.spent() == ""
+    now_s += STALLED_S + 1.0
+    assert patience.spent() == "it hangs after 661 s, 6.0 s of them on the processor"
+    used_s, now_s = 7.0, LONGEST_START_S + 1.0
+    assert "was not ready after 901 s" in patience.spent()
+
+
+def test_a_process_that_has_ended_is_waited_for_no_longer():
+    assert StartPatience(lambda: None).spent() == "it has ended"
+
+
+@pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])
+def test_a_busy_machine_is_named_as_the_cause(monkeypatch, load, said):
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert (said in busy_machine()) and bool(busy_machine()) == bool(said)

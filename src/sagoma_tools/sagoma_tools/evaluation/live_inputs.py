@@ -22,7 +22,7 @@ from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.control import ask
 
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import Child, Usage, stop_children
+from ..graph.processes import Child, StartPatience, Usage, busy_machine, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
@@ -30,13 +30,12 @@ from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, frame_count
 from .held_rate import HeldRate
 
-READY_TIMEOUT_S = 120.0  # a long session is decoded into memory first
 START_POLL_S = 0.05
 GRACE_S = 5.0
 SILENCE_S = 20.0
 POLL_S = 0.5
 KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
-RESET_TIMEOUT_S = 5.0
+RESET_TIMEOUT_S = 30.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
 
@@ -79,13 +78,23 @@ class StudioProcess:
         ended = threading.Event()
         log = self.folder / "studio.log"
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
-        deadline_s = time.monotonic() + READY_TIMEOUT_S
+        patience = StartPatience(self._cpu_s)  # a long session is decoded into memory first
         while self._child.log_tail(1) != "ready":
-            if ended.wait(START_POLL_S) or time.monotonic() > deadline_s or (cancel is not None and cancel.is_set()):
-                self.close()
-                what = f"the studio did not start ({self._child.log_tail(2) or 'its log is empty'})"
-                raise InputError(what, where=str(log), remedy="Correct what its log names.")
+            interrupted = cancel is not None and cancel.is_set()
+            if ended.wait(START_POLL_S) or interrupted:
+                why, remedy = "it was interrupted" if interrupted else "it has ended", "Correct what its log names."
+            elif why := patience.spent():
+                remedy = f"See what its log says last; {busy_machine() or 'the machine is not busy'}."
+            else:
+                continue
+            self.close()
+            what = f"the studio did not start ({why}; {self._child.log_tail(2) or 'its log is empty'})"
+            raise InputError(what, where=str(log), remedy=remedy)
         return self
+
+    def _cpu_s(self) -> float | None:
+        used = self.usage()
+        return None if used is None else used.cpu_s
 
     def ask(self, do: str, **words: Any) -> dict[str, Any]:
         """Send one request to its control channel; see ``sagoma studio --help``."""

@@ -22,7 +22,7 @@ from .ros_link import call_all, owners_of, settled
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
-TIMEOUT_S = 120.0
+TIMEOUT_S = 300.0  # two seconds of frames; minutes where clients hardly get a processor
 REPORT_S = 1.5  # diagnostics come once a second, and at once when a training ends
 NEEDS_ONE = "sagoma background"  # part of a client's message when its background should be trained anew
 

@@ -50,7 +50,7 @@ REACHED = {
 }
 TIMEOUT_S: Mapping[Transition, float] = {
     Transition.CONFIGURE: 300.0,  # learns a background, opens a camera; at the very first start compiles kernels
-    Transition.ACTIVATE: 20.0,
+    Transition.ACTIVATE: 60.0,
     Transition.DEACTIVATE: 10.0,
     Transition.CLEANUP: 10.0,
 }

@@ -20,8 +20,42 @@ import psutil
 
 PR_SET_PDEATHSIG = 1
 REAP_S = 5.0
+STALLED_S, LONGEST_START_S = 60.0, 900.0  # at a load of 50 a process has its turn every few seconds
 SHM_LOCK = re.compile(r"^/dev/shm/(fastrtps_\w+)_el$")  # held open by the process that owns the segment or port
 _libc = ctypes.CDLL(None)
+
+
+def busy_machine() -> str:
+    """Say how busy the machine is, and what helps, when more wants to run than it has processors; else nothing."""
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    if load <= processors:
+        return ""
+    return f"the machine is busy (load {load:.1f} on {processors} processors): end other programs and try again"
+
+
+class StartPatience:
+    """Waits for a process that starts as long as it is at work, however slowly a busy machine lets it.
+
+    It is given up when it has not used the processor for STALLED_S, or after LONGEST_START_S: it hangs.
+    """
+
+    def __init__(self, cpu_s: Callable[[], float | None], now_s: Callable[[], float] = time.monotonic) -> None:
+        """``cpu_s``: its processor time so far; None when it has ended."""
+        self._cpu_s, self._now_s = cpu_s, now_s
+        self._began_s = self._at_work_s = now_s()
+        self._used_s = 0.0
+
+    def spent(self) -> str:
+        """Say why it is waited for no longer; empty while it is."""
+        used_s, now_s = self._cpu_s(), self._now_s()
+        if used_s is None:
+            return "it has ended"
+        if used_s > self._used_s:
+            self._used_s, self._at_work_s = used_s, now_s
+        waited = f"after {now_s - self._began_s:.0f} s, {self._used_s:.1f} s of them on the processor"
+        if now_s - self._at_work_s > STALLED_S:
+            return f"it hangs {waited}"
+        return f"it was not ready {waited}" if now_s - self._began_s > LONGEST_START_S else ""
 
 
 class Exit(Enum):

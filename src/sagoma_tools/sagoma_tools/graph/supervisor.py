@@ -24,13 +24,13 @@ from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
 
 from .diagnostics_table import DiagnosticsTable
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
-from .processes import Child, ExitStatus, Usage, node_command, remove_abandoned, stop_children
+from .processes import Child, ExitStatus, Usage, busy_machine, node_command, remove_abandoned, stop_children
 from .ros_link import RosLink, node_names
 
 GRACE_S = 8.0
 FRESH = State.UNCONFIGURED.value
 STOP_TIMEOUT_S = 5.0
-START_TIMEOUT_S = 60.0  # from a process's start to its first answer: imports, on a machine that starts them all at once
+START_TIMEOUT_S = 300.0  # from a process's start to its first answer: seconds of imports, times the machine's load
 ACTIVATION_NS = 2_500_000_000  # within this every camera's activation is acknowledged, even on a busy machine
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
@@ -254,6 +254,8 @@ class Supervisor:
         answers = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
         if state == "dead":
             answers = [f"{spec.full_name} has died (status {child.returncode})"]
+        elif spec.full_name in outcome.silent and (busy := busy_machine()):
+            answers.append(busy)
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
 

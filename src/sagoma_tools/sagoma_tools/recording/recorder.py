@@ -36,7 +36,7 @@ from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 DISCOVERY_S = 0.2
 SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
-CONNECT_TIMEOUT_S = 10.0
+CONNECT_TIMEOUT_S = 60.0
 
 
 class Recorder:
