@@ -25,6 +25,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import FitResult, assess, make_data, minimise, unknown_covariance
+from .hidden_points import widen_hidden
 from .monitor.evidence import evidence_of
 from .monitor.track_monitor import Examination, TrackMonitor
 from .monitor.track_quality import widened_covariance
@@ -211,11 +212,16 @@ class IcpTracker:
         assert self._body is not None
         quality = found.quality
         hypothesis = None if found.hypothesis is None else forward(self._body, found.hypothesis)
-        covariance = widened_covariance(fit.covariance, quality, fit.reference_points_world, hypothesis)
+        covariance = widened_covariance(self._with_sizes(fit), quality, fit.reference_points_world, hypothesis)
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
         seen = _seen(stamp_ns, started_from, replace(fit, covariance=covariance, visible=visible))
         state = TRACKING if quality.state == GOOD else quality.state
         return replace(seen, state=state, reason=quality.reason, quality=quality, recovered=found.change)
+
+    def _with_sizes(self, fit: FitResult) -> np.ndarray:
+        """Return the fit's covariance, with that of the body's sizes where points are not seen."""
+        sizes = None if self._refiner is None else self._refiner.sizes_covariance
+        return widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, sizes, self._sight)
 
     # --- the first pose
 
@@ -234,7 +240,8 @@ class IcpTracker:
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         self._body, self._pose, self._refiner = found.body, fit.pose, self._new_refiner(found)
         # the first pose is itself a measurement of every point, also of those the hull hides
-        return _seen(seen.stamp_ns, FROM_INITIAL, replace(fit, visible=np.ones(15, dtype=bool)))
+        fit = replace(fit, covariance=self._with_sizes(fit), visible=np.ones(15, dtype=bool))
+        return _seen(seen.stamp_ns, FROM_INITIAL, fit)
 
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """Return what refines the body that was found; None where its sizes are given and not measured."""

@@ -92,6 +92,7 @@ HIP_HEIGHT = float(MEAN_OVER_STATURE[[THIGH, CALF, ANKLE]].sum())
 FINGERS_LOST_M = 0.015  # fingers are thinner than a voxel: a hull's arms end before the tips
 SHOULDER_BEYOND_CHEST = 0.015  # over the stature: shoulder joints lie outside the trunk's sides at the armpits
 # what hulls err by, over the stature
+STATURE_SPREAD_M = 0.09  # standard deviation of adults' statures
 STATURE_SD, ARM_SD, ARM_HEIGHT_SD, CHEST_SD, LEGS_SD = 0.006, 0.009, 0.009, 0.009, 0.010
 
 
@@ -111,6 +112,11 @@ class BodyEstimate:
         return body_of_sizes(self.sizes)
 
     @property
+    def stature(self) -> float:
+        """Height of the crown over the soles, metres."""
+        return float(self.sizes[[HEAD_, TORSO_, THIGH, CALF, ANKLE]].sum())
+
+    @property
     def sd(self) -> np.ndarray:
         """(10,) standard deviations of the sizes, metres."""
         return np.sqrt(np.diag(self.covariance))
@@ -119,6 +125,15 @@ class BodyEstimate:
 def prior_sizes(stature_m: float) -> BodyEstimate:
     """Return a person of whom only the stature is known."""
     return BodyEstimate(MEAN_OVER_STATURE * stature_m, np.diag((SD_OVER_STATURE * stature_m) ** 2))
+
+
+def sizes_of_stature(stature_m: float, sd_m: float) -> BodyEstimate:
+    """Return a person whose stature was seen, to ``sd_m``: proportions spread as people's do, their sum is known."""
+    wide = np.hypot(sd_m, STATURE_SPREAD_M)
+    prior = prior_sizes(stature_m)
+    common = np.outer(MEAN_OVER_STATURE, MEAN_OVER_STATURE) * wide**2
+    row = _row({HEAD_: 1.0, TORSO_: 1.0, THIGH: 1.0, CALF: 1.0, ANKLE: 1.0})
+    return _update(BodyEstimate(prior.sizes, prior.covariance + common), row, stature_m, sd_m)
 
 
 def estimate_body(measured: list[TPose]) -> BodyEstimate:

@@ -94,6 +94,11 @@ class KnownBodySource:
         self._figure = figure._replace(surface=(girths or LimbGirths()).on(figure.surface))
         self._agreed: list[np.ndarray] = []
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the last set showed the body near a T-pose."""
+        return len(self._agreed) > 0
+
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the pose, or the reason why there is none yet."""
         found, reasons = [], {}

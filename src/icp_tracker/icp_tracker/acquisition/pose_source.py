@@ -10,13 +10,18 @@ from capture_rig.sight import Sight
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, load_thickness
 
+from .any_pose_source import AnyPoseSource
 from .body_sizes import LimbGirths
 from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_reference
 from .known_body_source import KnownBodySource
+from .motion_source import MotionSettings, MotionSource
 from .t_pose_measures import TPoseSettings
 from .t_pose_source import TPoseSource
 
 WHERE = "parameters of the ICP tracker"
+AUTO, T_POSE = "auto", "t_pose"
+HULL_SOURCES = (AUTO, T_POSE)
+"""Sources that look at the hull, of as many persons as there are."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +29,10 @@ class InitialPoseSettings:
     """Where the first pose comes from."""
 
     source: str = setting(
-        "t_pose",
-        "where the first pose comes from: the hull of a T-pose (with body_file: anything near one), a pose "
-        "file, or a session's reference",
-        choices=("t_pose", "file", "session"),
+        "auto",
+        "where the first pose comes from: the hull of whoever walks in or takes a T-pose, whichever is sure first; the "
+        "hull of a T-pose alone (with body_file: anything near one); a pose file, or a session's reference",
+        choices=("auto", "t_pose", "file", "session"),
     )
     file: str = setting("", "pose file (YAML), for source 'file'")
     session: str = setting("", "session folder with a reference, for source 'session'")
@@ -37,6 +42,7 @@ class InitialPoseSettings:
     )
     min_seeing: int = setting(0, "the hull server's parameter of this name, with rig_file", low=0, high=63)
     t_pose: TPoseSettings = setting(TPoseSettings, "what counts as a T-pose")
+    motion: MotionSettings = setting(MotionSettings, "who is followed without one")
 
 
 def make_pose_source(settings: InitialPoseSettings, body_file: str = "", sight: Sight | None = None) -> PoseSource:
@@ -46,10 +52,14 @@ def make_pose_source(settings: InitialPoseSettings, body_file: str = "", sight: 
     naming parameter or file, value and remedy.
     """
     body = load_body(body_file) if body_file else None
-    if settings.source == "t_pose":
-        if body is None:
-            return TPoseSource(settings.t_pose, sight)
-        return KnownBodySource(settings.t_pose, body, sight, LimbGirths.of(load_thickness(body_file)))
+    if settings.source in HULL_SOURCES:
+        girths = LimbGirths.of(load_thickness(body_file)) if body_file else None
+        held: TPoseSource | KnownBodySource = TPoseSource(settings.t_pose, sight)
+        if body is not None:
+            held = KnownBodySource(settings.t_pose, body, sight, girths)
+        stature = (settings.t_pose.stature_low_m, settings.t_pose.stature_high_m)
+        moving = MotionSource(settings.motion, sight, stature, body)
+        return held if settings.source == T_POSE else AnyPoseSource(held, moving)
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)

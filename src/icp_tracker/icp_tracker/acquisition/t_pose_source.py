@@ -35,6 +35,11 @@ class TPoseSource:
         self._settings, self._sight = settings, sight
         self._held: deque[tuple[int, TPose]] = deque(maxlen=settings.hold_sets)
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the last set showed a T-pose."""
+        return len(self._held) > 0
+
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the pose and the measured body, or the reason why there is none yet."""
         measured, reason = find_t_pose(seen, self._settings, self._sight)

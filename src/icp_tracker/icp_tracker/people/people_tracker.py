@@ -20,6 +20,7 @@ from mocap_packets.hull import HullProducts
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
 
+from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
 from ..refinement.body_refiner import RefinedBody
 from ..settings import MOST_PERSONS, IcpNodeSettings
@@ -348,6 +349,6 @@ def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_s
     A pose from a file or a session is that of one person: then nobody else is followed. Raises InputError for files
     that cannot be used.
     """
-    most = settings.people.max if settings.initial_pose.source == "t_pose" else 1
+    most = settings.people.max if settings.initial_pose.source in HULL_SOURCES else 1
     sight = sight_of(settings, rig, min_seeing)
     return PeopleTracker(lambda: make_tracker(settings, sight), most)

@@ -94,6 +94,7 @@ class BodyRefiner:
         self._given, self._given_ns = self._prior.mean, -1
         self._kept, self._rays = Keyframes.of(settings.keyframes), list[RayArrays]()
         self._looks = 0
+        self._known: np.ndarray | None = None
 
     @property
     def settled(self) -> bool:
@@ -121,6 +122,13 @@ class BodyRefiner:
             self._looks += 1
         self._solve()
         return self._due(stamp_ns)
+
+    @property
+    def sizes_covariance(self) -> np.ndarray:
+        """Covariance (10, 10) m^2 of the sizes as they are known now."""
+        if self._known is None:
+            self._known = self.refined.estimate.covariance
+        return self._known
 
     @property
     def refined(self) -> RefinedBody:
@@ -152,6 +160,7 @@ class BodyRefiner:
 
     def _solve(self) -> None:
         """Solve for the shape that prior and kept poses speak for."""
+        self._known = None
         values = solve_shape(self._kept, len(self._rays), self._information, self._target)
         self._values = self._prior.clipped(values, self._settings.farthest_sd)
 

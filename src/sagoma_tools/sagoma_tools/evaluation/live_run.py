@@ -39,7 +39,7 @@ NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
 TAKES = 2  # at most, when the machine's load rises while the session plays
 LATENCY_TOPIC = "/mocap/latency"
-T_POSE_START, REFERENCE_START = "t_pose", "session"
+AUTO_START, T_POSE_START, REFERENCE_START = "auto", "t_pose", "session"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
 
@@ -99,7 +99,7 @@ def run_live(
     """Play a session through the whole graph, every node a process, and record a bag into ``output``/bag.
 
     start : where the first pose comes from: "t_pose", "session" (its reference), or "auto": the reference where the
-    session has one that was made from its footage (``reference*.csv``), else the T-pose.
+    session has one that was made from its footage (``reference*.csv``), else a T-pose or whoever walks in.
     """
     cancel = cancel or threading.Event()
     bag, start_from = output / "bag", start_settings(live_input.session, start)
@@ -154,13 +154,13 @@ class UsageMeter:
 
 def start_settings(session: Session, start: str) -> dict[str, Any]:
     """Return the ICP node's parameters for the source of its first pose. Raises InputError without a reference."""
-    if start == "auto":
+    if start == AUTO_START:
         measured = session.truth is not None and session.truth.source.name.startswith("reference")
-        start = REFERENCE_START if measured else T_POSE_START
+        start = REFERENCE_START if measured else AUTO_START
     if start == REFERENCE_START and session.truth is None:
         raise InputError("has no reference to start from", where=str(session.folder), remedy="Start from a T-pose.")
-    if start == T_POSE_START:
-        return {"icp_tracker.initial_pose.source": T_POSE_START}
+    if start in (AUTO_START, T_POSE_START):
+        return {"icp_tracker.initial_pose.source": start}
     return {
         "icp_tracker.initial_pose.source": REFERENCE_START,
         "icp_tracker.initial_pose.session": str(session.folder.resolve()),

@@ -1,0 +1,273 @@
+"""The first pose of somebody who just comes in: several explanations of the hull, followed until one is clearly best.
+
+A body of average proportions, as tall as the hull, is fitted from natural postures at every heading. The best fits are
+followed from set to set; each costs what outlines, hull and joint limits say against it (``monitor/evidence.py``). What
+a single hull leaves open, front or back above all, time decides: knees and elbows bend one way, toes lie ahead of the
+ankles, and whoever walks walks forwards. Lengths start as people's proportions with their spread
+(``body_sizes.prior_sizes``), and are learnt while the person moves (``refinement/``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.settings import setting
+from capture_rig.sight import Sight
+from mocap_packets.hull import HullProducts
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.placed_figure import Figure
+from stick_figure.pose import Pose
+
+from ..articulated_fit import ArticulatedSettings, PriorSettings, make_data, minimise
+from ..monitor.evidence import Evidence, evidence_of
+from ..monitor.pose_library import sides_exchanged, turned_around
+from .body_parts import evidence_of_feet
+from .body_sizes import BodyEstimate, sizes_of_stature
+from .initial_pose import InitialPose
+from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
+from .visibility import FEET, HEAD, Stance, cut_parts, what_to_do
+from .walking_poses import natural_poses
+
+NS_PER_S = 1e9
+FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
+FREE_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
+HYPOTHESES = 5  # explanations that are followed
+SAME_M = 0.12  # poses whose points are so near to each other are one
+GAP_S = 0.3  # after a longer pause the look begins anew
+LOOK_EVERY_S = 0.25  # how often other explanations are looked for
+PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
+BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
+FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
+STATURE_SD_M = 0.09  # of adults, where the head is not seen
+STEP_M = 0.25  # way after which somebody walks, and does so forwards
+# shares of the outlines that count as much: walking forwards, toes ahead of the ankles. Those who face
+# the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
+WALKING_SHARE, FEET_SHARE = 0.04, 0.02
+FEET_EVIDENCE = 5.0  # log-likelihood ratio of the feet's heading from which they count about that much
+LEFT_FOOT, RIGHT_FOOT = 13, 14
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """A first pose without a T-pose, of somebody who moves about."""
+
+    watch_s: float = setting(
+        1.0, "a person without a T-pose is watched for so long before being followed", unit="s", low=0.0, high=60.0
+    )
+    explained: float = setting(0.7, "share of the outlines that the best explanation must explain", low=0.0, high=1.0)
+    margin: float = setting(
+        0.03, "how much more of the outlines it must explain than any that faces elsewhere", low=0.0, high=1.0
+    )
+
+
+@dataclass(eq=False)
+class Explanation:
+    """A pose that is followed: ``cost`` and ``share`` sums over ``sets`` of what speaks against it, of all rays, and of
+    the rays it explains; ``way`` m, walked forwards (negative: backwards)."""
+
+    pose: Pose
+    cost: float = 0.0
+    share: float = 0.0
+    feet: float = 0.0
+    way: float = 0.0
+    sets: int = 0
+
+    @property
+    def mean_cost(self) -> float:
+        """Of a set, as a share of its rays; with what its way of walking and its feet cost."""
+        walking = WALKING_SHARE * float(np.clip(self.way / STEP_M, -1.0, 1.0))
+        feet = FEET_SHARE * float(np.tanh(self.feet / max(self.sets, 1) / FEET_EVIDENCE))
+        return self.cost / max(self.sets, 1) - walking - feet
+
+    @property
+    def mean_share(self) -> float:
+        return self.share / max(self.sets, 1)
+
+
+class MotionSource:
+    """A first pose of one body in any upright posture, once one explanation of some sets in a row is clearly best."""
+
+    def __init__(
+        self,
+        settings: MotionSettings,
+        sight: Sight | None = None,
+        stature_m: tuple[float, float] = (1.2, 2.2),
+        known: Body | None = None,
+    ) -> None:
+        """sight : where the rig shows a body; None: everywhere. stature_m : least and largest; known : whose it is."""
+        self._settings, self._sight, self._stature_m, self._known = settings, sight, stature_m, known
+        self._fit_settings = ArticulatedSettings()
+        self.reset()
+
+    @property
+    def needs_voxels(self) -> bool:
+        return True
+
+    def reset(self) -> None:
+        """Forget what was watched."""
+        self._followed: list[Explanation] = []
+        self._heights: list[float] = []
+        self._began_ns = self._last_ns = self._looked_ns = 0
+        self._estimate: BodyEstimate | None = None
+
+    def find_pose(self, seen: HullProducts) -> InitialPose:
+        """Return the pose of the best explanation once it is clear, or why it is not."""
+        voxels = seen.voxels.points_world
+        if len(voxels) < FEWEST_VOXELS or len(seen.contour_rays) == 0:
+            self.reset()
+            return InitialPose(reason="no hull")
+        pitch = pitch_of(voxels)
+        stance = stance_of(voxels, pitch)
+        cut = () if self._sight is None else cut_parts(voxels, stance, pitch, self._sight)
+        if seen.stamp_ns - self._last_ns > GAP_S * NS_PER_S:
+            self.reset()
+        self._last_ns = seen.stamp_ns
+        body = self._body(stance, cut)
+        if body is None:
+            self.reset()
+            return InitialPose(reason=f"no adult's height: {stance.stature:.2f} m")
+        line, settings = seen.centerline, self._fit_settings
+        data = make_data(line.points_world, line.sigma, seen.voxels, settings, seen.contour_rays, self._sight)
+        if len(data.contour_rays.information) == 0:
+            self.reset()
+            return InitialPose(reason="no outlines")
+        self._follow(body, data)
+        if not self._followed:
+            self._began_ns = seen.stamp_ns
+        if seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
+            self._looked_ns = seen.stamp_ns
+            self._look(body, data, stance)
+        self._add_feet(body, voxels, stance, pitch, cut)
+        return self._answer(seen.stamp_ns, body, stance, cut)
+
+    # --- the body
+
+    def _body(self, stance: Stance, cut: tuple[str, ...]) -> Body | None:
+        """Return a body of average proportions, as tall as this one has been; None for a height that nobody has."""
+        low, high = self._stature_m
+        if self._known is not None:
+            return self._known if stance.stature > 0.75 * self._known.stature else None
+        if HEAD in cut:
+            height, sd = max(stance.stature, 1.75), STATURE_SD_M
+        else:
+            height, sd = stance.stature, FLOOR_SD_M if FEET in cut else BENT_WALK_SD_M
+        if not 0.75 * low <= height <= high:
+            return None
+        self._heights.append(height)
+        stature = max(float(np.percentile(self._heights, 80.0)), low)
+        if self._estimate is None or abs(self._estimate.stature - stature) > 0.005:
+            self._estimate = sizes_of_stature(stature, sd)
+        return self._estimate.body
+
+    # --- the explanations
+
+    def _look(self, body: Body, data: Data, stance: Stance) -> None:
+        """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
+        figure, free = Figure.of(body), replace(self._fit_settings, prior=FREE, max_iterations=FREE_ITERATIONS)
+        crown = stance.floor_world + body.stature
+        costs = [
+            (evidence_of(figure, pose, data.contour_rays, data.hull).cost, pose)
+            for pose in natural_poses(body, stance.place_world, crown)
+        ]
+        best = [pose for _, pose in sorted(costs, key=lambda pair: pair[0])[:STARTS]]
+        fitted = [minimise(body, pose, data, free)[0] for pose in best]
+        fitted.sort(key=lambda pose: evidence_of(figure, pose, data.contour_rays, data.hull).cost)
+        around = [
+            minimise(body, pose, data, free)[0] for pose in (sides_exchanged(body, fitted[0]), turned_around(fitted[0]))
+        ]
+        for pose in [fitted[0], *around, *fitted[1:]]:
+            if self._is_new(body, pose):
+                self._followed.append(Explanation(pose))
+                _compare(self._followed[-1], evidence_of(figure, pose, data.contour_rays, data.hull))
+        self._keep_the_best()
+
+    def _keep_the_best(self) -> None:
+        """Keep as many explanations as can be followed, the best first, one that faces elsewhere among them."""
+        self._followed.sort(key=lambda explanation: explanation.mean_cost)
+        best, rest = self._followed[0], self._followed[HYPOTHESES:]
+        elsewhere = [other for other in rest if _faces_elsewhere(best.pose, other.pose)]
+        del self._followed[HYPOTHESES:]
+        if elsewhere and not any(_faces_elsewhere(best.pose, other.pose) for other in self._followed):
+            self._followed[-1] = elsewhere[0]
+
+    def _is_new(self, body: Body, pose: Pose) -> bool:
+        return all(_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
+
+    def _follow(self, body: Body, data: Data) -> None:
+        """Fit every explanation to this set too; those that have become one with a better one are dropped."""
+        figure, followed = Figure.of(body), self._followed
+        for explanation in followed:
+            before = explanation.pose
+            explanation.pose = minimise(body, before, data, self._fit_settings)[0]
+            moved = explanation.pose.position_world - before.position_world
+            explanation.way += float(moved[:2] @ before.R_world_torso[:2, 0])
+            _compare(explanation, evidence_of(figure, explanation.pose, data.contour_rays, data.hull))
+        self._followed = []
+        for explanation in sorted(followed, key=lambda e: e.mean_cost):
+            if self._is_new(body, explanation.pose):
+                self._followed.append(explanation)
+
+    def _add_feet(self, body: Body, voxels: np.ndarray, stance: Stance, pitch: float, cut: tuple[str, ...]) -> None:
+        """Add what the toes say of each explanation's heading, where the feet are seen."""
+        if FEET in cut:
+            return
+        low = voxels[voxels[:, 2] < stance.floor_world + 0.1 * stance.stature]
+        for explanation in self._followed:
+            ahead = explanation.pose.R_world_torso[:2, 0] / np.linalg.norm(explanation.pose.R_world_torso[:2, 0])
+            axes = np.array([ahead, [-ahead[1], ahead[0]]])
+            feet = forward(body, explanation.pose)[[LEFT_FOOT, RIGHT_FOOT]]
+            standing = [
+                axes @ (foot[:2] - stance.place_world)
+                for foot in feet
+                if foot[2] - stance.floor_world < 0.07 * stance.stature
+            ]
+            local = np.column_stack([(low[:, :2] - stance.place_world) @ axes.T, low[:, 2] - stance.floor_world])
+            own = Upright(local, stance.place_world, ahead, stance.floor_world, stance.stature, pitch)
+            explanation.feet += evidence_of_feet(own, standing)
+
+    # --- the decision
+
+    def _answer(self, stamp_ns: int, body: Body, stance: Stance, cut: tuple[str, ...]) -> InitialPose:
+        """Return the best explanation if it has been watched, explains enough, and none that faces elsewhere rivals."""
+        settings, rivals = self._settings, self._followed
+        best = rivals[0]
+        rivals_sets = max(other.sets for other in rivals)
+        watched_s = (stamp_ns - self._began_ns) / NS_PER_S
+        if cut and self._sight is not None:
+            told = what_to_do(cut, stance, self._sight)
+        else:
+            told = f"somebody is here: watched for {watched_s:.1f} of {settings.watch_s:.1f} s"
+        if watched_s < (PATIENT_S if cut else settings.watch_s):
+            return InitialPose(reason=told)
+        if best.mean_share < settings.explained:
+            self.reset()
+            return InitialPose(
+                reason=told if cut else f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
+            )
+        elsewhere = [other.mean_cost for other in rivals if _faces_elsewhere(best.pose, other.pose)]
+        if 2 * best.sets < rivals_sets or min(elsewhere, default=np.inf) - best.mean_cost < settings.margin:
+            if watched_s > 4.0 * settings.watch_s:
+                self.reset()
+            return InitialPose(reason=told if cut else "front and back look alike: walk a step")
+        estimate = self._estimate
+        self.reset()
+        return InitialPose(best.pose, body, "", estimate)
+
+
+def _compare(explanation: Explanation, evidence: Evidence) -> None:
+    rays = max(evidence.rays, 1)
+    explanation.cost += evidence.cost / rays
+    explanation.share += evidence.share
+    explanation.sets += 1
+
+
+def _apart_m(body: Body, pose: Pose, other: Pose) -> float:
+    return float(np.linalg.norm(forward(body, pose) - forward(body, other), axis=1).max())
+
+
+def _faces_elsewhere(pose: Pose, other: Pose) -> bool:
+    return float(pose.R_world_torso[:, 0] @ other.R_world_torso[:, 0]) < 0.5
