@@ -81,7 +81,7 @@ class Studio:
             masks[name] = view.undistort_mask(np.maximum.reduce(seen))
         hull = self._pipeline.run(FrameSet.of_instant(self._stamp_ns, masks))
         line = Centerline.of_points(hull.products.centerline.points_world, 0.0, hull.products.centerline.body)
-        return HullProducts(self._stamp_ns, line, hull.products.voxels)
+        return HullProducts(self._stamp_ns, line, hull.products.voxels, hull.products.contour_rays)
 
 
 @lru_cache

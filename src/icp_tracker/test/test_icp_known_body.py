@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, person, standing, studio, with_angles
 
+from icp_tracker.acquisition.any_pose_source import AnyPoseSource
 from icp_tracker.acquisition.body_sizes import LimbGirths
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.acquisition.known_body_source import SETS, KnownBodySource
@@ -83,9 +84,10 @@ def test_two_who_could_be_the_known_body_are_refused():
 
 def test_body_file_chooses_the_start_that_needs_no_t_pose(tmp_path):
     save_body(BODY, tmp_path / "body.yaml", thickness={"thigh": 1.2})
-    source = make_pose_source(InitialPoseSettings(), str(tmp_path / "body.yaml"), studio(*SIX).sight)
+    source = make_pose_source(InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"), studio(*SIX).sight)
     assert isinstance(source, KnownBodySource)
-    assert isinstance(make_pose_source(InitialPoseSettings()), TPoseSource)
+    assert isinstance(make_pose_source(InitialPoseSettings(source="t_pose")), TPoseSource)
+    assert isinstance(make_pose_source(InitialPoseSettings()), AnyPoseSource)
     room = studio(*SIX)
     people = person(BODY, standing(BODY, both_sides(shoulder_x=-0.5), 0.8))
     found = [source.find_pose(room.render(people, apart_ns=SET_NS)) for _ in range(SETS)][-1]

@@ -240,7 +240,7 @@ def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body
             assert answer.reason == "T-pose seen, hold it (1 of 2)"
             assert not answer.points.any() and not answer.visible.any()
     response = node.ask(Trigger, "icp_tracker/reset")
-    assert response.success and "t_pose" in response.message
+    assert response.success and "auto" in response.message
     node.voxels.publish(voxel_cloud(voxels, 3))
     assert node.answer(centerline(cloud, 3)).state == "acquiring"
 

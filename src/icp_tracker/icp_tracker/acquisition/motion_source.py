@@ -123,7 +123,7 @@ class MotionSource:
         pitch = pitch_of(voxels)
         stance = stance_of(voxels, pitch)
         cut = () if self._sight is None else cut_parts(voxels, stance, pitch, self._sight)
-        if seen.stamp_ns - self._last_ns > GAP_S * NS_PER_S:
+        if not 0 <= seen.stamp_ns - self._last_ns <= GAP_S * NS_PER_S:
             self.reset()
         self._last_ns = seen.stamp_ns
         body = self._body(stance, cut)
@@ -138,7 +138,7 @@ class MotionSource:
         self._follow(body, data)
         if not self._followed:
             self._began_ns = seen.stamp_ns
-        if seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
+        if not self._followed or seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
             self._looked_ns = seen.stamp_ns
             self._look(body, data, stance)
         self._add_feet(body, voxels, stance, pitch, cut)

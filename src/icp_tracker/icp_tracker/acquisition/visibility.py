@@ -19,9 +19,8 @@ HAND = "hand"  # of a person whose front is not known
 
 REACH_VOXELS = 1.5  # from a voxel's centre to where the hull must be able to go on
 FEWEST_CUT = 5  # voxels (of some 3000 samples of a body) that make a cut
-FEET_TO, HEAD_FROM = 0.20, 0.90  # heights over the stature
+FEET_TO, HEAD_FROM = 0.45, 0.90  # heights over the stature: a cut below the first lacks feet
 TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
-BODY_CUT = 0.12  # share of a body's voxels at the cut from which it is not one limb that is missing
 # places of a T-pose over the stature: ahead, to the left, up (Drillis & Contini 1966: feet .152 long, span about 1)
 ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
 STEP_M, FARTHEST_M, DIRECTIONS = 0.1, 2.5, 16  # steps that are tried
@@ -95,14 +94,14 @@ def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, sight: Sig
         BODY: near & ~low & (height <= HEAD_FROM),
     }
     found = tuple(part for part, chosen in rows.items() if np.count_nonzero(chosen) >= FEWEST_CUT)
-    return (BODY,) if BODY in found or cut.mean() > BODY_CUT else found
+    return (BODY,) if BODY in found else found
 
 
 def what_to_do(parts: tuple[str, ...], stance: Stance, sight: Sight) -> str:
     """Say in one sentence what is not seen, by which cameras, and where to step or which camera to turn."""
     names = [_told(part, stance) for part in parts]
     yours = "you" if parts == (BODY,) else "your " + " and ".join(dict.fromkeys(names))
-    places = np.concatenate([stance.places_of(part) for part in parts])
+    places = stance.places_of() if parts == (BODY,) else np.concatenate([stance.places_of(part) for part in parts])
     inside, seen = sight.in_volume(places), sight.seen_by(places)
     blind = [name for name, sees in zip(sight.names, seen[inside].T, strict=True) if not sees.all()]
     if not inside.all() or not blind:

@@ -1,0 +1,99 @@
+"""Somebody who walks in without a T-pose: found, the right way round, with honest sizes; carts and nobody are not."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from t_pose_studio import SET_NS, Studio, both_sides, box, person, standing
+
+from icp_tracker.acquisition.any_pose_source import AnyPoseSource
+from icp_tracker.acquisition.body_sizes import sizes_of_body
+from icp_tracker.acquisition.motion_source import MotionSettings, MotionSource
+from icp_tracker.acquisition.t_pose_measures import TPoseSettings
+from icp_tracker.acquisition.t_pose_source import TPoseSource
+from stick_figure.kinematics import forward
+from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.people import person_of
+from virtual_studio.rig import ring, tilted, with_camera
+
+SETS = 14
+EVERY = 4  # of a walk at 60 Hz: fifteen sets a second
+BODY = person_of(1.70, 0.97, 1.03)
+
+
+@lru_cache
+def walk(cameras=3, tilt=0.0):
+    """A second of somebody who walks: sets, poses, and the rig's sight."""
+    rig = ring(cameras, ceiling=False)
+    room = Studio(with_camera(rig, cameras - 1, tilted(rig.cameras[cameras - 1], tilt)))
+    poses = MOTIONS["walk"](BODY, 4.0, 60.0).poses[120::EVERY][: SETS + 4]
+    return [room.render(person(BODY, pose), apart_ns=EVERY * SET_NS) for pose in poses], poses, room.sight
+
+
+def found_in(source, sets):
+    """The first answer with a pose, and the number of its set; else the last answer."""
+    for number, seen in enumerate(sets):
+        answer = source.find_pose(seen)
+        if answer.pose is not None:
+            return answer, number
+    return answer, None
+
+
+@pytest.fixture(scope="module")
+def walker():
+    sets, poses, sight = walk()
+    answer, number = found_in(MotionSource(MotionSettings(watch_s=0.5), sight), sets)
+    assert number is not None, answer.reason
+    return answer, poses[number]
+
+
+def test_who_walks_in_is_found_the_right_way_round(walker):
+    answer, pose = walker
+    assert answer.pose.R_world_torso[:, 0] @ pose.R_world_torso[:, 0] > 0.8
+    off = np.linalg.norm(forward(answer.body, answer.pose) - forward(BODY, pose), axis=1)
+    assert off.mean() < 0.05 and off.max() < 0.15
+
+
+def test_sizes_of_who_walks_in_are_as_uncertain_as_they_are_wrong(walker):
+    answer, _ = walker
+    off = np.abs(answer.estimate.sizes - sizes_of_body(BODY))[:-1]
+    assert (off < 3.0 * answer.estimate.sd[:-1]).all()
+    assert abs(answer.estimate.stature - BODY.stature) < 0.05
+
+
+def test_it_must_have_watched_for_so_long():
+    sets, _, sight = walk()
+    answer, number = found_in(MotionSource(MotionSettings(watch_s=30.0), sight), sets)
+    assert number is None and answer.reason.startswith("somebody is here: watched for")
+
+
+def test_known_body_keeps_its_sizes():
+    sets, _, sight = walk()
+    answer, _ = found_in(MotionSource(MotionSettings(watch_s=0.3), sight, known=BODY), sets)
+    assert answer.body is BODY and answer.estimate is None
+
+
+def test_cart_and_nobody_are_not_followed():
+    sets, _, sight = walk()
+    room = Studio(sight.rig)
+    cart = [room.render(box((-0.3, -0.25, 0.0), (0.3, 0.25, 1.6)), apart_ns=EVERY * SET_NS)]
+    source = MotionSource(MotionSettings(watch_s=0.0), sight)
+    answer, number = found_in(source, cart)
+    assert number is None and answer.reason
+    empty = sets[0].of_body(7)
+    assert source.find_pose(empty).reason == "no hull"
+
+
+def test_feet_that_are_not_seen_are_told_first_and_not_measured():
+    sets, _, sight = walk(tilt=0.30)
+    answer = MotionSource(MotionSettings(watch_s=0.0), sight).find_pose(sets[0])
+    assert answer.pose is None and answer.reason.startswith("cam03 does not see your feet")
+
+
+def test_t_pose_that_is_held_decides_alone():
+    room = Studio(ring(3, ceiling=False))
+    seen = room.render(person(BODY, standing(BODY, both_sides())), apart_ns=SET_NS)
+    source = AnyPoseSource(TPoseSource(TPoseSettings(hold_sets=2)), MotionSource(MotionSettings(watch_s=0.0)))
+    first, second = source.find_pose(seen), source.find_pose(seen)
+    assert first.reason.startswith("T-pose seen, hold it")
+    assert second.pose is not None and second.girths is not None  # measured, not guessed
