@@ -42,7 +42,7 @@ def widen_hidden(
     wide = covariance.copy()
     for points, sizes in CHAINS:
         more = np.zeros((3, 3))
-        for near, far, size in zip(points, points[1:], sizes, strict=True):
+        for near, far, size in zip(points[:-1], points[1:], sizes, strict=True):
             if not hidden[far]:
                 more[:] = 0.0
                 continue

@@ -1,0 +1,59 @@
+"""What the rig does not show is as uncertain as the lengths and directions that lead there; the rest is left alone."""
+
+import numpy as np
+
+from capture_rig.rig import Rig, Volume
+from capture_rig.sight import Sight
+from icp_tracker.acquisition.body_sizes import CALF, THIGH, prior_sizes
+from icp_tracker.hidden_points import DIRECTION_SD, widen_hidden
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from virtual_studio.rig import VOLUME, ring
+
+BODY = Body.from_stature(1.75)
+POINTS = forward(BODY, Pose.from_angles(np.array([0.0, 0.0, 1.2]), np.eye(3), T_POSE_ANGLES))
+NARROW = 1e-6 * np.tile(np.eye(3), (15, 1, 1))
+SIZES = prior_sizes(1.75).covariance
+KNEE, FOOT, HAND = 9, 13, 11
+SEEN = np.ones(15, bool)
+
+
+def sight_without(axis, low):
+    """A rig whose volume begins only at ``low`` along an axis, for y: ends at -low on the other side."""
+    corner, far = VOLUME.low.copy(), VOLUME.high.copy()
+    if axis == 2:
+        far[2] = low
+    else:
+        far[axis] = low
+    return Sight(Rig(ring(4).cameras, Volume(corner, far)))
+
+
+def test_without_a_rig_or_with_all_in_view_nothing_changes():
+    assert widen_hidden(NARROW, POINTS, SEEN, SIZES, None) is NARROW
+    assert widen_hidden(NARROW, POINTS, SEEN, SIZES, Sight(ring(4))) is NARROW
+
+
+def test_hand_outside_the_volume_is_uncertain_along_its_forearm_alone():
+    elbow, hand = POINTS[7, 1], POINTS[HAND, 1]
+    wide = widen_hidden(NARROW, POINTS, SEEN, SIZES, sight_without(1, 0.5 * (elbow + hand)))
+    added = wide - NARROW
+    assert added[HAND, 1, 1] > 1e-4 and added[HAND, 0, 0] < 1e-12 and added[HAND, 2, 2] < 1e-12
+    assert not np.delete(added, HAND, axis=0).any()
+
+
+def test_lengths_add_up_along_a_leg_that_is_hidden_from_the_hip_on():
+    upside_down = POINTS * [1.0, -1.0, -1.0] + [0.0, 0.0, 2.4]
+    hips = upside_down[5, 2]
+    wide = widen_hidden(NARROW, upside_down, SEEN, SIZES, sight_without(2, hips + 0.1)) - NARROW
+    assert np.isclose(wide[KNEE, 2, 2], SIZES[THIGH, THIGH], rtol=0.05)
+    assert np.isclose(wide[FOOT, 2, 2], SIZES[THIGH, THIGH] + SIZES[CALF, CALF], rtol=0.05)
+
+
+def test_direction_is_unknown_too_where_no_datum_bears_on_a_stick():
+    elbow, hand = POINTS[7, 1], POINTS[HAND, 1]
+    supported = SEEN.copy()
+    supported[HAND] = False
+    wide = widen_hidden(NARROW, POINTS, supported, None, sight_without(1, 0.5 * (elbow + hand))) - NARROW
+    assert np.isclose(np.sqrt(wide[HAND, 2, 2]), DIRECTION_SD * (hand - elbow), rtol=0.01)
+    assert wide[HAND, 1, 1] < 1e-12  # a body of given sizes
