@@ -10,13 +10,18 @@ table is one input; a cell is the error of a size in mm (of many people: mean an
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
+from dataclasses import asdict
+from itertools import islice, product
 from pathlib import Path
 
 from report import Table, execute, finish, parser
 
 import numpy as np
+from cut_rigs import cut_cases
+from people import BUILDS as WALKERS
+from people import KEPT, recorded
 from scenes import canvas_masks, session_with_truth
+from starts import Start, of_cut, of_studio_walk, of_walk_in
 
 from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.sight import Sight
@@ -40,7 +45,7 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
-from virtual_studio.people import VolumetricBody
+from virtual_studio.people import VolumetricBody, person_of
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
@@ -84,7 +89,7 @@ def angle(first: np.ndarray, second: np.ndarray) -> float:
 def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
     """Many people in the studio: mean and rms error of each size, refusals, and how many are taken back to front."""
     rng, errors, claims, refused, backward = np.random.default_rng(cameras), [], [], [], 0
-    for body, pose, voxels, sight in people(cameras, ceiling, number, rng):
+    for body, pose, voxels, sight in hulls_of_people(cameras, ceiling, number, rng):
         try:
             measured = measure_t_pose(voxels, TPoseSettings(), sight)
         except PoseRejected as refusal:
@@ -109,7 +114,7 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
     }
 
 
-def people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
+def hulls_of_people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
     """Body, pose and hull voxels of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
     rig = ring(cameras, ceiling=ceiling)
     sight = Sight(rig)
@@ -147,6 +152,7 @@ def t_pose(body: Body, rng: np.random.Generator) -> Pose:
 def main() -> None:
     given = parser(__doc__, quick="fewer people, exact silhouettes only")
     given.add_argument("sessions", nargs="*", type=Path)
+    given.add_argument("--products", type=Path, default=KEPT, help="where hulls are kept, as of bench/people.py")
     options = given.parse_args()
     results: dict[str, dict[str, object]] = {}
     for folder in options.sessions:
@@ -163,7 +169,30 @@ def main() -> None:
                 table.row(name[:30], key, *result[key])
         rest = {key: value for key, value in result.items() if not isinstance(value, list) or key == "refused"}
         print(f"{name[:30]:30} {rest}")
+    results |= of_starts(options.products, options.quick)
     finish({"sizes": list(SIZES), **results})
+
+
+def of_starts(products: Path, quick: bool) -> dict[str, dict[str, object]]:
+    """Print the tables of people who are cut off, and of people who walk in."""
+    results: dict[str, dict[str, object]] = {}
+    columns = "start:<44 | s:>5.1f | mean:>6.1f | end:>6.1f | size:>6.0f | which:<20 | told:<90"
+    table = Table(columns, "cut off in a T-pose, then 10 s of walking; s to the track, mm, largest error of a size, mm")
+    for stature, case in product((1.75,) if quick else (1.62, 1.75, 1.88), cut_cases()):
+        _put(table, results, f"{case.name}, {stature:.2f} m", of_cut(case, Body.from_stature(stature)))
+    table = Table(columns, "walking in, no T-pose")
+    for (stature, build, arms, legs), cameras in product(WALKERS, (3, 6) if quick else (3, 4, 6, 8)):
+        rig, name = ring(cameras, ceiling=False), f"studio, {cameras} cameras, {stature:.2f} m, build {build:g}"
+        _put(table, results, name, of_studio_walk(person_of(stature, arms, legs), build, rig))
+    for what in recorded(products, ["walk_ring5top", "charleston_ring5top", "zombie_he3", "walkin"]):
+        _put(table, results, what.name, of_walk_in(what))
+    return results
+
+
+def _put(table: Table, results: dict[str, dict[str, object]], name: str, start: Start) -> None:
+    results[name] = asdict(start)
+    told = start.told
+    table.row(name, start.began_s, start.mean_mm, start.end_mm, start.worst_size_mm, start.worst_size, told)
 
 
 if __name__ == "__main__":
