@@ -31,8 +31,8 @@ STARTED = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "aut
 
 @dataclass(frozen=True)
 class Start:
-    """How a start went: what was said in the first seconds, when the track began (s), its mean error (mm) in all and at the end, and
-    the largest error of a size at the end (mm), and which; NaN and '' where there was no track."""
+    """How a start went: what was said in the first seconds, when the track began (s), its mean error (mm) in all and at
+    the end, and the largest error of a size at the end (mm), and which; NaN and '' where there was no track."""
 
     told: str
     began_s: float = float("nan")
