@@ -93,6 +93,7 @@ class Simulation:
     offset_ns: dict[str, int] = field(default_factory=dict)
     clock_error_ns: int = 0
     cores: float = 2.0
+    others: float = 0.0  # share of the processors that other programs take
 
     def __post_init__(self) -> None:
         self.now_ns = 0
@@ -170,7 +171,7 @@ class Simulation:
     def _update(self) -> None:
         self._close(self._collector.poll(self.now_ns))
         busy_ns = sum(s.busy_ns for s in (self._hull, self._tracker, *self._clients.values()))
-        load = min((busy_ns - self._busy_before_ns) / (self.cores * UPDATE_NS), 1.0)
+        load = min(self.others + (busy_ns - self._busy_before_ns) / (self.cores * UPDATE_NS), 1.0)
         self._busy_before_ns = busy_ns
         rule = self.control.update(load, self.now_ns)
         if rule is not None:

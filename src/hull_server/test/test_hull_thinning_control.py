@@ -63,6 +63,20 @@ def test_two_seconds_after_the_cameras_slow_down_every_frame_is_processed() -> N
     assert rate_hz(graph.run(4), 4) > 14.5
 
 
+def test_starved_clients_are_not_given_every_frame_again() -> None:
+    """A machine full of other programs: the clients stand still for seconds, which no camera that slows down does."""
+    graph = Simulation(client_ms=50.0, others=1.0)
+    graph.run(6)
+    told = len(graph.rules)
+    for _ in range(4):
+        graph.client_ms = 400.0
+        graph.run(1.5)
+        graph.client_ms = 50.0
+        graph.run(2)
+    assert graph.rules[told:] and all(rule.fraction < 0.6 for rule in graph.rules[told:])
+    assert whole_share(graph.run(10)) > 0.9
+
+
 def test_cameras_that_become_much_faster_are_thinned_to_what_is_held() -> None:
     graph = Simulation(hz=15.0, hull_ms=25.0)
     graph.run(5)

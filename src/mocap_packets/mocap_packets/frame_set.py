@@ -123,7 +123,7 @@ class Timeline(Generic[T]):
 LEAP_NS = 250_000_000
 LEAP_TOLERANCES = 10  # a leap is at least five frame periods, so that slow cameras do not leap with every frame
 MOST_LAG_NS = 5_000_000_000  # what is farther behind has another clock
-LAG_NS = 1_500_000_000  # cameras may lag for so long after most of them met in a set: an overload is over by then
+LAG_NS = 4_000_000_000  # cameras may lag for so long after most of them met in a set: clients that start, starved, do
 VOTE_TOLERANCES = 4  # two frame periods: time for every live camera to be heard in one timeline or the other
 
 

@@ -23,7 +23,7 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from .expected_image import At, ExpectedImage, Floats
 from .grain import GrainMeter
-from .kernels import HIGHEST, SCALE, take_residuals, take_samples
+from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
@@ -32,14 +32,12 @@ from .slow_changes import SlowChanges
 from .sudden_shift import Places, sudden_shift
 
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
-DOUBTED = 0.02  # weight of samples that were foreground a frame ago
 RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
 NOISE_FRAMES, NOISE_S = 4, 0.12  # the noise is measured in every so many frames, and not more often
 SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 4  # a large displacement takes more than one linear step
-CLIPPED = 250.0  # grey levels from which a sample tells nothing of noise and displacement
 WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
 
 
@@ -87,6 +85,7 @@ class AdaptiveBackground:
         self._blocks = -(-height // block_px), -(-width // block_px)
         self._sampled = self._indices(self._row, self._column)
         self._dense: Mask | None = None
+        self._nowhere = np.zeros(math.prod(self._blocks), np.uint8)
         self._last_ns: int | None = None
         self._next_row, self._sweep_s, self._last_sweep_s = 0, 0.0, 0.0
         self._frames, self._since_noise_s, self._since_shift_s, self._since_renewal_s = 0, 0.0, 0.0, 0.0
@@ -165,7 +164,7 @@ class AdaptiveBackground:
         shape, n = self._image.shape, len(self._row)
         samples, trust = np.empty((3, shape[2], n), np.float32), np.empty(n, np.float32)
         pixels, (levels, sureness, _) = picture.reshape(-1, shape[2]), self._image.flat()
-        take_samples(pixels, levels, sureness, *self._sampled, self._doubted(), DOUBTED, samples, trust)
+        take_samples(pixels, levels, sureness, self._sampled, self._doubted(), samples, trust)
         return self._light.update(samples, trust, step_s).T
 
     def _follow_noise(self, picture: Image, rest: Floats, step_s: float, first: bool) -> None:
@@ -214,13 +213,11 @@ class AdaptiveBackground:
 
     def _edges(self, picture: Image) -> Edges:
         """Return what is left at the steep places under the light and noise of now."""
-        at, channels = self._indices(self._shift.row, self._shift.column), self._image.shape[2]
+        at, channels = self._steep, self._image.shape[2]
         out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
         pixels, (levels, _, excess) = picture.reshape(-1, channels), self._image.flat()
-        light, noise = (
-            np.stack(pair) for pair in ((self.light.gain, self.light.offset), (self._noise.read, self._noise.slope))
-        )
-        take_residuals(pixels, levels, excess, at, self._doubted(), DOUBTED, light, noise, CLIPPED, out, trust)
+        now = np.array([self.light.gain, self.light.offset, self._noise.read, self._noise.slope])
+        take_residuals(pixels, levels, excess, at, self._doubted(), now, out, trust)
         return Edges(out[0], out[1], trust)
 
     def _indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
@@ -230,7 +227,7 @@ class AdaptiveBackground:
 
     def _doubted(self) -> Mask:
         """Return the blocks (n,) near foreground of a frame ago, not 0."""
-        return np.zeros(math.prod(self._blocks), np.uint8) if self._dense is None else self._dense.reshape(-1)
+        return self._nowhere if self._dense is None else self._dense.reshape(-1)
 
     def _trust(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
         if self._dense is None:
@@ -243,6 +240,7 @@ class AdaptiveBackground:
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
         self._shift.place(*self._image.place(self._shift.total, self._slow.local))
+        self._steep = self._indices(self._shift.row, self._shift.column)
         self._renew(slice(0, self._image.shape[0]))
 
     def _renew(self, rows: slice) -> None:

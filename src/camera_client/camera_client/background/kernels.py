@@ -17,6 +17,8 @@ SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a varia
 HIGHEST = 255.0
 F32 = np.float32
 
+DOUBTED = 0.02  # weight of samples that were foreground a frame ago
+CLIPPED = 250.0  # grey levels from which a sample tells nothing of noise and displacement
 BINS = 256
 BIN_SIGMAS = 0.125  # of the histogram that a median is read from
 LEVER_PX = 200.0  # how far from the middle a roll shows: about half of a picture
@@ -178,38 +180,38 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
 
 
 @njit(**OPTIONS)
-def take_samples(picture, levels, sureness, place, block, doubted, weight, out, trust):  # type: ignore[no-untyped-def]
+def take_samples(picture, levels, sureness, at, doubted, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the light is fitted to, at some places of the picture.
 
-    picture (H W, C) uint8, levels, sureness (H W, C) float32; place, block (n,) : index of each sample, and of its
-    block in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, sureness^2. trust (n,) float32
-    : written: ``weight`` where the block is doubted, else 1.
-    """
-    for i in range(len(place)):
-        at = place[i]
-        for c in range(picture.shape[1]):
-            out[0, c, i], out[1, c, i] = picture[at, c], levels[at, c]
-            out[2, c, i] = sureness[at, c] * sureness[at, c]
-        trust[i] = F32(weight) if doubted[block[i]] else F32(1)
-
-
-@njit(**OPTIONS)
-def take_residuals(picture, levels, excess, at, doubted, weight, light, noise, white, out, trust):  # type: ignore[no-untyped-def]
-    """Collect what the displacement is fitted to, at some places of the picture.
-
-    picture (H W, C) uint8, levels, excess (H W, C) float32; at (2, n) : index of each place, and of its block in
-    ``doubted`` (blocks,) uint8. light (2, C) : gain and offset; noise (2, C) : read and slope. out (2, n, C) float32 :
-    written: picture - gain level - offset, and the variance of that. trust (n,) float32 : written: ``weight`` where the
-    block is doubted, 0 from the level ``white`` on, else 1.
+    picture (H W, C) uint8, levels, sureness (H W, C) float32; at (2, n) : index of each sample, and of its block in
+    ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, sureness^2. trust (n,) float32
+    : written: DOUBTED where the block is doubted, else 1.
     """
     for i in range(at.shape[1]):
         k = at[0, i]
-        trust[i] = F32(weight) if doubted[at[1, i]] else F32(1)
         for c in range(picture.shape[1]):
-            level = light[0, c] * levels[k, c]
-            out[0, i, c] = picture[k, c] - level - light[1, c]
-            out[1, i, c] = noise[0, c] + noise[1, c] * level + excess[k, c]
-            if picture[k, c] >= white:
+            out[0, c, i], out[1, c, i] = picture[k, c], levels[k, c]
+            out[2, c, i] = sureness[k, c] * sureness[k, c]
+        trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
+
+
+@njit(**OPTIONS)
+def take_residuals(picture, levels, excess, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
+    """Collect what the displacement is fitted to, at some places of the picture.
+
+    picture (H W, C) uint8, levels, excess (H W, C) float32; at (2, n) : index of each place, and of its block in
+    ``doubted`` (blocks,) uint8. now (4, C) : gain and offset of the light, read and slope of the noise. out (2, n, C)
+    float32 : written: picture - gain level - offset, and the variance of that. trust (n,) float32 : written: DOUBTED
+    where the block is doubted, 0 from the level CLIPPED on, else 1.
+    """
+    for i in range(at.shape[1]):
+        k = at[0, i]
+        trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
+        for c in range(picture.shape[1]):
+            level = F32(now[0, c]) * levels[k, c]
+            out[0, i, c] = picture[k, c] - level - F32(now[1, c])
+            out[1, i, c] = now[2, c] + now[3, c] * level + excess[k, c]
+            if picture[k, c] >= CLIPPED:
                 trust[i] = F32(0)
 
 

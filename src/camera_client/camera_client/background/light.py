@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ class Light:
         ones = np.ones(channels, np.float32)
         return cls(ones, np.zeros_like(ones), np.ones((FIELD_DOWN, FIELD_ACROSS, channels), np.float32))
 
-    @property
+    @cached_property
     def brightness(self) -> float:
         """How many times brighter than learned the scene is, all channels together."""
         return float(self.gain.mean())

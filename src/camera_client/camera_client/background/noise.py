@@ -54,6 +54,8 @@ class Noise(NamedTuple):
 
     def sigma(self, level: float) -> float:
         """Return the standard deviation at a grey level, the channels together."""
+        if len(self.read) == 1:
+            return math.sqrt(self.read[0] + self.slope[0] * level)
         return math.sqrt(float((self.read + self.slope * level).mean()))
 
     def moved(self, target: Noise, share: float) -> Noise:

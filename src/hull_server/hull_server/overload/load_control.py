@@ -40,6 +40,7 @@ SOON_S = 4.0  # the longest wait before a trial well below the rate that failed
 LIGHTER = 0.8  # a load a set below this share of what it was at a failure is another load
 REMEMBERED_S = 60.0  # the shortest delay within this is that without a queue
 DELAYED, LATE, DROPS, TEARS = "sets wait", "frames come late", "sets are dropped", "sets are torn"
+STARVED = "few frames come"
 
 
 @dataclass
@@ -192,6 +193,16 @@ class LoadControl:
             self._rise(offered_hz, rate_hz, load, calm_s)
         return self.limit_hz != limit_hz
 
+    def starve(self, rate_hz: float, load: float, now_ns: int) -> bool:
+        """Lower the limit where far fewer sets come than are kept: the clients hardly get to run.
+
+        True when the limit has changed; not before the last change can show, which starved clients follow late.
+        """
+        if now_ns - self._changed_ns < CALM_S * NS_PER_S or rate_hz <= LEAST_HZ:
+            return False
+        self._fall(STARVED, [each for each in self._sets if each.stamp_ns >= self._settled_ns], rate_hz, load, now_ns)
+        return True
+
     def _recent(self, rate_hz: float, now_ns: int) -> list[SetRecord]:
         span_ns = round(max(WINDOW_S, 1.5 * WINDOW_SETS / max(rate_hz, LEAST_HZ)) * NS_PER_S)
         while self._sets and now_ns - self._sets[0].closed_ns > span_ns:
@@ -239,7 +250,8 @@ class LoadControl:
         """Lower the limit to what was answered; after a rise, to where that began."""
         delays = [each.delay_ns for each in recent if each.delay_ns is not None]
         newest = recent[-WINDOW_SETS:]
-        self.standing_ns = self._delay.excess(max(delays, default=0)) + self._age.excess(max(s.age_ns for s in newest))
+        age_ns = max((s.age_ns for s in newest), default=0)
+        self.standing_ns = self._delay.excess(max(delays, default=0)) + self._age.excess(age_ns)
         self.cause, self._step = cause, TRIAL
         if self._rose or now_ns - self._changed_ns >= HELD_S * NS_PER_S:  # else it is the same trouble still
             self._failed_hz = rate_hz

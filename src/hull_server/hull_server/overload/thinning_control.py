@@ -11,7 +11,7 @@ from mocap_packets.thinning import EVERY_FRAME, FrameSelector, Thinning, nearest
 
 from .busy_stages import BusyStages
 from .frame_clock import Exposures, FrameClock
-from .load_control import NS_PER_S, LoadControl
+from .load_control import FULL, NS_PER_S, LoadControl
 
 REFRESH_S = 1.0  # a rule in force is told again, with the phase that the last stamps give: clocks drift
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
@@ -19,6 +19,7 @@ LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run 
 FEWEST, MOST, SEEN_S, LEAST_SETS = 0.6, 1.5, 0.5, 6  # of the sets of that time: else the cameras' rate has changed
 LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
 LAG_SPAN_NS = 300_000_000
+NO_SETS, FEW_SETS = FEW = "no sets come", "far fewer sets come than are kept"
 SETS_KEPT = 200
 LOADS_KEPT = 5  # of the last half second
 
@@ -108,17 +109,22 @@ class ThinningControl:
             if self._told_ns is None:
                 return self._tell(rule, now_ns)
             grid = self._clock.estimate(rule)
+            self._machine_loads.append(machine_load)
+            load = max(sum(self._machine_loads) / len(self._machine_loads), self._busy.share(now_ns))
+            due = rule.keep < rule.of and now_ns - self._told_ns >= REFRESH_S * NS_PER_S
             lost = self._lost_cameras(now_ns)
+            if lost in FEW and load >= FULL:  # the cameras go on, but their clients hardly get to run
+                rate_hz = rule.fraction * NS_PER_S / rule.period_ns
+                if grid is not None and self._load.starve(rate_hz, load, now_ns):
+                    return self._adopt(grid, rate_hz, now_ns)
+                return self._tell(rule, now_ns) if due else None
             if lost:
                 self.news = lost
                 self._clock.forget()
                 return self._tell(replace(EVERY_FRAME, from_ns=self._head_ns + LEAD_NS), now_ns)
-            due = rule.keep < rule.of and now_ns - self._told_ns >= REFRESH_S * NS_PER_S
             if grid is None or self._load.closed_share(rule.fraction * grid.hz, now_ns) > MOST:
                 return self._tell(rule, now_ns) if due else None  # the cameras' rate is not known, or not yet
             self._offered_hz, rate_hz = grid.hz, rule.fraction * grid.hz
-            self._machine_loads.append(machine_load)
-            load = max(sum(self._machine_loads) / len(self._machine_loads), self._busy.share(now_ns))
             changed = self._load.decide(grid.hz, rate_hz, load, now_ns)
             if changed or (rule.keep == rule.of and nearest_fraction(self._load.limit_hz / grid.hz) != (1, 1)):
                 return self._adopt(grid, rate_hz, now_ns)
@@ -172,10 +178,12 @@ class ThinningControl:
         span_ns = round(max(SEEN_S, LEAST_SETS / hz) * NS_PER_S)
         newest_ns = self._closed[-1][1]
         if now_ns - max(self._closed[-1][0], self._adopted_ns) > span_ns + LONGEST_PAUSE_NS:
-            return "no sets come"
+            return NO_SETS
         if now_ns - self._on_grid_ns > span_ns:
             return "the cameras' stamps lie on another grid"
         if newest_ns - max(self._settled_ns, self._closed[0][1]) < span_ns:
             return ""
         seen = sum(stamp > newest_ns - span_ns for _, stamp, _ in self._closed) / (hz * span_ns / NS_PER_S)
-        return "" if FEWEST < seen < MOST else f"{seen:.1f} times as many sets come as are kept"
+        if seen <= FEWEST:
+            return FEW_SETS
+        return f"{seen:.1f} times as many sets come as are kept" if seen >= MOST else ""
