@@ -34,15 +34,9 @@ from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.people import PeopleScores, score_people
 from sagoma_tools.evaluation.scores import number
 from sagoma_tools.evaluation.track import Track
-from virtual_studio.people import VolumetricBody, person_of
+from virtual_studio.people import people_of_sizes
 
 KEPT = Path("output/people_together")
-PEOPLE = (
-    VolumetricBody(person_of(1.78), 1.05),
-    VolumetricBody(person_of(1.64, 1.0, 0.98), 0.9),
-    VolumetricBody(person_of(1.70, 1.03, 1.0), 1.2),
-    VolumetricBody(person_of(1.60, 0.97, 1.02), 1.0),
-)
 SCENES = {"meeting": (2, (4, 6, 8)), "coming_later": (2, (4, 6, 8)), "going_first": (2, (4, 6, 8)), "crowd": (4, (8,))}
 """Scene: persons in it, and with how many cameras it is seen."""
 SETTLED = 20
@@ -55,7 +49,7 @@ def sets() -> Iterator[tuple[str, Callable[[], Clip]]]:
         for cameras in rigs:
             yield (
                 f"{scene}_{cameras}",
-                lambda scene=scene, n=persons, cameras=cameras: together_clip(scene, PEOPLE[:n], cameras),  # type: ignore[misc]
+                lambda scene=scene, n=persons, cameras=cameras: together_clip(scene, people_of_sizes(n), cameras),  # type: ignore[misc]
             )
     folder = SHARED / "sessions" / "two_ring8"
     if folder.is_dir():

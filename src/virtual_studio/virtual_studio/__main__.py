@@ -13,9 +13,11 @@ from rig_calibration.boards.specification import board_text, read_board
 
 from .motion_files.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.catalogue import MOTIONS, MotionFunction
-from .people import person_of
+from .motions.together import TOGETHER
+from .outfits import OUTFITS
+from .people import people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
-from .recording.session import RenderSettings, write_session
+from .recording.session import RenderSettings, write_scene, write_session
 from .rig import ring
 from .scene.boards import Wand
 
@@ -40,6 +42,11 @@ def _session(options: argparse.Namespace) -> int:
     body = person_of(options.stature, options.arms, options.legs)
     look = RenderSettings(options.seed, options.noise, options.flicker, options.shadow, options.build)
     progress = _show_progress if sys.stderr.isatty() else lambda done, total: None
+    if options.motion in TOGETHER:
+        cast, worn = people_of_sizes(len(TOGETHER[options.motion].roles)), [*OUTFITS.values()]
+        folder = write_scene(options.folder, rig, options.motion, cast, worn, options.fps, look, progress)
+        print(f"{folder}: {len(rig.cameras)} cameras, {len(cast)} persons in {time.monotonic() - started:.1f} s")
+        return 0
     folder = write_session(options.folder, rig, body, _motion(options), options.fps, options.seconds, look, progress)
     frames = len((folder / "truth.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"{folder}: {len(rig.cameras)} cameras x {frames} frames in {time.monotonic() - started:.1f} s")
@@ -89,7 +96,11 @@ def _session_parser() -> argparse.ArgumentParser:
     )
     motions = ", ".join(MOTIONS)
     parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
-    _add_common_arguments(parser, f"what the person does: {motions}; or a BVH or AMC file", "of noise and flicker")
+    _add_common_arguments(
+        parser,
+        f"what the person does: {motions}; or a BVH or AMC file; or what several do: {', '.join(TOGETHER)}",
+        "of noise and flicker",
+    )
     parser.add_argument("--seconds", type=float, default=6.0, help="length, s (of a file: at most); first a T-pose")
     parser.add_argument("--fps", type=float, default=60.0, help="frames a second")
     parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of the file to leave out")

@@ -204,6 +204,12 @@ def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
     return Body(halves, average.half_shoulder_width, average.shoulder_height_ratio, average.hip_width_ratio)
 
 
+def people_of_sizes(count: int) -> tuple[VolumetricBody, ...]:
+    """Returns up to four persons of different sizes and builds, the same ones every time."""
+    sizes = ((1.78, 1.0, 1.0, 1.05), (1.64, 1.0, 0.98, 0.9), (1.70, 1.03, 1.0, 1.2), (1.60, 0.97, 1.02, 1.0))
+    return tuple(VolumetricBody(person_of(*lengths), build) for *lengths, build in sizes[:count])
+
+
 def _trunk(body: Body, s: float) -> list[_Part]:
     h, w = body.half_lengths[TORSO], body.half_shoulder_width
     shoulder, hip = body.shoulder_height_ratio * h, body.hip_width_ratio * w

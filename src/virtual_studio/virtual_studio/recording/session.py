@@ -1,6 +1,7 @@
-"""Writes a session folder: footage, empty room, exact silhouettes, rig, truth and body of the built-in person.
+"""Writes a session folder: footage, empty room, exact silhouettes, rig, truth and body of the built-in persons.
 
-Files: camNN.mp4, camNN_background.mp4, camNN_mask.mkv (lossless), rig.yaml, truth.csv, body.yaml, session.yaml.
+Files: camNN.mp4, camNN_background.mp4, camNN_mask.mkv (lossless), rig.yaml, truth.csv, body.yaml, session.yaml; of the
+second person truth_2.csv and body_2.yaml, and so on.
 Everything follows from the arguments: the same seed gives the same pictures. The folder appears whole or not at all.
 """
 
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -26,7 +27,9 @@ from stick_figure.rotations import rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..motions.catalogue import MOTIONS, Motion, MotionFunction
-from ..people import Capsules, VolumetricBody
+from ..motions.together import TOGETHER
+from ..outfits import Outfit
+from ..people import Capsules, VolumetricBody, together
 from ..rendering.camera import Light, Sensor, VirtualCamera
 from ..rendering.capsules import floor_shadow
 from .files import FOOTAGE, LOSSLESS, MADE_BY, VideoFile, atomic_folder
@@ -87,25 +90,83 @@ def write_session(
     folder, settings = Path(folder), settings or RenderSettings()
     if isinstance(motion, str) and motion not in MOTIONS:
         raise InputError(f"there is no motion '{motion}'", remedy=f"Known motions: {', '.join(MOTIONS)}.")
-    person = VolumetricBody(body, settings.build)
     moved = (MOTIONS[motion] if isinstance(motion, str) else motion)(body, seconds, fps, settings.build)
+    actor = Actor(VolumetricBody(body, settings.build), moved)
+    recipe = {"motion": str(motion), "seconds": seconds}
+    return _write(folder, rig, (actor,), settings, recipe, progress)
+
+
+def write_scene(
+    folder: str | Path,
+    rig: Rig,
+    scene: str,
+    persons: Sequence[VolumetricBody],
+    outfits: Sequence[Outfit] = (),
+    fps: float = 60.0,
+    settings: RenderSettings | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Path:
+    """Renders a scene of several persons (`motions.together.TOGETHER`) as :func:`write_session` does one person.
+
+    persons: one for each role; outfits: what they wear, in the same order; those without one wear the usual clothes.
+    Raises InputError for an unknown scene, too few persons, or a folder that holds anything else.
+    """
+    if scene not in TOGETHER:
+        raise InputError(f"there is no scene '{scene}'", remedy=f"Known scenes: {', '.join(TOGETHER)}.")
+    roles = len(TOGETHER[scene].roles)
+    if len(persons) != roles:
+        raise InputError(f"{len(persons)} persons for the {roles} roles of '{scene}'", remedy="Give one for each role.")
+    motions = TOGETHER[scene].motions(persons, fps)
+    worn = [*outfits[:roles], *[None] * (roles - len(outfits))]
+    actors = [Actor(*one) for one in zip(persons, motions, worn, strict=True)]
+    recipe = {"scene": scene, "seconds": len(motions[0].poses) / fps}
+    return _write(Path(folder), rig, actors, settings or RenderSettings(), recipe, progress)
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Somebody before the cameras: a body, its motion, and the clothes, if not the usual ones."""
+
+    person: VolumetricBody
+    motion: Motion
+    outfit: Outfit | None = None
+
+    def at(self, frame: int) -> Capsules:
+        """Returns the parts in one frame."""
+        placed = self.person.place(self.motion.poses[frame])
+        return placed if self.outfit is None else self.outfit.dress(placed)
+
+
+def _write(
+    folder: Path,
+    rig: Rig,
+    actors: Sequence[Actor],
+    settings: RenderSettings,
+    recipe: dict[str, object],
+    progress: Progress,
+) -> Path:
     with atomic_folder(folder, "session.yaml") as partial:
         save_rig(rig, partial / "rig.yaml")
-        save_body(body, partial / "body.yaml", source="the built-in body of the virtual studio: exact")
-        write_truth(partial / "truth.csv", body, moved)
-        recipe = {
-            "motion": str(motion),
-            "seconds": seconds,
+        for number, actor in enumerate(actors, 1):
+            tail, body = "" if number == 1 else f"_{number}", actor.person.body
+            save_body(body, partial / f"body{tail}.yaml", source="the built-in body of the virtual studio: exact")
+            write_truth(partial / f"truth{tail}.csv", body, actor.motion)
+        recipe = recipe | {
             "seed": settings.seed,
             "noise_grey_levels": settings.noise,
             "flicker": settings.flicker,
             "shadow": settings.shadow,
-            "build": settings.build,
-            "stature_m": round(body.stature, 4),
         }
-        _write_description(partial / "session.yaml", fps, recipe)
-        _film(partial, rig, person, moved, settings, progress)
+        recipe |= _of_all("build", [actor.person.build for actor in actors])
+        recipe |= _of_all("stature_m", [round(actor.person.body.stature, 4) for actor in actors])
+        _write_description(partial / "session.yaml", actors[0].motion.fps, recipe)
+        _film(partial, rig, actors, settings, progress)
     return folder
+
+
+def _of_all(name: str, values: list[float]) -> dict[str, object]:
+    """One value for one person, a list for several."""
+    return {name: values[0] if len(values) == 1 else values}
 
 
 def write_truth(path: Path, body: Body, motion: Motion) -> None:
@@ -124,9 +185,8 @@ def write_truth(path: Path, body: Body, motion: Motion) -> None:
             writer.writerow([frame, *(f"{value:.7f}" for value in numbers)])
 
 
-def _film(
-    folder: Path, rig: Rig, person: VolumetricBody, motion: Motion, settings: RenderSettings, progress: Progress
-) -> None:
+def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSettings, progress: Progress) -> None:
+    motion = actors[0].motion
     sensor, things = Sensor(settings.noise, settings.flicker, settings.seed), motion.things
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
@@ -147,8 +207,8 @@ def _film(
             footage[number].write(sensor.expose(light, number, frame))
             masks[number].write(mask)
 
-        for frame, pose in enumerate(motion.poses):
-            capsules = person.place(pose)
+        for frame in range(len(motion.poses)):
+            capsules = together(*(actor.at(frame) for actor in actors))
             if things:
                 capsules = things.foreground(capsules, frame)
             shadow = floor_shadow(capsules) if settings.shadow else None
