@@ -18,7 +18,6 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import Session
-from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.latency import POINTS
 from sagoma_ros.images import decode_silhouette
 
@@ -30,6 +29,7 @@ from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps
 from .held_rate import OtherPrograms
 from .live_inputs import LiveInput
+from .people import main_track
 from .pictures import session_overlay
 from .track import Track, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
@@ -56,7 +56,7 @@ class LiveRun:
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     others : share of the processors that other programs took meanwhile.
-    tracks : everybody's, by the person's number; ``track`` is the first person's.
+    tracks : everybody's, by the person's number.
     """
 
     session: Session
@@ -78,8 +78,8 @@ class LiveRun:
 
     @property
     def track(self) -> Track:
-        """The first person's track."""
-        return self.tracks[FIRST_PERSON]
+        """The track of the person that the session's first truth is of; without several truths, the first person's."""
+        return main_track(self.tracks, self.session.truths, self.session.fps)
 
     @property
     def hz_held(self) -> float:
