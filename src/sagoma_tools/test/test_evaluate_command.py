@@ -16,6 +16,7 @@ from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
 from sagoma_tools.evaluation.in_process import OURS, ROWS, THESIS
+from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -115,14 +116,30 @@ def test_a_bag_of_live_cameras_is_judged_by_what_can_be_said(session, tmp_path, 
     assert "Leave out --thesis" in capsys.readouterr().err
 
 
-def write_live_bag(folder, rig):
-    """40 silhouettes at 20 Hz; from the fifth on somebody who stands still, for two frames doubtful."""
-    topics = {
-        "/cam01/silhouette/compressed": "sensor_msgs/msg/CompressedImage",
-        "/mocap/reference_points": "sensor_msgs/msg/PointCloud2",
-        "/mocap/joint_states": "sensor_msgs/msg/JointState",
-        "/mocap/state": "diagnostic_msgs/msg/DiagnosticStatus",
+def test_a_bag_holds_a_track_of_each_person(session, tmp_path, capsys):
+    bag = write_live_bag(tmp_path / "bag", session / "rig.yaml", others={"b0003": 8, "anna": 30})
+    first_ns = 1_700_000_000_000_000_000
+    tracks = tracks_from_bag(bag, lambda stamp_ns: (stamp_ns - first_ns) // 50_000_000)
+    assert [(person, int(track.frames[0]), len(track)) for person, track in tracks.items()] == [
+        (1, 4, 36),
+        (3, 8, 32),  # the third of b0001, b0002, ...
+        (5, 30, 10),  # of no number of ours
+    ]
+    figures = evaluated(capsys, bag, "--json")
+    assert figures["tracked"] == 36 and "persons" not in figures  # there is no truth of several persons
+
+
+def write_live_bag(folder, rig, others=()):
+    """40 silhouettes at 20 Hz; from the fifth on somebody who stands still, for two frames doubtful; ``others`` : id
+    and first frame of further bodies."""
+    of_person = {
+        "reference_points": "sensor_msgs/msg/PointCloud2",
+        "joint_states": "sensor_msgs/msg/JointState",
+        "state": "diagnostic_msgs/msg/DiagnosticStatus",
     }
+    prefixes = {"/mocap": 4} | {f"/mocap/bodies/{body_id}": frame for body_id, frame in dict(others).items()}
+    topics = {"/cam01/silhouette/compressed": "sensor_msgs/msg/CompressedImage"}
+    topics |= {f"{prefix}/{what}": kind for prefix in prefixes for what, kind in of_person.items()}
     body = Body.from_stature(1.75)
     points = forward(body, Pose.from_angles([0.0, 0.0, 1.0], np.eye(3), T_POSE_ANGLES))
     measured = ReferencePoints(points, np.broadcast_to(np.eye(3) * 1e-4, (15, 3, 3)), np.ones(15, bool))
@@ -134,15 +151,15 @@ def write_live_bag(folder, rig):
             silhouette = CompressedImage()
             silhouette.header.stamp = to_stamp(stamp_ns)
             messages = {"/cam01/silhouette/compressed": silhouette}
-            if frame >= 4:
+            for prefix in [prefix for prefix, begins in prefixes.items() if frame >= begins]:
                 state = "tracking" if frame >= 6 else "doubtful"
                 angles = joint_state_message(ANGLE_NAMES, T_POSE_ANGLES, np.zeros(18), stamp_ns, "map")
                 said = DiagnosticStatus(message=state, values=[KeyValue(key="stamp_ns", value=str(stamp_ns))])
                 messages |= {
-                    "/mocap/reference_points": packet_cloud(measured, stamp_ns, "map"),
-                    "/mocap/joint_states": angles,
+                    f"{prefix}/reference_points": packet_cloud(measured, stamp_ns, "map"),
+                    f"{prefix}/joint_states": angles,
+                    f"{prefix}/state": said,
                 }
-                messages |= {"/mocap/state": said}
             for topic, message in messages.items():
                 bag.write(topic, stamp_ns, serialize_message(message))
     bag.describe({}, rig)

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     rows = ablation_scores(session, tracks) if args.ablation else {}
     people = people_scores(session, everybody[OURS])
     if people is not None:
-        figures["people"] = people.figures()
+        figures |= people.figures()
     if not args.json:
         print_evaluation(console, evaluated)
         if people is not None:

@@ -40,7 +40,7 @@ class PersonScores:
 
     def figures(self) -> dict[str, object]:
         """Name to number, for a line of JSON."""
-        whole: dict[str, object] = {"numbers": list(self.numbers), "switches": self.switches}
+        whole: dict[str, object] = {"numbers": list(self.numbers), "identity_switches": self.switches}
         if self.scores is not None:
             whole |= {"frames": self.scores.frames, "tracked": self.scores.tracked}
             whole |= {name: number(getattr(self.scores, name)) for name in OVERALL}
@@ -65,10 +65,13 @@ class PeopleScores:
         return sum(person.switches for person in self.persons)
 
     def figures(self) -> dict[str, object]:
-        """Name to number, for a line of JSON."""
+        """Name to number, for a line of JSON: one record a person, and the mean of those that have scores."""
+        scored = [person.scores for person in self.persons if person.scores is not None]
+        means = {name: number(float(np.mean([getattr(one, name) for one in scored]))) for name in OVERALL if scored}
         return {
+            **means,
             "persons": [person.figures() for person in self.persons],
-            "switches": self.switches,
+            "identity_switches": self.switches,
             "ghosts": list(self.ghosts),
             "ghost_frames": self.ghost_frames,
         }
