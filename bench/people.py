@@ -1,6 +1,6 @@
 """One table over everybody there is to track: test data, the studio's people, hard cases, rendered mesh people.
 
-    python bench/people.py [NAME ...] [--products FOLDER] [--set NODE.PARAMETER=VALUE ...]
+    python bench/people.py [NAME ...] [--products FOLDER] [--pictures FOLDER] [--set NODE.PARAMETER=VALUE ...]
 
 Tracks every set (those with a NAME in theirs) with automatic start and default settings: each session of the test data
 with its own silhouettes and, as _exact, with exact ones; the studio's tour by five people and its hard cases; and what
@@ -13,10 +13,13 @@ frame; share of tracked frames with a point over 200 mm; share of frames tracked
 95 % ellipsoids, all and of the worst point; of frames with a point over 200 mm, and of those with all points under
 100 mm, the share in which the track does not call itself tracking; processor time of fit and filter, ms a set; identity
 switches and tracks of nobody where there are several persons (figures: all persons' together). The last line is JSON.
+--pictures draws the worst frame of every set with a point over 200 mm from the first person's side: silhouettes, which
+must lie in FOLDER/../clips as `bench/mesh_people.py` writes them, truth in white, track in colour.
 """
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -25,6 +28,7 @@ from typing import Any
 
 from report import Table, add_settings, execute, finish, parser
 
+import cv2
 import numpy as np
 from products import Recorded, load
 from scenes import SHARED, Clip, session_clip, studio_clip
@@ -33,15 +37,19 @@ from capture_rig.session import Truth
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.arguments import parse_settings
+from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.people import score_people
+from sagoma_tools.evaluation.pictures import Window, montage, overlay
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
 from stick_figure import metrics
+from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.motions.catalogue import HARD_CASES
 from virtual_studio.people import person_of
 
 KEPT = Path("output/people")
 BAD_MM, GOOD_MM = 200.0, 100.0
+CLOSE_UP_PX = 240
 BUILDS = ((1.60, 0.85, 1.0, 1.0), (1.88, 1.2, 1.0, 1.0), (1.75, 1.0, 1.0, 1.0), (1.68, 1.3, 0.95, 1.03),
           (1.82, 0.9, 1.05, 0.97))  # fmt: skip
 """Stature, m; build; length of arms and legs, over the average's."""
@@ -153,6 +161,25 @@ def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
     )
 
 
+def draw(what: Recorded, clip: Clip, track: Track, path: Path) -> None:
+    """Draws the worst frame of the first person's track, close up, in every camera."""
+    aligned = track.at(np.arange(len(what.truths[0])))
+    distances = np.linalg.norm(aligned.points_world - what.truths[0], axis=2).max(axis=1)
+    frame = int(np.nanargmax(distances))
+    if 1e3 * distances[frame] <= BAD_MM:
+        return
+    estimate, truth = aligned.points_world[frame], what.truths[0][frame]
+    pictures = []
+    for camera in what.rig.cameras:
+        window = Window.around(camera, np.concatenate([estimate, truth]), CLOSE_UP_PX)
+        image = np.zeros((camera.height, camera.width, 3), np.uint8)
+        mask = distort_mask(camera, clip.mask(frame, camera.name))
+        pictures.append(overlay(camera, image, mask, estimate, truth, window))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), montage(pictures, columns=len(pictures)))
+    print(f"{path}: frame {frame}, {POINT_NAMES[int(np.argmax(np.linalg.norm(estimate - truth, axis=1)))]}")
+
+
 def _without_offsets(track: Track, truth: np.ndarray) -> np.ndarray:
     rows = np.isfinite(track.points_world).all(axis=(1, 2))
     centred = metrics.without_offsets(track.points_world[rows], truth[rows])
@@ -169,6 +196,7 @@ def main() -> None:
     given = parser(__doc__)
     given.add_argument("names", nargs="*", help="parts of names of sets; default: all")
     given.add_argument("--products", type=Path, default=KEPT, help="where hulls are kept, and mesh people lie")
+    given.add_argument("--pictures", type=Path, help="folder for the worst frames")
     add_settings(given)
     arguments = given.parse_args()
     settings = parse_settings(arguments.settings)
@@ -178,7 +206,16 @@ def main() -> None:
     )
     table: dict[str, dict[str, Any]] = {}
     for what in recorded(arguments.products, arguments.names):
-        figures = judged(what, *followed(what, settings))
+        tracks, ms = followed(what, settings)
+        figures = judged(what, tracks, ms)
+        silhouettes = arguments.products.parent / "clips" / f"{what.name}.pkl"
+        if arguments.pictures and tracks and silhouettes.is_file():
+            draw(
+                what,
+                pickle.loads(silhouettes.read_bytes()),
+                tracks[min(tracks)],
+                arguments.pictures / f"{what.name}.png",
+            )
         table[what.name] = asdict(figures)
         shown.row(what.name, *table[what.name].values())
     finish(table)
