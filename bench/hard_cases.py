@@ -23,7 +23,7 @@ from report import Table, add_settings, execute, finish, parser
 import cv2
 import numpy as np
 from drills import Outcome, good_spells, play
-from scenes import Clip, session_clip, studio_clip
+from scenes import Clip, inside_volume, session_clip, studio_clip
 
 from capture_rig.errors import InputError
 from sagoma_tools.arguments import parse_settings
@@ -38,8 +38,6 @@ from virtual_studio.rig import ring
 
 PICTURES = Path("output/hard_cases")
 FAR_M = 0.200
-MARGIN_M = 0.05
-"""How far inside the volume all points must lie for a frame to count: flesh reaches farther than joints."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,7 @@ class Figures:
 
 def judged(clip: Clip, outcome: Outcome) -> tuple[Figures, int]:
     """The figures of an undisturbed track, and its worst frame."""
-    low, high = clip.rig.volume.low + MARGIN_M, clip.rig.volume.high - MARGIN_M
-    inside = ((clip.truth > [*low[:2], -1.0]) & (clip.truth < high)).all(axis=(1, 2))
+    inside = inside_volume(clip.rig, clip.truth)
     tracked = np.flatnonzero(np.isfinite(outcome.errors_m).any(axis=1))
     if len(tracked) == 0:
         return Figures(None, 1.0, None, "", None, None, (), ()), 0

@@ -8,7 +8,7 @@ with its own silhouettes and, as _exact, with exact ones; the studio's tour by f
 
 The hulls are carved once and kept in FOLDER (output/people): empty it after a change of cameras or hull.
 
-Columns: frames of the truth; mean error of the 15 points, mm, and without each point's constant offset in the pelvis's
+Columns: frames in which a person is wholly inside the volume; mean error of the 15 points, mm, and without each point's constant offset in the pelvis's
 frame; share of tracked frames with a point over 200 mm; share of frames tracked; share of errors inside the track's own
 95 % ellipsoids, all and of the worst point; of frames with a point over 200 mm, and of those with all points under
 100 mm, the share in which the track does not call itself tracking; processor time of fit and filter, ms a set; identity
@@ -31,7 +31,7 @@ from report import Table, add_settings, execute, finish, parser
 import cv2
 import numpy as np
 from products import Recorded, load
-from scenes import SHARED, Clip, session_clip, studio_clip
+from scenes import SHARED, Clip, inside_volume, session_clip, studio_clip
 
 from capture_rig.session import Truth
 from mocap_pipeline.configuration import Configuration
@@ -126,7 +126,7 @@ def followed(what: Recorded, settings: dict[str, Any]) -> tuple[dict[int, Track]
 def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
     """The figures of all persons together."""
     truths = [Truth(np.arange(len(t)), t, None, 1.0, Path(what.name)) for t in what.truths]
-    known = [np.flatnonzero(np.isfinite(t.points_world).any(axis=(1, 2))) for t in truths]
+    known = [np.flatnonzero(inside_volume(what.rig, t)) for t in what.truths]
     frames = sum(map(len, known))
     several = len(truths) > 1
     people = score_people(tracks, truths, what.fps) if several else None

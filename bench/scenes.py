@@ -34,6 +34,8 @@ from virtual_studio.rig import ring
 
 SHARED = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 STATURE_M, STUDIO_FPS = 1.75, 60.0
+MARGIN_M = 0.05
+"""How far inside the volume all points must lie for a frame to count: flesh reaches farther than joints."""
 
 
 def shared_sessions(names: Iterable[str] = (), only: str = "") -> Iterator[tuple[str, Session]]:
@@ -157,6 +159,13 @@ def session_clip(folder: Path, exact: bool) -> Clip:
     clip = Clip.of(folder.name, session.rig, session.fps, canvas_masks(session, exact))
     truth, *others = (truth_of_frames(known, len(clip)) for known in session.truths)
     return Clip(clip.name, clip.rig, clip.fps, clip.packed, truth, start_settings(session, "auto"), tuple(others))
+
+
+def inside_volume(rig: Rig, truth: np.ndarray) -> np.ndarray:
+    """Tell in which frames (F,) all known points (F, 15, 3) m lie inside the capture volume, above or on the floor."""
+    low, high = rig.volume.low + MARGIN_M, rig.volume.high - MARGIN_M
+    outside = (truth < np.array([*low[:2], -1.0])) | (truth > high)
+    return np.isfinite(truth).any(axis=(1, 2)) & ~outside.any(axis=(1, 2))
 
 
 def truth_of_frames(truth: Truth, frames: int) -> np.ndarray:
