@@ -203,7 +203,7 @@ def make(name: str, body_data: Path, motion_data: Path) -> Made:
         for body, (_, how, turn, shift) in zip(bodies, what.people, strict=True)
     ]
     rig = RINGS[what.rig].rig(sorted(RINGS).index(what.rig))
-    return Made(f"mesh_{name}", rig, bodies, motions, T_POSE)
+    return Made(f"mesh_{name}", rig, bodies, motions, T_POSE if what.from_t_pose else {})
 
 
 def _keep(folder: Path, clip: Clip) -> None:

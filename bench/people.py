@@ -8,11 +8,12 @@ with its own silhouettes and, as _exact, with exact ones; the studio's tour by f
 
 The hulls are carved once and kept in FOLDER (output/people): empty it after a change of cameras or hull.
 
-Columns: frames in which a person is wholly inside the volume; mean error of the 15 points, mm, and without each point's constant offset in the pelvis's
-frame; share of tracked frames with a point over 200 mm; share of frames tracked; share of errors inside the track's own
-95 % ellipsoids, all and of the worst point; of frames with a point over 200 mm, and of those with all points under
-100 mm, the share in which the track does not call itself tracking; processor time of fit and filter, ms a set; identity
-switches and tracks of nobody where there are several persons (figures: all persons' together). The last line is JSON.
+Columns: frames in which a person is wholly inside the volume; mean error of the 15 points, mm, and without each point's
+constant offset in the pelvis's frame; share of tracked frames with a point over 200 mm; share of frames tracked; share
+of errors inside the track's own 95 % ellipsoids, all and of the worst point; of frames with a point over 200 mm, and of
+those with all points under 100 mm, the share in which the track does not call itself tracking; processor time of fit
+and filter, ms a set; identity switches and tracks of nobody where there are several persons (figures: all persons'
+together). The last line is JSON.
 --pictures draws the worst frame of every set with a point over 200 mm from the first person's side: silhouettes, which
 must lie in FOLDER/../clips as `bench/mesh_people.py` writes them, truth in white, track in colour.
 """

@@ -17,7 +17,7 @@ FRAMES = 20
 
 
 def test_figures_of_a_row():
-    truth = np.tile(np.random.default_rng(3).normal(0.0, 0.3, (15, 3)), (FRAMES, 1, 1))
+    truth = np.tile(np.random.default_rng(3).uniform(0.0, 1.0, (15, 3)), (FRAMES, 1, 1))
     points = truth.copy()
     points[:, 0, 2] += 0.03  # 30 mm on one of 15 points
     points[:4, 11, 2] += 0.3  # four bad frames, one of them doubtful, and one good one
@@ -40,8 +40,8 @@ def test_a_set_that_was_not_found():
 
 
 def test_two_persons_tracks_are_told_apart():
-    truth = np.random.default_rng(1).normal(0.0, 0.3, (FRAMES, 15, 3))
-    other = truth + np.array([2.0, 0.0, 0.0])
+    truth = np.random.default_rng(1).normal(0.0, 0.05, (FRAMES, 15, 3))
+    other = truth + np.array([1.0, 0.0, 0.0])
     states, P = np.full(FRAMES, "tracking"), np.tile(0.02**2 * np.eye(3), (FRAMES, 15, 1, 1))
     tracks = {
         number: Track(np.arange(FRAMES), points, P, np.zeros((FRAMES, 18)), states)
