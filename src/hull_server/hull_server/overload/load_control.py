@@ -33,6 +33,7 @@ LEAST_LOAD = 0.01
 LOWEST, HIGHEST = 0.5, 0.95  # one fall of the rate
 MARGIN = 0.95  # of the rate that was answered
 LEAST_HZ = 3.0
+STARVED_HZ = 10.0  # few frames alone lower the rate no further: on a full machine it rises again by trials only
 HELD_S = 2.0  # a rise that shows no overload for so long has held: a queue that is 5 % too slow stands by then
 PROVEN_S = 10.0  # ... and for so long for good: a fall within it makes the next trial wait longer
 FIRST_WAIT_S, LONGEST_WAIT_S = 1.0, 60.0  # before a trial; it doubles with every trial that fails
@@ -198,9 +199,10 @@ class LoadControl:
 
         True when the limit has changed; not before the last change can show, which starved clients follow late.
         """
-        if now_ns - self._changed_ns < CALM_S * NS_PER_S or rate_hz <= LEAST_HZ:
+        if now_ns - self._changed_ns < CALM_S * NS_PER_S or rate_hz <= STARVED_HZ:
             return False
         self._fall(STARVED, [each for each in self._sets if each.stamp_ns >= self._settled_ns], rate_hz, load, now_ns)
+        self.limit_hz = max(self.limit_hz, STARVED_HZ)
         return True
 
     def _recent(self, rate_hz: float, now_ns: int) -> list[SetRecord]:
