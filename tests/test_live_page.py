@@ -45,7 +45,7 @@ def test_the_graph_is_run_and_a_take_recorded_by_buttons(page, tmp_path):
     with browser(1000, 800) as tab:
         tab.open(page)
         tab.wait_for_text("ekf_tracker")
-        tab.wait_for_text("tracking")
+        tab.wait_for_text("b0001")  # the person's name, in the room
         tab.picture(PICTURES / "live.png")
 
         tab.press("suspend")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from capture_rig.rig import load_rig
+from capture_rig.rig import Rig, load_rig
 
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.ros_link import RosLink, StopOnSignal
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
 def page_of(args: argparse.Namespace) -> Iterator[Page]:
     """Serve the page that the arguments describe: of a take alone, or of the graph."""
     take = getattr(args, "take", None)
-    rig = load_rig(args.rig) if args.rig else None
+    rig = _rig(args)
     guard = Guard.of(args.host, args.token)
     if take is not None:
         folder = Path(take).resolve()
@@ -76,6 +76,14 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
         finally:
             page.close()
             control.close()
+
+
+def _rig(args: argparse.Namespace) -> Rig | None:
+    """The rig that was named, or that of the session that `sagoma up` plays."""
+    session = getattr(args, "session", None)
+    if args.rig:
+        return load_rig(args.rig)
+    return load_rig(Path(session) / "rig.yaml") if session else None
 
 
 def announce(guard: Guard, port: int) -> None:

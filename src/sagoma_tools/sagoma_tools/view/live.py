@@ -7,6 +7,7 @@ import time
 import cv2
 import numpy as np
 import viser
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from mocap_packets.hull import VoxelSamples
 from sagoma_ros.packets import read_finite, read_reference_points
@@ -15,6 +16,7 @@ from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
 from ..graph.ros_link import RosLink, our_nodes
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, persons_in
 from .feed import Feed
+from .markdown import escape
 from .scene import Figure
 
 LOOK_S = 1.0
@@ -25,7 +27,9 @@ VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
 PREVIEW = "/preview/compressed"
 PICTURE_TYPE = "sensor_msgs/msg/CompressedImage"
 PICTURE_WIDTH = 320
-COLUMNS = ("node", "state", "Hz", "ms", "lost", "says")
+MARKS = {DiagnosticStatus.OK: "🟢", DiagnosticStatus.WARN: "🟡", DiagnosticStatus.ERROR: "🔴"}
+FIGURES = (("rate_hz", "Hz"), ("latency_p50_ms", "ms"))
+"""Of the diagnostics: frame sets a second, and how old they are (median)."""
 
 
 class LiveGraph:
@@ -101,23 +105,22 @@ class LiveGraph:
         cloud = self._feed.take(VOXELS[0])
         return None if cloud is None else read_finite(cloud, VoxelSamples, VOXELS[0])[0].points_world
 
-    def states_table(self) -> str:
-        """Return every node of the graph, by its last diagnostics, as a markdown table."""
-        now_s = time.monotonic()
-        rows = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+    def states_list(self) -> str:
+        """Return every node of the graph, by its last diagnostics, as a markdown list."""
+        now_s, lines = time.monotonic(), []
         for name in sorted(our_nodes(self._node) | set(self._diagnostics.names())):
+            label = name.strip("/").removesuffix("/camera_client")
             report = self._diagnostics.report(name)
             if report is None:
-                rows.append(f"| {name} | | | | | nothing yet |")
+                lines.append(f"- **{label}** has not been heard yet")
                 continue
             silent_s = now_s - report.heard_s
-            says = f"silent for {silent_s:.0f} s" if silent_s > STALE_S else report.message.replace("|", "/")
-            lost = ", ".join(f"{count} {key}" for key, count in report.losses().items())
-            level = {b"\x00": "ok", b"\x01": "**warning**", b"\x02": "**error**"}.get(report.level, "**stale**")
-            values = report.values
-            cells = (name.strip("/"), level, values.get("rate_hz", ""), values.get("latency_p50_ms", ""), lost, says)
-            rows.append("| " + " | ".join(cells) + " |")
-        return "\n".join(rows)
+            mark = MARKS.get(report.level, "?") if silent_s <= STALE_S else MARKS[DiagnosticStatus.ERROR]
+            says = report.message if silent_s <= STALE_S else f"silent for {silent_s:.0f} s"
+            figures = [f"{report.values[key]} {unit}" for key, unit in FIGURES if key in report.values]
+            figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
+            lines.append(f"- {mark} **{label}** {', '.join(figures)}: {escape(says)}")
+        return "\n".join(lines)
 
     def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
         """Draw each camera's newest picture: its preview where the client publishes one, else its silhouette."""

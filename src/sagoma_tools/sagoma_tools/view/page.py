@@ -18,6 +18,7 @@ from ..graph.lifecycle_client import State
 from .control import Control, Work
 from .guard import Guard, guarded_server
 from .live import LiveGraph
+from .markdown import escape
 from .playback import Playback
 from .scene import RoomScene
 from .takes import Take, takes_in
@@ -171,7 +172,7 @@ class _Panels:
         try:
             self.page.show_take(self.page._takes / self.take_choice.value)
         except InputError as error:
-            self.take_text.content = _escape(str(error))
+            self.take_text.content = escape(str(error))
 
     def jump(self, event: viser.GuiEvent) -> None:
         """Go on playing from where somebody has moved the slider to."""
@@ -184,7 +185,7 @@ class _Panels:
         for child in list(self.plots._children.values()):
             child.remove()
         self.position.disabled = playback is None
-        self.take_text.content = "" if playback is None else _escape(playback.summary)
+        self.take_text.content = "" if playback is None else escape(playback.summary)
         if playback is None:
             return
         self.position.max = playback.seconds
@@ -203,10 +204,10 @@ class _Panels:
     def show_states(self) -> None:
         """Say what the last request came to, and how every node is."""
         control, live = self.page._control, self.page._live
-        recording = f"**recording {_escape(control.recording)}** " if control is not None and control.recording else ""
-        self.said.content = recording + (_escape(control.said) if control is not None else "")
+        recording = f"**recording {escape(control.recording)}** " if control is not None and control.recording else ""
+        self.said.content = recording + (escape(control.said) if control is not None else "")
         if live is not None:
-            self.states.content = live.states_table()
+            self.states.content = live.states_list()
 
     def show_pictures(self) -> None:
         """Draw the cameras' newest pictures."""
@@ -223,15 +224,18 @@ class _Panels:
 
 def _graph_buttons(gui: viser.GuiApi, control: Control) -> None:
     """Connect, start, suspend, stop, reset, and the countdown to learn the background."""
-    wanted: tuple[tuple[str, str, Work], ...] = (
-        ("connect", "connecting", control.bring(State.INACTIVE, False)),
-        ("start", "starting", control.bring(State.ACTIVE, False)),
-        ("suspend", "suspending", control.bring(State.INACTIVE, True)),
-        ("stop", "stopping", control.bring(State.UNCONFIGURED, True)),
-        ("reset", "resetting", control.reset),
+    transitions: dict[str, tuple[str, Work]] = {
+        "connect": ("connecting", control.bring(State.INACTIVE, False)),
+        "start": ("starting", control.bring(State.ACTIVE, False)),
+        "suspend": ("suspending", control.bring(State.INACTIVE, True)),
+        "stop": ("stopping", control.bring(State.UNCONFIGURED, True)),
+    }
+    group = gui.add_button_group("nodes", tuple(transitions))
+    _on_click(group, lambda: control.request(*transitions[group.value]))
+    _on_click(
+        gui.add_button("reset", hint="forget everybody, and look anew"),
+        partial(control.request, "resetting", control.reset),
     )
-    for label, what, work in wanted:
-        _on_click(gui.add_button(label), partial(control.request, what, work))
     seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
     learn, cancel = gui.add_button("learn background"), gui.add_button("cancel")
     _on_click(learn, lambda: control.request("learning", control.learn_background(int(seconds.value))))
@@ -246,13 +250,8 @@ def _recording_controls(gui: viser.GuiApi, control: Control) -> None:
     _on_click(finish, lambda: control.request("finishing", control.stop_recording))
 
 
-def _on_click(button: viser.GuiButtonHandle, act: Callable[[], object]) -> None:
+def _on_click(button: viser.GuiButtonHandle | viser.GuiButtonGroupHandle, act: Callable[[], object]) -> None:
     def clicked(event: viser.GuiEvent) -> None:
         act()
 
     button.on_click(clicked)
-
-
-def _escape(text: str) -> str:
-    """Text that markdown shows as it is."""
-    return "".join(f"\\{char}" if char in "\\`*_{}[]<>#|~" else char for char in text)
