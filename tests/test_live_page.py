@@ -45,7 +45,7 @@ def test_the_graph_is_run_and_a_take_recorded_by_buttons(page, tmp_path):
     with browser(1000, 800) as tab:
         tab.open(page)
         tab.wait_for_text("ekf_tracker")
-        tab.wait_for_text("b0001")  # the person's name, in the room
+        tab.wait_for_text(": tracking")
         tab.picture(PICTURES / "live.png")
 
         tab.press("suspend")
@@ -59,7 +59,7 @@ def test_the_graph_is_run_and_a_take_recorded_by_buttons(page, tmp_path):
         tab.press("record")
         tab.wait_for_text("recording drill")
         recorded = tmp_path / "takes" / "drill"
-        tab.wait_for_text("tracking")
+        tab.wait_for_text(": tracking")
         tab.press("finish recording")
         tab.wait_for_text("recorded drill")
         assert "/mocap/joint_states" in bag_topics(recorded)
