@@ -31,6 +31,7 @@ from .shares import Expected, Shares, find_shares, is_ghost, share_rows
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
 TOGETHER_S = 0.2  # persons who shared a part of the hull for so long may have been taken for each other
+BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a ghost's does not
 APART_S = 0.3  # so long after it their sizes are compared: by then neither hides much of the other
 SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
 LOOK_EVERY_SETS = 3  # sets from one look at a newcomer to the next, so that fits do not wait for it
@@ -39,11 +40,18 @@ NO_PART = -2  # is the number of no part of a hull
 
 @dataclass
 class _Person:
-    """Somebody who is known: since when, and until when seen; away: not expected anywhere."""
+    """Somebody who is known: until when seen; away: not expected anywhere; good_ns: since when, while away, a part of
+    the hull is fitted well."""
 
     tracker: IcpTracker
     seen_ns: int
     away: bool = False
+    good_ns: int | None = None
+
+    def is_back(self, stamp_ns: int, state: str) -> bool:
+        """Whether a fit of this state, while away, follows good ones for long enough."""
+        self.good_ns = (stamp_ns if self.good_ns is None else self.good_ns) if state == TRACKING else None
+        return self.good_ns is not None and stamp_ns - self.good_ns >= BACK_S * NS_PER_S
 
 
 @dataclass
@@ -151,17 +159,15 @@ class PeopleTracker:
     def _give_back(self, seen: HullProducts, shares: Shares, free: Sequence[int]) -> dict[int, int]:
         """Return for each person whom the hull does not show where they were expected the part to be looked for in."""
         missed = {number: p for number, p in sorted(self._persons.items()) if number not in shares.parts}
-        places = {part: _place_of(seen, part) for part in free}
-        pairs = sorted(
-            (float(np.linalg.norm(person.tracker.pose.position_world[:2] - place)), number, part)
-            for number, person in missed.items()
-            for part, place in places.items()
-            if person.tracker.pose is not None
-        )
         back: dict[int, int] = {}
-        for _, number, part in pairs:
-            if number not in back and part not in back.values():
-                back[number] = part
+        for part in sorted(free, key=lambda part: (-_size_of(seen, part), part)):  # ghosts are small
+            apart = {
+                number: float(np.linalg.norm(person.tracker.pose.position_world[:2] - _place_of(seen, part)))
+                for number, person in missed.items()
+                if number not in back and person.tracker.pose is not None
+            }
+            if apart:
+                back[min(apart, key=lambda number: (apart[number], number))] = part
         for number, person in missed.items():
             person.away |= number in back or seen.stamp_ns - person.seen_ns >= AWAY_AFTER_S * NS_PER_S
         return back
@@ -189,7 +195,7 @@ class PeopleTracker:
             fit = person.tracker.step(own, predictions.get(number), learn)
             if number in rows:
                 person.seen_ns = seen.stamp_ns
-            elif number in back and fit.state == TRACKING:
+            elif number in back and person.is_back(seen.stamp_ns, fit.state):
                 self._has_returned(number, person, seen.stamp_ns)
             elif gone:
                 continue
@@ -198,7 +204,7 @@ class PeopleTracker:
 
     def _has_returned(self, number: int, person: _Person, stamp_ns: int) -> None:
         """Take somebody for a person who was away, until the sizes of others who are away say otherwise."""
-        person.away, person.seen_ns = False, stamp_ns
+        person.away, person.seen_ns, person.good_ns = False, stamp_ns, None
         for other, another in sorted(self._persons.items()):
             if another.away and another.tracker.body is not None:
                 self._checks.append(IdentityCheck(number, other))
@@ -334,6 +340,11 @@ class PeopleTracker:
         if FIRST_PERSON not in exchanged:
             exchanged[FIRST_PERSON] = fits_nothing(stamp_ns, "taken for somebody else")
         return exchanged
+
+
+def _size_of(seen: HullProducts, part: int) -> int:
+    """Return how many samples a part of the hull has."""
+    return int(np.count_nonzero(seen.voxels.body == part)) or int(np.count_nonzero(seen.centerline.body == part))
 
 
 def _place_of(seen: HullProducts, part: int) -> np.ndarray:
