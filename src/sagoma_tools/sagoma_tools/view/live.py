@@ -27,7 +27,7 @@ VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
 PREVIEW = "/preview/compressed"
 PICTURE_TYPE = "sensor_msgs/msg/CompressedImage"
 PICTURE_WIDTH = 320
-MARKS = {DiagnosticStatus.OK: "🟢", DiagnosticStatus.WARN: "🟡", DiagnosticStatus.ERROR: "🔴"}
+MARKS = {DiagnosticStatus.OK: "", DiagnosticStatus.WARN: "**warning** ", DiagnosticStatus.ERROR: "**error** "}
 FIGURES = (("rate_hz", "Hz"), ("latency_p50_ms", "ms"))
 """Of the diagnostics: frame sets a second, and how old they are (median)."""
 
@@ -115,11 +115,11 @@ class LiveGraph:
                 lines.append(f"- **{label}** has not been heard yet")
                 continue
             silent_s = now_s - report.heard_s
-            mark = MARKS.get(report.level, "?") if silent_s <= STALE_S else MARKS[DiagnosticStatus.ERROR]
+            mark = MARKS.get(report.level, "**stale** ") if silent_s <= STALE_S else MARKS[DiagnosticStatus.ERROR]
             says = report.message if silent_s <= STALE_S else f"silent for {silent_s:.0f} s"
             figures = [f"{report.values[key]} {unit}" for key, unit in FIGURES if key in report.values]
             figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
-            lines.append(f"- {mark} **{label}** {', '.join(figures)}: {escape(says)}")
+            lines.append(f"- **{label}** {mark}{', '.join(figures)}: {escape(says)}")
         return "\n".join(lines)
 
     def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
