@@ -30,7 +30,7 @@ SETTLED = 60
 CHI2_95 = 7.815
 """95 % of a chi-square with 3 degrees of freedom."""
 STATURE_M = 1.75
-NO_BIAS = MeasurementBiasSettings(0.0, *[0.0] * 9)
+NO_BIAS = MeasurementBiasSettings(share=0.0, joints=0.0)
 """The simulated noise is new in every set."""
 
 

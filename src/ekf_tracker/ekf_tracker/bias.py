@@ -1,23 +1,23 @@
 """Time-correlated bias of the measured points: covariances that a filter's averaging may not shrink.
 
 A figure fitted to a hull errs in the same way for many sets: the hull is fat on the side that no camera sees, a
-shoulder is no single point. Measured on tracked sessions, what is wrong with a fitted point in one set is wrong with it
-to about 0.7 a quarter of a second later. With b the bias and v the noise that is new in every set,
+shoulder is no single point. With b the bias and v the noise that is new in every set,
 
-    z_k = h(x_k) + b_k + v_k .
+    z_k = h(x_k) + b_k + v_k,     cov b = share R,     cov v = (1 - share) R,
 
-A filter that takes b + v as noise averages b away on paper. Its memory, though, is only a few sets (it must follow
-limbs that accelerate with 60 rad/s^2), so b stands still while the filter looks, and passes into the estimate in full.
-In that limit the covariance of the Schmidt-Kalman (consider) filter is the filter's own P plus the response to b:
+R the covariance that the fit states. The filter's gain is that of v alone: it cannot average b away, and would only lag
+behind the body if it tried. Its memory is a few sets (it follows limbs that accelerate), so b stands still while the
+filter looks, and passes into the estimate in full. In that limit the covariance of the Schmidt-Kalman (consider) filter
+is the filter's own P plus the response to b:
 
     covariance of a point = H P H' + B,     of the pose = P + c (L + 1/cap^2)^-1 L (L + 1/cap^2)^-1,     L = H' B^-1 H.
 
 Its second term is what 15 points with errors B say about 24 slots, and nothing about a slot that they do
 not see. They come from one fitted figure and are not independent: c = (numbers measured) / (slots determined) undoes
-that they count as if they were. The gain is left alone, so the estimate follows as fast as before.
+that they count as if they were.
 
-What lasts is B = share R + sd^2 I: the fit's own covariance of the point (what it does not see now, it does not see in
-the next set either), and the distance of the figure's joint from the body's, which no fit knows of.
+What lasts is B = share R + the distance of the figure's joint from the person's (`joint_uncertainty`), of which no fit
+can know.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ import numpy as np
 from numba import njit
 
 from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
+from stick_figure import kernels
+from stick_figure.skeleton import POINT_STICK
 
-from .measurement import add_information
+from .joint_uncertainty import JOINT_SD_M
+from .measurement import Measurement, add_information
 from .settings import MeasurementBiasSettings
 
 N = 24
@@ -36,41 +39,48 @@ NEGLIGIBLE_M2 = 1e-12
 
 
 class MeasurementBias:
-    """The covariance of the 15 points' bias, from the sets in which each was last used.
+    """What is known of the 15 points' bias, from the sets in which each was last used.
 
-    covariance : (15, 3, 3) m^2; zero for points that were never used.
+    lasting (15, 3, 3) m^2, world frame : share R; zero for points that were never used.
+    joints (15, 3) m^2, along the axes of each point's stick : of the joints; zero for points that were never used.
     """
 
     def __init__(self, settings: MeasurementBiasSettings) -> None:
-        self._share, self._variance = settings.share, settings.sd_m() ** 2
-        self.covariance = np.zeros((15, 3, 3))
+        self._share, self._joints = settings.share, (settings.joints * JOINT_SD_M) ** 2
+        self.lasting, self.joints = np.zeros((15, 3, 3)), np.zeros((15, 3))
 
     def update(self, R: np.ndarray, used: np.ndarray) -> None:
-        """Take the covariances (15, 3, 3) m^2 of the points (15,) bool that were used in this set."""
-        _update(R, used, self._share, self._variance, self.covariance)
+        """Take the covariances (15, 3, 3) m^2 that the fit states of the points (15,) bool used in this set."""
+        self.lasting[used] = self._share * R[used]
+        self.joints[used] = self._joints[used]
+
+    def noise_of(self, z: Measurement, least_sd_m: float) -> Measurement:
+        """Return the measurement with the covariance of what is new in this set; at least that deviation an axis."""
+        covariance = (1.0 - self._share) * z.covariance
+        covariance[:, [0, 1, 2], [0, 1, 2]] += self._share * least_sd_m**2  # 1 - share of it is in z already
+        return z._replace(covariance=covariance)
 
 
 @njit(cache=True)
-def _update(R, used, share, variance, bias):
-    for point in range(15):
-        if used[point]:
-            for i in range(3):
-                for j in range(3):
-                    bias[point, i, j] = share * R[point, i, j]
-                bias[point, i, i] += variance[point]
-
-
-@njit(cache=True)
-def add_measurement_bias(at, bias, least_information, points, state):
+def add_measurement_bias(at, pose, lasting, joints, least_information, points, state):
     """points (15, 3, 3) and state (>= 24, >= 24) += what lasts, as the module's derivation says.
 
-    bias (15, 3, 3) : B of each point; least_information : 1/cap^2, 1/rad^2.
+    lasting, joints : of :class:`MeasurementBias`; least_information : 1/cap^2, 1/rad^2.
     """
     L, unused, weight, numbers = np.zeros((N, N)), np.zeros(N), np.empty((3, 3)), 0
+    _, R0, RJ, hinges = pose
+    G, axes, B = np.empty((10, 3, 3)), np.empty((18, 3)), np.empty((3, 3))
+    kernels.stick_frames(R0, RJ, hinges, G, axes)
     for point in range(15):
-        if bias[point, 0, 0] + bias[point, 1, 1] + bias[point, 2, 2] > NEGLIGIBLE_M2:
-            points[point] += bias[point]
-            inverse3(bias[point], weight)
+        frame = G[POINT_STICK[point]]
+        for i in range(3):
+            for j in range(3):
+                B[i, j] = lasting[point, i, j]
+                for k in range(3):
+                    B[i, j] += frame[i, k] * joints[point, k] * frame[j, k]
+        if B[0, 0] + B[1, 1] + B[2, 2] > NEGLIGIBLE_M2:
+            points[point] += B
+            inverse3(B, weight)
             add_information(at, point, weight, unused, L, unused)
             numbers += 3
     if numbers == 0:

@@ -23,8 +23,9 @@ from .kernels import (
     report,
     reset_slots,
 )
+from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
 from .measurement import GateDecision, InnovationGate, Measurement, Sizes, linearised
-from .motion_model import MotionModel
+from .motion_model import MotionModel, Transition
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
 
@@ -33,9 +34,9 @@ POINT_SD_FLOOR_M = 0.001
 """Least standard deviation of a measured point: a fit to a perfect cloud would claim less."""
 JOINT_SD_CAP_RAD = 1.0
 """Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing."""
-MAX_ITERATIONS = 2
+MAX_ITERATIONS = 5
 """Relinearisations of one update at most."""
-READMIT_AFTER_SETS = 5
+READMIT_AFTER_SETS = 1
 """Sets in a row after which a point that is still left out is accepted, and its limb looked for anew."""
 NO_BODY = "waiting for the body"
 SAME_PERSON_M = 0.06
@@ -166,9 +167,11 @@ class Track:
         self._gate = InnovationGate(settings.gate_chi2, READMIT_AFTER_SETS)
         self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight(settings))
         self._bias = MeasurementBias(settings.measurement_bias)
+        self._last_transition: Transition | None = None
         self._angles: np.ndarray | None = None
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
-        self._estimate = first_estimate(body, z, self._motion, JOINT_SD_CAP_RAD, self._update_options)
+        noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
+        self._estimate = first_estimate(body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
         self._note_measured(z, z.visible)
 
     @property
@@ -201,7 +204,8 @@ class Track:
 
         None when the torso's points have contradicted the prediction for so long that the track has to start anew.
         """
-        distances = innovation_distances(self.body, self._estimate, z)
+        noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
+        distances, manoeuvre = self._explain_manoeuvres(noise)
         decision = self._gate.decide(distances, z.visible)
         if (
             decision.n_readmitted
@@ -210,12 +214,46 @@ class Track:
         ):
             return None
         if decision.n_accepted:
-            self._estimate = self._correct(z, decision)
+            self._estimate = self._correct(noise, decision, manoeuvre)
             self._note_measured(z, decision.accepted)
         return self.state(decision.accepted, decision.rejected, doubtful, distances)
 
-    def _correct(self, z: Measurement, decision: GateDecision) -> Estimate:
+    def _explain_manoeuvres(self, z: Measurement) -> tuple[np.ndarray, bool]:
+        """Raise the process noise of limbs that accelerate.
+
+        Returns the points' squared distances (15,) after that, and whether any limb's was raised.
+        Each limb gets the least that explains its points. One that is out of reach of all keeps the quiet noise: its
+        points are errors, or it was lost.
+        """
+        quiet, factors = self._estimate, np.ones(LIMBS)
+        distances = innovation_distances(self.body, quiet, z)
+        unexplained = worst_of_limbs(distances) > EXPECTED
+        if self._last_transition is None or not unexplained.any():
+            return distances, False
+        for level in LEVELS:
+            factors[unexplained] = level
+            self._estimate, distances = self._raised(quiet, factors, z)
+            unexplained &= worst_of_limbs(distances) > EXPECTED
+            if not unexplained.any():
+                return distances, True
+        away = np.linalg.norm(z.points_world - forward(self.body, quiet.pose), axis=1)
+        distances = np.where(away < MOST_M_S * self._last_dt, 0.0, distances)
+        out_of_reach = worst_of_limbs(distances) > self.settings.gate_chi2
+        if out_of_reach.any():
+            factors[out_of_reach] = 1.0
+            self._estimate, _ = self._raised(quiet, factors, z)
+        return distances, bool(factors.max() > 1.0)
+
+    def _raised(self, quiet: Estimate, factors: np.ndarray, z: Measurement) -> tuple[Estimate, np.ndarray]:
+        assert self._last_transition is not None
+        P = raised_covariance(quiet.covariance, self._last_transition, factors)
+        raised = Estimate(quiet.arrays, quiet.velocity, P)
+        return raised, innovation_distances(self.body, raised, z)
+
+    def _correct(self, z: Measurement, decision: GateDecision, manoeuvre: bool) -> Estimate:
         prior, start = self._estimate, None
+        if manoeuvre:  # angles that turned far: the way there is not straight
+            start = pose_of_points(self.body, z, decision.accepted, prior.pose)
         if decision.n_readmitted:  # their limbs are elsewhere: look for them from where the points say
             prior = self._release_limbs(prior, decision.readmitted)
             start = pose_of_points(self.body, z, decision.accepted, prior.pose)
@@ -234,7 +272,8 @@ class Track:
         dt = (stamp_ns - self._stamp_ns) * NS
         if dt <= 0.0:
             return
-        self._estimate = predict_estimate(self._estimate, self._motion.transition(dt), JOINT_SD_CAP_RAD)
+        self._last_transition = self._motion.transition(dt)
+        self._estimate = predict_estimate(self._estimate, self._last_transition, JOINT_SD_CAP_RAD)
         self._stamp_ns, self._last_dt = stamp_ns, dt
 
     def _forget_velocity(self) -> None:
@@ -266,7 +305,8 @@ class Track:
             x.velocity,
             x.covariance,
             Sizes.of(self.body),
-            self._bias.covariance,
+            self._bias.lasting,
+            self._bias.joints,
             JOINT_SD_CAP_RAD**-2,
             self._angles,
         )
@@ -331,10 +371,12 @@ def _torso_of(body: Body, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
 
 
 def warm_up() -> None:
-    """Run a filter of its own over two sets, so that compiling does not hold up the first real one."""
+    """Run a filter of its own over some sets, so that compiling does not hold up the first real one."""
     body = Body.from_stature(STATURE_M)
     points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
     covariance = np.tile(np.eye(3) * 1e-4, (15, 1, 1))
     ekf = ArticulatedEkf(body)
-    for number in range(2):
+    moves_m = (0.0, 0.0, 0.1, *(1.0,) * (READMIT_AFTER_SETS + 1))  # rest, a manoeuvre, a foot out of reach
+    for number, move_m in enumerate(moves_m):
+        points[-1, 0] += move_m
         ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool))

@@ -361,15 +361,16 @@ def copied(pose):
 
 
 @njit(cache=True, nogil=True)
-def report(pose, velocity, P, sizes, bias, least_information, angles):
+def report(pose, velocity, P, sizes, lasting, joints, least_information, angles):
     """Points (15, 3), their covariances (15, 3, 3), the state's covariance (48, 48), rates (18,) of the angles (18,).
 
-    Both covariances include the measurements' bias: ``bias`` and ``least_information`` of `bias.add_measurement_bias`.
+    Both covariances include the measurements' bias: ``lasting``, ``joints`` and ``least_information`` of
+    `bias.add_measurement_bias`.
     """
     at, points, state = empty_linearised(), np.empty((15, 3, 3)), P.copy()
     linearise(pose, sizes, at)
     for point in range(15):
         point_covariance(at, point, P, points[point])
-    add_measurement_bias(at, bias, least_information, points, state)
+    add_measurement_bias(at, pose, lasting, joints, least_information, points, state)
     _, _, _, hinges = pose
     return at.h, points, state, rates_of_angles(hinges, velocity, angles)

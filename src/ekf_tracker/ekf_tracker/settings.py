@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-import numpy as np
-
 from capture_rig.settings import setting
 
 from .motion_model import DampedVelocity, Identity, MotionModel
@@ -15,7 +13,10 @@ from .motion_model import DampedVelocity, Identity, MotionModel
 
 @dataclass(frozen=True)
 class DampedVelocitySettings:
-    """Model `constant_velocity`: a velocity that fades, driven by white acceleration."""
+    """Model `constant_velocity`: a velocity that fades, driven by white acceleration.
+
+    The accelerations are those of quiet movement; where a limb strikes they are raised (`manoeuvres`).
+    """
 
     torso_m_s2: float = setting(8.0, "acceleration of the torso's position", unit="m/s^2", low=0.01)
     torso_rad_s2: float = setting(30.0, "acceleration of the torso's rotation", unit="rad/s^2", low=0.01)
@@ -36,32 +37,17 @@ class IdentitySettings:
 
 @dataclass(frozen=True)
 class MeasurementBiasSettings:
-    """Time-correlated bias of the measured points; see `bias`.
-
-    The standard deviations say how far, in each direction, a joint of the best figure lies from the body's;
-    ``bench/covariance_coverage.py`` shows by how much each is too small or too large.
-    """
+    """Time-correlated bias of the measured points; see `bias` and `joint_uncertainty`."""
 
     share: float = setting(
-        1.0,
+        0.95,
         "share of a measured point's covariance that is bias (0: independent noise in every set)",
         low=0.0,
         high=1.0,
     )
-    torso_m: float = setting(0.015, "centre of the torso, besides", unit="m", low=0.0, high=1.0)
-    head_m: float = setting(0.020, "tip of the head", unit="m", low=0.0, high=1.0)
-    neck_m: float = setting(0.018, "neck", unit="m", low=0.0, high=1.0)
-    shoulders_m: float = setting(0.015, "shoulders", unit="m", low=0.0, high=1.0)
-    hips_m: float = setting(0.012, "hips", unit="m", low=0.0, high=1.0)
-    elbows_m: float = setting(0.020, "elbows", unit="m", low=0.0, high=1.0)
-    knees_m: float = setting(0.010, "knees", unit="m", low=0.0, high=1.0)
-    hands_m: float = setting(0.045, "hand tips", unit="m", low=0.0, high=1.0)
-    feet_m: float = setting(0.012, "feet", unit="m", low=0.0, high=1.0)
-
-    def sd_m(self) -> np.ndarray:
-        """Return (15,) one standard deviation a reference point."""
-        left_and_right = (self.shoulders_m, self.hips_m, self.elbows_m, self.knees_m, self.hands_m, self.feet_m)
-        return np.array([self.torso_m, self.head_m, self.neck_m, *np.repeat(left_and_right, 2)])
+    joints: float = setting(
+        1.0, "how far a person's joints lie from the figure's, over what is usual (0: nowhere else)", low=0.0, high=10.0
+    )
 
 
 @dataclass(frozen=True)
@@ -78,7 +64,7 @@ class EkfSettings:
         30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0
     )
     limit_sd_rad: float = setting(
-        0.05,
+        0.2,
         "an angle outside its joint's range, as a soft cost beyond the range alone (0: no limits)",
         unit="rad",
         low=0.0,
@@ -113,8 +99,13 @@ class EkfNodeSettings:
     )
     filter: EkfSettings = field(default_factory=EkfSettings)
 
-    renamed: ClassVar[Mapping[str, str]] = {"filter.lasting_errors": "filter.measurement_bias"}
+    renamed: ClassVar[Mapping[str, str]] = {"filter.lasting_errors.share": "filter.measurement_bias.share"}
     removed: ClassVar[Mapping[str, str]] = {
+        **{
+            f"filter.{group}.{kind}_m": "it follows from JOINT_SD_M in ekf_tracker/joint_uncertainty.py"
+            for kind in ("torso", "head", "neck", "shoulders", "hips", "elbows", "knees", "hands", "feet")
+            for group in ("measurement_bias", "lasting_errors")
+        },
         "filter.iterations": "it is MAX_ITERATIONS in ekf_tracker/filter.py",
         "filter.readmit_after_sets": "it is READMIT_AFTER_SETS in ekf_tracker/filter.py",
         "filter.point_sd_floor_m": "it is POINT_SD_FLOOR_M in ekf_tracker/filter.py",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ekf_tracker.settings import MeasurementBiasSettings
+from ekf_tracker.settings import EkfSettings, MeasurementBiasSettings
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -15,7 +15,8 @@ NOISE_M = 0.02
 ALL = np.ones(15, bool)
 NONE = np.zeros(15, bool)
 
-NO_BIAS = MeasurementBiasSettings(0.0, *np.zeros(9).tolist())
+NO_BIAS = MeasurementBiasSettings(share=0.0, joints=0.0)
+WHITE = EkfSettings(measurement_bias=NO_BIAS)
 """For points whose errors are new in every set, as the simulated ones' are."""
 
 BENT_ANGLES = T_POSE_ANGLES.copy()

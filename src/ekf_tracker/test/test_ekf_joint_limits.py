@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from ekf_person import ALL, BENT_ANGLES, Person, isotropic, run, stamp
+from ekf_person import ALL, BENT_ANGLES, NO_BIAS, WHITE, Person, isotropic, run, stamp
 from scipy.spatial.transform import Rotation
 
 from ekf_tracker.filter import ArticulatedEkf
@@ -15,7 +15,8 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 MARGIN = 0.15
-NO_LIMITS = EkfSettings(limit_sd_rad=0.0)
+NO_LIMITS = EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS)
+TIGHT = EkfSettings(limit_sd_rad=0.05, measurement_bias=NO_BIAS)
 PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
 
 
@@ -50,7 +51,7 @@ def follow(body, pose, settings, frames=40, sd=0.02):
 
 def test_a_person_within_the_ranges_is_estimated_to_the_same_bytes_as_without_limits(body):
     person = Person(body, speed=0.5)
-    limited, _ = run(ArticulatedEkf(body), person, 120, noise=0.002)
+    limited, _ = run(ArticulatedEkf(body, WHITE), person, 120, noise=0.002)
     free, _ = run(ArticulatedEkf(body, NO_LIMITS), person, 120, noise=0.002)
     for a, b in zip(limited, free, strict=True):
         np.testing.assert_array_equal(a.points_world, b.points_world)
@@ -64,13 +65,13 @@ def test_impossible_points_are_answered_with_a_pose_near_the_limit(body, angles)
     """Points of a limb 0.5 to 0.6 rad out of range: without limits the filter believes them."""
     pose = pose_with(**angles)
     assert excess_rad(follow(body, pose, NO_LIMITS).pose) > 0.4
-    assert excess_rad(follow(body, pose, EkfSettings()).pose) < 0.25
+    assert excess_rad(follow(body, pose, TIGHT).pose) < 0.25
 
 
 def test_knee_that_seems_to_bend_forward_stays_near_straight_and_the_thigh_unturned(body):
     """Noise bends a straight knee 0.3 rad the wrong way: its other description, a thigh turned by pi, is impossible."""
     pose = dataclasses.replace(pose_with(), hinges=np.array([-0.9, -0.9, -0.3, 0.8]))
-    limited, free = follow(body, pose, EkfSettings()), follow(body, pose, NO_LIMITS)
+    limited, free = follow(body, pose, TIGHT), follow(body, pose, NO_LIMITS)
     assert excess_rad(limited.pose) < 0.1
     assert limited.pose.hinges[2] > -MARGIN - 0.1
     assert free.pose.hinges[2] > 0.2 and excess_rad(free.pose) > 1.0
@@ -82,7 +83,7 @@ def test_elbow_on_the_wrong_side_is_turned_round_where_the_shoulder_allows_it(bo
     turned = truth.R_joints.copy()
     turned[1] = turned[1] @ Rotation.from_rotvec([0.0, np.pi, 0.0]).as_matrix()
     wrong = dataclasses.replace(truth, R_joints=turned, hinges=truth.hinges * [0.0, 1.0, 1.0, 1.0])
-    ekf = ArticulatedEkf(body)
+    ekf = ArticulatedEkf(body, WHITE)
     for k in range(60):
         bend = min(k / 30.0, 1.0)
         pose = dataclasses.replace(truth, hinges=truth.hinges * [bend, 1.0, 1.0, 1.0])
@@ -94,6 +95,6 @@ def test_elbow_on_the_wrong_side_is_turned_round_where_the_shoulder_allows_it(bo
 
 def test_limits_leave_the_covariance_to_the_measured_points(body):
     pose = pose_with(left_shoulder_y=3 * np.pi / 4 + 0.6)
-    limited, free = follow(body, pose, EkfSettings()), follow(body, pose, NO_LIMITS)
+    limited, free = follow(body, pose, TIGHT), follow(body, pose, NO_LIMITS)
     sd = [np.sqrt(np.diag(s.covariance)[[8, 12, 10]]) for s in (limited, free)]
     np.testing.assert_allclose(sd[0], sd[1], rtol=0.5)

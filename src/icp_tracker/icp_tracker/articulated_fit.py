@@ -47,10 +47,12 @@ INSIDE_GATE_M = 0.2  # distance at which the weight of a point outside has falle
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 # of its covariance and visibility; checked by bench/covariance_coverage.py
+UNSEEN_SD = 0.5  # m, rad, of what no row bears on: a forearm that nothing shows may be 15 cm off
 COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
+UNSEEN = np.full(TANGENT, UNSEEN_SD**-2)
 # sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
 # hands, feet
 FIRST_SUPPORT = np.array([0, 1, 0, 0, 0, 0, 0, 2, 3, 4, 5, 6, 7, 8, 9])
@@ -190,12 +192,13 @@ def assess(
 ) -> FitResult:
     """Return what the data say about ``pose``: residuals, information, reference points and their covariance.
 
-    The covariance is ``correlation * J (H + Lambda)^-1 J^T`` per point, and larger by the reduced chi-square where the
-    inliers lie farther off than their own sigma says. It serves any fit, also the hierarchical one. What
-    hull and stick figure share (a hull is wider than the body, a shoulder is no single point) is not in it: it lasts
-    for many sets, and the filter accounts for it.
+    The covariance of a point is what the independent rows of this set determine: ``J H^-1 J^T`` with the H of
+    :mod:`stick_figure.least_squares.independent_rows`. Without contour rays, and so for the hierarchical fit, it is
+    ``correlation * J (H + Lambda)^-1 J^T``, larger by the reduced chi-square where the inliers lie farther off than
+    their own sigma says. Most of it lasts for many sets (the filter's share); where in a limb a joint is (the filter's
+    joint uncertainty) is not in it.
     """
-    weights, scale = make_weights(data, settings), Scale(COVARIANCE_SHARE, settings.correlation)
+    weights, scale = make_weights(data, settings), Scale(UNSEEN, COVARIANCE_SHARE, settings.correlation)
     found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, scale)
     information, points_world, covariance, counts, rms_m, near_sticks = found
     return FitResult(

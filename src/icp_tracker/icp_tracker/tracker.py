@@ -31,6 +31,7 @@ from .monitor.track_monitor import Examination, TrackMonitor
 from .monitor.track_quality import widened_covariance
 from .refinement.body_refiner import BodyRefiner, RefinedBody, warm_up_refiner
 from .settings import IcpNodeSettings, TrackerSettings
+from .size_uncertainty import covariance_of_sizes
 from .thesis.hierarchical_icp import fit_hierarchical
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
@@ -219,9 +220,10 @@ class IcpTracker:
         return replace(seen, state=state, reason=quality.reason, quality=quality, recovered=found.change)
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
-        """Return the fit's covariance, with that of the body's sizes where points are not seen."""
+        """Return the fit's covariance, with that of the body's sizes and of what is not seen."""
         sizes = None if self._refiner is None else self._refiner.sizes_covariance
-        return widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, sizes, self._sight)
+        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, sizes, self._sight)
+        return widened if sizes is None else widened + covariance_of_sizes(fit.pose, np.sqrt(np.diag(sizes)))
 
     # --- the first pose
 

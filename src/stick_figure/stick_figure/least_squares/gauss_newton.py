@@ -17,6 +17,7 @@ from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
 from .contour_factor import RayArrays, add_contour
 from .hull_samples import HullSamples
+from .independent_rows import add_independent_rows
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_points, summarise
@@ -70,9 +71,13 @@ class Stop(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """What turns information into covariance: share of their weight with which voxels count, and how many data carry
-    the information of one independent datum."""
+    """What turns information into covariance.
 
+    unseen : (24,) information about what no row bears on. Without contour rays: share of their weight with which voxels
+    count, and how many data carry the information of one independent datum.
+    """
+
+    unseen: np.ndarray
     voxel_share: float
     correlation: float
 
@@ -94,9 +99,9 @@ def minimise(data, state, figure, weights, stop):
 def assess(data, state, figure, weights, scale):
     """Evaluate the data at a state: how well it explains them, and how well they determine it.
 
-    Returns information (24, 24) of the data; reference points (15, 3) m and their covariance (15, 3, 3) m^2, larger by
-    the reduced chi-square where the inliers lie farther off than their own sigma says; inliers a stick (10,) and their
-    root mean square distance (m); surface voxels near each stick's surface (10,).
+    Returns information (24, 24) of the data; reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of
+    the independent rows where there are contour rays; inliers a stick (10,) and their root mean square distance (m);
+    surface voxels near each stick's surface (10,).
     """
     placed = place(state, figure)
     capsule, _, distance = surface_distances(data.voxels, placed)
@@ -105,8 +110,14 @@ def assess(data, state, figure, weights, scale):
     match = linearise(data, placed, reweighted(weights, voxel, 0.0), H, g)
     mirror_upper(H)
     total, chi2, freedom = summarise(match, counts)
-    spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
-    covariance = point_covariances(H + np.diag(weights.prior), placed, spread)
+    if data.contour_rays.information.shape[0] > 0:
+        independent = np.diag(scale.unseen)
+        add_independent_rows(data, placed, weights, match, independent)
+        mirror_upper(independent)
+        covariance = point_covariances(independent, placed, 1.0)
+    else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
+        spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
+        covariance = point_covariances(H + np.diag(weights.prior), placed, spread)
     rms_m = np.sqrt(total / max(counts.sum(), 1))
     near = np.zeros(STICKS, np.int64)
     for i in range(distance.shape[0]):
