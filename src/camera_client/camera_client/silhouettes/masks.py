@@ -165,7 +165,8 @@ def majority_count(side_px: int) -> int:
 # --- the outline: at half contrast, not where the background ends
 
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-_DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)), np.uint8)
+_DISC_PX = 7
+_DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_DISC_PX, _DISC_PX)), np.uint8)
 
 
 def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float) -> Mask:
@@ -178,11 +179,16 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     reaches to where the colour is whole.
     ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
     """
-    around = _CROSS if image.ndim == 2 else _DISC
+    around, trimmed = _CROSS if image.ndim == 2 else _DISC, np.zeros_like(person)
+    part = Box.around(person).grown(_DISC_PX, person.shape).slices
+    person, image, mean = person[part], image[part], mean[part]
+    if person.size == 0:
+        return trimmed
     difference = cv2.bitwise_and(largest_difference(image, mean), person)
     inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     wanted = cv2.convertScaleAbs(cv2.dilate(difference, around), alpha=least_share)
-    return cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
+    trimmed[part] = cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
+    return trimmed
 
 
 def largest_difference(image: Image, mean: npt.NDArray) -> Mask:
