@@ -247,13 +247,15 @@ class PeopleTracker:
         return found
 
     def _looked_at(self) -> list[tuple[int, IcpTracker]]:
-        """Return whom to look at in this set: one newcomer after another, now and then while somebody is followed: an
-        acquisition takes as long as several fits."""
-        every = LOOK_EVERY_SETS if self._persons else 1
+        """Return whom to look at in this set: two newcomers, the next two in the next set; while somebody is followed
+        one now and then: an acquisition takes as long as several fits."""
+        newcomers, count = sorted(self._newcomers.items()), len(self._newcomers)
         self._sets += 1
-        if not self._newcomers or self._sets % every:
+        if not self._persons:
+            return [newcomers[(2 * self._sets + k) % count] for k in range(min(2, count))]
+        if not newcomers or self._sets % LOOK_EVERY_SETS:
             return []
-        return [sorted(self._newcomers.items())[self._sets // every % len(self._newcomers)]]
+        return [newcomers[self._sets // LOOK_EVERY_SETS % count]]
 
     def _newcomers_of(self, free: Sequence[int]) -> dict[int, IcpTracker]:
         """Return who is looked at in each free part: the same one as before, also where its number is a new one."""
