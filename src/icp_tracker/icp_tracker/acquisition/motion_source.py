@@ -24,7 +24,7 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, make_data, minimise
 from ..monitor.evidence import Evidence, evidence_of
-from ..monitor.pose_library import sides_exchanged, turned_around
+from ..monitor.pose_library import arms_exchanged, legs_exchanged, sides_exchanged, turned_around
 from .body_parts import evidence_of_feet
 from .body_sizes import BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
@@ -111,7 +111,7 @@ class MotionSource:
         """Forget what was watched."""
         self._followed: list[Explanation] = []
         self._heights: list[float] = []
-        self._began_ns = self._last_ns = self._looked_ns = 0
+        self._began_ns = self._last_ns = self._looked_ns = self._cut_ns = 0
         self._estimate: BodyEstimate | None = None
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
@@ -176,9 +176,11 @@ class MotionSource:
         best = [pose for _, pose in sorted(costs, key=lambda pair: pair[0])[:STARTS]]
         fitted = [minimise(body, pose, data, free)[0] for pose in best]
         fitted.sort(key=lambda pose: evidence_of(figure, pose, data.contour_rays, data.hull).cost)
-        around = [
-            minimise(body, pose, data, free)[0] for pose in (sides_exchanged(body, fitted[0]), turned_around(fitted[0]))
-        ]
+        others = [sides_exchanged(body, fitted[0]), turned_around(fitted[0])]
+        if self._followed:  # legs and arms that passed each other
+            best_pose = self._followed[0].pose
+            others += [legs_exchanged(body, best_pose), arms_exchanged(body, best_pose)]
+        around = [minimise(body, pose, data, free)[0] for pose in others]
         for pose in [fitted[0], *around, *fitted[1:]]:
             if self._is_new(body, pose):
                 self._followed.append(Explanation(pose))
@@ -240,8 +242,11 @@ class MotionSource:
         if cut and self._sight is not None:
             told = what_to_do(cut, stance, self._sight)
         else:
-            told = f"somebody is here: watched for {watched_s:.1f} of {settings.watch_s:.1f} s"
-        if watched_s < (PATIENT_S if cut else settings.watch_s):
+            told = f"somebody is here: watched for {min(watched_s, settings.watch_s):.1f} of {settings.watch_s:.1f} s"
+        if cut:
+            self._cut_ns = stamp_ns
+        whole_s = (stamp_ns - max(self._cut_ns, self._began_ns)) / NS_PER_S
+        if whole_s < settings.watch_s and watched_s < max(PATIENT_S, settings.watch_s):
             return InitialPose(reason=told)
         if best.mean_share < settings.explained:
             self.reset()
