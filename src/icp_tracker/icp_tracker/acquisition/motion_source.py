@@ -246,7 +246,7 @@ class MotionSource:
         if cut:
             self._cut_ns = stamp_ns
         whole_s = (stamp_ns - max(self._cut_ns, self._began_ns)) / NS_PER_S
-        if whole_s < settings.watch_s and watched_s < max(PATIENT_S, settings.watch_s):
+        if (cut or whole_s < settings.watch_s) and watched_s < max(PATIENT_S, settings.watch_s):
             return InitialPose(reason=told)
         if best.mean_share < settings.explained:
             self.reset()
