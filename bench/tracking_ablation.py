@@ -1,6 +1,7 @@
 """What each part of the tracker is worth: the whole chain, videos in, once a row and a session.
 
     python bench/tracking_ablation.py SESSION [SESSION ...] [--exact]
+    python bench/tracking_ablation.py output/people/walk_ring5top.pkl ...     # hulls that bench/people.py has carved
 
 The first rows go from the thesis's method to ours, one part more in each (`sagoma evaluate SESSION --ablation`); the
 others take one thing away from ours, or change it. Every session is segmented and carved once, for all rows. A cell is
@@ -11,17 +12,23 @@ footage. The last line is JSON: {row: {session: {"mean_mm", "over_200mm", "insid
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from report import Table, execute, finish, parser
 
+import numpy as np
+from products import load
 from scenes import session_with_truth
 
-from capture_rig.session import Session
+from capture_rig.session import Session, Truth
 from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows, track_variants
 from sagoma_tools.evaluation.live_run import start_settings
 from sagoma_tools.evaluation.scores import Scores, score
+from sagoma_tools.evaluation.track import Track
 
 CHANGES: dict[str, dict[str, object]] = {
     "ours without sticks inside the hull": {SOLVE + "volume.inside_weight": 0.0},
@@ -37,13 +44,15 @@ CHANGES: dict[str, dict[str, object]] = {
     },
     "ours, arms may cross the torso": {SOLVE + "volume.clearance_weight": 0.0},
     "ours, identity model": {"ekf_tracker.motion_model": "identity"},
+    "ours, every error new in every set": {"ekf_tracker.filter.measurement_bias.share": 0.0},
+    "ours, joints where the figure's are": {"ekf_tracker.filter.measurement_bias.joints": 0.0},
 }
 KEYS = ("mean_mm", "over_200mm", "inside_95")
 
 
-def rows_of(session: Session) -> dict[str, Configuration]:
+def rows_of(start: Mapping[str, Any]) -> dict[str, Configuration]:
     """Every row's configuration, ours first."""
-    settings = start_settings(session, "auto") | {"hull_server.backend": "cpu"}
+    settings = {**start, "hull_server.backend": "cpu"}
     rows = ablation_rows(settings)
     rows |= {name: Configuration.of(settings | change) for name, change in CHANGES.items()}
     return {OURS: rows[OURS]} | rows
@@ -52,8 +61,23 @@ def rows_of(session: Session) -> dict[str, Configuration]:
 def scores_of(session: Session, exact: bool) -> dict[str, Scores | None]:
     """Every row's scores; None where it found no body."""
     assert session.truth is not None
-    tracks = track_variants(session, rows_of(session), exact_masks=exact)
+    tracks = track_variants(session, rows_of(start_settings(session, "auto")), exact_masks=exact)
     return {name: score(track, session.truth) if len(track) else None for name, track in tracks.items()}
+
+
+def scores_on_hulls(path: Path) -> dict[str, Scores | None]:
+    """The same over the hulls of a set of bench/people.py, scored against its first person."""
+    what, found = load(path), {}
+    known = np.flatnonzero(np.isfinite(what.truths[0]).any(axis=(1, 2)))
+    truth = Truth(known, what.truths[0][known], None, 1.0, path)
+    for name, configuration in rows_of(what.start).items():
+        follower, rows = BodyFollower.of(configuration, what.rig), []
+        for frame, products in enumerate(what.products):
+            state = follower.step(products).state
+            if state is not None:
+                rows.append((frame, state))
+        found[name] = score(Track.of_states(rows), truth) if rows else None
+    return found
 
 
 def main() -> None:
@@ -62,8 +86,12 @@ def main() -> None:
     given.add_argument("sessions", nargs="+", type=Path, help="session folders with a reference")
     given.add_argument("--exact", action="store_true", help="exact silhouettes instead of segmented footage")
     arguments = given.parse_args()
-    sessions = {path.name: session_with_truth(path) for path in arguments.sessions}
-    columns = {name: scores_of(session, arguments.exact) for name, session in sessions.items()}
+    columns = {
+        path.stem: scores_on_hulls(path)
+        if path.suffix == ".pkl"
+        else scores_of(session_with_truth(path), arguments.exact)
+        for path in arguments.sessions
+    }
     shown = Table({"mm / over 200 mm / inside 95 %": "", **dict.fromkeys(columns, "")}, markdown=True)
     table: dict[str, dict[str, dict[str, float] | None]] = {}
     for row in [*ablation_rows({}), *CHANGES]:
