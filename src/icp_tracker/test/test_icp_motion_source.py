@@ -90,6 +90,12 @@ def test_feet_that_are_not_seen_are_told_first_and_not_measured():
     assert answer.pose is None and answer.reason.startswith("cam03 does not see your feet")
 
 
+def test_who_walks_in_is_told_so_and_not_to_raise_the_arms():
+    sets, _, sight = walk()
+    source = AnyPoseSource(TPoseSource(TPoseSettings(), sight), MotionSource(MotionSettings(), sight))
+    assert source.find_pose(sets[0]).reason.startswith("somebody is here: watched for 0.0 of 1.0 s")
+
+
 def test_t_pose_that_is_held_decides_alone():
     room = Studio(ring(3, ceiling=False))
     seen = room.render(person(BODY, standing(BODY, both_sides())), apart_ns=SET_NS)

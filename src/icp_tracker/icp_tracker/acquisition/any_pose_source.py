@@ -6,7 +6,7 @@ from mocap_packets.hull import HullProducts
 
 from .initial_pose import InitialPose
 from .known_body_source import KnownBodySource
-from .motion_source import MotionSource
+from .motion_source import NO_HULL, MotionSource
 from .t_pose_source import TPoseSource
 
 T_POSE_FIRST_S = 1.0  # a T-pose that is seen but not accepted (who moves, front and back alike) decides for so long
@@ -36,6 +36,4 @@ class AnyPoseSource:
             self._motion.reset()
             return held
         moving = self._motion.find_pose(seen)
-        if moving.pose is not None or not held.reason:
-            return moving
-        return InitialPose(reason=held.reason)
+        return held if moving.reason == NO_HULL else moving

@@ -33,6 +33,7 @@ from .visibility import FEET, HEAD, Stance, cut_parts, what_to_do
 from .walking_poses import natural_poses
 
 NS_PER_S = 1e9
+NO_HULL = "no hull"
 FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
 FREE_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
 HYPOTHESES = 5  # explanations that are followed
@@ -119,7 +120,7 @@ class MotionSource:
         voxels = seen.voxels.points_world
         if len(voxels) < FEWEST_VOXELS or len(seen.contour_rays) == 0:
             self.reset()
-            return InitialPose(reason="no hull")
+            return InitialPose(reason=NO_HULL)
         pitch = pitch_of(voxels)
         stance = stance_of(voxels, pitch)
         cut = () if self._sight is None else cut_parts(voxels, stance, pitch, self._sight)
