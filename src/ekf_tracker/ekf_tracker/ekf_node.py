@@ -213,7 +213,14 @@ class EkfNode(SagomaNode):
                 self._filters.follow(person, body)
             else:
                 self.health.count("without_body")
-        return self._filters.step(stamp_ns, {p: self._usable(points) for p, points in measured.of.items()})
+        try:
+            # one of several may be refused when others have been filtered already, so theirs are looked at before
+            alone = len(measured.of) == 1
+            usable = measured.of if alone else {p: self._usable(points) for p, points in measured.of.items()}
+            return self._filters.step(stamp_ns, usable)
+        except InputError as error:
+            self._drop("bad_points", error)
+            return self._filters.step(stamp_ns, dict.fromkeys(measured.of, NOTHING_SEEN))
 
     def _usable(self, points: ReferencePoints) -> ReferencePoints:
         """Return the points, or that nothing was seen where the filter would refuse them."""
