@@ -199,6 +199,9 @@ class PeopleTracker:
                 self._has_returned(number, person, seen.stamp_ns)
             elif gone:
                 continue
+            elif number in back and fit.state != LOST:  # perhaps a ghost: not believed yet
+                reason = fit.reason or "perhaps back: it has to fit a little longer"
+                fit = replace(fit, state=LOST, reason=reason, visible=np.zeros(15, dtype=bool))
             fits[number] = replace(fit, person=number)
         return fits
 
