@@ -87,6 +87,13 @@ class ArticulatedEkf:
             self._track.change_body(body)
 
     @property
+    def track(self) -> Track:
+        """The body's track; ValueError while there is no state."""
+        if self._track is None:
+            raise ValueError("no track yet")
+        return self._track
+
+    @property
     def repairs(self) -> int:
         """How often rounding had to be mended in the covariance of the body that is followed; stays 0."""
         return 0 if self._track is None else self._track.repairs
@@ -172,7 +179,18 @@ class Track:
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self._estimate = first_estimate(body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
+        self._F, self._prior = np.eye(DIMENSION), self._estimate
         self._note_measured(z, z.visible)
+
+    @property
+    def passage(self) -> tuple[Estimate, Estimate, np.ndarray]:
+        """The estimate before and after the last set's points, and F (48, 48) to the first from the set before."""
+        return self._prior, self._estimate, self._F
+
+    @property
+    def lasting(self) -> tuple[np.ndarray, np.ndarray]:
+        """What lasts of the points' errors, as `MeasurementBias` has it (copied)."""
+        return self._bias.lasting.copy(), self._bias.joints.copy()
 
     @property
     def unmeasured_s(self) -> float:
@@ -193,6 +211,7 @@ class Track:
         A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
         from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
         """
+        self._F = np.eye(DIMENSION)
         coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
         if self._coasting and coast_end_ns < stamp_ns:
             self._advance(coast_end_ns)
@@ -206,6 +225,7 @@ class Track:
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         distances, manoeuvre = self._explain_manoeuvres(noise)
+        self._prior = self._estimate
         decision = self._gate.decide(distances, z.visible)
         if (
             decision.n_readmitted
@@ -255,7 +275,7 @@ class Track:
         if manoeuvre:  # angles that turned far: the way there is not straight
             start = pose_of_points(self.body, z, decision.accepted, prior.pose)
         if decision.n_readmitted:  # their limbs are elsewhere: look for them from where the points say
-            prior = self._release_limbs(prior, decision.readmitted)
+            prior = self._prior = self._release_limbs(prior, decision.readmitted)
             start = pose_of_points(self.body, z, decision.accepted, prior.pose)
         try:
             return correct_estimate(self.body, prior, z, decision.accepted, self._update_options, start)
@@ -274,6 +294,9 @@ class Track:
             return
         self._last_transition = self._motion.transition(dt)
         self._estimate = predict_estimate(self._estimate, self._last_transition, JOINT_SD_CAP_RAD)
+        f_cross, f_velocity = self._last_transition[:2]
+        self._F[POSE] += f_cross[:, None] * self._F[VELOCITY]
+        self._F[VELOCITY] *= f_velocity[:, None]
         self._stamp_ns, self._last_dt = stamp_ns, dt
 
     def _forget_velocity(self) -> None:
@@ -282,6 +305,7 @@ class Track:
         P[24 + slots, 24 + slots] = self._motion.velocity_variance()
         self._estimate = Estimate(self._estimate.arrays, np.zeros(24), P)
         self._coasting = False
+        self._F[VELOCITY] = 0.0
 
     def _release_limbs(self, prior: Estimate, readmitted: np.ndarray) -> Estimate:
         """The prior without any knowledge of the joints above the readmitted points (of the torso, for its own)."""
@@ -293,6 +317,7 @@ class Track:
         cap = JOINT_SD_CAP_RAD
         pose_variance = per_slot(RELEASED_TORSO_SD_M, cap, cap, cap)[slots] ** 2
         velocity = np.where(moves, 0.0, prior.velocity)
+        self._F[slots] = self._F[24 + slots] = 0.0
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
         return Estimate(prior.arrays, velocity, P)
 

@@ -8,10 +8,22 @@ from collections.abc import Sequence
 
 from capture_rig.errors import InputError
 
-from .commands import background, calibrate, demo, doctor, evaluate, export, graph, import_session, recording, view
+from .commands import (
+    background,
+    calibrate,
+    demo,
+    doctor,
+    evaluate,
+    export,
+    graph,
+    import_session,
+    recording,
+    smooth,
+    view,
+)
 from .graph.supervisor import GraphError
 
-COMMANDS = (demo, calibrate, background, graph, recording, view, evaluate, export, import_session, doctor)
+COMMANDS = (demo, calibrate, background, graph, recording, smooth, view, evaluate, export, import_session, doctor)
 GRAPH_FAILED, BAD_INPUT = 1, 2
 
 

@@ -1,0 +1,150 @@
+"""Offline smoothing of a take: the filter forwards, then Rauch, Tung & Striebel backwards on the manifold of poses.
+
+With x_k, P_k the filter's estimate after set k, x'_{k+1}, P'_{k+1} its prediction of the next set, and F between them,
+
+    G = P_k F' P'_{k+1}^-1,    x^s_k = x_k (+) G (x^s_{k+1} (-) x'_{k+1}),    P^s_k = P_k + G (P^s_{k+1} - P'_{k+1}) G'
+
+(Rauch, Tung & Striebel, AIAA Journal 3, 1965; differences in the tangent of the pose, as for the filter itself). A set
+without points, or with points that the fit itself doubts, is so filled from both sides, with the covariance that says
+how far it was from the nearest one that was seen. Where the filter lost a limb and found it elsewhere, or started anew,
+nothing passes back.
+
+What lasts of the errors (`bias`) no smoothing removes. It is added as the filter adds it; a point takes it from the set
+of the median one within half a second: a short doubt is filled from both sides, a long one stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.errors import InputError
+from mocap_packets.fit import ReferencePoints
+from mocap_packets.state import BodyState, NoState
+from stick_figure.body import Body
+from stick_figure.pose import Pose
+
+from .filter import JOINT_SD_CAP_RAD, ArticulatedEkf, Track
+from .kernels import Estimate, positive_definite, report
+from .measurement import Sizes
+from .settings import EkfSettings
+from .state import POSE, VELOCITY
+
+REACH_S = 0.5
+"""How far a smoothed point's evidence may lie: the filter forgets a velocity after 0.1 s, a pose a few times later."""
+
+
+@dataclass(frozen=True, eq=False)
+class Set:
+    """One frame set of a take: its stamp, the fitted points, and the body that was followed then (None: none yet)."""
+
+    stamp_ns: int
+    points: ReferencePoints
+    body: Body | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Filtered:
+    """What the backward pass needs of a set: the state, the track it belongs to, the estimate before and after the
+    set's points, F (48, 48) from the set before, and what lasts of the points' errors (of `MeasurementBias`)."""
+
+    state: BodyState
+    track: Track
+    body: Body
+    before: Estimate
+    after: Estimate
+    F: np.ndarray
+    lasting: np.ndarray
+    joints: np.ndarray
+
+
+def smooth(sets: Iterable[Set], settings: EkfSettings | None = None) -> list[BodyState | NoState]:
+    """Return the state at every set, in order, from all sets before and after it. Stamps must rise."""
+    answers, runs = _filter(sets, settings)
+    for first, run in runs:
+        smoothed = _backwards([found.before for found in run], [found.after for found in run], [f.F for f in run])
+        answers[first : first + len(run)] = _states(run, smoothed)
+    return answers
+
+
+def _filter(
+    sets: Iterable[Set], settings: EkfSettings | None
+) -> tuple[list[BodyState | NoState], list[tuple[int, list[_Filtered]]]]:
+    """Filter forwards; return the answers, and the uninterrupted runs of one track with the index of their first."""
+    ekf, answers, runs = (
+        ArticulatedEkf(None, settings),
+        list[BodyState | NoState](),
+        list[tuple[int, list[_Filtered]]](),
+    )
+    for number, one in enumerate(sets):
+        if one.body is not None:
+            ekf.follow(one.body)
+        answer = ekf.step(one.stamp_ns, *one.points)
+        answers.append(answer)
+        if not isinstance(answer, BodyState):
+            continue
+        track = ekf.track
+        found = _Filtered(answer, track, track.body, *track.passage, *track.lasting)
+        if runs and runs[-1][1][-1].track is track and runs[-1][0] + len(runs[-1][1]) == number:
+            runs[-1][1].append(found)
+        else:
+            runs.append((number, [found]))
+    return answers, runs
+
+
+def _backwards(before: list[Estimate], after: list[Estimate], F: list[np.ndarray]) -> list[Estimate]:
+    """Rauch-Tung-Striebel pass over the estimates before and after each set's points, F from the set before."""
+    smoothed = [after[-1]]
+    for k in range(len(after) - 2, -1, -1):
+        x, predicted, later = after[k], before[k + 1], smoothed[-1]
+        G = np.linalg.solve(predicted.covariance, F[k + 1] @ x.covariance).T
+        away = np.concatenate([later.pose.minus(predicted.pose), later.velocity - predicted.velocity])
+        step = G @ away
+        P = positive_definite(x.covariance + G @ (later.covariance - predicted.covariance) @ G.T)
+        pose = x.pose.retract(step[POSE])
+        smoothed.append(Estimate(pose.arrays, x.velocity + step[VELOCITY], P))
+    return smoothed[::-1]
+
+
+def _states(run: Sequence[_Filtered], smoothed: Sequence[Estimate]) -> list[BodyState | NoState]:
+    stamps = np.array([found.state.stamp_ns for found in run])
+    typical = _typical(stamps, np.array([np.trace(found.lasting, axis1=1, axis2=2) for found in run]))
+    states, angles, points = list[BodyState | NoState](), None, np.arange(15)
+    for k, (found, x) in enumerate(zip(run, smoothed, strict=True)):
+        pose = Pose(*x.arrays)
+        angles = pose.angles(angles)
+        lasting = np.array([run[typical[k, i]].lasting[i] for i in points])
+        joints = np.array([run[typical[k, i]].joints[i] for i in points])
+        at = (x.arrays, x.velocity, x.covariance, Sizes.of(found.body), lasting, joints, JOINT_SD_CAP_RAD**-2, angles)
+        points_world, point_covariance, covariance, rates = report(*at)
+        states.append(
+            replace(
+                found.state,
+                pose=pose,
+                velocity=x.velocity,
+                covariance=covariance,
+                angles=angles,
+                rates=rates,
+                points_world=points_world,
+                point_covariance=point_covariance,
+            )
+        )
+    return states
+
+
+def _typical(stamps_ns: np.ndarray, traces: np.ndarray) -> np.ndarray:
+    """Return (n, 15) the set within REACH_S whose lasting error of each point has the median trace (n, 15), m^2."""
+    traces = np.where(traces > 0.0, traces, np.inf)
+    reach_ns = round(REACH_S * 1e9)
+    first, end = np.searchsorted(stamps_ns, [stamps_ns - reach_ns, stamps_ns + reach_ns + 1])
+    return np.array([a + traces[a:b].argsort(axis=0)[(b - a) // 2] for a, b in zip(first, end, strict=True)])
+
+
+def check_stamps(stamps_ns: Sequence[int], where: str) -> None:
+    """Raise InputError unless the stamps rise."""
+    if (np.diff(np.asarray(stamps_ns, dtype=np.int64)) <= 0).any():
+        raise InputError(
+            "stamps do not rise", where=where, remedy="Give a bag of one take; clocks were set back in it."
+        )

@@ -1,0 +1,28 @@
+"""``sagoma smooth``: a take's motion, seen from both sides in time, in a new bag."""
+
+from __future__ import annotations
+
+import argparse
+
+from mocap_pipeline.configuration import Configuration
+
+from ..arguments import add_settings_argument, parse_settings
+from ..recording.smoothing import smooth_bag
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser("smooth", help="smooth a recorded take offline, in both directions of time")
+    parser.add_argument("bag", help="bag that `sagoma record` or `demo` wrote")
+    parser.add_argument("target", nargs="?", help="bag to make (default: BAG_smoothed)")
+    add_settings_argument(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Smooth the take and print how much of it has a state."""
+    target = args.target or args.bag.rstrip("/") + "_smoothed"
+    take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
+    print(f"smoothed {take.states} of {take.sets} frame sets into {target}")
+    print(f"compare: sagoma evaluate {args.bag}; sagoma evaluate {target}")
+    return 0
