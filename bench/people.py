@@ -181,6 +181,12 @@ def draw(what: Recorded, clip: Clip, track: Track, path: Path) -> None:
     print(f"{path}: frame {frame}, {POINT_NAMES[int(np.argmax(np.linalg.norm(estimate - truth, axis=1)))]}")
 
 
+def _number_of_first(what: Recorded, tracks: dict[int, Track]) -> int:
+    """The number under which the first person is followed."""
+    truths = [Truth(np.arange(len(t)), t, None, 1.0, Path(what.name)) for t in what.truths]
+    return next(iter(score_people(tracks, truths, what.fps).persons[0].numbers), min(tracks))
+
+
 def _without_offsets(track: Track, truth: np.ndarray) -> np.ndarray:
     rows = np.isfinite(track.points_world).all(axis=(1, 2))
     centred = metrics.without_offsets(track.points_world[rows], truth[rows])
@@ -214,7 +220,7 @@ def main() -> None:
             draw(
                 what,
                 pickle.loads(silhouettes.read_bytes()),
-                tracks[min(tracks)],
+                tracks[_number_of_first(what, tracks)],
                 arguments.pictures / f"{what.name}.png",
             )
         table[what.name] = asdict(figures)
