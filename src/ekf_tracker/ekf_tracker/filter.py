@@ -38,6 +38,10 @@ MAX_ITERATIONS = 5
 """Relinearisations of one update at most."""
 READMIT_AFTER_SETS = 1
 """Sets in a row after which a point that is still left out is accepted, and its limb looked for anew."""
+ELSEWHERE_M = 0.1
+"""A point that is left out farther away than this makes its limb doubtful; nearer, both say about the same."""
+AS_LIKELY = 0.5
+"""Belief in a point that is left out: it is there, or where the filter has it."""
 NO_BODY = "waiting for the body"
 SAME_PERSON_M = 0.06
 """Statures of one person, measured twice, differ by less."""
@@ -157,7 +161,7 @@ class ArticulatedEkf:
         """Take the state from this measurement alone."""
         assert self.body is not None
         self._track = Track(self.body, self.settings, stamp_ns, z)
-        return self._track.state(z.visible, NONE, doubtful, np.zeros(15))
+        return self._track.state(z, z.visible, NONE, doubtful, np.zeros(15))
 
 
 class Track:
@@ -236,7 +240,7 @@ class Track:
         if decision.n_accepted:
             self._estimate = self._correct(noise, decision, manoeuvre)
             self._note_measured(z, decision.accepted)
-        return self.state(decision.accepted, decision.rejected, doubtful, distances)
+        return self.state(z, decision.accepted, decision.rejected, doubtful, distances)
 
     def _explain_manoeuvres(self, z: Measurement) -> tuple[np.ndarray, bool]:
         """Raise the process noise of limbs that accelerate.
@@ -321,8 +325,13 @@ class Track:
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
         return Estimate(prior.arrays, velocity, P)
 
-    def state(self, accepted: np.ndarray, gated: np.ndarray, doubtful: np.ndarray, distances: np.ndarray) -> BodyState:
-        """Return the state after points (15,) bool were used, left out, and doubtful; and their squared distances."""
+    def state(
+        self, z: Measurement, accepted: np.ndarray, gated: np.ndarray, doubtful: np.ndarray, distances: np.ndarray
+    ) -> BodyState:
+        """Return the state after points (15,) bool were used, left out, and doubtful; and their squared distances.
+
+        A point that was left out far away is as likely there as here: its covariance spans the way.
+        """
         x, pose = self._estimate, self._estimate.pose
         self._angles = pose.angles(self._angles)
         points_world, point_covariance, covariance, rates = report(
@@ -335,6 +344,9 @@ class Track:
             JOINT_SD_CAP_RAD**-2,
             self._angles,
         )
+        way = z.points_world - points_world
+        far = gated & (np.linalg.norm(way, axis=1) > ELSEWHERE_M)
+        point_covariance[far] += AS_LIKELY * way[far, :, None] * way[far, None, :]
         tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
         return BodyState(
             stamp_ns=self._stamp_ns,
@@ -349,7 +361,7 @@ class Track:
             accepted=accepted,
             gated=gated,
             distances=distances,
-            doubtful=doubtful_points(doubtful, gated),
+            doubtful=doubtful_points(doubtful, far),
             tracking=tracking,
             reason=reason,
         )

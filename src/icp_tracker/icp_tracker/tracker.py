@@ -99,8 +99,7 @@ class IcpTracker:
         """Return how badly (rays) a body explains the last set, fitted to it from a pose; needs a fit there."""
         assert self._data_fitted is not None
         fitted, _, _ = minimise(body, pose, self._data_fitted, self._settings.articulated)
-        data = self._data_fitted
-        return evidence_of(Figure.of(body), fitted, data.contour_rays, data.hull).cost
+        return evidence_of(Figure.of(body), fitted, self._data_fitted).cost
 
     def move_to(self, stamp_ns: int, pose: Pose) -> None:
         """Go on from another pose of the same body; the filter has to follow. ValueError while there is no body."""
@@ -213,7 +212,8 @@ class IcpTracker:
         assert self._body is not None
         quality = found.quality
         hypothesis = None if found.hypothesis is None else forward(self._body, found.hypothesis)
-        covariance = widened_covariance(self._with_sizes(fit), quality, fit.reference_points_world, hypothesis)
+        points = fit.reference_points_world
+        covariance = widened_covariance(self._with_sizes(fit), quality, points, hypothesis, found.spread)
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
         seen = _seen(stamp_ns, started_from, replace(fit, covariance=covariance, visible=visible))
         state = TRACKING if quality.state == GOOD else quality.state

@@ -12,7 +12,7 @@ from test_icp_contour_rays import grazing_rays
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
 from icp_tracker.monitor.evidence import LEFT_ARM, RIGHT_LEG, evidence_of
-from icp_tracker.monitor.limb_search import other_place, with_limb
+from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces, other_places, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
     arms_exchanged,
@@ -22,7 +22,14 @@ from icp_tracker.monitor.pose_library import (
     turned_around,
 )
 from icp_tracker.monitor.track_monitor import RecoverySettings
-from icp_tracker.monitor.track_quality import judge_track, widened_covariance
+from icp_tracker.monitor.track_quality import (
+    ELSEWHERE_M,
+    doubtful_limbs,
+    judge_track,
+    limb_spread,
+    widened_covariance,
+    with_doubtful_limbs,
+)
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, TrackQuality
 from mocap_packets.hull import HullProducts, VoxelSamples
@@ -33,6 +40,7 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, T_POSE_ANGLES
 
 FPS = 60.0
+LEFT_HAND = 11
 NOISE_M = 0.004
 STANCE = {
     "left_shoulder_x": -0.7,
@@ -136,7 +144,7 @@ def data_of(person):
 
 def test_the_true_pose_explains_the_outlines_and_lies_in_the_hull(person):
     data = data_of(person)
-    evidence = evidence_of(Figure.of(person.body), person.pose, data.contour_rays, data.hull)
+    evidence = evidence_of(Figure.of(person.body), person.pose, data)
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * evidence.rays
     assert not evidence.outside.any()
@@ -146,7 +154,7 @@ def test_the_true_pose_explains_the_outlines_and_lies_in_the_hull(person):
 def test_an_arm_in_the_air_is_doubtful_and_named(person):
     data = data_of(person)
     raised = posed({"left_shoulder_x": 1.3, "left_shoulder_z": 0.0, "left_elbow": -0.1}, person.pose)
-    evidence = evidence_of(Figure.of(person.body), raised, data.contour_rays, data.hull)
+    evidence = evidence_of(Figure.of(person.body), raised, data)
     others = [part for part in range(len(PART_NAMES)) if part != LEFT_ARM]
     assert evidence.outside[LEFT_ARM] >= 4
     assert not evidence.outside[others].any()
@@ -159,15 +167,15 @@ def test_an_arm_in_the_air_is_doubtful_and_named(person):
 def test_a_body_elsewhere_is_lost(person):
     data = data_of(person)
     beside = replace(person.pose, position_world=person.pose.position_world + np.array([0.6, 0.0, 0.0]))
-    quality = judge_track(evidence_of(Figure.of(person.body), beside, data.contour_rays, data.hull), 0.95)
+    quality = judge_track(evidence_of(Figure.of(person.body), beside, data), 0.95)
     assert quality.state == LOST
     assert "95 % is usual" in quality.reason
 
 
 def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):
     data, figure = data_of(person), Figure.of(person.body)
-    right = evidence_of(figure, person.pose, data.contour_rays, data.hull)
-    wrong = evidence_of(figure, posed(FOLDED, person.pose), data.contour_rays, data.hull)
+    right = evidence_of(figure, person.pose, data)
+    wrong = evidence_of(figure, posed(FOLDED, person.pose), data)
     assert wrong.margin_of(right) > 10.0
     assert right.margin_of(wrong) < -10.0
     assert right.margin_of(right) == 0.0
@@ -208,7 +216,10 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     astray = with_limb(
         person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5}).R_joints[limb.ball], -0.1
     )
-    found = other_place(Figure.of(person.body), astray, limb, limb_poses(limb), data.contour_rays, data.hull)
+    places = other_places(Figure.of(person.body), astray, limb, data, limb_poses(limb))
+    assert places.margins[0] > 10.0 and places.apart_m[0] > ELSEWHERE_M
+    assert (np.diff(places.margins) <= 0.0).all()
+    found = places.best_pose(astray, limb)
     truth = forward(person.body, person.pose)
     off = np.linalg.norm(forward(person.body, found) - truth, axis=1)
     others = [p for p in range(15) if p not in PART_POINTS[limb.part]]
@@ -216,6 +227,57 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     assert off.max() < 0.12  # near enough for the fit, which does the rest:
     fitted = minimise(person.body, found, data, ArticulatedSettings())[0]
     assert np.linalg.norm(forward(person.body, fitted) - truth, axis=1).max() < 0.04
+
+
+@pytest.mark.parametrize("limb", LIMBS, ids=lambda limb: PART_NAMES[limb.part])
+def test_a_limb_in_full_view_has_no_other_place(person, limb):
+    places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), limb_poses(limb))
+    assert places.support > 20.0
+    assert (places.margins < -3.0).all()
+    assert not doubtful_limbs({LIMBS.index(limb): places}, before=[LIMBS.index(limb)])
+
+
+def test_a_place_that_is_known_is_found_again_without_the_library(person):
+    data, limb, figure = data_of(person), LIMBS[0], Figure.of(person.body)
+    astray = posed(FOLDED, person.pose)
+    known = other_places(figure, astray, limb, data, limb_poses(limb)).poses
+    places = other_places(figure, astray, limb, data, NO_POSES, known)
+    hand = forward(person.body, places.best_pose(astray, limb))[LEFT_HAND]
+    assert np.linalg.norm(hand - forward(person.body, person.pose)[LEFT_HAND]) < 0.1
+
+
+def places_of(*rivals):
+    """Other places of the left arm: margin and how far away (m) hand and elbow would be, to one side."""
+    margins, apart = np.array(rivals, float).reshape(-1, 2).T
+    ends = np.zeros((len(margins), 2, 3))
+    ends[:, :, 1] = apart[:, None]
+    return {0: LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), 30.0)}
+
+
+def test_a_limb_is_doubtful_from_a_better_place_elsewhere_until_none_comes_near():
+    assert doubtful_limbs(places_of((2.0, 0.3)), before=[]) == {0}
+    assert doubtful_limbs(places_of((2.0, 0.13)), before=[]) == set()  # about where it is tracked
+    assert doubtful_limbs(places_of((0.0, 0.3)), before=[]) == set()
+    assert doubtful_limbs(places_of((0.0, 0.3)), before=[0]) == {0}
+    assert doubtful_limbs(places_of((-4.0, 0.3)), before=[0]) == set()
+    good = TrackQuality(GOOD, "", (GOOD,) * 5, 0.9)
+    quality = with_doubtful_limbs(good, [0], places_of((2.0, 0.3)))
+    assert quality.state == DOUBTFUL
+    assert quality.parts == tuple(DOUBTFUL if part == LEFT_ARM else GOOD for part in range(5))
+    assert quality.reason == "left arm: a place 30 cm away explains +2 rays"
+
+
+@pytest.mark.parametrize("margin", [1.5, 0.0, 40.0])
+def test_the_ellipsoid_of_a_doubtful_limb_reaches_its_other_places(margin):
+    parts = tuple(DOUBTFUL if part == LEFT_ARM else GOOD for part in range(5))
+    quality = TrackQuality(DOUBTFUL, "", parts, 0.9)
+    spread = limb_spread(quality, places_of((margin, 0.6)))
+    widened = widened_covariance(np.zeros((15, 3, 3)), quality, np.zeros((15, 3)), None, spread)
+    hand = np.array([0.0, 0.6, 0.0])
+    assert hand @ np.linalg.solve(widened[LEFT_HAND], hand) < 7.8  # chi-square of 95 %, three degrees
+    others = [point for point in range(15) if point not in PART_POINTS[LEFT_ARM]]
+    assert not widened[others].any()
+    assert limb_spread(replace(quality, parts=(GOOD,) * 5), places_of((margin, 0.6))) is None
 
 
 # --- set after set ------------------------------------------------------------------------------------------------

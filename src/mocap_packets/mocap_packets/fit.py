@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
@@ -77,6 +78,7 @@ class TrackQuality:
     state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
     parts (5,) states of PART_NAMES; explained : share of the contour rays that the pose explains;
     hypothesis_margin : rays that the best other pose explains more, over several sets; None without another pose.
+    margins (5,) : rays that the best other place of each part alone explains more in this set; -inf without one.
     """
 
     state: str
@@ -84,6 +86,7 @@ class TrackQuality:
     parts: tuple[str, ...]
     explained: float
     hypothesis_margin: float | None = None
+    margins: tuple[float, ...] = (-math.inf,) * len(PART_NAMES)
 
 
 UNKNOWN = TrackQuality(GOOD, "", (GOOD,) * 5, 1.0)

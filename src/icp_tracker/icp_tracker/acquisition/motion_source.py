@@ -171,12 +171,11 @@ class MotionSource:
         figure, free = Figure.of(body), replace(self._fit_settings, prior=FREE, max_iterations=FREE_ITERATIONS)
         crown = stance.floor_world + body.stature
         costs = [
-            (evidence_of(figure, pose, data.contour_rays, data.hull).cost, pose)
-            for pose in natural_poses(body, stance.place_world, crown)
+            (evidence_of(figure, pose, data).cost, pose) for pose in natural_poses(body, stance.place_world, crown)
         ]
         best = [pose for _, pose in sorted(costs, key=lambda pair: pair[0])[:STARTS]]
         fitted = [minimise(body, pose, data, free)[0] for pose in best]
-        fitted.sort(key=lambda pose: evidence_of(figure, pose, data.contour_rays, data.hull).cost)
+        fitted.sort(key=lambda pose: evidence_of(figure, pose, data).cost)
         others = [sides_exchanged(body, fitted[0]), turned_around(fitted[0])]
         if self._followed:  # legs and arms that passed each other
             best_pose = self._followed[0].pose
@@ -185,7 +184,7 @@ class MotionSource:
         for pose in [fitted[0], *around, *fitted[1:]]:
             if self._is_new(body, pose):
                 self._followed.append(Explanation(pose))
-                _compare(self._followed[-1], evidence_of(figure, pose, data.contour_rays, data.hull))
+                _compare(self._followed[-1], evidence_of(figure, pose, data))
         self._keep_the_best()
 
     def _keep_the_best(self) -> None:
@@ -208,7 +207,7 @@ class MotionSource:
             explanation.pose = minimise(body, before, data, self._fit_settings)[0]
             moved = explanation.pose.position_world - before.position_world
             explanation.way += float(moved[:2] @ before.R_world_torso[:2, 0])
-            _compare(explanation, evidence_of(figure, explanation.pose, data.contour_rays, data.hull))
+            _compare(explanation, evidence_of(figure, explanation.pose, data))
         self._followed = []
         for explanation in sorted(followed, key=lambda e: e.mean_cost):
             if self._is_new(body, explanation.pose):

@@ -2,8 +2,9 @@
 
 A contour ray touches the body somewhere. One that passes the surface of a pose at a distance says that something is
 elsewhere; the cost of a pose is how many such rays there are (Geman-McClure: a ray far off counts 1, one on the surface
-0), and stick points that lie outside the hull. It compares poses with each other far better than the number of
-explained rays alone: a body that faces backward explains most of the outline too.
+0), and stick points that lie outside the hull. Centerline points that no stick passes and voxels of the hull's surface
+far from the body's count, too: an arm that left its own volume leaves them over. It compares poses with each other far
+better than the number of explained rays alone: a body that faces backward explains most of the outline too.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import numpy as np
 from numba import njit
 
 from stick_figure.joint_limits import joint_excess
-from stick_figure.least_squares.contour_factor import RayArrays, match_rays
-from stick_figure.least_squares.hull_samples import HullSamples, nearest_sample
-from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
+from stick_figure.least_squares.contour_factor import match_rays
+from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.hull_samples import nearest_sample
+from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place, surface_distances
 from stick_figure.least_squares.surface_factor import point_on_stick
 from stick_figure.pose import Pose
 
@@ -25,6 +27,10 @@ TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
 LIMBS_OF_STICKS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
 PART_OF_STICK = np.array((TRUNK, TRUNK, *LIMBS_OF_STICKS, *LIMBS_OF_STICKS))
 
+# a limb in full view has about 80 rays, 25 centerline points and 60 voxels: these weigh like rays, but less, because a
+# hull of few cameras is fat; checked on which changes of place were right (bench/doubt.py)
+RAYS_PER_POINT, RAYS_PER_VOXEL = 2.0, 0.2
+POINT_GATE_M = 0.08  # a centerline point so far from the nearest stick costs a half: that of the fit
 GATE_M = 0.06  # a ray this far off costs a half
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained
 SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
@@ -40,13 +46,15 @@ class Evidence:
     """What speaks for and against a pose.
 
     costs (n,) : what each ray costs, 0 to 1; beyond : what points outside the hull and joints beyond their ranges cost,
-    in rays. explained, unexplained (5,) rays of each part of the body,
-    in the order of PART_NAMES (an unexplained one counts for the part it passes nearest).
+    in rays; volume : what centerline points and voxels cost that the pose does not explain, in rays. explained,
+    unexplained (5,) rays of each part of the body, in the order of PART_NAMES (an unexplained one counts for the part
+    it passes nearest).
     outside (5,) : points of the part's sticks that lie outside the hull, each part of a limb having six.
     """
 
     costs: np.ndarray
     beyond: float
+    volume: float
     explained: np.ndarray
     unexplained: np.ndarray
     outside: np.ndarray
@@ -58,7 +66,7 @@ class Evidence:
 
     @property
     def cost(self) -> float:
-        """In rays, lower is better."""
+        """Of outlines and what is beyond, in rays; lower is better. Volume compares poses of one set alone."""
         return float(self.costs.sum()) + self.beyond
 
     def margin_of(self, other: Evidence) -> float:
@@ -67,8 +75,8 @@ class Evidence:
         An arm that leaves its own outline to explain something else (a bent hand, a coat's hem) gains and loses much;
         one that was lost had little to lose.
         """
-        better = self.costs - other.costs
-        return float(np.where(better > 0.0, better, LOSS * better).sum()) + self.beyond - other.beyond
+        better, besides = self.costs - other.costs, self.beyond + self.volume - other.beyond - other.volume
+        return float(np.where(better > 0.0, better, LOSS * better).sum()) + besides
 
     @property
     def share(self) -> float:
@@ -76,19 +84,19 @@ class Evidence:
         return float(self.explained.sum()) / self.rays if self.rays else 1.0
 
 
-def evidence_of(figure: Figure, pose: Pose, contour_rays: RayArrays, hull: HullSamples) -> Evidence:
-    """Weigh a pose against contour rays and samples of the hull, and its angles against their joints' ranges."""
-    costs, explained, unexplained, outside, beyond, excess = _weigh(figure, State(*pose.arrays), contour_rays, hull)
+def evidence_of(figure: Figure, pose: Pose, data: Data) -> Evidence:
+    """Weigh a pose against contour rays, centerline and hull of a set, and its angles against their joints' ranges."""
+    costs, explained, unexplained, outside, beyond, volume, excess = _weigh(figure, State(*pose.arrays), data)
     if excess.any():
         beyond += float(((excess / LIMIT_RAD) ** 2).sum())
-    return Evidence(costs, beyond, explained, unexplained, outside)
+    return Evidence(costs, beyond, volume, explained, unexplained, outside)
 
 
 @njit(cache=True, nogil=True)
-def _weigh(figure, state, rays, hull):
+def _weigh(figure, state, data):
     """Return what each ray costs (n,); explained rays, unexplained rays and points outside of each part (5,); what the
-    latter cost; by how much (18,) rad angles are beyond their joints' ranges."""
-    placed = place(state, figure)
+    latter cost, and what is unexplained of the hull; by how much (18,) rad angles are beyond their joints' ranges."""
+    placed, rays = place(state, figure), data.contour_rays
     match, costs = match_rays(rays, placed, SLACK_M), np.empty(rays.information.shape[0])
     explained, unexplained, outside = np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64)
     for i in range(costs.shape[0]):
@@ -98,7 +106,36 @@ def _weigh(figure, state, rays, hull):
         unexplained[part] += separation > GATE_M
     excess = np.empty(18)
     joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
-    return costs, explained, unexplained, outside, count_outside(placed, hull, outside), excess
+    beyond = count_outside(placed, data.hull, outside)
+    return costs, explained, unexplained, outside, beyond, _unexplained_volume(placed, data), excess
+
+
+@njit(cache=True)
+def _unexplained_volume(placed, data):
+    """Return the rays that centerline points and voxels are worth which the body does not explain."""
+    cost, beside = 0.0, stick_distances(data.points, placed, np.arange(STICKS))
+    for i in range(beside.shape[0]):
+        cost += RAYS_PER_POINT * ray_cost(beside[i], POINT_GATE_M)
+    away = surface_distances(data.voxels, placed)[2]
+    for i in range(away.shape[0]):
+        cost += RAYS_PER_VOXEL * ray_cost(away[i], GATE_M)
+    return cost
+
+
+@njit(cache=True)
+def stick_distances(points, placed, sticks):
+    """Return how far (n,) m points (n, 3) lie from the nearest of some sticks."""
+    distances = np.full(points.shape[0], np.inf)
+    for j in sticks:
+        A = placed.A[j]
+        along = placed.B[j] - A
+        length2 = along @ along
+        for i in range(points.shape[0]):
+            x, y, z = points[i, 0] - A[0], points[i, 1] - A[1], points[i, 2] - A[2]
+            u = min(max((x * along[0] + y * along[1] + z * along[2]) / length2, 0.0), 1.0)
+            squared = (x - u * along[0]) ** 2 + (y - u * along[1]) ** 2 + (z - u * along[2]) ** 2
+            distances[i] = min(distances[i], squared)
+    return np.sqrt(distances)
 
 
 @njit(cache=True)

@@ -1,13 +1,16 @@
-"""Other places for one limb: every pose of its library against the rays that the rest of the body leaves over.
+"""Other places for one limb: what the rest of the body leaves over of the set, and how much of it each place explains.
 
-The library is coarse, so its best poses are refined by Gauss-Newton over the limb's four joint angles alone, a few
-iterations each, before the best of them is offered to the fit of the whole body.
+Left over are contour rays, centerline points and voxels of the hull's surface that the body without the limb does not
+explain. Places come from the limb's library, which is coarse: its best poses are refined by Gauss-Newton over the
+limb's own four angles, a few iterations each. Places that were good at earlier sets are refined along with them, so
+that they follow the limb as the tracked one does.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,7 +20,8 @@ from stick_figure import kernels
 from stick_figure.body_surface import BodySurface, place_capsules
 from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, sum_rays
 from stick_figure.least_squares.contour_factor import TANGENT as ALONG
-from stick_figure.least_squares.hull_samples import HullSamples, is_in_hull, is_unseen
+from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.hull_samples import is_in_hull, is_unseen
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -28,16 +32,17 @@ from stick_figure.least_squares.normal_equations import (
     no_sums,
     pose_columns,
 )
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.pose import Pose
 
-from .evidence import GATE_M, SLACK_M, ray_cost
+from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, ray_cost, stick_distances
 from .pose_library import Limb, LimbPoses
 
 COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
-OPEN_M = 0.03  # a ray that the rest of the body passes so near has no need of the limb
+OPEN_M = 0.03  # what the rest of the body passes so near has no need of the limb
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
+KEPT = 3  # other places that are followed from set to set
 LEAST_MARGIN = -4.0  # rays that another place must explain beyond this one to be fitted (which finds some more)
 HELD_AT = (0.5, 1.0)  # where along upper and lower limb the hull is asked
 HELD_LEAST = 3  # of those four points, that must lie in the hull
@@ -49,13 +54,44 @@ STIFFNESS_M2 = 2.0 * 0.3**2  # rays that hold an angle at its guess, times their
 STEP_MOST = 0.4  # rad
 
 
-def other_place(
-    figure: Figure, pose: Pose, limb: Limb, library: LimbPoses, contour_rays: RayArrays, hull: HullSamples
-) -> Pose | None:
-    """Find the best pose that differs from ``pose`` in one limb alone and puts it elsewhere, if it may explain more."""
-    state = State.of(pose)
-    margin = _search(contour_rays, state, figure, limb, library, hull)
-    return None if margin < LEAST_MARGIN else with_limb(pose, limb, state.RJ[limb.ball], state.hinges[limb.hinge])
+@dataclass(frozen=True, eq=False)
+class LimbPlaces:
+    """Where else a limb may be, best first: at most KEPT places apart from each other and from the tracked one.
+
+    poses : upper limb to torso and flexion, as in the library. margins (k,) : what each explains beyond the tracked
+    place, in rays. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those of the tracked
+    place. support : rays that the tracked place explains and the rest of the body does not.
+    """
+
+    poses: LimbPoses
+    margins: np.ndarray
+    ends: np.ndarray
+    tracked: np.ndarray
+    support: float
+
+    @property
+    def apart_m(self) -> np.ndarray:
+        """How far (k,) elbow or hand, whichever is farther, would be from where it is tracked."""
+        apart: np.ndarray = np.linalg.norm(self.ends - self.tracked, axis=2).max(axis=1, initial=0.0)
+        return apart
+
+    def best_pose(self, pose: Pose, limb: Limb) -> Pose | None:
+        """Return the pose with the limb at its best other place, if that may explain more than the tracked one."""
+        if len(self.margins) == 0 or self.margins[0] < LEAST_MARGIN:
+            return None
+        return with_limb(pose, limb, self.poses.R[0], self.poses.flexion[0])
+
+
+NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
+
+
+def other_places(
+    figure: Figure, pose: Pose, limb: Limb, data: Data, library: LimbPoses, known: LimbPoses = NO_POSES
+) -> LimbPlaces:
+    """Find where else one limb may be: among the library's poses, and those that are known from the set before."""
+    found = _search(data, State.of(pose), figure, limb, library, known)
+    R, flexion, margins, ends, tracked, support = found
+    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, support)
 
 
 def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
@@ -65,54 +101,127 @@ def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
     return replace(pose, R_joints=R_joints, hinges=hinges)
 
 
-@njit(cache=True, nogil=True)
-def _search(contour_rays, state, figure, limb, library, hull):
-    """Put into ``state`` the best pose of the library that lies elsewhere, refined.
+class LeftOver(NamedTuple):
+    """What the rest of the body leaves over for a limb within reach.
 
-    Returns the rays explained beyond those that the limb explains now; -inf when there is no such pose.
+    rays, coarse, fine (n,) : contour rays, and what each costs without the limb at a wide gate and at the usual one.
+    points (p, 3), voxels (v, 3) : centerline and surface of the hull, m, with what each costs, in rays.
     """
-    rays, without = _left_over(contour_rays, state, figure, limb)
-    coarse, fine = ray_cost(without, COARSE_GATE_M), ray_cost(without, GATE_M)  # what each ray costs without the limb
-    placed, costs = place(state, _part_of(figure, limb, True)), np.empty(without.shape[0])
-    ends_now = _ends(placed, limb)
-    gain_now = _rays_gained(rays, placed, fine, GATE_M, costs)
+
+    rays: RayArrays
+    coarse: np.ndarray
+    fine: np.ndarray
+    points: np.ndarray
+    point_costs: np.ndarray
+    voxels: np.ndarray
+    voxel_costs: np.ndarray
+
+
+@njit(cache=True, nogil=True)
+def _search(data, state, figure, limb, library, known):
+    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; support."""
+    left = _left_over(data, state, figure, limb)
+    placed, costs = place(state, _part_of(figure, limb, True)), np.empty(left.fine.shape[0])
+    tracked = _ends(placed, limb)
+    support = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
+    explained = support + _volume_gained(left, placed, limb)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _place_limb(placed, figure, limb)
-        if _is_held(placed, limb, hull):
-            gains[h] = _rays_gained(rays, placed, coarse, COARSE_GATE_M, costs)
-    best, best_R, best_flexion = -np.inf, np.eye(3), 0.0
-    for h in np.argsort(-gains)[:REFINED]:
-        if gains[h] <= 0.0:
-            break
-        state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
-        _refine_limb(rays, placed, figure, limb)
-        gain = _rays_gained(rays, placed, fine, GATE_M, costs)
-        elsewhere = np.sqrt(((_ends(placed, limb) - ends_now) ** 2).sum(axis=1).max()) > APART_M
-        if gain > best and _is_held(placed, limb, hull) and elsewhere:
-            best, best_flexion = gain, state.hinges[limb.hinge]
-            best_R[:] = state.RJ[limb.ball]
-    state.RJ[limb.ball], state.hinges[limb.hinge] = best_R, best_flexion
-    return best - gain_now
+        if _is_held(placed, limb, data.hull):
+            gains[h] = _rays_gained(left.rays, placed, left.coarse, COARSE_GATE_M, costs)
+    chosen = np.argsort(-gains)[:REFINED]
+    count = known.flexion.shape[0] + chosen.shape[0]
+    R, flexion = np.empty((count, 3, 3)), np.empty(count)
+    margins, ends = np.full(count, -np.inf), np.empty((count, 2, 3))
+    for m in range(count):
+        if m < known.flexion.shape[0]:
+            state.RJ[limb.ball], state.hinges[limb.hinge] = known.R[m], known.flexion[m]
+        else:
+            h = chosen[m - known.flexion.shape[0]]
+            if gains[h] <= 0.0:
+                continue
+            state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
+        _refine_limb(left.rays, placed, figure, limb)
+        R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(placed, limb)
+        if _is_held(placed, limb, data.hull) and _apart(ends[m], tracked) > APART_M:
+            gain = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
+            margins[m] = gain + _volume_gained(left, placed, limb) - explained
+    kept = _distinct(margins, ends)
+    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, support
 
 
 @njit(cache=True)
-def _left_over(rays, state, figure, limb):
-    """Return the rays that the rest of the body leaves over for a limb within reach, and how far (m) it passes them."""
-    placed = place(state, _part_of(figure, limb, False))
-    without, shoulder = match_rays(rays, placed, SLACK_M).separation, placed.A[limb.upper]
+def _distinct(margins, ends):
+    """Return the indices of the best places, KEPT at most, none of which is the same place as a better one."""
+    kept, count = np.empty(KEPT, np.int64), 0
+    for m in np.argsort(-margins):
+        if count == KEPT or margins[m] == -np.inf:
+            break
+        alone = True
+        for other in kept[:count]:
+            alone = alone and _apart(ends[m], ends[other]) > APART_M
+        if alone:
+            kept[count] = m
+            count += 1
+    return kept[:count]
+
+
+@njit(cache=True)
+def _apart(ends, others):
+    """Return how far apart (m) the farther ends of two places are."""
+    return np.sqrt(((ends - others) ** 2).sum(axis=1).max())
+
+
+@njit(cache=True)
+def _left_over(data, state, figure, limb):
+    """Return what of a set the body without the limb leaves over."""
+    rays, placed = data.contour_rays, place(state, _part_of(figure, limb, False))
+    without, root = match_rays(rays, placed, SLACK_M).separation, placed.A[limb.upper].copy()
     reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
     chosen, count = np.empty(without.shape[0], np.int64), 0
     for i in range(without.shape[0]):
-        if without[i] > OPEN_M and _distance_of_ray(rays.rows, i, shoulder) < reach:
+        if without[i] > OPEN_M and _distance_of_ray(rays.rows, i, root) < reach:
             chosen[count] = i
             count += 1
     chosen = chosen[:count]
     rows = np.empty((rays.rows.shape[0], count))
     for k in range(rows.shape[0]):
         rows[k] = rays.rows[k][chosen]
-    return RayArrays(rows, np.ones(count)), without[chosen]
+    sticks = np.array([j for j in range(figure.lengths.shape[0]) if j != limb.upper and j != limb.lower])
+    points, beside = _within_reach(data.points, stick_distances(data.points, placed, sticks), root, reach)
+    voxels, away = _within_reach(data.voxels, np.abs(surface_distances(data.voxels, placed)[2]), root, reach)
+    left = without[chosen]
+    return LeftOver(
+        RayArrays(rows, np.ones(count)),
+        ray_cost(left, COARSE_GATE_M),
+        ray_cost(left, GATE_M),
+        points,
+        RAYS_PER_POINT * ray_cost(beside, POINT_GATE_M),
+        voxels,
+        RAYS_PER_VOXEL * ray_cost(away, GATE_M),
+    )
+
+
+@njit(cache=True)
+def _within_reach(points, distances, root, reach):
+    """Return the points (n, 3) that the body passes at a distance (n,), and that lie within a limb's reach."""
+    chosen = (distances > OPEN_M) & (((points - root) ** 2).sum(axis=1) < reach * reach)
+    return points[chosen], distances[chosen]
+
+
+@njit(cache=True)
+def _volume_gained(left, placed, limb):
+    """Return the rays that centerline points and voxels are worth which the limb explains."""
+    gain = 0.0
+    beside = stick_distances(left.points, placed, np.array([limb.upper, limb.lower]))
+    for i in range(beside.shape[0]):
+        gain += max(left.point_costs[i] - RAYS_PER_POINT * ray_cost(beside[i], POINT_GATE_M), 0.0)
+    away = surface_distances(left.voxels, placed)[2]
+    for i in range(away.shape[0]):
+        gain += max(left.voxel_costs[i] - RAYS_PER_VOXEL * ray_cost(away[i], GATE_M), 0.0)
+    return gain
 
 
 @njit(cache=True)

@@ -111,6 +111,11 @@ class Limb(NamedTuple):
         return self.part in (LEFT_ARM, RIGHT_ARM)
 
     @property
+    def parts(self) -> int:
+        """In how many parts its library is searched, each about as long: an arm's has twice the poses."""
+        return 4 if self.is_arm else 2
+
+    @property
     def side(self) -> float:
         """+1 left, -1 right."""
         return 1.0 if self.part in (LEFT_ARM, LEFT_LEG) else -1.0

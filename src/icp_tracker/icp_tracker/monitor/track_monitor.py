@@ -24,9 +24,10 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 from .evidence import Evidence, evidence_of
-from .limb_search import other_place
+from .limb_search import NO_POSES, LimbPlaces, other_places
 from .pose_library import (
     LIMBS,
+    LimbPoses,
     arms_exchanged,
     legs_exchanged,
     limb_poses,
@@ -35,7 +36,15 @@ from .pose_library import (
     stances,
     turned_around,
 )
-from .track_quality import Baseline, Hypothesis, contested, judge_track
+from .track_quality import (
+    Baseline,
+    Hypothesis,
+    contested,
+    doubtful_limbs,
+    judge_track,
+    limb_spread,
+    with_doubtful_limbs,
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +68,7 @@ CLEAR_RAYS = 20.0  # margin with which two frame sets are enough
 MARGIN_SETS = 3  # sets that a hypothesis is compared in at least: one may be torn, two may share a chance
 PATIENT_S = 0.5  # after which a hypothesis without the margin is dropped
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
-LIMB_PARTS = 4  # a limb's library is searched in so many parts, one a look (a doubtful limb's at once)
+LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS, at every look one: arms are lost more often than legs
 TURNED_EVERY = 16  # looks from one at the whole body turned round to the next
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 NS_PER_S = 1e9
@@ -74,12 +83,16 @@ BEHIND_MOST = 3.0  # rays that another pose may be behind when it is first looke
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes."""
+    """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes.
+
+    hypothesis : another pose that may be right. spread (15, 3, 3) m^2 : of where the points of doubtful limbs may be.
+    """
 
     quality: TrackQuality
     better: Pose | None = None
     change: str = ""
     hypothesis: Pose | None = None
+    spread: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +106,7 @@ class ObservedSet:
 
     def evidence_of(self, pose: Pose) -> Evidence:
         """Return the evidence about a pose."""
-        return evidence_of(Figure.of(self.body), pose, self.data.contour_rays, self.data.hull)
+        return evidence_of(Figure.of(self.body), pose, self.data)
 
     def fitted(self, pose: Pose, free: bool = False) -> Pose:
         """Return the pose that the fit reaches from another one, more freely if it is only a guess."""
@@ -116,7 +129,10 @@ class TrackMonitor:
         """Forget the body's baseline, and the hypothesis."""
         self._baseline = Baseline()
         self._hypothesis: Hypothesis | None = None
-        self._sets = self._turns = self._looks = self._limb_looks = 0
+        self._places: dict[int, LimbPlaces] = {}  # by the limb's number in LIMBS
+        self._doubtful: frozenset[int] = frozenset()
+        self._sets = self._turns = self._looks = 0
+        self._limb_looks = [0] * len(LIMBS)
         self._last_stamp_ns: int | None = None
         self._last_good: Pose | None = None
 
@@ -135,9 +151,16 @@ class TrackMonitor:
             self._last_good = pose
         if not self._settings.search:
             return Examination(quality)
+        looks = self._turns
+        self._turns += min(max(round(apart_s * LOOKS_HZ), 1), LOOKS_A_SET)
+        self._look_at_limbs(observed, pose, looks)
         self._follow(observed, pose, evidence)
-        self._look_for_another(observed, pose, evidence, quality)
-        return self._decide(observed, pose, quality)
+        self._look_for_another(looks, observed, pose, evidence, quality)
+        self._doubtful = doubtful_limbs(self._places, self._doubtful)
+        found = self._decide(observed, pose, with_doubtful_limbs(quality, self._doubtful, self._places))
+        if found.better is not None and self._places:
+            self._keep_tracked(observed, pose, found.better)
+        return replace(found, spread=limb_spread(found.quality, self._places))
 
     # --- the hypothesis ----------------------------------------------------------------------------------------------
 
@@ -173,13 +196,35 @@ class TrackMonitor:
         far = 1.0 + min(observed.apart_m(hypothesis.pose, pose) / FAR_M, 1.0)
         return hypothesis.margin >= s.margin_rays * max(1.0, far * s.margin_s / seconds, far * MARGIN_SETS / sets)
 
-    def _look_for_another(self, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality) -> None:
+    # --- limbs -------------------------------------------------------------------------------------------------------
+
+    def _look_at_limbs(self, observed: ObservedSet, pose: Pose, looks: int) -> None:
+        """Rate other places of the limbs: those that are known, and a part of the library of the limbs in turn."""
+        turns = [LIMB_TURNS[turn % len(LIMB_TURNS)] for turn in range(looks, self._turns)]
+        for number, limb in enumerate(LIMBS):
+            known = self._places.get(number)
+            if number not in turns and (known is None or len(known.margins) == 0):
+                continue
+            library = NO_POSES
+            if number in turns:
+                self._limb_looks[number] += 1
+                library = limb_poses(limb).part(self._limb_looks[number], limb.parts)
+            poses = NO_POSES if known is None else known.poses
+            self._places[number] = other_places(Figure.of(observed.body), pose, limb, observed.data, library, poses)
+
+    def _keep_tracked(self, observed: ObservedSet, pose: Pose, better: Pose) -> None:
+        """After a change-over, go on looking at the places that were left: a change may be a mistake."""
+        for number, limb in enumerate(LIMBS):
+            left = LimbPoses(pose.R_joints[None, limb.ball], pose.hinges[None, limb.hinge])
+            self._places[number] = other_places(Figure.of(observed.body), better, limb, observed.data, NO_POSES, left)
+
+    def _look_for_another(
+        self, looks: int, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality
+    ) -> None:
         """Try other poses; one becomes the hypothesis if it explains more than the pose and the hypothesis so far."""
-        looks = min(max(round(observed.apart_s * LOOKS_HZ), 1), LOOKS_A_SET)
-        self._turns += looks
         if self._hypothesis is not None and quality.state != LOST and self._sets % 2:
             return  # following one takes as long as trying one
-        for turn in range(self._turns - looks, self._turns):
+        for turn in range(looks, self._turns):
             self._look(observed, pose, evidence, self._guess(turn + 1, observed, pose, quality))
 
     def _look(self, observed: ObservedSet, pose: Pose, evidence: Evidence, guess: Hypothesis | None) -> None:
@@ -207,7 +252,7 @@ class TrackMonitor:
             every = min(every, SLIGHT_DROP_EVERY)
         if turn % every == 0:
             return self._whole_body(observed, pose)
-        return self._limb(observed, pose, quality)
+        return self._limb(pose)
 
     def _whole_body(self, observed: ObservedSet, pose: Pose) -> Hypothesis:
         """Return the body turned or exchanged, one way after another; the most likely errors come most often."""
@@ -230,15 +275,12 @@ class TrackMonitor:
         best = min(every[turn % parts :: parts], key=lambda pose: observed.evidence_of(pose).cost)
         return Hypothesis(best, "the body found anew", None)
 
-    def _limb(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
-        """One limb elsewhere: limb after limb, a part of each one's library at a time; all of it for a doubtful one."""
-        doubtful = [limb for limb in LIMBS if quality.parts[limb.part] != GOOD]
-        limbs, look = doubtful or LIMBS, self._limb_looks
-        self._limb_looks += 1
-        limb = limbs[look % len(limbs)]
-        library, parts = limb_poses(limb), LIMB_PARTS
-        if not doubtful:
-            library = library.part(look // len(limbs), parts)
-        data = observed.data
-        other = other_place(Figure.of(observed.body), pose, limb, library, data.contour_rays, data.hull)
-        return None if other is None else Hypothesis(other, f"{PART_NAMES[limb.part]} elsewhere", limb.part)
+    def _limb(self, pose: Pose) -> Hypothesis | None:
+        """Return the limb elsewhere whose other place explains most beyond the tracked one; None if none may."""
+        places = {number: places for number, places in self._places.items() if len(places.margins)}
+        if not places:
+            return None
+        number = max(places, key=lambda number: places[number].margins[0])
+        other = places[number].best_pose(pose, LIMBS[number])
+        part = LIMBS[number].part
+        return None if other is None else Hypothesis(other, f"{PART_NAMES[part]} elsewhere", part)

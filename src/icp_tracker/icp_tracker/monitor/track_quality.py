@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,8 @@ from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, Tra
 from stick_figure.pose import Pose
 
 from .evidence import LEFT_ARM, TRUNK, Evidence
+from .limb_search import LimbPlaces
+from .pose_library import LIMBS
 
 # --- hypotheses: other poses, followed beside the first until the evidence of several frame sets decides
 
@@ -40,7 +43,7 @@ class Hypothesis:
 
 LOST_SHARE = 0.35  # of the outline: what hardly any wrong pose explains less of
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains
-OUTSIDE_LIMB = 2  # of a limb's six points: so many outside the hull are no accident
+OUTSIDE_LIMB = 3  # of a limb's six points: so many outside the hull are no foot that shadows cut off
 CONTESTED_SETS, CONTESTED_S = 2, 0.04  # in which another pose must have led before it is a reason for doubt
 BASELINE_SETS = 300.0  # the usual share is the mean over about so many good sets
 
@@ -91,6 +94,69 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
     )
 
 
+# --- limbs that may be elsewhere
+
+
+ELSEWHERE_M = 0.15  # a limb whose elbow or hand would be so far off is elsewhere
+# rays: a limb becomes doubtful when another place explains so much more, and is until none comes so near; chosen where
+# bench/doubt.py calls most wrong limbs for one clear frame in a hundred
+DOUBTFUL_MARGIN, CLEAR_MARGIN = 1.0, -1.0
+
+
+def doubtful_limbs(places: Mapping[int, LimbPlaces], before: Collection[int]) -> frozenset[int]:
+    """Return the limbs, by their number in LIMBS, that may as well be elsewhere; ``before`` : those of the last set."""
+    margins = _margins(places)
+    return frozenset(
+        number
+        for number, other in places.items()
+        if margins[LIMBS[number].part] > DOUBTFUL_MARGIN
+        or (number in before and other.margins.max(initial=-np.inf) > CLEAR_MARGIN)
+    )
+
+
+def _margins(places: Mapping[int, LimbPlaces]) -> tuple[float, ...]:
+    """Return what the best place elsewhere of each part of the body explains beyond the tracked one; -inf for none."""
+    margins = [-np.inf] * len(PART_NAMES)
+    for number, other in places.items():
+        elsewhere = other.margins[other.apart_m > ELSEWHERE_M]
+        margins[LIMBS[number].part] = float(elsewhere.max(initial=-np.inf))
+    return tuple(margins)
+
+
+def with_doubtful_limbs(
+    quality: TrackQuality, doubtful: Collection[int], places: Mapping[int, LimbPlaces]
+) -> TrackQuality:
+    """Return the quality with these limbs doubtful, by their number in LIMBS, and why."""
+    quality = replace(quality, margins=_margins(places))
+    parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
+    for number in sorted(doubtful):
+        part, other = LIMBS[number].part, places[number]
+        if parts[part] == GOOD:
+            parts[part] = DOUBTFUL
+            reasons.append(
+                f"{PART_NAMES[part]}: a place {100 * other.apart_m[0]:.0f} cm away explains "
+                f"{other.margins[0]:+.0f} rays"
+            )
+    if tuple(parts) == quality.parts:
+        return quality
+    return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
+
+
+def limb_spread(quality: TrackQuality, places: Mapping[int, LimbPlaces]) -> np.ndarray | None:
+    """Return the second moment (15, 3, 3) m^2, about where they are tracked, of where the points of doubtful limbs may
+    be: each place as likely as the rays say that it explains. None without a doubtful limb."""
+    spread = np.zeros((15, 3, 3))
+    for number, other in places.items():
+        part = LIMBS[number].part
+        if quality.parts[part] != DOUBTFUL or len(other.margins) == 0:
+            continue
+        odds = np.exp(np.clip(other.margins / EVEN_RAYS, -MOST_ODDS, MOST_ODDS))
+        belief = odds / (1.0 + odds.sum())
+        offsets = other.ends - other.tracked
+        spread[list(PART_POINTS[part])] = np.einsum("k,kpi,kpj->pij", belief, offsets, offsets)
+    return spread if spread.any() else None
+
+
 def _parts(evidence: Evidence) -> tuple[list[str], list[str]]:
     parts, reasons = [GOOD] * len(PART_NAMES), []
     for part in range(LEFT_ARM, len(PART_NAMES)):
@@ -106,20 +172,25 @@ def _parts(evidence: Evidence) -> tuple[list[str], list[str]]:
 
 # --- what is doubtful, as covariance
 
-OUTSIDE_SD_M = 0.15  # a limb that leaves the hull may be anywhere about its place
+OUTSIDE_SD_M = 0.15  # a limb that leaves the hull, or may be elsewhere, may be anywhere about its place
 EVEN_RAYS = 3.0  # margin at which the other pose is about three times as likely
+MOST_ODDS = 2.0  # however many rays speak for one place, the others are not out of the question: 1 to 7
 
 
 def widened_covariance(
-    covariance: np.ndarray, quality: TrackQuality, points_world: np.ndarray, hypothesis_points_world: np.ndarray | None
+    covariance: np.ndarray,
+    quality: TrackQuality,
+    points_world: np.ndarray,
+    hypothesis_points_world: np.ndarray | None,
+    spread: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the covariance (15, 3, 3) m^2 of points (15, 3) with what is doubtful about them.
 
     With a hypothesis that makes the track doubtful, a point is in one of two places: covariance
     p (1 - p) d d^T, d the way to the other one, p the belief in it. Without one, points of a doubtful part are
-    uncertain by OUTSIDE_SD_M.
+    uncertain by OUTSIDE_SD_M. spread (15, 3, 3) m^2 : of where doubtful limbs may be, besides.
     """
-    widened = covariance.copy()
+    widened = covariance.copy() if spread is None else covariance + spread
     for points, state in zip(PART_POINTS, quality.parts, strict=True):
         if state != GOOD and hypothesis_points_world is None:
             widened[list(points)] += OUTSIDE_SD_M**2 * np.eye(3)
