@@ -28,6 +28,7 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
 from stick_figure.least_squares.hull_samples import HullSamples
 from stick_figure.least_squares.normal_equations import TANGENT
@@ -110,6 +111,12 @@ class ContourSettings:
     rays: int = setting(1200, "rays that are used", low=10, high=100000)
     surface_sd_m: float = setting(
         0.01, "distance of the model's surface from the body's: a ray less certain counts less", unit="m", low=1e-4
+    )
+    turn_sd: float = setting(
+        TURN_SD,
+        "how far hands at the wrist and feet at the ankle turn from straight; 0 holds them",
+        unit="rad",
+        low=0.0,
     )
 
 
@@ -279,6 +286,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
         neck=_information(prior.neck_sd),
         neck_pitch=prior.neck_pitch,
         limit=_information(prior.limit_sd),
+        ends=CORRELATED * _information(settings.contour.turn_sd),
     )
 
 

@@ -238,10 +238,7 @@ class IcpNode(SagomaNode):
         changed = [person for person, body in bodies.items() if body is not self._published.get(person)]
         self._published = self._published | bodies
         for person in changed:
-            refined = self._tracker.refined_body_of(person) if self._tracker is not None else None
-            known = refined is not None and refined.keyframes > 0  # else thickness is but the average's
-            girths = refined.girths if refined and known else None
-            self._save_body.keep(person, SavedBody(stamp_ns, bodies[person], girths))
+            self._save_body.keep(person, SavedBody(stamp_ns, bodies[person]))
         if FIRST_PERSON in changed:
             self._body_publisher.publish(Text(format_body(bodies[FIRST_PERSON], source="icp_tracker")), stamp_ns, "")
         if set(changed) - {FIRST_PERSON}:

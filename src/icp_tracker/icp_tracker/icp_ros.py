@@ -16,17 +16,15 @@ from sagoma_ros.worker import Mailbox
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 
-from .acquisition.body_sizes import LimbGirths
 from .settings import SaveBodySettings
 
 
 @dataclass(frozen=True, eq=False)
 class SavedBody:
-    """What is kept of a body: its sizes and, where they were measured, its limbs' thickness."""
+    """What is kept of a body: its sizes and its build."""
 
     stamp_ns: int
     body: Body
-    girths: LimbGirths | None = None
 
 
 class SaveBodyService:
@@ -58,8 +56,7 @@ class SaveBodyService:
             path = Path(self._settings.folder).expanduser().resolve() / f"body_{saved.stamp_ns}{others}.yaml"
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                thickness = saved.girths.by_name() if saved.girths else None
-                save_body(saved.body, path, source="icp_tracker", thickness=thickness)
+                save_body(saved.body, path, source="icp_tracker")
             except OSError as error:
                 response.success, response.message = False, f"{path}: cannot be written ({error.strerror})"
                 break

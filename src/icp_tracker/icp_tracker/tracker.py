@@ -29,7 +29,7 @@ from .hidden_points import widen_hidden
 from .monitor.evidence import evidence_of
 from .monitor.track_monitor import Examination, TrackMonitor
 from .monitor.track_quality import widened_covariance
-from .refinement.body_refiner import BodyRefiner, RefinedBody, warm_up_refiner
+from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
 from .settings import IcpNodeSettings, TrackerSettings
 from .size_uncertainty import covariance_of_sizes
 from .thesis.hierarchical_icp import fit_hierarchical
@@ -246,10 +246,15 @@ class IcpTracker:
         return _seen(seen.stamp_ns, FROM_INITIAL, fit)
 
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
-        """Return what refines the body that was found; None where its sizes are given and not measured."""
-        settings = self._settings
-        if found.estimate is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
+        """Return what refines the body that was found; of one whose sizes are given it learns the build, unless that
+        is given too."""
+        settings, body = self._settings, found.body
+        if body is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
             return None
+        if found.estimate is None:
+            if body.build.any():
+                return None
+            return BodyRefiner(known_sizes(body), settings.refinement, settings.articulated.prior, body)
         return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
 
 

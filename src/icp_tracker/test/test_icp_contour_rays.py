@@ -12,6 +12,7 @@ from mocap_packets.hull import ContourRays
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import RayArrays, add_contour, match_rays
+from stick_figure.least_squares.free_ends import straight_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
@@ -136,7 +137,7 @@ def test_the_gradient_of_the_squared_distances_is_the_pull(scene, synthetic):
     off = disturbed(pose, rng, 0.05, 0.02)
     match, radii = match_rays(as_arrays(rays), placed(body, off), 0.05), Figure.of(body).surface.radii
     data, weights = synthetic.data(contour_rays=as_arrays(rays)), synthetic.weights(contour_slack=0.05)
-    _, g = synthetic.equations(add_contour, data, placed(body, off), weights)
+    _, g = synthetic.equations(add_contour, data, placed(body, off), weights, straight_ends(0.0))
 
     def cost(slot, step):
         """Half the squared distances with the axis points held to their capsules, as the linearisation does."""
@@ -148,7 +149,7 @@ def test_the_gradient_of_the_squared_distances_is_the_pull(scene, synthetic):
 
     numeric = np.array([(cost(k, STEP) - cost(k, -STEP)) / (2 * STEP) for k in range(24)])
     # the neck has no twist of its own, which only a head that is not round notices, and hardly
-    assert np.abs(numeric + g).max() < 1e-4 * np.abs(g).max()
+    assert np.abs(numeric + g).max() < 5e-4 * np.abs(g).max()
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,16 +1,17 @@
 """The service that saves the body being followed."""
 
 import os
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import rclpy
 from node_probe import Spinner
 from std_srvs.srv import Trigger
 
-from icp_tracker.acquisition.body_sizes import LimbGirths
 from icp_tracker.icp_ros import SaveBodyService, SaveBodySettings, SavedBody
-from stick_figure.body import Body
-from stick_figure.body_file import load_body, load_thickness
+from stick_figure.body import BUILD_NUMBERS, Body
+from stick_figure.body_file import load_body
 
 NAMESPACE = f"/test_body_desk_{os.getpid()}"
 
@@ -40,14 +41,15 @@ def counter(open_probe, tmp_path):
     return lambda folder=tmp_path / "bodies": open_probe(SavingProbe, folder)
 
 
-def test_body_is_saved_with_the_thickness_of_its_limbs(counter, tmp_path):
-    asked, body = counter(), Body.from_stature(1.68)
-    asked.service.keep(1, SavedBody(123, body, LimbGirths.of({"thigh": 1.1})))
+def test_body_is_saved_with_its_build(counter, tmp_path):
+    build = np.linspace(-1.0, 1.0, BUILD_NUMBERS)
+    asked, body = counter(), replace(Body.from_stature(1.68), build=build)
+    asked.service.keep(1, SavedBody(123, body))
     answer = asked.ask()
     path = tmp_path / "bodies" / "body_123.yaml"
     assert answer.success and answer.message == str(path)
     assert load_body(path).lengths == pytest.approx(body.lengths)
-    assert load_thickness(path) == {"thigh": 1.1}
+    assert np.array_equal(load_body(path).build, build)
 
 
 def test_each_person_has_a_file_and_nobody_is_kept_who_was_forgotten(counter, tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,8 @@ _UPPER_ARM, _FOREARM, _HAND = 0.186, 0.146, 0.108
 _BIACROMIAL, _PELVIC = 0.259, 0.191
 _HIP_CENTRES_OVER_PELVIS = 0.72
 """Distance of the hip joint centres over the pelvic breadth: Bell, Pedersen & Brand (1990), 14 % medial each side."""
+BUILD_NUMBERS = 14
+"""How many numbers say how a body's surface differs from that of others of its lengths (`build.py`)."""
 
 _LIMBS = ((1,), (2, 3), (4, 5), (6, 7), (8, 9))
 _STICK_POINTS = ((-1, -1), (2, 1), (3, 7), (4, 8), (5, 9), (6, 10), (7, 11), (8, 12), (9, 13), (10, 14))
@@ -37,6 +39,7 @@ class Body:
     half_shoulder_width     lambda_0^(1) = w, half the distance of the shoulders, metres
     shoulder_height_ratio   d_s: height of the shoulders above the torso's centre over half its length
     hip_width_ratio         d_H: distance of the hips over that of the shoulders
+    build (BUILD_NUMBERS,)  how the surface differs from the average of these lengths, in units of how people differ
 
     Raises InputError when a size is not a positive finite number.
     """
@@ -45,12 +48,17 @@ class Body:
     half_shoulder_width: float
     shoulder_height_ratio: float = SHOULDER_HEIGHT_RATIO
     hip_width_ratio: float = HIP_WIDTH_RATIO
+    build: Array = field(default_factory=lambda: np.zeros(BUILD_NUMBERS))
 
     def __post_init__(self) -> None:
         half_lengths = np.array(self.half_lengths, dtype=np.float64)
         if half_lengths.shape != (10,):
             raise InputError(f"a body has 10 stick lengths, not an array of shape {half_lengths.shape}")
+        build = np.array(self.build, dtype=np.float64)
+        if build.shape != (BUILD_NUMBERS,) or not np.isfinite(build).all():
+            raise InputError(f"a build has {BUILD_NUMBERS} finite numbers, not {self.build}")
         object.__setattr__(self, "half_lengths", half_lengths)
+        object.__setattr__(self, "build", build)
         for name, value in zip(STICK_NAMES, half_lengths, strict=True):
             _check_size(f"half length of {name}", value)
         for name in ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio"):

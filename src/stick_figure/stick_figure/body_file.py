@@ -1,6 +1,7 @@
 """A body as a YAML file: full stick lengths by name, shoulder width, the two ratios; metres.
 
-Optionally the limbs' thickness over that of an average build, for those who compare the body with a volume.
+Optionally the build, which the surface follows (`build.py`); files of before have the limbs' thickness over that of an
+average build instead.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import yaml
 from capture_rig.errors import InputError
 from capture_rig.settings import parse_mapping
 
-from .body import Body
+from .body import BUILD_NUMBERS, Body
 from .skeleton import STICK_NAMES
 
 KEYS = ("lengths", "shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
-OPTIONAL_KEYS = ("units", "source", "thickness")
+OPTIONAL_KEYS = ("units", "source", "thickness", "build")
 THICKNESS_NAMES = ("upper_arm", "forearm", "thigh", "calf", "trunk")
-MAX_LENGTH_M, MAX_THICKNESS = 2.0, 3.0
+MAX_LENGTH_M, MAX_THICKNESS, MAX_BUILD = 2.0, 3.0, 6.0
 _REMEDY = f"A body file is a mapping with the keys {', '.join(KEYS)}."
 
 
@@ -54,7 +55,19 @@ def parse_body(text: str, where: str) -> Body:
     width = _number(document["shoulder_width"], f"{where}: shoulder_width", MAX_LENGTH_M)
     ratios = [_number(document[key], f"{where}: {key}", 5.0) for key in KEYS[2:]]
     parse_thickness(text, where)  # a file is right as a whole or not at all
-    return Body(0.5 * np.array(values), 0.5 * width, *ratios)
+    build = _build(document.get("build"), where)
+    return Body(0.5 * np.array(values), 0.5 * width, ratios[0], ratios[1], build)
+
+
+def _build(given: Any, where: str) -> np.ndarray:
+    """Return the build in a file; the average one where there is none."""
+    if given is None:
+        return np.zeros(BUILD_NUMBERS)
+    numbers = [v for v in given if isinstance(v, int | float) and np.isfinite(v)] if isinstance(given, list) else []
+    if len(numbers) != BUILD_NUMBERS or np.abs(numbers).max() > MAX_BUILD:
+        remedy = f"Give {BUILD_NUMBERS} numbers of at most {MAX_BUILD:g}, or leave the key out."
+        raise InputError(f"build is {given!r}", where=where, remedy=remedy)
+    return np.array(numbers, float)
 
 
 def parse_thickness(text: str, where: str) -> dict[str, float]:
@@ -75,6 +88,8 @@ def format_body(body: Body, source: str = "", thickness: Mapping[str, float] | N
     document["shoulder_width"] = 2.0 * body.half_shoulder_width
     document["shoulder_height_ratio"] = body.shoulder_height_ratio
     document["hip_width_ratio"] = body.hip_width_ratio
+    if body.build.any():
+        document["build"] = body.build.tolist()
     if thickness:
         document["thickness"] = {name: float(value) for name, value in thickness.items()}
     return yaml.safe_dump(document, sort_keys=False)

@@ -13,38 +13,9 @@ import numpy as np
 
 from capture_rig.kernel import kernel
 from stick_figure.body import Body
-from stick_figure.skeleton import (
-    HEAD,
-    L_CALF,
-    L_FOREARM,
-    L_THIGH,
-    L_UPPER_ARM,
-    R_CALF,
-    R_FOREARM,
-    R_THIGH,
-    R_UPPER_ARM,
-    STICK_AXIS,
-    STICK_SIGN,
-)
+from stick_figure.build import capsule_numbers
 
 TORSO_CAPSULES = 3  # the first ones of the table: both sides and the spine
-# of the stature, unless said otherwise
-_SIDE, _CHEST_FORWARD, _PELVIS_FORWARD = 0.27, 0.008, 0.011  # the sides' place: of half the shoulders' width
-_CHEST_RADIUS, _PELVIS_RADIUS, _SPINE_RADII = 0.068, 0.065, (0.062, 0.072)
-_SHOULDER_DROP, _NECK_DROP = 0.007, 0.027  # sides and spine end this far below shoulders and neck
-_GIRDLE_BACK, _GIRDLE_RISE, _GIRDLE_DROP, _GIRDLE_RADII = -0.007, 0.014, 0.007, (0.046, 0.043)
-_HEAD_RADII, _CHIN_FORWARD, _CHIN, _CROWN = (0.045, 0.052), 0.014, 0.35, 0.052  # the chin's height: of the stick
-# sticks: (start, end) as fractions of the stick, offsets (of legs forward, of arms to the back of the hand: relaxed
-# fingers bend to the palm, so that the wrist lies off the line from elbow to finger tips) and radii over the stature
-_LIMBS = (
-    ((L_UPPER_ARM, R_UPPER_ARM), (0.0, 0.92), (0.0, 0.0), (0.034, 0.026)),
-    ((L_FOREARM, R_FOREARM), (0.0, 0.57), (0.0, 0.008), (0.026, 0.016)),
-    ((L_FOREARM, R_FOREARM), (0.62, 0.925), (0.009, 0.003), (0.018, 0.014)),
-    ((L_THIGH, R_THIGH), (0.22, 0.93), (0.017, 0.003), (0.057, 0.037)),
-    ((L_CALF, R_CALF), (0.16, 0.94), (-0.017, -0.006), (0.039, 0.023)),
-)
-_OFFSET = {L_FOREARM: (2, 1.0), R_FOREARM: (2, -1.0)}  # the axis of a stick's frame that points there; else forward
-_FOOT_RADII, _HEEL, _TOE, _SOLE = (0.019, 0.022), -0.015, 0.08, (0.021, 0.017)
 
 
 class BodySurface(NamedTuple):
@@ -58,61 +29,10 @@ class BodySurface(NamedTuple):
 
     @staticmethod
     def of(body: Body) -> BodySurface:
-        """Return the surface of a body of average build."""
-        capsules = [*_torso(body), *_girdle(body), _head(body), *_limbs(body), *_feet(body)]
-        stick, start, end, radii = zip(*capsules, strict=True)
-        return BodySurface(
-            np.array(stick), np.array(start, float), np.array(end, float), np.array(radii) * body.stature
-        )
-
-
-def _torso(body: Body) -> list[tuple]:
-    H, h, y = body.stature, body.half_lengths[0], _SIDE * body.half_shoulder_width
-    shoulders, neck = (1.0 + body.shoulder_height_ratio) * h - _SHOULDER_DROP * H, 1.9 * h - _NECK_DROP * H
-    chest, pelvis = _CHEST_FORWARD * H, _PELVIS_FORWARD * H
-    sides = [(0, (chest, s * y, shoulders), (pelvis, s * y, 0.0), (_CHEST_RADIUS, _PELVIS_RADIUS)) for s in (1.0, -1.0)]
-    return [*sides, (0, (pelvis, 0.0, neck), (pelvis, 0.0, 0.0), _SPINE_RADII)]
-
-
-def _girdle(body: Body) -> list[tuple]:
-    """From the foot of the neck to each shoulder."""
-    H, w, height = body.stature, body.half_shoulder_width, (1.0 + body.shoulder_height_ratio) * body.half_lengths[0]
-    inner, outer = (_GIRDLE_BACK * H, 0.3 * w, height + _GIRDLE_RISE * H), (0.0, 0.9 * w, height - _GIRDLE_DROP * H)
-    return [(0, _to_side(inner, s), _to_side(outer, s), _GIRDLE_RADII) for s in (1.0, -1.0)]
-
-
-def _head(body: Body) -> tuple:
-    length, H = body.lengths[HEAD], body.stature
-    return HEAD, (_CHIN_FORWARD * H, 0.0, _CHIN * length), (0.0, 0.0, length - _CROWN * H), _HEAD_RADII
-
-
-def _limbs(body: Body) -> list[tuple]:
-    capsules = []
-    for sticks, extent, offset, radii in _LIMBS:
-        for stick in sticks:
-            ends = np.zeros((2, 3))
-            axis, sign = _OFFSET.get(stick, (0, 1.0))
-            ends[:, axis] = sign * np.array(offset) * body.stature
-            ends[:, STICK_AXIS[stick]] = np.array(extent) * STICK_SIGN[stick] * body.lengths[stick]
-            capsules.append((stick, tuple(ends[0]), tuple(ends[1]), radii))
-    return capsules
-
-
-def _feet(body: Body) -> list[tuple]:
-    H = body.stature
-    return [
-        (
-            calf,
-            (_HEEL * H, 0.0, -body.lengths[calf] - _SOLE[0] * H),
-            (_TOE * H, 0.0, -body.lengths[calf] - _SOLE[1] * H),
-            _FOOT_RADII,
-        )
-        for calf in (L_CALF, R_CALF)
-    ]
-
-
-def _to_side(point: tuple[float, float, float], side: float) -> tuple[float, float, float]:
-    return point[0], side * point[1], point[2]
+        """Return the surface of a body."""
+        stick, numbers = capsule_numbers(body)
+        start, end, radii = (np.ascontiguousarray(part) for part in np.split(numbers, [3, 6], axis=1))
+        return BodySurface(stick, start, end, radii)
 
 
 @kernel

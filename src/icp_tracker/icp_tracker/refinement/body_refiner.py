@@ -8,7 +8,7 @@ body. A few different poses are kept; with every set one of them is looked at an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,10 +17,10 @@ from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
-from ..acquisition.body_sizes import BodyEstimate, LimbGirths, prior_sizes
+from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import PriorSettings
 from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
-from .shape import SIZE, ShapeModel, ShapePrior, body_of, girths_of
+from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
 
 
 @dataclass(frozen=True)
@@ -38,22 +38,28 @@ class RefinementSettings:
         0.01, "distance of a body's surface from the capsules, where they fit well", unit="m", low=1e-4
     )
     independent_rays: float = setting(
-        6.0,
-        "independent rays that all rays of a pose count as: one for head, trunk and each limb, for the model's error "
-        "is common to them",
+        18.0,
+        "independent rays that all rays of a pose count as: one for each capsule, for the model's error is common to a "
+        "capsule's",
         low=0.1,
         high=1e4,
     )
-    thickness_sd: float = setting(
-        0.12, "how people's limbs differ in thickness at equal stature, as a share of it", low=1e-3, high=1.0
+    build_sd: float = setting(
+        1.0,
+        "how people differ in build, over the spread of the table of builds; small: all have the average build",
+        low=1e-6,
+        high=10.0,
     )
     farthest_sd: float = setting(
         3.0, "no size leaves what the T-pose said by more than this many standard deviations", low=0.1, high=10.0
     )
     least_change_m: float = setting(
-        0.004, "the tracker takes over sizes when one of them has changed by so much", unit="m", low=0.0
+        0.004,
+        "the tracker takes over a body when one of its sizes or a part of its surface has moved by so much",
+        unit="m",
+        low=0.0,
     )
-    pause_s: float = setting(1.0, "and not more often than this", unit="s", low=0.0)
+    pause_s: float = setting(0.2, "and not more often than this", unit="s", low=0.0)
 
 
 # checked by the studio's bodies and rendered sessions of the package's README
@@ -69,6 +75,7 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
 
 
 NS_PER_S = 1e9
+GIVEN_SD_M = 0.001  # sizes that were given are kept
 LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
 
 
@@ -77,15 +84,19 @@ class RefinedBody:
     """A body with the uncertainty of its sizes and how thick its limbs are, and the poses it is known from."""
 
     estimate: BodyEstimate
-    girths: LimbGirths
+    build: np.ndarray
     keyframes: int
 
 
 class BodyRefiner:
     """Collects poses and refines one body. Deterministic."""
 
-    def __init__(self, estimate: BodyEstimate, settings: RefinementSettings, pose_prior: PriorSettings) -> None:
-        self._prior, self._settings = ShapePrior.of(estimate, settings.thickness_sd), settings
+    def __init__(
+        self, estimate: BodyEstimate, settings: RefinementSettings, pose_prior: PriorSettings, given: Body | None = None
+    ) -> None:
+        """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt."""
+        self._sizes_from = given
+        self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
         neck, limit = _information(pose_prior.neck_sd), _information(pose_prior.limit_sd)
         self._pose_prior = PosePrior(pose_prior.information, neck, pose_prior.neck_pitch, limit)
         self._information = np.linalg.inv(self._prior.covariance)
@@ -135,7 +146,7 @@ class BodyRefiner:
         """The body as it is known now."""
         covariance = np.linalg.inv(self._information + self._kept.information[: len(self._rays)].sum(axis=0))
         estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
-        return RefinedBody(estimate, girths_of(self._values), len(self._rays))
+        return RefinedBody(estimate, self._values[BUILD], len(self._rays))
 
     def _keep(self, pose: Pose, contour_rays: RayArrays) -> bool:
         """Keep the pose if it is a new one that the surface explains; return whether it is kept."""
@@ -165,12 +176,19 @@ class BodyRefiner:
         self._values = self._prior.clipped(values, self._settings.farthest_sd)
 
     def _due(self, stamp_ns: int) -> Body | None:
-        """Return the refined body, or None if no size changed by least_change_m or the last one is too recent."""
-        changed = np.abs(self._values - self._given)[SIZE].max() >= self._settings.least_change_m
+        """Return the refined body, or None if nothing changed by least_change_m or the last one is too recent."""
+        changed = figure_change(self._model, self._values, self._given) >= self._settings.least_change_m
         if not changed or stamp_ns - self._given_ns < self._settings.pause_s * NS_PER_S:
             return None
         self._given, self._given_ns = self._values, stamp_ns
+        if self._sizes_from is not None:
+            return replace(self._sizes_from, build=self._values[BUILD])
         return body_of(self._values)
+
+
+def known_sizes(body: Body) -> BodyEstimate:
+    """Return the sizes of a body that was given, as sure as a file's are."""
+    return BodyEstimate(sizes_of_body(body), np.diag(np.full(len(SIZES), GIVEN_SD_M**2)))
 
 
 def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> None:

@@ -1,8 +1,8 @@
-"""The unknowns of the refinement: the sizes of a body and how thick its limbs are."""
+"""The unknowns of the refinement: the sizes of a body and its build."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from capture_rig.kernel import kernel
-from stick_figure.body import Body
+from stick_figure.body import BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import match_rays, sum_rays
 from stick_figure.least_squares.normal_equations import (
@@ -25,12 +25,11 @@ from stick_figure.least_squares.normal_equations import (
 from stick_figure.least_squares.placed_figure import STICKS, Figure
 from stick_figure.skeleton import STICK_AXIS, STICK_SIGN
 
-from ..acquisition.body_sizes import SIZES, BodyEstimate, LimbGirths, body_of_sizes
+from ..acquisition.body_sizes import SIZES, BodyEstimate, body_of_sizes
 
-THICK = ("upper_arm", "forearm", "thigh", "calf", "trunk")
-UNKNOWNS = len(SIZES) + len(THICK)
+UNKNOWNS = len(SIZES) + BUILD_NUMBERS
 SIZE = slice(0, len(SIZES))
-THICKNESS = slice(len(SIZES), UNKNOWNS)
+BUILD = slice(len(SIZES), UNKNOWNS)
 STEP = 1e-4  # of the differences that stand for derivatives, m and per unit
 
 
@@ -62,9 +61,10 @@ class ShapeArrays(NamedTuple):
 
 
 class ShapeModel:
-    """The figure as a function of the unknowns (UNKNOWNS,): sizes in metres, thickness over the average.
+    """The figure as a function of the unknowns (UNKNOWNS,): sizes in metres, build in units of how people
+    differ.
 
-    Linear about ``centre``. Sizes alone enter linearly; a thickness times a size is taken at the centre, which costs
+    Linear about ``centre``. Sizes alone enter linearly; a build times a size is taken at the centre, which costs
     half a per cent of a radius where both are far off.
     """
 
@@ -106,6 +106,14 @@ def figure_at(model, values):
     return Figure(lengths, origins, BodySurface(model.stick, start, end, radii))
 
 
+def figure_change(model: ShapeArrays, values: np.ndarray, before: np.ndarray) -> float:
+    """Return the largest difference, m, of two shapes: of a stick's length or start, of a capsule's end or radius."""
+    now, then = figure_at(model, values), figure_at(model, before)
+    pairs = [(now.lengths, then.lengths), (now.origins, then.origins)]
+    pairs += [(a, b) for a, b in zip(now.surface[1:], then.surface[1:], strict=True)]
+    return max(float(np.abs(a - b).max()) for a, b in pairs)
+
+
 @kernel
 def _dot(a, b):
     total = 0.0
@@ -116,17 +124,12 @@ def _dot(a, b):
 
 def body_of(values: np.ndarray) -> Body:
     """Return the stick figure of the unknowns' values (UNKNOWNS,)."""
-    return body_of_sizes(values[SIZE])
-
-
-def girths_of(values: np.ndarray) -> LimbGirths:
-    """Return the thicknesses among the unknowns' values (UNKNOWNS,)."""
-    return LimbGirths.of(dict(zip(THICK, values[THICKNESS].tolist(), strict=True)))
+    return replace(body_of_sizes(values[SIZE]), build=values[BUILD])
 
 
 def _parts(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     body = body_of(values)
-    surface = girths_of(values).on(BodySurface.of(body))
+    surface = BodySurface.of(body)
     parts = np.concatenate([surface.start, surface.end, surface.radii], axis=1)
     return parts, body.stick_origins_torso, body.lengths
 
@@ -139,11 +142,11 @@ class ShapePrior:
     covariance: np.ndarray
 
     @classmethod
-    def of(cls, estimate: BodyEstimate, thickness_sd: float) -> ShapePrior:
-        """Sizes as the T-pose showed them, thickness as people have it."""
-        covariance = np.diag(np.full(UNKNOWNS, thickness_sd**2))
+    def of(cls, estimate: BodyEstimate, build_sd: float) -> ShapePrior:
+        """Sizes as the T-pose showed them, build as people have it."""
+        covariance = np.diag(np.full(UNKNOWNS, build_sd**2))
         covariance[SIZE, SIZE] = estimate.covariance
-        return cls(np.concatenate([estimate.sizes, np.ones(len(THICK))]), covariance)
+        return cls(np.concatenate([estimate.sizes, np.zeros(BUILD_NUMBERS)]), covariance)
 
     def clipped(self, values: np.ndarray, farthest_sd: float) -> np.ndarray:
         """Return the values, none farther from the mean than so many standard deviations."""

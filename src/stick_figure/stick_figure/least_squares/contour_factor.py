@@ -20,6 +20,8 @@ from numba import njit
 
 from capture_rig.kernel import kernel
 
+from .free_ends import CAPSULE as CAPSULE_OF_END
+from .free_ends import COUNT, add_free_end, is_free_end
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
@@ -87,13 +89,17 @@ class RayMatch(NamedTuple):
 
 
 @njit(cache=True)
-def add_contour(data, placed, weights, H, g):
-    """Add every ray's distance from its capsule to upper H and g, Geman-McClure."""
+def add_contour(data, placed, weights, ends, H, g):
+    """Add every ray's distance from its capsule to upper H and g, Geman-McClure; hands and feet turn freely."""
     rays = data.contour_rays
     if rays.information.shape[0] == 0:
         return
     sums = no_sums(placed.P.shape[0], ENDS)
     sum_rays(rays, match_rays(rays, placed, weights.contour_slack), weights.contour_gate, sums)
+    for e in range(COUNT):
+        if is_free_end(CAPSULE_OF_END[e], ends) >= 0:
+            add_free_end(sums, e, placed, ends, H, g)
+            sums.pulls[CAPSULE_OF_END[e]] = 0.0
     add_pose_sums(sums, placed, H, g)
 
 

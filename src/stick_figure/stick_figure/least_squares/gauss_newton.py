@@ -16,12 +16,15 @@ from capture_rig.small_matrices import solve_positive
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
 from .contour_factor import RayArrays, add_contour
+from .free_ends import follow, straight_ends, turn_ends
 from .hull_samples import HullSamples
 from .independent_rows import add_independent_rows
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_points, summarise
 from .surface_factor import add_arm_clearance, add_inside, add_surface
+
+LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 
 
 class Data(NamedTuple):
@@ -41,6 +44,7 @@ class Weights(NamedTuple):
 
     prior (24,) : of the tangent slots about the start. voxel_tight : m, excess of the hull over the body at which the
     surface voxels count half. neck_pitch : rad, the head's rest forward of the torso's axis.
+    ends : of hands and feet about straight, 0 holds them there.
     """
 
     prior: np.ndarray
@@ -58,6 +62,7 @@ class Weights(NamedTuple):
     neck: float
     neck_pitch: float
     limit: float
+    ends: float
 
 
 class Stop(NamedTuple):
@@ -103,11 +108,16 @@ def assess(data, state, figure, weights, scale):
     the independent rows where there are contour rays; inliers a stick (10,) and their root mean square distance (m);
     surface voxels near each stick's surface (10,).
     """
-    placed = place(state, figure)
+    placed, ends = place(state, figure), straight_ends(weights.ends)
     capsule, _, distance = surface_distances(data.voxels, placed)
     voxel = scale.voxel_share * loose_hull_weight(weights, distance)
     H, g, counts = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), np.zeros(STICKS, np.int64)
-    match = linearise(data, placed, reweighted(weights, voxel, 0.0), H, g)
+    for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
+        add_contour(data, placed, weights, ends, H, g)
+        follow(ends, np.zeros(TANGENT), 1.0)
+        placed = place(state, figure)
+        turn_ends(ends, placed)
+    match = linearise(data, placed, reweighted(weights, voxel, 0.0), ends, H, g)
     mirror_upper(H)
     total, chi2, freedom = summarise(match, counts)
     if data.contour_rays.information.shape[0] > 0:
@@ -159,6 +169,7 @@ def reweighted(weights, voxel, inside):
         w.neck,
         w.neck_pitch,
         w.limit,
+        w.ends,
     )
 
 
@@ -172,16 +183,18 @@ def gauss_newton(data, state, figure, weights, stop):
     start = (state.t0.copy(), state.R0.copy(), state.RJ.copy(), state.hinges.copy())
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     L, step = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
-    placed = place(state, figure)
+    placed, ends = place(state, figure), straight_ends(weights.ends)
     after, moved = reference_points(placed), np.inf
     for iteration in range(stop.iterations):
-        linearise(data, placed, weights, H, g)
+        linearise(data, placed, weights, ends, H, g)
         regularise(start, placed, weights, H, g)
         mirror_upper(H)
         solve_positive(H, g, L, step)
         scale = min(1.0, stop.step_limit / max(np.abs(step).max(), 1e-300))
         kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step, scale)
+        follow(ends, step, scale)
         placed, before = place(state, figure), after
+        turn_ends(ends, placed)
         after = reference_points(placed)
         moved = np.sqrt(((after - before) ** 2).sum(axis=1).max())
         if moved < stop.tolerance:
@@ -190,13 +203,13 @@ def gauss_newton(data, state, figure, weights, stop):
 
 
 @njit(cache=True, nogil=True)
-def linearise(data, placed, weights, H, g):
+def linearise(data, placed, weights, ends, H, g):
     """Overwrite upper H and g with what the data say about the pose; returns the points' match."""
     H[:] = 0.0
     g[:] = 0.0
     match = add_points(data, placed, weights, H, g)
     add_surface(data, placed, weights, H, g)
-    add_contour(data, placed, weights, H, g)
+    add_contour(data, placed, weights, ends, H, g)
     add_inside(data, placed, weights, H, g)
     return match
 

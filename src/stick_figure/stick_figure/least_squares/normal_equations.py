@@ -116,11 +116,7 @@ def add_capsule(sums, k, M, slots, n, work, H, g):
     c = M.shape[0]
     d = c // 2
     V, half, row, pulls = work[:c, :c], work[c, :c], work[c + 1, :n], sums.pulls[k]
-    for q in range(sums.squares.shape[2]):
-        i, j = _ROW[q], _COLUMN[q]
-        aa, ab, bb = sums.squares[k, 0, q], sums.squares[k, 1, q], sums.squares[k, 2, q]
-        V[i, j], V[j, i], V[d + i, d + j], V[d + j, d + i] = aa, aa, bb, bb
-        V[i, d + j], V[j, d + i], V[d + i, j], V[d + j, i] = ab, ab, ab, ab
+    fill_moments(sums, k, V)
     for m in range(n):  # the inner loops run along rows, so that they vectorise
         half[:] = 0.0
         for p in range(c):
@@ -137,6 +133,17 @@ def add_capsule(sums, k, M, slots, n, work, H, g):
                 row[other] += half[q] * M[q, other]
         for other in range(m, n):
             H[min(slots[m], slots[other]), max(slots[m], slots[other])] = row[other]
+
+
+@kernel
+def fill_moments(sums, k, V):
+    """V (c, c) <- the weights of the numbers of capsule k, its start's and its end's."""
+    d = V.shape[0] // 2
+    for q in range(sums.squares.shape[2]):
+        i, j = _ROW[q], _COLUMN[q]
+        aa, ab, bb = sums.squares[k, 0, q], sums.squares[k, 1, q], sums.squares[k, 2, q]
+        V[i, j], V[j, i], V[d + i, d + j], V[d + j, d + i] = aa, aa, bb, bb
+        V[i, d + j], V[j, d + i], V[d + i, j], V[d + j, i] = ab, ab, ab, ab
 
 
 @kernel

@@ -1,0 +1,146 @@
+"""Hands and feet turn: two more angles each at wrists and ankles, known to the fit alone.
+
+The stick figure ends at finger tips and ankles, and its pose says nothing about wrists and feet. Their surfaces are
+what silhouettes show of them; held stiff, they would pull the forearm and the calf along. So hands turn about the
+wrist and feet about the ankle by two small angles each, which are solved for with the pose and eliminated from its
+equations (Schur complement): a hand's outline moves the arm only by what no turn of the hand explains. Without data
+they stay straight. The hand tips follow.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from capture_rig.kernel import kernel
+
+from .. import kernels
+from ..build import END_CAPSULES, END_STICKS
+from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
+
+COUNT, ANGLES = 4, 2  # left and right hand, left and right foot; angles of each
+CAPSULE, STICK = np.array(END_CAPSULES), np.array(END_STICKS)
+AXES = np.array([[0, 2], [0, 2], [1, 2], [1, 2]])  # of the stick's frame: the hand bends across the forearm, the foot
+# nods and turns
+TURN_SD = 0.35  # rad, how far hands and feet are from straight in daily movement (Ryu et al. 1991: wrists use 40 deg)
+CORRELATED = 200.0  # rays that count as one independent one: a set's are 1e7 / m^2, and worth six of a centimetre
+LARGEST_TURN = 1.0  # rad
+
+
+class FreeEnds(NamedTuple):
+    """turns (4, 2) rad, and how they follow from a step of the pose: back (4, 2, 1 + CHAIN_COLUMNS), slots (4,
+    CHAIN_COLUMNS) of the tangent, used (4,) of them. ``information`` : of the turns about straight, 1/rad^2; 0 holds
+    the ends stiff."""
+
+    turns: np.ndarray
+    back: np.ndarray
+    slots: np.ndarray
+    used: np.ndarray
+    information: float
+
+
+@njit(cache=True)
+def straight_ends(information):
+    """Return ends that are straight."""
+    back, slots = np.zeros((COUNT, ANGLES, 1 + CHAIN_COLUMNS)), np.zeros((COUNT, CHAIN_COLUMNS), np.int64)
+    return FreeEnds(np.zeros((COUNT, ANGLES)), back, slots, np.zeros(COUNT, np.int64), information)
+
+
+@njit(cache=True)
+def turn_ends(ends, placed):
+    """Turn hands and feet of a figure that was placed straight: their capsules, and the hands' tips."""
+    if ends.information == 0.0:
+        return
+    R, w, pivot, point = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    for e in range(COUNT):
+        k, j = CAPSULE[e], STICK[e]
+        if ends.turns[e, 0] == 0.0 and ends.turns[e, 1] == 0.0:
+            continue
+        for i in range(3):
+            w[i] = ends.turns[e, 0] * placed.G[j, i, AXES[e, 0]] + ends.turns[e, 1] * placed.G[j, i, AXES[e, 1]]
+        kernels.rotation_exp(w[0], w[1], w[2], R)
+        _pivot(e, placed, pivot)
+        _turn_about(R, pivot, placed.P[k], point)
+        _turn_about(R, pivot, placed.Q[k], point)
+        if e < 2:
+            _turn_about(R, pivot, placed.B[j], point)
+
+
+@kernel
+def _turn_about(R, pivot, place, old):
+    """place (3,) <- turned about the pivot."""
+    for i in range(3):
+        old[i] = place[i] - pivot[i]
+    for i in range(3):
+        place[i] = pivot[i] + R[i, 0] * old[0] + R[i, 1] * old[1] + R[i, 2] * old[2]
+
+
+@kernel
+def _pivot(e, placed, pivot):
+    """pivot (3,) <- the wrist, where the hand's capsule starts, or the ankle."""
+    for i in range(3):
+        pivot[i] = placed.P[CAPSULE[e], i] if e < 2 else placed.B[STICK[e], i]
+
+
+@njit(cache=True)
+def is_free_end(k, ends):
+    """Return the number of the end that capsule k belongs to; -1 of none, or when ends are stiff."""
+    if ends.information > 0.0:
+        for e in range(COUNT):
+            if CAPSULE[e] == k:
+                return e
+    return -1
+
+
+@njit(cache=True)
+def add_free_end(sums, e, placed, ends, H, g):
+    """Add the sums of one end's capsule to the equations of the pose, its turns eliminated."""
+    k, j = CAPSULE[e], STICK[e]
+    M, T = np.zeros((2 * ENDS, CHAIN_COLUMNS)), np.zeros((2 * ENDS, ANGLES))
+    work, V = np.empty((2 * ENDS + 2, CHAIN_COLUMNS)), np.empty((2 * ENDS, 2 * ENDS))
+    pivot = np.empty(3)
+    n = pose_columns(k, placed, M, ends.slots[e])
+    add_capsule(sums, k, M, ends.slots[e], n, work, H, g)
+    ends.used[e] = n
+    _pivot(e, placed, pivot)
+    for a in range(ANGLES):
+        axis = placed.G[j, :, AXES[e, a]]
+        for end in range(2):
+            place = placed.P[k] if end == 0 else placed.Q[k]
+            x, y, z = place[0] - pivot[0], place[1] - pivot[1], place[2] - pivot[2]
+            T[3 * end, a] = axis[1] * z - axis[2] * y
+            T[3 * end + 1, a] = axis[2] * x - axis[0] * z
+            T[3 * end + 2, a] = axis[0] * y - axis[1] * x
+    fill_moments(sums, k, V)
+    VT = V @ T
+    own, coupled, pull = T.T @ VT, M.T @ VT, np.empty(ANGLES)
+    for a in range(ANGLES):
+        own[a, a] += ends.information
+        pull[a] = -ends.information * ends.turns[e, a]
+        for q in range(3):
+            pull[a] += T[q, a] * sums.pulls[k, 0, q] + T[3 + q, a] * sums.pulls[k, 1, q]
+    determinant = own[0, 0] * own[1, 1] - own[0, 1] * own[1, 0]
+    for c in range(n + 1):
+        p, q = (pull[0], pull[1]) if c == 0 else (coupled[c - 1, 0], coupled[c - 1, 1])
+        ends.back[e, 0, c] = (own[1, 1] * p - own[0, 1] * q) / determinant
+        ends.back[e, 1, c] = (own[0, 0] * q - own[1, 0] * p) / determinant
+    for m in range(n):
+        slot = ends.slots[e, m]
+        g[slot] -= coupled[m, 0] * ends.back[e, 0, 0] + coupled[m, 1] * ends.back[e, 1, 0]
+        for other in range(m, n):
+            less = coupled[m, 0] * ends.back[e, 0, 1 + other] + coupled[m, 1] * ends.back[e, 1, 1 + other]
+            H[min(slot, ends.slots[e, other]), max(slot, ends.slots[e, other])] -= less
+
+
+@njit(cache=True)
+def follow(ends, step, scale):
+    """Turn the ends as a step (24,) of the pose, of which ``scale`` is taken, leaves them."""
+    for e in range(COUNT):
+        for a in range(ANGLES):
+            change = ends.back[e, a, 0]
+            for m in range(ends.used[e]):
+                change -= ends.back[e, a, 1 + m] * step[ends.slots[e, m]]
+            turn = ends.turns[e, a] + scale * change
+            ends.turns[e, a] = min(max(turn, -LARGEST_TURN), LARGEST_TURN)
