@@ -333,14 +333,14 @@ def test_who_left_is_lost_and_found_again_elsewhere(person):
     empty = tracker.step(HullProducts.of_points(stamp(1), np.empty((0, 3))))
     assert empty.state == LOST and empty.reason.startswith("nobody in the volume") and not empty.visible.any()
     R, t = Rotation.from_rotvec([0.0, 0.0, 2.2]).as_matrix(), np.array([-1.1, 0.7, 0.0])
-    truth, states = forward(person.body, moved(person.pose, R, t)), []
+    truth, found = forward(person.body, moved(person.pose, R, t)), []
     for k in range(60, 120):
         line, voxels, rays = seen(person, k, rng, R, t)
         result = tracker.step(HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays))
-        states.append(result.state)
+        found.append(worst_m(result, truth) < 0.06)
         assert result.state != LOST or not result.visible.any()
-    assert states[0] in (DOUBTFUL, LOST)
-    assert result.state == "tracking" and worst_m(result, truth) < 0.06
+    assert all(found[30:])  # half a second, also where the first guess has front and back the wrong way round
+    assert result.state == "tracking"
 
 
 def test_a_stale_prediction_does_not_undo_a_recovery(person):

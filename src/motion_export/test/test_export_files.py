@@ -2,9 +2,11 @@
 
 import csv
 import json
+import os
 import struct
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -27,6 +29,17 @@ FRAMES = (0, 17, 29, 36, 60, 89)
 NEAR_M = 1e-4
 """A tenth of what a reader may be off: files hold at least micrometres, or single precision of some metres."""
 POINT_OF_JOINT = {joint.name: POINT_NAMES.index(joint.point) for joint in JOINTS if joint.point is not None}
+
+
+@pytest.fixture()
+def osim() -> ModuleType:
+    """OpenSim, without the changes that it makes to the environment of this process and its children when imported."""
+    before = dict(os.environ)
+    module = pytest.importorskip("opensim", reason="OpenSim is not installed (requirements-dev.txt)")
+    os.environ.clear()
+    os.environ.update(before)
+    module.Logger.setLevelString("error")
+    return module
 
 
 def growing() -> Motion:
@@ -79,8 +92,7 @@ def test_c3d_residual_is_the_standard_deviation(tmp_path: Path) -> None:
     assert residuals[0, 0] == pytest.approx(5.0, abs=0.5) and residuals[-1, 0] == pytest.approx(20.0, abs=0.5)
 
 
-def test_trc_read_by_opensim(tmp_path: Path) -> None:
-    osim = pytest.importorskip("opensim", reason="OpenSim is not installed (requirements-dev.txt)")
+def test_trc_read_by_opensim(osim: ModuleType, tmp_path: Path) -> None:
     motion = swinging(gap=(84, 90))  # with a gap whose last cell ends a line
     write_trc(motion, tmp_path / "take.trc")
     table = osim.TimeSeriesTableVec3(str(tmp_path / "take.trc"))
@@ -91,9 +103,7 @@ def test_trc_read_by_opensim(tmp_path: Path) -> None:
         assert np.abs(places @ R_BIOMECHANICS_WORLD - motion.points_world[frame]).max() < NEAR_M
 
 
-def test_opensim_model_moves_its_markers_like_the_points(tmp_path: Path) -> None:
-    osim = pytest.importorskip("opensim", reason="OpenSim is not installed (requirements-dev.txt)")
-    osim.Logger.setLevelString("error")
+def test_opensim_model_moves_its_markers_like_the_points(osim: ModuleType, tmp_path: Path) -> None:
     motion = swinging(gap=GAP)
     write_osim(motion, tmp_path / "take.osim", mass_kg=70.0)
     write_mot(motion, tmp_path / "take.mot")

@@ -20,6 +20,8 @@ HAND = "hand"  # of a person whose front is not known
 REACH_VOXELS = 1.5  # from a voxel's centre to where the hull must be able to go on
 FEWEST_CUT = 5  # voxels (of some 3000 samples of a body) that make a cut
 FEET_TO, HEAD_FROM = 0.45, 0.90  # heights over the stature: a cut below the first lacks feet
+HANDS = (LEFT_HAND, RIGHT_HAND)
+TIP_M, TIP_CUT = 0.06, 0.33  # two cells of the hull and half a hand; its outermost third is what a cut takes at least
 TRUNK_REACH = 0.16  # over the stature: farther from the spine are arms
 # places of a T-pose over the stature: ahead, to the left, up (Drillis & Contini 1966: feet .152 long, span about 1)
 ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0.05, 0.015, 0.50, 0.81, 1.01, 0.08
@@ -81,20 +83,34 @@ def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, sight: Sig
     cut = at_the_cut(voxels_world, pitch, sight)
     if np.count_nonzero(cut) < FEWEST_CUT:
         return ()
-    flat = voxels_world[cut, :2] - stance.place_world
-    height = (voxels_world[cut, 2] - stance.floor_world) / stance.stature
+    flat = voxels_world[:, :2] - stance.place_world
+    height = (voxels_world[:, 2] - stance.floor_world) / stance.stature
     across = flat @ np.array([-stance.forward_world[1], stance.forward_world[0]])
     near = np.linalg.norm(flat, axis=1) < TRUNK_REACH * stance.stature
     low = height < FEET_TO
     rows = {
         FEET: low,
         HEAD: near & (height > HEAD_FROM),
-        LEFT_HAND: ~near & ~low & (across > 0.0),
-        RIGHT_HAND: ~near & ~low & (across < 0.0),
+        LEFT_HAND: _tip(~near & ~low, across),
+        RIGHT_HAND: _tip(~near & ~low, -across),
         BODY: near & ~low & (height <= HEAD_FROM),
+    }
+    rows = {
+        part: cut & chosen
+        for part, chosen in rows.items()
+        if part not in HANDS or cut[chosen].sum() > TIP_CUT * chosen.sum()
     }
     found = tuple(part for part, chosen in rows.items() if np.count_nonzero(chosen) >= FEWEST_CUT)
     return (BODY,) if BODY in found else found
+
+
+def _tip(arms: np.ndarray, outwards: np.ndarray) -> np.ndarray:
+    """Return which voxels (m,) are the outer end of the arm on one side: that of an arm that is cut is all cut.
+
+    A hull is wider than the arm in it, so its sides may reach what the rig does not show though the hand does not.
+    """
+    side = arms & (outwards > 0.0)
+    return side & (outwards > outwards[side].max(initial=0.0) - TIP_M)
 
 
 def what_to_do(parts: tuple[str, ...], stance: Stance, sight: Sight) -> str:
