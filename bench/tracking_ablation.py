@@ -36,6 +36,8 @@ CHANGES: dict[str, dict[str, object]] = {
     "ours without contour rays": {SOLVE + "contour.weight": 0.0},
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
     "ours without refined sizes": {"icp_tracker.refinement.keyframes": 0},
+    "ours, build of the average": {"icp_tracker.refinement.build_sd": 1e-6},
+    "ours, hands and feet stiff": {SOLVE + "contour.turn_sd": 0.0},
     "ours, loose prior": {
         SOLVE + "prior.position_sd_m": 1.0,
         SOLVE + "prior.rotation_sd": 1.0,

@@ -13,8 +13,8 @@ The deviations are round numbers from what is known of landmarks that are locate
 - head: the crown under hair, and a head that no other stick holds upright.
 - hand: fingers are more or less bent, and the wrist, which the forearm's stick does not have, turns the hand.
 
-They were rounded while looking at ``bench/covariance_coverage.py`` on the studio's and the three rendered sessions; the
-mesh people, other bodies with other joints, were not looked at.
+They were rounded while looking at ``bench/covariance_coverage.py`` on the studio's and the three rendered sessions, the
+real one with four cameras and the first of the mesh people: none of these is a proof of them.
 """
 
 from __future__ import annotations

@@ -46,6 +46,7 @@ class TrackerSettings:
     removed: ClassVar[Mapping[str, str]] = {
         **dict.fromkeys(CONSTANT_NOW, "it is a constant now: no user had to turn it"),
         **dict.fromkeys(("recovery.lead_sets", "recovery.margin_sets"), "it is a time now: recovery.margin_s"),
+        "refinement.thickness_sd": "it is refinement.build_sd now, over the spread of the table of builds",
     }
 
     method: str = setting(

@@ -1,8 +1,8 @@
 """The body's surface: tapered capsules fixed to the sticks, which silhouettes and hulls are compared with.
 
-Radii and offsets are round fractions of an average adult's stature; on a rendered body most of them meet the surface
-within a centimetre. They follow anatomy where it matters: the trunk is wider than deep and lies in front of the line
-from hips to neck, the thigh bulges forward, the calf backward; feet point forward of the ankles.
+Radii and offsets follow the body's lengths and its build (`build.py`), and anatomy where it matters: the trunk is wider
+than deep and lies in front of the line from hips to neck, the thigh bulges forward, the calf backward; feet point
+forward of the ankles.
 """
 
 from __future__ import annotations

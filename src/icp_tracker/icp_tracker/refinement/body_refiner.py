@@ -1,7 +1,7 @@
-"""Refines a body's sizes while it is tracked, from contour rays in many different poses.
+"""Refines a body's sizes and build while it is tracked, from contour rays in many different poses.
 
 A T-pose shows sums of lengths; where an elbow, a hip or a shoulder divides them only movement tells: the surfaces of
-two limbs turn about the joint between them. The unknown sizes and thicknesses are solved for together with the poses,
+two limbs turn about the joint between them. The unknown sizes and the build are solved for together with the poses,
 as in the kinematic fits of Cheung, Baker & Kanade (CVPR 2003) and Mikic et al. (IJCV 2003), from rays that touch the
 body. A few different poses are kept; with every set one of them is looked at anew, so the work a set is bounded.
 """
@@ -25,7 +25,7 @@ from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """The sizes of a body that was measured in a T-pose, from the contour rays of the poses that follow."""
+    """Sizes and build of a body that was measured or guessed, from the contour rays of the poses that follow."""
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
     turn: float = setting(

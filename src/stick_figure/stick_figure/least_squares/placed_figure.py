@@ -52,7 +52,7 @@ class Figure(NamedTuple):
     @staticmethod
     @lru_cache(maxsize=8)
     def of(body: Body) -> Figure:
-        """Return the arrays of a body of average build."""
+        """Return the arrays of a body, its surface that of its build."""
         return Figure(body.lengths, body.stick_origins_torso, BodySurface.of(body))
 
 
