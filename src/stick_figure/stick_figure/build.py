@@ -1,9 +1,10 @@
 """How people's surfaces differ: the capsules of any build, by the body's lengths and a few numbers.
 
-The table ``builds.csv`` is a Gaussian over the surfaces of 40 rendered adults in 12 poses each (MakeHuman's mesh with
-random phenotypes, CC0), found by expectation maximisation from rays along their outlines against their true bones,
-hands and feet in frames of their own. Girths of 6 per cent and the studio's people, whose flesh is centred on the
-bones, widen it. Each of the eight numbers of a capsule (start and end in the stick's frame, both radii) is
+The table ``builds.csv`` (made by ``bench/body_builds.py``) is a Gaussian over the surfaces of 40 rendered people in 12
+poses each (MakeHuman's mesh with random phenotypes, adolescent to old, CC0), found by expectation maximisation from
+rays along their outlines against their true bones, hands and feet in frames of their own. Girths of 6 per cent and the
+studio's people, whose flesh is centred on the bones, widen it. Each of the eight numbers of a capsule (start and end in
+the stick's frame, both radii) is
 
     of_length * length + stature * (of_stature + slopes . (lengths / stature - mean) + modes . build)
 
@@ -90,18 +91,29 @@ def capsule_numbers(body: Body) -> tuple[np.ndarray, np.ndarray]:
     from its start), radii (m) at start and end."""
     table, stature = builds(), body.stature
     shape = table.of_stature + table.slopes @ (_lengths(body) / stature - table.mean) + table.modes @ body.build
+    return capsules_of(body, table.of_length, stature * shape)
+
+
+def capsules_of(body: Body, of_length: np.ndarray, more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the stick (k,) of each capsule and its numbers (k, 8) m, from those of the left side and the middle:
+    ``of_length`` (p, 8) of the sticks' lengths and ``more`` (p, 8), m."""
     sticks, capsules = [], []
-    for part, of_length, of_stature in zip(PARTS.items(), table.of_length, shape, strict=True):
+    for part, fractions, others in zip(PARTS.items(), of_length, more, strict=True):
         name, own = part
         for side, stick in enumerate(own):
-            numbers = of_length * _length_along(name, stick, body) + stature * of_stature
+            numbers = fractions * length_along(name, stick, body) + others
             if side == 1:
-                mirrored = 2 if stick in _ARM_STICKS else 1  # arms' frames both have y along the arm
+                mirrored = mirrored_axis(stick)
                 numbers[[mirrored, 3 + mirrored]] *= -1.0
-            numbers[6:] = np.maximum(numbers[6:], _LEAST_RADIUS * stature)
+            numbers[6:] = np.maximum(numbers[6:], _LEAST_RADIUS * body.stature)
             sticks.append(stick)
             capsules.append(numbers)
     return np.array(sticks), np.array(capsules)
+
+
+def mirrored_axis(stick: int) -> int:
+    """Return the axis of a right stick's frame that points the other way than in the left one's."""
+    return 2 if stick in _ARM_STICKS else 1  # arms' frames both have y along the arm
 
 
 def _lengths(body: Body) -> np.ndarray:
@@ -114,7 +126,7 @@ def _lengths(body: Body) -> np.ndarray:
     return np.array([lengths[HEAD], lengths[TORSO], rise, width, upper_arm, forearm, hip, thigh, calf])
 
 
-def _length_along(part: str, stick: int, body: Body) -> np.ndarray:
+def length_along(part: str, stick: int, body: Body) -> np.ndarray:
     """What the numbers (8,) of a capsule go along with, m, with the stick's direction; 0 across it and for radii."""
     along, axis = np.zeros(len(NUMBERS)), STICK_AXIS[stick]
     along[[axis, 3 + axis]] = STICK_SIGN[stick] * body.lengths[stick]
