@@ -17,6 +17,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 FPS = 60.0
+NOBODY = Track.of_states([])
 SLOT = {name: slot for slot, name in enumerate(ANGLE_NAMES)}
 
 
@@ -190,3 +191,8 @@ def test_time_to_track_is_that_of_the_first_frame_that_is_called_tracked():
     track = track_of(points, ["acquiring", "doubtful", "doubtful", "tracking", "lost", "tracking"], first=30)
     assert time_to_track_s(track, FPS) == pytest.approx(33 / 60)
     assert np.isnan(time_to_track_s(track_of(points, ["doubtful"] * 6), FPS))
+
+
+def test_a_track_of_nobody_has_no_jitter():
+    found = jitter(NOBODY, FPS)
+    assert np.isnan(found.rms_mm) and np.isnan(found.point_rms_mm).all() and found.at_rest.sum() == 0

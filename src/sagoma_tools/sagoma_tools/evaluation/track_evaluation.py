@@ -65,6 +65,8 @@ def _aligned(truth: Truth, frames: np.ndarray) -> np.ndarray:
 
 def _windows(points: np.ndarray, half: int) -> np.ndarray:
     """(F, 15, 3, 2 half + 1) the frames around each frame; NaN beyond the ends."""
+    if len(points) == 0:
+        return np.empty((0, *points.shape[1:], 2 * half + 1))
     padded = np.pad(points, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
 
