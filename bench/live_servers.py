@@ -70,7 +70,7 @@ def running(
     save_rig(clip.rig, rig)
     packed.write_bytes(pickle.dumps((rig, clip.packed)))
     tolerance = {"hull_server.tolerance_s": TOLERANCE_S}
-    nodes = apply_settings(server_graph(rig), {**tolerance, **clip.start, **settings})
+    nodes = apply_settings(server_graph(rig), {**tolerance, **clip.start_from_t_pose, **settings})
     parameters = folder / f"{SERVER}.yaml"
     documents = [node.with_parameters({"autostart": True}).parameter_document() for node in nodes]
     parameters.write_text(yaml.safe_dump({key: value for document in documents for key, value in document.items()}))

@@ -117,6 +117,12 @@ class Clip:
         """Every camera's."""
         return {camera: self.mask(frame, camera) for camera in self.rig.names}
 
+    @property
+    def start_from_t_pose(self) -> Mapping[str, Any]:
+        """The same start for servers of any age: older ones know no start from any pose."""
+        source = "icp_tracker.initial_pose.source"
+        return {**self.start, source: "t_pose"} if self.start.get(source) == "auto" else self.start
+
     def pipeline(self, settings: Mapping[str, Any]) -> MocapPipeline:
         """A fresh hull, tracker and filter for this clip."""
         return MocapPipeline(self.rig, Configuration.of({"hull_server.backend": "cpu", **self.start, **settings}))

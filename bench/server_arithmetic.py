@@ -104,7 +104,7 @@ def compare(clip: Clip, folder: Path, sets: int, trees: list[Path]) -> list[Runn
     """Process the clip's first sets with each tree, in turns."""
     count = min(len(clip), sets)
     stamps = [clip.stamp_ns(frame) for frame in range(count)]
-    settings = {"hull_server.backend": "cpu", **clip.start}
+    settings = {"hull_server.backend": "cpu", **clip.start_from_t_pose}
     with tempfile.NamedTemporaryFile(suffix=".pickle") as file:
         file.write(pickle.dumps(tuple(Work(str(folder), settings, stamps, clip.packed[:count]))))
         file.flush()
