@@ -25,13 +25,12 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import FitResult, assess, make_data, minimise, unknown_covariance
-from .hidden_points import widen_hidden
+from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .monitor.evidence import evidence_of
 from .monitor.track_monitor import Examination, TrackMonitor
 from .monitor.track_quality import widened_covariance
 from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
 from .settings import IcpNodeSettings, TrackerSettings
-from .size_uncertainty import covariance_of_sizes
 from .thesis.hierarchical_icp import fit_hierarchical
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
@@ -221,9 +220,9 @@ class IcpTracker:
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
         """Return the fit's covariance, with that of the body's sizes and of what is not seen."""
-        sizes = None if self._refiner is None else self._refiner.sizes_covariance
-        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, sizes, self._sight)
-        return widened if sizes is None else widened + covariance_of_sizes(fit.pose, np.sqrt(np.diag(sizes)))
+        size_sd_m = None if self._refiner is None else np.sqrt(np.diag(self._refiner.sizes_covariance))
+        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, size_sd_m, self._sight)
+        return widened if size_sd_m is None else widened + covariance_of_sizes(fit.pose, size_sd_m)
 
     # --- the first pose
 

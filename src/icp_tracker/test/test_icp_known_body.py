@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, person, standing, studio, with_angles
 
-from icp_tracker.acquisition.any_pose_source import AnyPoseSource
 from icp_tracker.acquisition.body_sizes import LimbGirths
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.acquisition.known_body_source import SETS, KnownBodySource
-from icp_tracker.acquisition.pose_source import InitialPoseSettings, make_pose_source
+from icp_tracker.acquisition.pose_source import AnyPoseSource, InitialPoseSettings, make_pose_source
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from stick_figure.body import Body

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from t_pose_studio import SET_NS, Studio, both_sides, box, person, standing
 
-from icp_tracker.acquisition.any_pose_source import AnyPoseSource
 from icp_tracker.acquisition.body_sizes import sizes_of_body
 from icp_tracker.acquisition.motion_source import MotionSettings, MotionSource
+from icp_tracker.acquisition.pose_source import AnyPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from stick_figure.kinematics import forward

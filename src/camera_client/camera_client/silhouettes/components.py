@@ -82,7 +82,7 @@ def select_components(words, things, rule, runs, found, kept):  # type: ignore[n
     for k in range(count - 1, OUTSIDE, -1):
         if root[k] == k and outer[k] != OUTSIDE:
             area[outer[k]] += area[k]
-    _choose(count, row, begin, end, root, solid, area, box, things, rule, state)
+    _choose(count, runs, found, things, rule)
     # downwards: what a kept component encloses stays; small holes in it are filled, with all that is in them
     for k in range(1, count):
         if root[k] != k:
@@ -163,8 +163,13 @@ def _first(root, k):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _choose(count, row, begin, end, root, solid, area, box, things, rule, state):  # type: ignore[no-untyped-def]
-    """Write 1 into ``state`` of the components that are people's by their size and place."""
+def _choose(count, runs, found, things, rule):  # type: ignore[no-untyped-def]
+    """Write 1 into the state of the components that are people's by their size and place.
+
+    runs, found : the work space of :func:`select_components`.
+    """
+    row, begin, end, root = runs[0], runs[1], runs[2], runs[3]
+    solid, area, state, box = found[0], found[1], found[3], found[4:]
     largest, clear = OUTSIDE, OUTSIDE  # clear: that lies on no thing
     for k in range(1, count):
         if root[k] != k or not solid[k] or area[k] < rule.min_area_px:

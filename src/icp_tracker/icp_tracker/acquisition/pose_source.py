@@ -1,4 +1,4 @@
-"""Which first pose to start from, as settings."""
+"""Which first pose to start from, as settings: of a T-pose, of whoever moves, of either, of a file."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
 from capture_rig.sight import Sight
+from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, load_thickness
 
-from .any_pose_source import AnyPoseSource
 from .body_sizes import LimbGirths
-from .initial_pose import KnownPose, PoseSource, load_initial_pose, pose_from_reference
+from .initial_pose import InitialPose, KnownPose, PoseSource, load_initial_pose, pose_from_reference
 from .known_body_source import KnownBodySource
-from .motion_source import MotionSettings, MotionSource
+from .motion_source import NO_HULL, MotionSettings, MotionSource
 from .t_pose_measures import TPoseSettings
 from .t_pose_source import TPoseSource
 
@@ -22,6 +22,10 @@ WHERE = "parameters of the ICP tracker"
 AUTO, T_POSE = "auto", "t_pose"
 HULL_SOURCES = (AUTO, T_POSE)
 """Sources that look at the hull, of as many persons as there are."""
+
+
+NS_PER_S = 1e9
+T_POSE_FIRST_S = 1.0  # a T-pose that is seen but not accepted (who moves, front and back alike) decides for so long
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,32 @@ def make_pose_source(settings: InitialPoseSettings, body_file: str = "", sight: 
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)
+
+
+class AnyPoseSource:
+    """Looks for a T-pose, which measures the body at once, and for any other posture, which takes a body of average
+    proportions and learns its sizes later. While a T-pose is being held it alone decides."""
+
+    @property
+    def needs_voxels(self) -> bool:
+        return True
+
+    def __init__(self, t_pose: TPoseSource | KnownBodySource, motion: MotionSource) -> None:
+        self._t_pose, self._motion = t_pose, motion
+        self._held_ns = 0
+
+    def find_pose(self, seen: HullProducts) -> InitialPose:
+        """Return the T-pose, or the pose that the motion shows, or what to do."""
+        held = self._t_pose.find_pose(seen)
+        if not self._t_pose.is_held:
+            self._held_ns = seen.stamp_ns
+        if held.pose is not None or (
+            0 <= seen.stamp_ns - self._held_ns < T_POSE_FIRST_S * NS_PER_S and self._t_pose.is_held
+        ):
+            self._motion.reset()
+            return held
+        moving = self._motion.find_pose(seen)
+        return held if moving.reason == NO_HULL else moving
 
 
 def _from_file(path: str, body: Body | None) -> KnownPose:
