@@ -21,9 +21,9 @@ from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, SHADOW_
 from mocap_packets.frame_set import FrameSet
 
 from .consistency.camera_fault_detector import CameraFaultDetector
+from .floor_shadows import ShadowResolver
 from .level_stack import Mask
 from .settings import HullSettings
-from .shadows import ShadowResolver
 from .views import RigViews, min_seeing
 
 

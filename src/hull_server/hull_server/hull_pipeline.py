@@ -23,9 +23,9 @@ from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults
 from .consistency.extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from .consistency.foreground_support import SupportReporter
 from .contour_rays.contour_tracer import ContourTracer
+from .floor_shadows import ShadowResolver
 from .grid import BrickVolume, VoxelGrid
 from .settings import HullSettings
-from .shadows import ShadowResolver
 from .slicing.bodies import Bodies, BodyTracker
 from .slicing.skeletonisation import find_centerline, slice_hull
 from .slicing.voxel_samples import sample_runs

@@ -1,0 +1,65 @@
+"""An EkfNode under test, whose peer plays the ICP tracker."""
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from ekf_person import ALL, isotropic
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from node_probe import NodeProbe
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Float64MultiArray, String
+from visualization_msgs.msg import MarkerArray
+
+from ekf_tracker.ekf_node import EkfNode
+from mocap_packets.fit import ReferencePoints
+from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import packet_cloud
+from sagoma_ros.qos import LATCHED, RESULT
+
+OUTPUTS = {
+    "mocap/joint_states": JointState,
+    "mocap/torso": PoseWithCovarianceStamped,
+    "mocap/joint_covariance": Float64MultiArray,
+    "mocap/reference_points": PointCloud2,
+    "mocap/skeleton": MarkerArray,
+    "mocap/state": DiagnosticStatus,
+    "ekf/prediction": JointState,
+}
+
+
+class EkfProbe(NodeProbe):
+    """An EkfNode; its peer plays the ICP tracker and keeps what the node publishes in order of arrival."""
+
+    def __init__(self, context, **parameters):
+        super().__init__(context, EkfNode, parameters)
+        self.arrived, self.listened = [], []
+        self.points = self.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
+        self.body = self.peer.create_publisher(String, "icp/body", LATCHED)
+        for topic, kind in OUTPUTS.items():
+            self.listen(kind, topic)
+
+    def listen(self, kind, topic, qos=RESULT):
+        self.listened.append(topic)
+        self.peer.create_subscription(kind, topic, lambda m, topic=topic: self.arrived.append((topic, m)), qos)
+
+    def start(self):
+        super().start()
+        listeners = 1 + self.listened.count("icp/reference_points")
+        self.until(lambda: self.points.get_subscription_count() == listeners)
+        self.until(lambda: all(self.node.count_subscribers(topic) == 1 for topic in OUTPUTS))
+        return self
+
+    def send(self, stamp_ns, points, visible=ALL, frame_id="map", sd=0.01):
+        measured = ReferencePoints(points, isotropic(sd), visible)
+        self.points.publish(packet_cloud(measured, stamp_ns, frame_id))
+
+    def fit(self, stamp_ns, points, **options):
+        """Send a set and wait for its answer; returns what was published from the sending on."""
+        begin = len(self.arrived)
+        self.send(stamp_ns, points, **options)
+        self.until(lambda: self.answers(stamp_ns, begin))
+        return self.arrived[begin:]
+
+    def answers(self, stamp_ns, begin=0):
+        return [m for t, m in self.arrived[begin:] if t == "ekf/prediction" and to_ns(m.header.stamp) == stamp_ns]
+
+    def latest(self, topic):
+        return next(m for t, m in reversed(self.arrived) if t == topic)

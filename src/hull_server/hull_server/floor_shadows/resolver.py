@@ -1,0 +1,75 @@
+"""Resolver of the silhouettes of one instant: corrects each camera's mask by the labels of its uncertain pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from numba import njit
+
+from capture_rig import Volume
+
+from ..level_stack import LevelStack, Mask
+from ..settings import ShadowSettings
+from ..views import Box, Masks, RigViews
+from .labels import STRIDE, PixelLabels, apply_labels
+from .rules import label_pixels
+from .scene import floor_scene
+
+LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
+
+
+class ShadowResolver:
+    """Resolves silhouettes of several levels into binary ones. One thread at a time: it keeps scratch memory."""
+
+    def __init__(self, views: RigViews, volume: Volume, settings: ShadowSettings) -> None:
+        self._views, self._settings = views, settings
+        self._stack = LevelStack(views)
+        self._scene = floor_scene(views, volume)
+        self._floor_px = np.empty((len(views.names), 3))
+        height, width = views.seen.shape[1:]
+        self._labels = PixelLabels.zeros((0, 0, width, height))
+
+    def resolve(self, masks: Masks, seeing: int, chosen: Collection[str] | None = None) -> dict[str, Mask]:
+        """Resolve masks of one instant, of the levels of ``capture_rig.mask_levels``, to masks of 0 and 255.
+
+        ``seeing``: how many cameras must see a voxel. ``chosen``: cameras to resolve, with the help of all; all of them
+        unless given. The masks that come in are not written to, and are returned where they are binary. InputError for
+        a camera that is not in the rig, and for a mask of the wrong size.
+        """
+        self._views.present(masks)
+        boxes = self._stack.take(masks)
+        wanted = masks if chosen is None else {name: mask for name, mask in masks.items() if name in chosen}
+        boxes = {name: box for name, box in boxes.items() if name in wanted}
+        binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in wanted.items()}
+        if self._settings.enabled:
+            for name, box in boxes.items():
+                self._resolve(self._views.number[name], box, seeing, binary[name])
+        return binary
+
+    def boxes(self, masks: Masks) -> dict[str, Box]:
+        """Return a box for each mask, of those resolved last, that holds its foreground."""
+        return {name: self._stack.shown(name) for name in masks}
+
+    def _resolve(self, camera: int, box: Box, seeing: int, binary: Mask) -> None:
+        """Correct the camera's ``binary`` mask within the box."""
+        min_height_m, scene = self._settings.min_height_m, self._scene
+        if scene.centres[camera, 2] > max(min_height_m, LEAST_CENTRE_Z_M):
+            levels = self._stack.levels
+            _resolve(scene, levels, camera, box, (seeing, min_height_m), self._floor_px, self._labels, binary)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _resolve(scene, levels, camera, box, limits, floor_px, scratch, mask):
+    """Correct one camera's ``mask`` (h, w) of 0 and 255 in a box; limits : cameras that must see a voxel, least height.
+
+    scratch : labels for a whole canvas.
+    """
+    (left, top, right, bottom), (seeing, min_height) = box, limits
+    h, w = (bottom - top + STRIDE - 1) // STRIDE, (right - left + STRIDE - 1) // STRIDE
+    foreground, shadow, candidate = scratch.foreground[:h, :w], scratch.shadow[:h, :w], scratch.candidate[:h, :w]
+    labels = PixelLabels(foreground, shadow, candidate, scratch.body[:h, :w], scratch.applied[:h, :w])
+    for label in labels:
+        label[:] = 0
+    label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, labels)
+    apply_labels(scene.kind, levels[camera], box, labels, mask)
