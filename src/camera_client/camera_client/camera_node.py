@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import datetime
 import sys
 import time
@@ -26,6 +25,7 @@ from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
+from sagoma_ros.heap import release_free_memory, return_large_blocks
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
@@ -389,34 +389,6 @@ class CameraNode(SagomaNode):
             self.get_logger().warning(text)
         else:
             self.get_logger().error(text)
-
-
-# --- memory that is free inside the process goes back to the system (glibc; elsewhere nothing happens)
-
-_M_MMAP_THRESHOLD = -3  # of malloc.h
-_LARGE_BYTES = 1 << 20
-
-
-def return_large_blocks() -> None:
-    """Let blocks of a megabyte and more, such as images, go back to the system as soon as they are freed.
-
-    Otherwise glibc learns to keep them: images decoded on one thread and freed on another pile up in its heaps.
-    """
-    _call("mallopt", _M_MMAP_THRESHOLD, _LARGE_BYTES)
-
-
-def release_free_memory() -> None:
-    """Ask the C library for what freed arrays left in its heap.
-
-    Building maps and models takes tens of megabytes for a moment, and glibc keeps them as its own otherwise.
-    """
-    _call("malloc_trim", 0)
-
-
-def _call(name: str, *arguments: int) -> None:
-    function = getattr(ctypes.CDLL(None), name, None)
-    if function is not None:
-        function(*arguments)
 
 
 def main(args: list[str] | None = None) -> None:

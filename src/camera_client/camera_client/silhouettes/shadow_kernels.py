@@ -124,6 +124,13 @@ def find_rims(image, expected, patch, beside, window, limit, fits):  # type: ign
     uint8 : not 0 at the pixels that are looked at. window : side of what is near, in pixels of half the resolution.
     limit : grey levels by which a pixel differs at most from the background, made as dark as the patch is near it.
     """
+    near = _as_dark_as_near(image, expected, patch, beside, window, limit)
+    _most_neighbours(near, fits)
+
+
+@njit(**OPTIONS)
+def _as_dark_as_near(image, expected, patch, beside, window, limit):  # type: ignore[no-untyped-def]
+    """Return (h, w) uint8: 1 where a pixel ``beside`` is as dark as the mean of the patch in the window around it."""
     height, width = patch.shape
     down, across, reach = (height + 1) // 2, (width + 1) // 2, window // 2
     seen, there = np.zeros((down, across)), np.zeros((down, across))  # of the patch, every second pixel
@@ -162,6 +169,13 @@ def find_rims(image, expected, patch, beside, window, limit, fits):  # type: ign
                 for x in range(2 * u, min(2 * u + 2, width)):
                     if beside[y, x] and abs(darker * expected[y, x] - F32(image[y, x])) <= limit:
                         near[y, x] = 1
+    return near
+
+
+@njit(**OPTIONS)
+def _most_neighbours(near, fits):  # type: ignore[no-untyped-def]
+    """Write 255 into ``fits`` where at least 5 of the 3 x 3 pixels around one are ``near`` (mirrored at the border)."""
+    height, width = near.shape
     sums_of_rows = np.zeros((height, width), np.uint8)  # of three in a row
     for y in range(height):
         row, to = near[y], sums_of_rows[y]
