@@ -7,25 +7,21 @@ its size, but not used.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from .camera import CameraModel
 from .errors import InputError
 from .lens import Array
 from .rig import camera_from_mapping
-from .settings import read_mapping
+from .yaml_file import read_mapping, save_mapping
 
 MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 KEYS = ("image_width", "image_height", "camera_name", "distortion_model", "distortion_coefficients", *MATRICES)
-READABLE = 0o644  # temporary files are for their owner alone
 RECTIFIED = 1e-6  # a rectification matrix may depart from the identity by so much
 _REMEDY = "Give a camera_info YAML, as camera_calibration writes it, or leave camera_info_file empty."
 
@@ -129,18 +125,7 @@ def save_camera_info(path: str | Path, camera: CameraModel) -> None:
         "rectification_matrix": _matrix_document(np.eye(3)),
         "projection_matrix": _matrix_document(projection),
     }
-    path = Path(path)
-    try:
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            yaml.safe_dump(document, file, sort_keys=False, default_flow_style=None, width=120)
-        os.chmod(file.name, READABLE)
-        os.replace(file.name, path)
-    except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})",
-            where=str(path),
-            remedy="Name a file in a folder that exists and may be written.",
-        ) from None
+    save_mapping(path, document, default_flow_style=None, width=120)
 
 
 def _matrix_document(values: Array) -> dict[str, Any]:

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from .camera import CameraModel
 from .errors import InputError
 from .lens import COEFFICIENTS, Array
 from .rigid import nearest_rotation
-from .settings import read_mapping
+from .yaml_file import read_mapping, save_mapping
 
 UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
 CAMERA_KEYS = (
@@ -73,13 +72,13 @@ def load_rig(path: str | Path) -> Rig:
 
 
 def save_rig(rig: Rig, path: str | Path) -> None:
-    """Write ``rig`` so that :func:`load_rig` reads the same numbers back."""
+    """Write ``rig`` so that :func:`load_rig` reads the same numbers back, all or nothing. Raises InputError."""
     document = {
         "units": UNITS,
         "volume": {"low": rig.volume.low.tolist(), "high": rig.volume.high.tolist()},
         "cameras": {camera.name: _camera_document(camera) for camera in rig.cameras},
     }
-    Path(path).write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120))
+    save_mapping(path, document, default_flow_style=None, width=120)
 
 
 def default_volume(cameras: tuple[CameraModel, ...]) -> Volume:
@@ -103,7 +102,7 @@ def camera_from_mapping(name: str, entry: Any, where: str) -> CameraModel:
         if key not in entry:
             raise InputError(f"key '{key}' is missing", where=where, remedy=f"Needed: {', '.join(CAMERA_KEYS)}.")
     model = entry["distortion_model"]
-    if model not in COEFFICIENTS:
+    if not isinstance(model, str) or model not in COEFFICIENTS:
         raise InputError(
             f"distortion_model = {model!r} is not known", where=where, remedy=f"Use one of {', '.join(COEFFICIENTS)}."
         )

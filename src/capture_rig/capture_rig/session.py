@@ -8,6 +8,7 @@ silhouettes), ``truth.csv`` or ``reference*.csv``, of further persons ``truth_2.
 from __future__ import annotations
 
 import csv
+import io
 from dataclasses import dataclass, replace
 from itertools import count, takewhile
 from pathlib import Path
@@ -15,10 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError
+from .files import read_text
 from .lens import Array
 from .rig import Rig, load_rig
-from .settings import read_mapping
 from .video import Video
+from .yaml_file import read_mapping
 
 # --- Reference data of a session: where the 15 reference points really were.
 #
@@ -121,23 +123,21 @@ def load_truth(path: str | Path) -> Truth:
 
 
 def _read_csv(path: Path) -> tuple[list[str], Array]:
+    remedy = "The first row names the columns, every other row holds numbers."
     try:
-        with path.open(newline="") as file:
-            header, *lines = [row for row in csv.reader(file) if row]
+        header, *lines = [row for row in csv.reader(io.StringIO(read_text(path, remedy), newline="")) if row]
         rows = np.array([[float(cell) if cell else np.nan for cell in line] for line in lines])
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read as a table of numbers ({error})",
-            where=str(path),
-            remedy="The first row names the columns, every other row holds numbers.",
-        ) from None
+    except (csv.Error, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"cannot be read as a table of numbers ({error})", where=str(path), remedy=remedy) from None
     if header[0] != "frame" or rows.ndim != 2 or rows.shape[1] != len(header):
         raise InputError(
             "is not a table whose first column is 'frame'",
             where=str(path),
             remedy="Every row needs one number per column.",
         )
-    if not np.array_equal(rows[:, 0], np.trunc(rows[:, 0])):
+    if not (np.array_equal(rows[:, 0], np.trunc(rows[:, 0])) and (np.abs(rows[:, 0]) < 2**53).all()):
         raise InputError(
             "column 'frame' holds something else than whole numbers",
             where=str(path),

@@ -17,10 +17,7 @@ import difflib
 import logging
 import math
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
-
-import yaml
 
 from .errors import InputError
 
@@ -199,42 +196,3 @@ def _fits(value: Any, kind: type) -> bool:
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)
-
-
-# --- YAML files: one mapping per file, and no key twice
-
-
-def read_mapping(path: Path, remedy: str) -> Mapping[str, Any]:
-    """Reads the mapping in a YAML file. Raises InputError as :func:`parse_mapping`, and when it cannot be read."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"is not valid YAML ({error})", where=str(path), remedy=remedy) from None
-    return parse_mapping(text, str(path), remedy)
-
-
-def parse_mapping(text: str, where: str, remedy: str) -> Mapping[str, Any]:
-    """Parses the mapping in a YAML text (empty for an empty text). Raises InputError with ``remedy`` if it is none."""
-    try:
-        document = yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        problem = " ".join(str(error).split())
-        raise InputError(f"is not valid YAML ({problem})", where=where, remedy=remedy) from None
-    if document is None:
-        return {}
-    if not isinstance(document, Mapping):
-        raise InputError("is not a mapping (key: value)", where=where, remedy=remedy)
-    return document
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML that refuses the same key twice, where the standard loader silently keeps the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise yaml.MarkedYAMLError(problem=f"key '{key}' appears twice", problem_mark=node.start_mark)
-        return super().construct_mapping(node, deep)

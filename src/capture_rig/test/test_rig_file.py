@@ -165,7 +165,7 @@ def test_text_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path) -> None:
 
 def test_binary_file_is_refused_as_no_yaml(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_bytes(b"\x89PNG\xff\xfe\x00\x01")
-    with pytest.raises(InputError, match=r"rig\.yaml: is not valid YAML"):
+    with pytest.raises(InputError, match=r"rig\.yaml: is not UTF-8 text"):
         load_rig(tmp_path / "rig.yaml")
 
 

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
 from capture_rig import InputError
+from capture_rig.files import make_folder, replaced_file
 
 from .grid import BRICK_EDGE, Array, BrickVolume
 
@@ -59,15 +60,9 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     faces = np.empty(len(mesh.faces), [("vertex_indices", "<i4", (3,))])
     faces["vertex_indices"] = mesh.faces
     elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        PlyData(elements, byte_order="<", comments=["metres, map frame, z up"]).write(str(path))
-    except OSError as error:
-        raise InputError(
-            f"cannot be written: {error.strerror or error}",
-            where=str(path),
-            remedy="Choose a folder that this process may write to.",
-        ) from None
+    make_folder(path.parent)
+    with replaced_file(path) as file:
+        PlyData(elements, byte_order="<", comments=["metres, map frame, z up"]).write(file)
 
 
 def _crop(volume: BrickVolume, margin: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:

@@ -9,6 +9,8 @@ from pathlib import Path
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from capture_rig.errors import InputError
+from capture_rig.files import make_folder
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
@@ -55,10 +57,10 @@ class SaveBodyService:
             others = "" if person == FIRST_PERSON else f"_person{person}"
             path = Path(self._settings.folder).expanduser().resolve() / f"body_{saved.stamp_ns}{others}.yaml"
             try:
-                path.parent.mkdir(parents=True, exist_ok=True)
+                make_folder(path.parent)
                 save_body(saved.body, path, source="icp_tracker")
-            except OSError as error:
-                response.success, response.message = False, f"{path}: cannot be written ({error.strerror})"
+            except InputError as error:
+                response.success, response.message = False, str(error)
                 break
             written.append(str(path))
             response.success, response.message = True, ", ".join(written)

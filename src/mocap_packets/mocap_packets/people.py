@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import yaml
 
 from capture_rig.errors import InputError
-from capture_rig.settings import parse_mapping
+from capture_rig.yaml_file import format_mapping, parse_mapping
 from stick_figure.body import Body
 from stick_figure.body_file import format_body, parse_body
 
@@ -22,6 +21,7 @@ from .state import Prediction
 from .table import fill, layout
 
 POINTS = 15
+MOST_BODIES_BYTES = 256 << 10  # of some 250 persons
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +83,18 @@ class Predictions:
 
 def format_bodies(bodies: Mapping[int, Body], source: str = "") -> str:
     """Return the bodies of several persons as YAML: the number of each person, and under it what a body file holds."""
-    documents = {person: yaml.safe_load(format_body(body, source)) for person, body in sorted(bodies.items())}
-    return yaml.safe_dump(documents, sort_keys=False)
+    texts = {person: format_body(body, source) for person, body in sorted(bodies.items())}
+    return format_mapping({person: parse_mapping(text, "body", "") for person, text in texts.items()})
 
 
 def parse_bodies(text: str, where: str) -> dict[int, Body]:
     """Return the inverse of :func:`format_bodies`. Raises InputError naming ``where``, person, key and remedy."""
     remedy = "Give a body for each person, by number."
     bodies = dict[int, Body]()
+    if len(text) > MOST_BODIES_BYTES:
+        raise InputError(f"has {len(text)} characters, too many for bodies", where=where, remedy=remedy)
     for person, document in parse_mapping(text, where, remedy).items():
         if not isinstance(person, int) or person < FIRST_PERSON:
             raise InputError(f"{person!r} is no person's number", where=where, remedy=remedy)
-        bodies[person] = parse_body(yaml.safe_dump(document), f"{where}: person {person}")
+        bodies[person] = parse_body(format_mapping(document), f"{where}: person {person}")
     return bodies

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from capture_rig.files import write_text
+
 from .joint_tree import JOINTS, PARENTS, JointTree
 from .motion import Motion
 
@@ -30,7 +32,7 @@ def write_bvh(motion: Motion, path: Path, *, constant_bones: bool = False) -> No
     moving = not (tree.rigid or constant_bones)
     lines = ["HIERARCHY", *_joint_lines(tree, 0, 0, moving), "MOTION"]
     lines += [f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.rate_hz:.9f}"]
-    path.write_text("\n".join([*lines, *_rows(tree, moving)]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([*lines, *_rows(tree, moving)]) + "\n")
 
 
 def _joint_lines(tree: JointTree, joint: int, depth: int, moving: bool) -> Iterator[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from c3d import Writer
 
+from capture_rig.files import write_bytes, write_text
 from stick_figure.skeleton import POINT_NAMES
 
 from .axes import R_BIOMECHANICS_WORLD
@@ -36,7 +37,7 @@ def write_trc(motion: Motion, path: Path) -> None:
     for frame, (time_s, row) in enumerate(zip(motion.times_s, points_mm, strict=True), 1):
         cells = ("" if np.isnan(value) else f"{value:.4f}" for value in row.ravel())
         lines.append("\t".join([str(frame), f"{time_s:.6f}", *cells, ""]))  # a last tab, else a last empty cell is lost
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_c3d(motion: Motion, path: Path) -> None:
@@ -58,4 +59,4 @@ def write_c3d(motion: Motion, path: Path) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "No analog data", UserWarning)  # there is none to write
         writer.write(stream)
-    path.write_bytes(stream.getvalue())
+    write_bytes(path, stream.getvalue())

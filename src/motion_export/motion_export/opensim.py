@@ -16,6 +16,7 @@ from xml.etree import ElementTree as xml
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from capture_rig.files import write_text
 from stick_figure.body import Body
 from stick_figure.skeleton import (
     ANGLE_HIGH,
@@ -107,7 +108,7 @@ def write_mot(motion: Motion, path: Path) -> None:
     names = ("time", *ROOT, *ANGLE_NAMES)
     head = [motion.name, "version=1", f"nRows={len(rows)}", f"nColumns={len(names)}", "inDegrees=yes", "endheader"]
     lines = ("\t".join(f"{value:.7f}" for value in row) for row in rows)
-    path.write_text("\n".join([*head, "\t".join(names), *lines]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([*head, "\t".join(names), *lines]) + "\n")
 
 
 def _add_body(bodies: xml.Element, stick: int, body: Body, mass_kg: float) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 
 
 class Role(Enum):

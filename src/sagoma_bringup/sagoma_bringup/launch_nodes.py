@@ -7,12 +7,13 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-import yaml
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from capture_rig.yaml_file import format_mapping
 
 from .graph import NodeSpec
 from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
@@ -39,7 +40,7 @@ def _action(process: ProcessSpec) -> Node:
     shown = {"package": process.package, "executable": process.executable, "output": "screen"}
     if len(process.nodes) > 1:  # a launch action names one node: these have their names, and parameters by name
         with NamedTemporaryFile("w", prefix=f"{process.label}_", suffix=".yaml", delete=False) as file:
-            yaml.safe_dump(process.parameter_document(), file)
+            file.write(format_mapping(process.parameter_document()))
         return Node(parameters=[file.name], **shown)
     (node,) = process.nodes
     parameters = {key: _typed(value) for key, value in node.parameters.items()}

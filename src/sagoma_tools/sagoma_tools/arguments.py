@@ -7,10 +7,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.console import Console
 
 from capture_rig.errors import InputError
+from capture_rig.yaml_file import parse_value
 from sagoma_bringup.graph import NodeSpec, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
@@ -69,7 +69,7 @@ def parse_settings(texts: list[str]) -> dict[str, Any]:
         key, equals, value = text.partition("=")
         if not equals:
             raise InputError(f"'{text}' has no value", where="--set", remedy="Write NODE.PARAM=VALUE.")
-        settings[key] = yaml.safe_load(value)
+        settings[key] = parse_value(value, f"--set {key}", "Write NODE.PARAM=VALUE; a text with : [ ] { } in quotes.")
     return settings
 
 

@@ -227,7 +227,7 @@ def test_show_refuses_what_is_no_background(tmp_path, capsys):
 def test_pictures_that_cannot_be_written_are_an_input_error(saved, tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["background", "show", str(saved), "--output", str(tmp_path / "file")]) == 2
-    assert "Choose another folder with --output" in capsys.readouterr().err
+    assert "A file has that name: choose another" in capsys.readouterr().err
 
 
 def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():

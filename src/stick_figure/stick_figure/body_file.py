@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from capture_rig.errors import InputError
-from capture_rig.settings import parse_mapping
+from capture_rig.files import read_text, write_text
+from capture_rig.yaml_file import format_mapping, parse_mapping
 
 from .body import BUILD_NUMBERS, Body
 from .skeleton import STICK_NAMES
@@ -22,28 +22,32 @@ from .skeleton import STICK_NAMES
 KEYS = ("lengths", "shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
 OPTIONAL_KEYS = ("units", "source", "thickness", "build")
 THICKNESS_NAMES = ("upper_arm", "forearm", "thigh", "calf", "trunk")
+MOST_BODY_BYTES = 64 << 10  # that of one person has 1 KB; bodies come as messages too, and parsing takes its time
 MAX_LENGTH_M, MAX_THICKNESS, MAX_BUILD = 2.0, 3.0, 6.0
 _REMEDY = f"A body file is a mapping with the keys {', '.join(KEYS)}."
 
 
 def load_body(path: str | Path) -> Body:
     """Reads a body file. Raises InputError naming file, key, value and remedy for anything that does not fit."""
-    return parse_body(_read(Path(path)), str(path))
+    return parse_body(read_text(path, _REMEDY, MOST_BODY_BYTES), str(path))
 
 
 def load_thickness(path: str | Path) -> dict[str, float]:
     """Return the limbs' thickness over the average build's by name, as far as the file has it. Raises InputError."""
-    return parse_thickness(_read(Path(path)), str(path))
+    return parse_thickness(read_text(path, _REMEDY, MOST_BODY_BYTES), str(path))
 
 
 def save_body(body: Body, path: str | Path, source: str = "", thickness: Mapping[str, float] | None = None) -> None:
-    """Writes a body so that :func:`load_body` gives the same numbers; `source` says where the sizes come from."""
-    Path(path).write_text(format_body(body, source, thickness), encoding="utf-8")
+    """Writes a body so that :func:`load_body` gives the same numbers; `source` says where the sizes come from.
+
+    All or nothing. Raises InputError when the file cannot be written.
+    """
+    write_text(path, format_body(body, source, thickness))
 
 
 def parse_body(text: str, where: str) -> Body:
     """Return the body of a body file's text. Raises InputError naming `where`, key, value and remedy."""
-    document = parse_mapping(text, where, _REMEDY)
+    document = _mapping(text, where)
     _check_keys(document, KEYS, OPTIONAL_KEYS, where)
     if document.get("units", "metres") != "metres":
         raise InputError(f"units is {document['units']!r}", where=where, remedy="Write all sizes in metres.")
@@ -72,7 +76,7 @@ def _build(given: Any, where: str) -> np.ndarray:
 
 def parse_thickness(text: str, where: str) -> dict[str, float]:
     """Return the limbs' thickness in a body file's text, by name (`THICKNESS_NAMES`); empty where it has none."""
-    thickness = parse_mapping(text, where, _REMEDY).get("thickness", {})
+    thickness = _mapping(text, where).get("thickness", {})
     if not isinstance(thickness, Mapping):
         raise InputError(f"thickness is {thickness!r}", where=where, remedy="Give a factor for each limb by name.")
     _check_keys(thickness, (), THICKNESS_NAMES, f"{where}: thickness")
@@ -92,16 +96,13 @@ def format_body(body: Body, source: str = "", thickness: Mapping[str, float] | N
         document["build"] = body.build.tolist()
     if thickness:
         document["thickness"] = {name: float(value) for name, value in thickness.items()}
-    return yaml.safe_dump(document, sort_keys=False)
+    return format_mapping(document)
 
 
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy="Check the path.") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"is not UTF-8 text ({error.reason})", where=str(path), remedy=_REMEDY) from None
+def _mapping(text: str, where: str) -> Mapping[str, Any]:
+    if len(text) > MOST_BODY_BYTES:
+        raise InputError(f"has {len(text)} characters, too many for a body", where=where, remedy=_REMEDY)
+    return parse_mapping(text, where, _REMEDY)
 
 
 def _check_keys(given: Mapping[str, Any], needed: tuple[str, ...], optional: tuple[str, ...], where: str) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import zipfile
-import zlib
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.errors import InputError
+from capture_rig.files import make_folder, replaced_file
 
 from .. import __version__
 from ..frame_source import Image, UndecodableFrame
@@ -24,6 +23,7 @@ from ..settings import BackgroundSettings
 from ..sources.footage_reader import FootageReader, open_footage
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
 
+MOST_BACKGROUND_BYTES = 2 << 30  # two images of floats, of the largest sensors in colour (65 megapixels)
 FORMAT = "sagoma background 1"
 MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise ...
 MOVING_MIN_SIGMA = 3.0  # ... and by this many grey levels
@@ -109,14 +109,9 @@ class BackgroundModel:
         """Write an .npz with the arrays and the provenance. Raises InputError when the file cannot be written."""
         path = Path(path)
         about = json.dumps({"format": FORMAT, "image": shape_text(self.shape), **asdict(self.provenance)})
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("wb") as file:
-                np.savez_compressed(file, mean=self.mean, sigma=self.sigma, about=np.array(about))
-        except OSError as error:
-            raise InputError(
-                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another background_file."
-            ) from None
+        make_folder(path.parent)
+        with replaced_file(path) as file:
+            np.savez_compressed(file, mean=self.mean, sigma=self.sigma, about=np.array(about))
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,6 +204,8 @@ def load_background(path: str | Path) -> BackgroundModel:
     path = Path(path)
     try:
         with np.load(path, allow_pickle=False) as file:
+            if sum(member.file_size for member in file.zip.infolist()) > MOST_BACKGROUND_BYTES:
+                raise ValueError("too large")
             mean, sigma, about = file["mean"], file["sigma"], json.loads(str(file["about"]))
     except OSError as error:
         raise InputError(
@@ -216,7 +213,7 @@ def load_background(path: str | Path) -> BackgroundModel:
             where=str(path),
             remedy="Give the path of a saved background model.",
         ) from None
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+    except Exception:  # whatever the readers of zip, npy and JSON raise for damaged bytes
         raise InputError("is not a background model", where=str(path), remedy="Learn and save it again.") from None
     known = {field.name for field in fields(Provenance)}
     needed = {field.name for field in fields(Provenance) if field.default is MISSING}

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import yaml
 
 from capture_rig.errors import InputError
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping, save_mapping
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
@@ -103,7 +102,7 @@ def save_initial_pose(pose: Pose, path: str | Path, body: Body | None = None) ->
         body_path = path.with_name(path.stem + "_body.yaml")
         save_body(body, body_path)
         document["body"] = body_path.name
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    save_mapping(path, document)
 
 
 def pose_from_reference(

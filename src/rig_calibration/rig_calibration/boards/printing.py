@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 from capture_rig.errors import InputError
+from capture_rig.files import write_bytes, write_text
 
 PAPER_MM = {
     "A4": (210.0, 297.0),
@@ -134,12 +135,12 @@ def save_pages(pages: Sequence[Page], path: Path) -> list[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     suffix = path.suffix.lower()
     if suffix == ".pdf":
-        path.write_bytes(pdf(pages))
+        write_bytes(path, pdf(pages))
         return [path]
     if suffix == ".svg":
         files = [path] if len(pages) == 1 else [path.with_stem(f"{path.stem}_{k + 1:02d}") for k in range(len(pages))]
         for file, page in zip(files, pages, strict=True):
-            file.write_text(svg(page), encoding="utf-8")
+            write_text(file, svg(page))
         return files
     raise InputError(f"'{path.suffix}' is neither .svg nor .pdf", where=str(path), remedy="Name a .svg or .pdf file.")
 

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 
 from capture_rig.errors import InputError
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 
 from .board import Board, CharucoBoard, Checkerboard
 

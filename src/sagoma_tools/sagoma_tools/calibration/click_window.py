@@ -14,6 +14,7 @@ from matplotlib.backend_bases import Event, KeyEvent, MouseButton, MouseEvent
 from matplotlib.figure import Figure
 
 from capture_rig.errors import InputError
+from capture_rig.files import write_text
 from rig_calibration.boards.board import TargetDetection
 
 from .clicking import FORMAT, Clicks
@@ -106,7 +107,7 @@ def write_template(path: Path, names: list[str]) -> None:
     """Write a corners file whose numbers a person replaces."""
     lines = [f"# {FORMAT}", "# Replace every number; delete the cameras that need none."]
     lines += [f"{name}: [[0, 0], [1, 0], [1, 1], [0, 1]]" for name in names]
-    path.write_text("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _draw_line(

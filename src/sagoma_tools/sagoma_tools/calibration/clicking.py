@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.four_corners import find_from_outer_corners
 
@@ -43,7 +42,7 @@ def save_corners(path: str | Path, corners: Mapping[str, OuterCorners]) -> None:
     for name, given in sorted(corners.items()):
         points = np.round(given.pixels, 1).tolist()
         document[name] = points if given.frame is None else {"corners": points, "frame": given.frame}
-    Path(path).write_text(f"# {FORMAT}\n" + yaml.safe_dump(document, default_flow_style=None, width=120))
+    save_mapping(path, document, FORMAT, default_flow_style=None, width=120)
 
 
 def find_from_clicks(

@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -18,6 +17,7 @@ from rich.table import Table
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
+from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
@@ -152,7 +152,7 @@ def save_results(folder: Path, result: Intrinsics, board: Board, source: str) ->
         save_camera_info(info, result.camera)
         about = {"source": source, "board": board_text(board), "date": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
         about |= {"opencv": cv2.__version__, "numpy": np.__version__}
-        report.write_text(yaml.safe_dump(report_of(result, about), sort_keys=False, width=120), encoding="utf-8")
+        save_mapping(report, report_of(result, about), width=120)
         from rig_calibration.intrinsics.picture import draw  # matplotlib takes a second to load
 
         draw(result).savefig(picture, dpi=PICTURE_DPI)

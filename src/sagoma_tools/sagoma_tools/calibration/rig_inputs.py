@@ -17,7 +17,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.wand import wand_points, wand_symmetry_order
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND, FloorTarget, Target

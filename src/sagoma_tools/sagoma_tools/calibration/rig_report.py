@@ -14,7 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from rich.console import Console
 from rich.table import Table
 
@@ -22,6 +21,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Volume, save_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
+from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.figures import CameraFigures, RigFigures
 
@@ -154,7 +154,7 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": {"sagoma_tools": _version("sagoma_tools"), "opencv": cv2.__version__, "numpy": np.__version__},
     }
-    path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120, allow_unicode=True))
+    save_mapping(path, document, default_flow_style=None, width=120)
     return path
 
 

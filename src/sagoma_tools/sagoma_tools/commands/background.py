@@ -21,6 +21,7 @@ from rich.text import Text
 from camera_client.background.model import BackgroundModel, load_background, shape_text
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
 from capture_rig.errors import InputError
+from capture_rig.files import make_folder, write_bytes
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import table_console
@@ -258,13 +259,7 @@ def write_pictures(model: BackgroundModel, folder: Path, name: str) -> list[Path
     written = []
     for kind, picture in (("mean", mean), ("sigma", sigma_picture(model))):
         path = folder / f"{name}_{kind}.png"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-        except OSError as error:
-            raise InputError(
-                f"cannot be written ({error.strerror})", where=str(path), remedy="Choose another folder with --output."
-            ) from None
+        write_bytes(make_folder(folder) / path.name, cv2.imencode(".png", picture)[1].tobytes())
         written.append(path)
     return written
 

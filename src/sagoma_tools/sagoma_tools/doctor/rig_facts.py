@@ -16,9 +16,9 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
-from capture_rig.settings import read_mapping
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video_findings import VideoFacts
+from capture_rig.yaml_file import read_mapping
 
 Array = npt.NDArray[np.float64]
 

@@ -15,10 +15,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-import yaml
 from rclpy.node import Node
 
 from camera_client.sources.footage_source import EPOCH_STEP_NS
+from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
 
@@ -183,7 +183,7 @@ class Supervisor:
 
     def _spawn(self, process: ProcessSpec) -> Child:
         parameters = self.run_folder / f"{process.label}.yaml"
-        parameters.write_text(yaml.safe_dump(process.parameter_document(), sort_keys=False))
+        save_mapping(parameters, process.parameter_document())
         executable = node_command(process.package, process.executable, process.module)
         command = [*executable, "--ros-args", *process.name_arguments, "--params-file", str(parameters)]
         log, env = self.run_folder / f"{process.label}.log", self._child_environment()

@@ -24,7 +24,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from capture_rig.errors import InputError
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 
 from ..graph.topics import (

@@ -9,11 +9,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from capture_rig.errors import InputError
 from capture_rig.rig import save_rig
 from capture_rig.settings import build_settings
+from capture_rig.yaml_file import parse_value, save_mapping
 
 from ..live.rendered_scenes import PHASES
 from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
@@ -142,7 +141,7 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
             "background_file": str((folder / f"{name}_background.npz").resolve()),
         }
         document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
-        (cameras / f"{name}.yaml").write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        save_mapping(cameras / f"{name}.yaml", document)
     return folder
 
 
@@ -152,7 +151,7 @@ def _pairs(words: list[str]) -> dict[str, Any]:
         key, equals, value = word.partition("=")
         if not equals:
             raise InputError(f"'{word}' has no value", where="sagoma studio", remedy="Write KEY=VALUE.")
-        pairs[key] = yaml.safe_load(value)
+        pairs[key] = parse_value(value, f"sagoma studio: {key}", "Write KEY=VALUE; a text with : [ ] { } in quotes.")
     return pairs
 
 

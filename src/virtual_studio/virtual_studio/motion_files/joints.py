@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture_rig.errors import InputError
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 
 MADE_BY = "virtual_studio"
 FOOTAGE = ("mp4v", ".mp4")

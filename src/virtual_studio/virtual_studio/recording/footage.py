@@ -17,11 +17,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import yaml
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, save_rig
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 from stick_figure.rotations import rotation_vector
@@ -124,8 +123,8 @@ def save_truth(rig: Rig, hand_board: Board, floor_board: Board, folder: Path) ->
     save_rig(rig, folder / TRUTH_RIG_FILE)
     printed = print_of(floor_board)
     T_world_floor = on_floor(printed) @ transform(np.eye(3), printed.middle_board)
-    text = yaml.safe_dump({"T_world_floor": T_world_floor.tolist()}, default_flow_style=None)
-    (folder / TRUTH_FLOOR_FILE).write_text(text, encoding="utf-8")
+    document = {"T_world_floor": T_world_floor.tolist()}
+    save_mapping(folder / TRUTH_FLOOR_FILE, document, default_flow_style=None)
 
 
 def read_truth_floor(folder: str | Path) -> Array:
@@ -249,14 +248,14 @@ def _videos(folder: Path, cameras: Sequence[FilmingCamera], fps: float) -> Itera
 def _save_board(board: Board, path: Path) -> None:
     """Writes a board's description, as ``--board`` reads it."""
     kind = "charuco" if isinstance(board, CharucoBoard) else "checkerboard"
-    path.write_text(yaml.safe_dump({"type": kind, **_plain(asdict(board))}, sort_keys=False), encoding="utf-8")
+    save_mapping(path, {"type": kind, **_plain(asdict(board))})
 
 
 def _write_description(path: Path, plan: FootagePlan) -> None:
     recipe = {key: value for key, value in asdict(plan).items() if key not in ("hand_board", "floor_board")}
     source = "rendered by python -m virtual_studio setup"
     document = {"made_by": MADE_BY, "source": source, "fps": plan.fps, "recipe": _plain(recipe)}
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    save_mapping(path, document)
 
 
 def _plain(entries: dict) -> dict:

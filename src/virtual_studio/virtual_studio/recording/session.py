@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, save_rig
+from capture_rig.yaml_file import save_mapping
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 from stick_figure.kinematics import forward
@@ -236,4 +236,4 @@ def _write_description(path: Path, fps: float, recipe: dict) -> None:
         "recipe": recipe,
         "body": "body.yaml",
     }
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    save_mapping(path, document)

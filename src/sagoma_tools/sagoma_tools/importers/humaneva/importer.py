@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import FLOOR_MARGIN_M, Rig, Volume, default_volume, save_rig
+from capture_rig.yaml_file import save_mapping
 
 from ...recording.writer import own_version
 from ..session_folder import new_session_folder, write_truth_file
@@ -219,4 +219,4 @@ def _describe(
         "common_frames": [int(frames[0]), int(frames[-1])],
         "first_mocap_frame": round(float(time.mocap(frames[:1])[0]), 4),
     }
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    save_mapping(path, document)
