@@ -201,6 +201,8 @@ def background_values(chain: CameraChain, now_s: float) -> dict[str, object]:
     if background is None or watch is None:
         return values
     found, age = watch.found, age_h(background.provenance, now_s)
+    values["background_learned"] = background.provenance.created
+    values["background_serial"] = background.provenance.camera_serial
     values["background_static_foreground"] = round(found.static_share, 4)
     if age is not None:
         values["background_age_h"] = round(age, 2)

@@ -13,7 +13,7 @@ from capture_rig.files import write_bytes, write_text
 from stick_figure.skeleton import POINT_NAMES
 
 from .axes import R_BIOMECHANICS_WORLD
-from .motion import Motion
+from .motion import Motion, point_deviations
 
 MM_PER_M = 1000.0
 LABEL_LENGTH = 16
@@ -51,7 +51,7 @@ def write_c3d(motion: Motion, path: Path) -> None:
     writer.set_screen_axis("+X", "+Z")
     rows = np.zeros((len(motion), len(POINT_NAMES), 5), np.float32)
     rows[..., :3] = MM_PER_M * np.nan_to_num(motion.points_world)
-    sigma_mm = MM_PER_M * np.sqrt(np.trace(motion.covariance, axis1=-2, axis2=-1) / 3.0)
+    sigma_mm = MM_PER_M * point_deviations(motion.covariance)
     rows[..., 3] = np.where(np.isnan(sigma_mm), NO_POINT, sigma_mm)
     nothing = np.empty((0, 0))
     writer.add_frames([(row, nothing) for row in rows])

@@ -111,6 +111,12 @@ class Motion:
         return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
+def point_deviations(covariance: Array) -> Array:
+    """Return the standard deviation (...) m of points in one direction, of their covariance (..., 3, 3) m^2: the root
+    of its mean variance."""
+    return np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / 3.0)
+
+
 def usual_rate(stamps_ns: Array) -> float:
     """Return the frames a second of stamps (N,) ns: of their median interval, as a usual camera rate where near one."""
     rate = NS_PER_S / float(np.median(np.diff(stamps_ns)))

@@ -19,11 +19,25 @@ from .commands import (
     import_session,
     recording,
     smooth,
+    takes,
     view,
 )
 from .graph.supervisor import GraphError
 
-COMMANDS = (demo, calibrate, background, graph, recording, smooth, view, evaluate, export, import_session, doctor)
+COMMANDS = (
+    demo,
+    calibrate,
+    background,
+    graph,
+    recording,
+    takes,
+    smooth,
+    view,
+    evaluate,
+    export,
+    import_session,
+    doctor,
+)
 GRAPH_FAILED, BAD_INPUT = 1, 2
 
 

@@ -22,6 +22,7 @@ from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..graph.ros_link import StopOnSignal
+from ..takes.summary_file import finish_take
 
 CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out
 TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
@@ -64,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
     console.print(f"running the graph live (logs: {output / 'logs'})")
     with StopOnSignal() as stop:
         live = run_live(live_input, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
+    finish_take(live.bag)
     outcome = evaluate_run(live)
     report(console, live, outcome.scores)
     for path in draw(live, output, outcome):

@@ -10,6 +10,7 @@ import argparse
 import threading
 import time
 from contextlib import nullcontext
+from pathlib import Path
 
 from rclpy.node import Node
 from rich.console import Console
@@ -26,6 +27,7 @@ from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
+from ..takes.summary_file import finish_take
 from .view import add_page_arguments, page_of
 
 REFRESH_S = 0.5
@@ -80,6 +82,7 @@ def up(args: argparse.Namespace) -> int:
         supervisor.suspend()
         if recorder is not None:
             counts = recorder.close()
+            finish_take(Path(args.record))
             console.print(f"recorded {sum(counts.values())} messages on {len(counts)} topics in {args.record}")
         supervisor.stop()
     return print_exit_statuses(console, supervisor)

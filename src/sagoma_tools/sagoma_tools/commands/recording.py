@@ -17,6 +17,7 @@ from ..recording.reader import bag_digest, bag_topics, default_comparison, first
 from ..recording.recorder import Recorder, read_configuration
 from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
 from ..recording.writer import recover_bag, require_new
+from ..takes.summary_file import finish_take
 
 PARAMETERS_TIMEOUT_S = 2.0
 SUBSCRIBER_TIMEOUT_S = 30.0
@@ -69,6 +70,7 @@ def record(args: argparse.Namespace) -> int:
         stop.wait(args.seconds)
         configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)
         counts = recorder.close({"graph": configuration}, Path(args.rig) if args.rig else None)
+    finish_take(Path(args.bag))
     print_counts(counts)
     return 0
 
@@ -148,6 +150,7 @@ def recover(args: argparse.Namespace) -> int:
     """Copy the readable messages of a damaged bag into a new one, and print their number by topic."""
     target = args.target or args.bag.rstrip("/") + "_recovered"
     counts = recover_bag(args.bag, target)
+    finish_take(Path(target))
     print_counts(counts)
     print(f"recovered {sum(counts.values())} messages into {target}")
     return 0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings
 from ..recording.smoothing import smooth_bag
+from ..takes.summary_file import finish_take
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -23,6 +25,7 @@ def run(args: argparse.Namespace) -> int:
     """Smooth the take and print how much of it has a state."""
     target = args.target or args.bag.rstrip("/") + "_smoothed"
     take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
+    finish_take(Path(target))
     print(f"smoothed {take.states} of {take.sets} frame sets into {target}")
     print(f"compare: sagoma evaluate {args.bag}; sagoma evaluate {target}")
     return 0

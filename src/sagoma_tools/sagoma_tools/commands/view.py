@@ -11,13 +11,13 @@ from capture_rig.rig import Rig, load_rig
 
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.ros_link import RosLink, StopOnSignal
+from ..takes.folder import TAKES, TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard
 from ..view.live import LiveGraph
 from ..view.page import Page
 
 HOST, PORT = "127.0.0.1", 8080
-TAKES = "output/takes"
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -56,7 +56,7 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
     guard = Guard.of(args.host, args.token)
     if take is not None:
         folder = Path(take).resolve()
-        page = Page(guard, args.port, folder.parent, None, None)
+        page = Page(guard, args.port, TakesFolder(folder.parent), None, None)
         try:
             page.show_take(folder)
             announce(guard, page.port)
@@ -66,8 +66,9 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
         return
     with RosLink("sagoma_view") as link:
         diagnostics = DiagnosticsTable(link.node)
-        control = Control(link, diagnostics, Path(args.takes))
-        page = Page(guard, args.port, Path(args.takes), LiveGraph(link, diagnostics), control)
+        takes = TakesFolder(Path(args.takes))
+        control = Control(link, diagnostics, takes)
+        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control)
         try:
             if rig is not None:
                 page.show_rig(rig)

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from capture_rig.errors import InputError
 
-from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES
+from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES, open_bag
 
 INFINITE = QosTime(9223372036, 854775807)
 # what every publisher of the graph offers (sagoma_ros.qos)
@@ -59,6 +59,23 @@ class BagWriter:
                 name, msgtype, typestore=TYPES, offered_qos_profiles=(qos,)
             )
             self.counts[name] = 0
+
+    def add_topic_like(self, connection: Connection, name: str) -> None:
+        """Announce a topic as another bag has it, once: with that bag's definition of its type, hash and QoS."""
+        if name in self._connections:
+            return
+        offered = getattr(connection.ext, "offered_qos_profiles", ())
+        if not (connection.msgdef.data and connection.digest):  # sqlite3 bags of before have none
+            self.add_topic(name, connection.msgtype, *offered[:1])
+            return
+        self._connections[name] = self._writer.add_connection(
+            name,
+            connection.msgtype,
+            msgdef=connection.msgdef.data,
+            rihs01=connection.digest,
+            offered_qos_profiles=offered,
+        )
+        self.counts[name] = 0
 
     def write(self, topic: str, log_ns: int, data: bytes) -> None:
         """Append one serialized message; a clock that steps back cannot put it before its predecessor."""
@@ -129,8 +146,8 @@ def recover_bag(bag: str | Path, target: str | Path) -> dict[str, int]:
     files = sorted(Path(bag).glob("*.mcap"))
     if len(files) != 1:
         raise InputError(f"holds {len(files)} mcap files", where=str(bag), remedy="Give the folder of one mcap bag.")
-    if (Path(bag) / "metadata.yaml").exists():
-        raise InputError("is complete", where=str(bag), remedy="It needs no recovery: metadata.yaml is there.")
+    if _is_readable(bag):
+        raise InputError("is complete", where=str(bag), remedy="It needs no recovery: it can be read as it is.")
     with files[0].open("rb") as file, BagWriter(target) as writer:
         if file.read(len(MAGIC)) != MAGIC:
             raise InputError("is no mcap file", where=str(files[0]), remedy="Nothing can be recovered from it.")
@@ -139,6 +156,14 @@ def recover_bag(bag: str | Path, target: str | Path) -> dict[str, int]:
         if (Path(bag) / sidecar).exists():
             shutil.copyfile(Path(bag) / sidecar, Path(target) / sidecar)
     return dict(writer.counts)
+
+
+def _is_readable(bag: str | Path) -> bool:
+    try:
+        with open_bag(bag):
+            return True
+    except InputError:
+        return False
 
 
 def _copy(records: Iterator[Record], writer: BagWriter) -> None:

@@ -17,7 +17,8 @@ from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.ros_link import RosLink, call_all, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder, read_configuration
-from .takes import new_take
+from ..takes.folder import TakesFolder
+from ..takes.summary_file import finish_take
 
 RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
 RESET_TIMEOUT_S, PARAMETERS_TIMEOUT_S = 5.0, 2.0
@@ -29,7 +30,7 @@ Work = Callable[[Tell], str]
 class Control:
     """Runs requests one after the other's end, and says what came of each; a request while one runs is refused."""
 
-    def __init__(self, link: RosLink, diagnostics: DiagnosticsTable, takes: Path) -> None:
+    def __init__(self, link: RosLink, diagnostics: DiagnosticsTable, takes: TakesFolder) -> None:
         """``takes`` : the folder into which recordings go."""
         self._link, self._diagnostics, self._takes = link, diagnostics, takes
         self._lifecycle = LifecycleClient(link.node)
@@ -130,7 +131,7 @@ class Control:
         def work(tell: Tell) -> str:
             if self._recorder is not None:
                 return f"{self.recording} is being recorded already"
-            folder = new_take(self._takes, name)
+            folder = self._takes.new_path(name)
             self._recorder = Recorder(self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS])
             self._recorder.follow_graph()
             self._recording_to = folder
@@ -145,8 +146,9 @@ class Control:
         names = sorted(our_nodes(self._link.node))
         configuration = read_configuration(self._link.node, names, PARAMETERS_TIMEOUT_S)
         counts = self._recorder.close({"graph": configuration})
-        name, self._recorder, self._recording_to = self.recording, None, None
-        return f"recorded {name}: {sum(counts.values())} messages"
+        folder, self._recorder, self._recording_to = self._recording_to, None, None
+        finish_take(folder)
+        return f"recorded {folder.name}: {sum(counts.values())} messages"
 
     def _run(self, what: str, work: Work) -> None:
         try:

@@ -10,6 +10,7 @@ import viser
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from mocap_packets.hull import VoxelSamples
+from motion_export.motion import point_deviations
 from sagoma_ros.packets import read_finite, read_reference_points
 
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
@@ -90,7 +91,7 @@ class LiveGraph:
             if cloud is None:
                 continue
             points = read_reference_points(cloud, f"{prefix}/reference_points")
-            sigma = np.sqrt(np.trace(points.covariance, axis1=-2, axis2=-1) / 3.0)
+            sigma = point_deviations(points.covariance)
             self._figures[body_id] = now_s, Figure(points.points_world, sigma, self._states.get(body_id, ""))
             changed = True
         gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > GONE_S]

@@ -15,13 +15,14 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 
 from ..graph.lifecycle_client import State
+from ..takes.folder import TakesFolder
+from ..takes.take import Take
 from .control import Control, Work
 from .guard import Guard, guarded_server
 from .live import LiveGraph
 from .markdown import escape
 from .playback import Playback
 from .scene import RoomScene
-from .takes import Take, takes_in
 
 FRAMES_HZ = 30.0
 STATES_S, PICTURES_S, TAKES_S = 0.5, 0.25, 2.0
@@ -34,7 +35,9 @@ TITLE = "sagoma"
 class Page:
     """Owns the web server; everything is drawn by one thread, which sleeps while nobody looks."""
 
-    def __init__(self, guard: Guard, port: int, takes: Path, live: LiveGraph | None, control: Control | None) -> None:
+    def __init__(
+        self, guard: Guard, port: int, takes: TakesFolder, live: LiveGraph | None, control: Control | None
+    ) -> None:
         """Without ``live`` and ``control`` the page shows takes alone."""
         self.server = guarded_server(guard, port)
         self.server.request_share_url = lambda *args, **kwargs: None  # type: ignore[method-assign]  # leaves this room
@@ -102,7 +105,7 @@ class Page:
                     self._panels.show_pictures()
                     next_pictures = now + PICTURES_S
                 if now >= next_takes:
-                    self._panels.show_takes(takes_in(self._takes))
+                    self._panels.show_takes(self._takes.takes())
                     next_takes = now + TAKES_S
             self.frames += 1
             self._ended.wait(max(0.0, 1.0 / FRAMES_HZ - (time.monotonic() - now)))
@@ -170,7 +173,7 @@ class _Panels:
         if self.take_choice.value == NO_TAKES:
             return
         try:
-            self.page.show_take(self.page._takes / self.take_choice.value)
+            self.page.show_take(self.page._takes.find(self.take_choice.value).path)
         except InputError as error:
             self.take_text.content = escape(str(error))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
-from motion_export.motion import Motion
+from motion_export.motion import Motion, point_deviations
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..recording.reader import SIDECAR_RIG
@@ -77,7 +77,7 @@ class Playback:
         for body_id, motion in self.motions.items():
             frame = round((self.position_s - (motion.start_ns - self.begins_ns) / 1e9) * motion.rate_hz)
             if 0 <= frame < len(motion) and motion.tracked[frame]:
-                sigma = np.sqrt(np.trace(motion.covariance[frame], axis1=-2, axis2=-1) / 3.0)
+                sigma = point_deviations(motion.covariance[frame])
                 figures[body_id] = Figure(motion.points_world[frame], sigma, str(motion.states[frame]))
         return figures
 

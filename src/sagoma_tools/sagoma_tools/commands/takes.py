@@ -1,0 +1,304 @@
+"""``sagoma takes``: list, show, rename, trim and delete recorded takes, check them, and measure them anew."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from capture_rig.errors import InputError
+
+from ..arguments import table_console
+from ..takes.folder import TAKES, TakesFolder
+from ..takes.measure import digests
+from ..takes.summary_file import finish_take
+from ..takes.take import Background, Summary, Take, TakeState
+from ..takes.trim import trim
+from ..takes.verify import ERROR, OK, WARNING, Check, verify
+
+MIB = 1 << 20
+STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
+CHECK_STYLE = {OK: "green", WARNING: "yellow", ERROR: "red"}
+PROGRESS_EVERY = 5000  # messages
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand with its verbs."""
+    parser = subparsers.add_parser("takes", help="list, show, rename, trim, delete and check recorded takes")
+    verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
+
+    def verb(
+        name: str, run: Callable[[argparse.Namespace], int], text: str, take: bool = True
+    ) -> argparse.ArgumentParser:
+        added = verbs.add_parser(name, help=text)
+        if take:
+            added.add_argument("take", help="a take's name, or the folder of a bag")
+        added.add_argument("--takes", default=TAKES, metavar="FOLDER", help=f"folder of the takes (default: {TAKES})")
+        added.set_defaults(run=run)
+        return added
+
+    for name, run, text, takes_one in (
+        ("list", list_takes, "all takes, the newest first", False),
+        ("show", show, "everything that is known of a take", True),
+        ("verify", check, "is all of it readable, and as it was recorded? (exit status 1 if not)", True),
+    ):
+        verb(name, run, text, takes_one).add_argument("--json", action="store_true", help="for programs")
+    verb("rename", rename, "give a take another name").add_argument("name", help="the new name")
+    cut = verb("trim", trim_take, "make a new take of a part; the take stays as it is")
+    cut.add_argument("name", help="the new take's name")
+    cut.add_argument("--from", dest="from_s", type=float, default=0.0, metavar="S", help="second at which it begins")
+    cut.add_argument("--to", dest="to_s", type=float, metavar="S", help="second at which it ends (default: the end)")
+    verb("delete", delete, "move a take into the bin")
+    verb("restore", restore, "bring a deleted take back").add_argument("--name", default="", help="under this name")
+    verb("bin", show_bin, "what is in the bin", False)
+    verb("empty", empty, "remove what is in the bin for good", False).add_argument(
+        "--yes", action="store_true", help="without asking"
+    )
+    verb("measure", measure_anew, "measure a take's figures anew (or those of an old bag), and keep them")
+
+
+def list_takes(args: argparse.Namespace) -> int:
+    """Print a line a take."""
+    folder = TakesFolder(Path(args.takes))
+    takes = folder.takes()
+    if args.json:
+        print(json.dumps([take.document() for take in takes], indent=1))
+        return 0
+    if not takes:
+        print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
+        return 0
+    console, table = table_console(), Table(box=None, pad_edge=False)
+    for title, right in (("take", 0), ("recorded", 0), ("seconds", 1), ("sets/s", 1), ("persons", 1), ("tracked", 1)):
+        table.add_column(title, justify="right" if right else "left", no_wrap=True)
+    for title in ("doubtful", "± mm", "dropped", "MB"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("", ratio=1)
+    for take in takes:
+        table.add_row(take.name, _date(take.began_ns), *_figures(take), _remark(take), style=STATE_STYLE[take.state])
+    console.print(table)
+    for take in takes:
+        if take.problem:
+            console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
+    if any(take.state is TakeState.WHOLE and take.summary is None for take in takes):
+        console.print("not measured: `sagoma takes measure TAKE` measures it", highlight=False)
+    deleted = len(folder.deleted())
+    if deleted:
+        console.print(f"{deleted} in the bin: `sagoma takes bin`")
+    return 0
+
+
+def show(args: argparse.Namespace) -> int:
+    """Print everything that is known of a take; 1 when it cannot be read."""
+    folder, name = chosen(args)
+    take = folder.find(name)
+    if args.json:
+        print(json.dumps(take.document(), indent=1))
+        return 0 if take.state is TakeState.WHOLE else 1
+    console = table_console()
+    console.print(
+        f"{take.name}   {_date(take.began_ns)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold"
+    )
+    console.print(f"  {take.path.resolve()}", highlight=False)
+    if take.state is not TakeState.WHOLE:
+        console.print(f"  {take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
+        return 1
+    console.print(f"  recorded by sagoma {take.software or '(unknown version)'}", highlight=False)
+    if take.trimmed_from is not None:
+        console.print(f"  {origin(take)}", highlight=False)
+    if take.summary is None:
+        console.print(f"  no figures: recorded by an older version (`sagoma takes measure {take.name}` measures them)")
+    else:
+        _show_summary(console, take.summary)
+    console.print(f"  {sum(take.topics.values())} messages on {len(take.topics)} topics")
+    return 0
+
+
+def check(args: argparse.Namespace) -> int:
+    """Print what every check found; 1 when one found an error."""
+    folder, name = chosen(args)
+    checks = verify(folder.find(name), counter("read"))
+    if args.json:
+        print(json.dumps([vars(each) for each in checks], indent=1))
+    else:
+        print_checks(checks)
+    return 1 if any(each.grade == ERROR for each in checks) else 0
+
+
+def print_checks(checks: list[Check]) -> None:
+    """Print a line a check."""
+    console = table_console()
+    for each in checks:
+        console.print(f"{each.grade:8s}", style=CHECK_STYLE[each.grade], end="", highlight=False)
+        console.print(each.text, markup=False, highlight=False)
+
+
+def rename(args: argparse.Namespace) -> int:
+    """Give a take another name."""
+    folder, name = chosen(args)
+    print(f"{name} is now {folder.rename(name, args.name).name}")
+    return 0
+
+
+def trim_take(args: argparse.Namespace) -> int:
+    """Make a new take of a part."""
+    folder, name = chosen(args)
+    path = trim(folder, name, args.name, args.from_s, args.to_s, counter("copied"))
+    made = folder.find(path.name)
+    print(f"made {path}: {made.summary.quality.seconds if made.summary else made.seconds:.1f} s, {origin(made)}")
+    return 0
+
+
+def delete(args: argparse.Namespace) -> int:
+    """Move a take into the bin."""
+    folder, name = chosen(args)
+    deleted = folder.delete(name)
+    takes = "" if args.takes == str(folder.path) == TAKES else f" --takes '{folder.path}'"
+    print(f"{deleted.name} is in the bin (`sagoma takes restore '{deleted.name}'{takes}` brings it back)")
+    return 0
+
+
+def restore(args: argparse.Namespace) -> int:
+    """Bring a deleted take back."""
+    print(f"{TakesFolder(Path(args.takes)).restore(args.take, args.name)} is back")
+    return 0
+
+
+def show_bin(args: argparse.Namespace) -> int:
+    """Print what is in the bin."""
+    deleted = TakesFolder(Path(args.takes)).deleted()
+    for take in deleted:
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.strptime(take.when, "%Y%m%d-%H%M%S"))
+        print(f"{take.name}   deleted {when}")
+    if not deleted:
+        print("the bin is empty")
+    return 0
+
+
+def empty(args: argparse.Namespace) -> int:
+    """Remove what is in the bin for good, when the user says so."""
+    folder = TakesFolder(Path(args.takes))
+    count = len(folder.deleted())
+    if count and not args.yes:
+        if not sys.stdin.isatty():
+            raise InputError(f"{count} takes would be removed for good", where="the bin", remedy="Say so: --yes.")
+        if input(f"remove {count} takes for good? [y/N] ").strip().lower() not in ("y", "yes"):
+            print("nothing was removed")
+            return 0
+    print(f"removed {len(folder.empty_bin())} takes for good")
+    return 0
+
+
+def measure_anew(args: argparse.Namespace) -> int:
+    """Measure a take anew; refused where its files are not those that were recorded."""
+    folder, name = chosen(args)
+    take = folder.find(name)
+    if take.summary is not None and take.summary.files != digests(take.path):
+        remedy = f"See `sagoma takes verify {name}`; bring the take back from a copy."
+        raise InputError("its files are not those that were recorded", where=str(take.path), remedy=remedy)
+    summary = finish_take(take.path, counter("read")) if take.state is TakeState.WHOLE else None
+    if summary is None:
+        raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
+    _show_summary(table_console(), summary)
+    return 0
+
+
+def chosen(args: argparse.Namespace) -> tuple[TakesFolder, str]:
+    """Return the folder and name of the take that was given by its name in the folder of takes, or by its path."""
+    given = Path(args.take)
+    if given.name == args.take and (Path(args.takes) / given).exists():
+        return TakesFolder(Path(args.takes)), args.take
+    if given.exists():
+        path = given.resolve()
+        return TakesFolder(path.parent), path.name
+    return TakesFolder(Path(args.takes)), args.take
+
+
+def counter(verb: str) -> Callable[[int], None]:
+    """Return a callback that shows the number of messages on a terminal."""
+    console = Console(stderr=True)
+
+    def shown(number: int) -> None:
+        if console.is_terminal and number % PROGRESS_EVERY == 0:
+            console.print(f"{verb} {number} messages", end="\r")
+
+    return shown
+
+
+# texts -----------------------------------------------------------------------------------------------------------
+
+
+def origin(take: Take) -> str:
+    """Say of which take it is a part."""
+    part = take.trimmed_from
+    if part is None:
+        return ""
+    to_s = "its end" if part.get("to_s") is None else f"{part['to_s']:g} s"
+    return f"trimmed from {part.get('take')}, {part.get('from_s'):g} s to {to_s}"
+
+
+def _date(ns: int) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(ns / 1e9)) if ns else "-"
+
+
+def _figures(take: Take) -> tuple[str, ...]:
+    """Seconds, rate, persons, tracked, doubtful, uncertainty, drops, size."""
+    size = f"{take.bytes / MIB:.1f}"
+    if take.summary is None:
+        return (f"{take.seconds:.1f}" if take.topics else "-", "-", "-", "-", "-", "-", "-", size)
+    quality, persons = take.summary.quality, take.summary.persons.values()
+    seconds, rate = f"{quality.seconds:.1f}", f"{quality.sets_per_s:.1f}"
+    if not persons:
+        return (seconds, rate, "0", "-", "-", "-", f"{quality.unanswered}", size)
+    rows = sum(person.rows for person in persons)
+    return (
+        seconds,
+        rate,
+        str(len(persons)),
+        f"{100 * min(person.coverage for person in persons):.0f} %",
+        f"{100 * sum(person.doubtful * person.rows for person in persons) / rows:.0f} %",
+        f"{sum(person.sd_mm * person.rows for person in persons) / rows:.0f}",
+        str(quality.unanswered),
+        size,
+    )
+
+
+def _remark(take: Take) -> str:
+    if take.state is not TakeState.WHOLE:
+        return str(take.state)
+    return origin(take) if take.summary is not None else "not measured"
+
+
+def _show_summary(console: Console, summary: Summary) -> None:
+    quality = summary.quality
+    back = f", stamps went back {quality.stamps_back} times" if quality.stamps_back else ""
+    console.print(
+        f"  {quality.sets} frame sets in {quality.seconds:.2f} s ({quality.sets_per_s:.1f} a second, mostly at "
+        f"{quality.rate_hz:g} Hz); {quality.incomplete} incomplete, {quality.unanswered} dropped{back}",
+        highlight=False,
+    )
+    for name, person in summary.persons.items():
+        console.print(
+            f"  {name}: {person.rows} poses, tracked in {100 * person.coverage:.1f} % of its time, doubtful in "
+            f"{100 * person.doubtful:.1f} %, lost in {100 * person.lost:.1f} %; standard deviation of a point "
+            f"{person.sd_mm:.0f} mm (median), {person.sd_95_mm:.0f} mm (95 %)",
+            highlight=False,
+        )
+    for name, camera in summary.cameras.items():
+        lost = f", lost {camera.lost} of {camera.expected}" if camera.lost is not None else ""
+        what = " ".join(filter(None, (camera.model, camera.serial))) or "model and serial unknown"
+        console.print(f"  {name}: {camera.frames} silhouettes{lost}; {what}", highlight=False)
+        for background in camera.backgrounds:
+            console.print(f"      background: {background_text(background)}", highlight=False)
+
+
+def background_text(background: Background) -> str:
+    """Say what a background was, when it was learned and of which camera."""
+    learned = f"; learned {background.learned}" if background.learned else ""
+    serial = f" of {background.serial}" if background.serial else ""
+    return f"{background.description}{learned}{serial}"

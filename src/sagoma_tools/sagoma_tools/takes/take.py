@@ -1,0 +1,190 @@
+"""What is known of a take, as plain data: who was recorded, by which cameras and backgrounds, and how well."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from capture_rig.errors import InputError
+
+FORMAT = 1
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,79}")
+"""Of a take: a folder's name on every system, and none that leads out of the folder of takes."""
+REMEDY = "Measure the take anew: `sagoma takes measure TAKE`."
+
+
+def check_name(name: str) -> str:
+    """Return the name without blanks around it. Raises InputError for one that no take can have."""
+    name = name.strip()
+    if not NAME.fullmatch(name) or name.endswith("."):
+        remedy = "Use up to 80 letters, digits, blanks, points, dashes and underscores, a letter or digit first."
+        raise InputError(f"'{name[:100]}' is no name for a take", where="name", remedy=remedy)
+    return name
+
+
+class TakeState(StrEnum):
+    """Whether a take can be used."""
+
+    WHOLE = "whole"
+    UNFINISHED = "unfinished"
+    """it is being recorded, or its recorder was killed"""
+    DAMAGED = "damaged"
+
+
+@dataclass(frozen=True)
+class Background:
+    """A background that a camera used. learned : when (ISO 8601), "" if unknown; serial : of the camera it is of."""
+
+    description: str
+    learned: str = ""
+    serial: str = ""
+
+
+@dataclass(frozen=True)
+class CameraRecord:
+    """One camera of a take: what it was, its backgrounds in the order of their use, and frames that it lost.
+
+    frames : silhouettes in the bag. lost : frames that the camera client did not get whole, of those ``expected``
+    meanwhile; None where the bag has no diagnostics of it.
+    """
+
+    frames: int
+    serial: str = ""
+    model: str = ""
+    backgrounds: tuple[Background, ...] = ()
+    lost: int | None = None
+    expected: int | None = None
+
+
+@dataclass(frozen=True)
+class PersonRecord:
+    """How one person was followed.
+
+    rows : frame sets with a pose. coverage : share of the frame sets from the person's first to the last one that have
+    a pose which is not lost. doubtful, lost : share of the poses in that state. sd_mm, sd_95_mm : standard deviation
+    of a point in one direction, median and 95th percentile over all points of all rows.
+    """
+
+    rows: int
+    coverage: float
+    doubtful: float
+    lost: float
+    sd_mm: float
+    sd_95_mm: float
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Figures of a take, by the stamps of its frame sets.
+
+    begins_ns, ends_ns : stamps of the first and last frame set. sets : frame sets. rate_hz : by their median interval.
+    incomplete : sets in which a camera was missing. unanswered : sets that the tracker left out. stamps_back : how
+    often stamps went back (footage played again).
+    """
+
+    begins_ns: int
+    ends_ns: int
+    sets: int
+    rate_hz: float
+    incomplete: int
+    unanswered: int
+    stamps_back: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame set to the last."""
+        return (self.ends_ns - self.begins_ns) / 1e9
+
+    @property
+    def sets_per_s(self) -> float:
+        """Frame sets a second, on average."""
+        return (self.sets - 1) / self.seconds if self.ends_ns > self.begins_ns else 0.0
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a take's own messages say of it; ``body`` : the first person's sizes last published, as a body file's text.
+
+    files : name -> size and SHA-256 of the recorded files. measured_by : the software that measured the figures.
+    """
+
+    quality: Quality
+    cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
+    persons: Mapping[str, PersonRecord] = field(default_factory=dict)
+    body: str = ""
+    files: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    measured_by: str = ""
+
+    def document(self) -> dict[str, Any]:
+        """Return the summary as plain data, which :meth:`parse` reads."""
+        return {"format": FORMAT, **_plain(asdict(self))}
+
+    @classmethod
+    def parse(cls, document: Mapping[str, Any], where: str) -> Summary:
+        """Read :meth:`document`. Raises InputError for anything else."""
+        if document.get("format") != FORMAT:
+            raise InputError(f"has format {document.get('format')!r}, not {FORMAT}", where=where, remedy=REMEDY)
+        try:
+            cameras = {str(name): _camera(values) for name, values in document["cameras"].items()}
+            persons = {str(name): PersonRecord(**values) for name, values in document["persons"].items()}
+            quality, rest = Quality(**document["quality"]), (document["body"], document["files"])
+            return cls(quality, cameras, persons, *rest, document["measured_by"])
+        except (KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"is no summary of a take ({error})", where=where, remedy=REMEDY) from error
+
+    def same_figures(self, other: Summary) -> bool:
+        """Do both hold the same figures, whoever measured them?"""
+        return all(
+            _plain(asdict(self))[key] == _plain(asdict(other))[key] for key in ("quality", "cameras", "persons", "body")
+        )
+
+
+@dataclass(frozen=True)
+class Take:
+    """A take in a folder.
+
+    state : whether it can be used; problem : why not, with the remedy. began_ns : log time of its first message;
+    seconds : of log time; bytes : on disk; topics : messages by topic. software : that recorded it, "" if unknown.
+    trimmed_from : the take, and from and to which second, where it is a part of another. summary : None where the take
+    has none: recorded by an older version, or not measured yet.
+    """
+
+    path: Path
+    state: TakeState = TakeState.WHOLE
+    problem: str = ""
+    began_ns: int = 0
+    seconds: float = 0.0
+    bytes: int = 0
+    topics: Mapping[str, int] = field(default_factory=dict)
+    software: str = ""
+    trimmed_from: Mapping[str, Any] | None = None
+    summary: Summary | None = None
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.path.name
+
+    def document(self) -> dict[str, Any]:
+        """Return everything as plain data."""
+        plain = {key: value for key, value in asdict(self).items() if key not in ("path", "summary")}
+        summary = None if self.summary is None else self.summary.document()
+        return {"name": self.name, "path": str(self.path), **_plain(plain), "summary": summary}
+
+
+def _camera(values: Mapping[str, Any]) -> CameraRecord:
+    backgrounds = tuple(Background(**background) for background in values["backgrounds"])
+    return CameraRecord(**{**values, "backgrounds": backgrounds})
+
+
+def _plain(value: Any) -> Any:
+    """Return nested data with nothing in it but what YAML and JSON have."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(each) for each in value]
+    return str(value) if isinstance(value, TakeState) else value

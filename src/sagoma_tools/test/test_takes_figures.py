@@ -1,0 +1,110 @@
+"""Figures of a take, parts of it, and whether it is what was recorded."""
+
+import pytest
+import take_bags
+from take_bags import EPOCH_NS, PERIOD_NS
+
+from capture_rig.errors import InputError
+from sagoma_tools.recording.reader import bag_topics, read_messages, read_provenance
+from sagoma_tools.recording.recorded_motion import recorded_motions
+from sagoma_tools.takes.folder import TakesFolder
+from sagoma_tools.takes.measure import measure
+from sagoma_tools.takes.summary_file import finish_take, read_summary
+from sagoma_tools.takes.take import Background, Summary
+from sagoma_tools.takes.trim import trim
+from sagoma_tools.takes.verify import ERROR, OK, WARNING, verify
+
+
+@pytest.fixture()
+def takes(tmp_path):
+    folder = TakesFolder(tmp_path / "takes")
+    path = folder.new_path("walk")
+    take_bags.write_take(path, 50, doubtful=range(10, 15), lost=range(22, 24), missing=range(30, 34))
+    finish_take(path)
+    return folder
+
+
+def grades(take):
+    return {check.grade for check in verify(take)}
+
+
+def test_figures_are_those_of_the_messages(takes):
+    summary = measure(takes.path / "walk")
+    quality, person = summary.quality, summary.persons["b0001"]
+    assert (quality.begins_ns, quality.ends_ns) == (EPOCH_NS, EPOCH_NS + 49 * PERIOD_NS)
+    assert (quality.sets, quality.rate_hz, quality.incomplete, quality.unanswered) == (50, 50.0, 4, 4)
+    assert quality.seconds == pytest.approx(0.98) and quality.sets_per_s == pytest.approx(50.0)
+    assert (person.rows, person.coverage) == (46, pytest.approx(44 / 50))
+    assert person.doubtful == pytest.approx(5 / 46, abs=1e-4) and person.lost == pytest.approx(2 / 46, abs=1e-4)
+    assert person.sd_mm == pytest.approx(1e3 * take_bags.SIGMA_M, abs=1e-3)
+    first, second = summary.cameras["cam01"], summary.cameras["cam02"]
+    assert (first.frames, first.serial, first.lost, first.expected) == (50, "S1", 4, 40)
+    assert (second.frames, second.lost, second.backgrounds) == (46, None, ())
+    assert [background.learned[14:16] for background in first.backgrounds] == ["00", "05"]
+    assert first.backgrounds[0] == Background("good; 100 frames", "2026-11-22T18:00:00+00:00", "S1")
+    assert "lengths" in summary.body
+
+
+def test_a_summary_is_read_back_as_it_was_written(takes):
+    stored = read_summary(takes.path / "walk")
+    assert stored == measure(takes.path / "walk") and stored.same_figures(measure(takes.path / "walk"))
+    for broken in ({}, {"format": 1}, {**stored.document(), "cameras": 3}, {**stored.document(), "quality": {}}):
+        with pytest.raises(InputError, match=r"take\.yaml"):
+            Summary.parse(broken, "take.yaml")
+
+
+def test_a_part_is_a_new_take_that_says_what_it_is_of(takes):
+    whole = takes.path / "walk"
+    before = {path.name: path.read_bytes() for path in whole.iterdir()}
+    path = trim(takes, "walk", "middle", 0.1, 0.4)
+    assert {file.name: file.read_bytes() for file in whole.iterdir()} == before
+    made = takes.find("middle")
+    assert made.trimmed_from["take"] == "walk" and (made.trimmed_from["from_s"], made.trimmed_from["to_s"]) == (
+        0.1,
+        0.4,
+    )
+    assert made.trimmed_from["files"] == read_summary(whole).files
+    assert made.software == takes.find("walk").software and read_provenance(path)["graph"] == {}
+    assert (made.summary.quality.begins_ns, made.summary.quality.sets) == (EPOCH_NS + 5 * PERIOD_NS, 16)
+    assert bag_topics(path) == bag_topics(whole)
+    kept = [m.data for m in read_messages(whole, "/mocap/torso".__eq__)][5:21]
+    assert [m.data for m in read_messages(path, "/mocap/torso".__eq__)] == kept
+    assert sum(1 for _ in read_messages(path, "/icp/body".__eq__)) == 1  # from before the cut
+    assert sum(1 for _ in read_messages(path, "/diagnostics".__eq__)) == 2
+    assert len(recorded_motions(path)["b0001"]) == 16
+    assert [file.name for file in path.glob("*.mcap")] == ["middle.mcap"]
+    assert {file.name for file in takes.path.iterdir()} == {"walk", "middle"}
+    assert trim(takes, "middle", "less", 0.1).name == "less"
+    assert takes.find("less").trimmed_from["trimmed_from"]["take"] == "walk"
+
+
+@pytest.mark.parametrize(("from_s", "to_s"), [(-1.0, 1.0), (0.5, 0.5), (2.0, 3.0), (0.6, 0.2), (0.101, 0.102)])
+def test_a_part_that_is_none_is_refused_and_leaves_nothing(takes, from_s, to_s):
+    with pytest.raises(InputError, match=r"part"):
+        trim(takes, "walk", "middle", from_s, to_s)
+    assert {file.name for file in takes.path.iterdir()} == {"walk"}
+
+
+def test_a_trim_overwrites_nothing(takes):
+    with pytest.raises(InputError, match="already"):
+        trim(takes, "walk", "walk", 0.1, 0.4)
+    with pytest.raises(InputError, match="no name"):
+        trim(takes, "walk", "../walk", 0.1, 0.4)
+
+
+def test_a_take_is_verified_and_a_changed_byte_is_found(takes):
+    assert grades(takes.find("walk")) == {OK, WARNING}  # there is no rig
+    file = takes.path / "walk" / "walk.mcap"
+    content = bytearray(file.read_bytes())
+    content[content.index(b"good; 100 frames")] ^= 1
+    file.write_bytes(content)
+    checks = verify(takes.find("walk"))
+    assert any(check.grade == ERROR and "SHA-256" in check.text for check in checks)
+    file.write_bytes(content[: len(content) // 2])
+    assert ERROR in grades(takes.find("walk"))
+
+
+def test_a_take_of_before_is_verified_as_far_as_it_can_be(tmp_path):
+    takes = TakesFolder(tmp_path)
+    take_bags.write_take(tmp_path / "old", 10)
+    assert grades(takes.find("old")) == {OK, WARNING}
