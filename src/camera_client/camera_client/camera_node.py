@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -115,7 +116,8 @@ class CameraNode(SagomaNode):
         mask_png.warm_up()
         if not self.source.shape:
             self.chain.check_background_file()
-        self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # it reports while simulated time stands still, too
+        self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report, clock=steady))
         self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
         if settings.source != "footage" or settings.footage.rate > 0:
             rules = self.create_subscription(DiagnosticArray, THINNING_TOPIC, self._on_thinning, LATCHED)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from camera_client.gige.camera_clock import CameraClock, ClockReading, read_clock
-from camera_client.gige.capture_time import CameraTime, FrameTimes, PtpTime, choose_time_source
+from camera_client.gige.capture_time import ArrivalTime, CameraTime, FrameTimes, PtpTime, choose_time_source
 from camera_client.gige.features import DeviceRefusal
 from capture_rig.errors import InputError
 
@@ -254,3 +254,12 @@ def test_ptp_that_does_not_fit_the_host_is_left_or_refused(reading, status, reas
     assert source.name.startswith("camera") and "PTP is not used" in warning
     with pytest.raises(InputError, match=f"{reason}.*stamp_source"):
         choose("ptp", reading, status)
+
+
+def test_stamps_follow_a_host_clock_that_was_set_back_and_no_smaller_step():
+    source = ArrivalTime()
+    arrivals = [HOST_EPOCH_NS, HOST_EPOCH_NS + 10 * MS, HOST_EPOCH_NS + 5 * MS]  # the last one: hardly delayed
+    stamps = [source.stamp(FrameTimes(None, arrival, 0)).ns for arrival in arrivals]
+    assert stamps == [HOST_EPOCH_NS, HOST_EPOCH_NS + 10 * MS, HOST_EPOCH_NS + 10 * MS + 1]
+    back = [HOST_EPOCH_NS - 3600 * SECOND + k * PERIOD_NS for k in range(3)]
+    assert [source.stamp(FrameTimes(None, arrival, 0)).ns for arrival in back] == back

@@ -45,8 +45,9 @@ def test_camera_without_a_name_takes_the_namespace(bench, session, scene):
     assert camera.masks[0].header.frame_id == f"{name}_optical"
 
 
-def test_end_of_footage_is_said_and_the_next_activation_plays_again(bench, session, scene):
-    camera = bench(**session.parameters).start()
+@pytest.mark.parametrize("simulated", [False, True], ids=["", "simulated time stands still"])
+def test_end_of_footage_is_said_and_the_next_activation_plays_again(bench, session, scene, simulated):
+    camera = bench(**session.parameters, use_sim_time=simulated).start()
     camera.until(lambda: len(camera.masks) == FRAMES)
     camera.until_said(f"end of footage after {FRAMES} frames")
     assert camera.node.trigger_deactivate() == SUCCESS

@@ -204,6 +204,7 @@ class EkfNode(SagomaNode):
             back_s = 1e-9 * (before_ns - stamp_ns)
             self.get_logger().warning(f"stamps went back by {back_s:.3f} s: a new beginning, for everybody")
             self._forget_states()
+            self._latency.forget()
         return order is Order.PAST
 
     def _filtered(self, stamp_ns: int, measured: PeoplePoints) -> dict[int, Answer]:

@@ -37,6 +37,11 @@ class LatencyReport:
                 joined = self._book.answered(stamp_ns, fitted_ns, self.now_ns())
             self._publish(joined)
 
+    def forget(self) -> None:
+        """Drop sets that are known by half: stamps begin anew."""
+        with self._lock:
+            self._book.forget()
+
     def close(self) -> None:
         """Release topics and timer."""
         self._node.destroy_timer(self._timer)

@@ -83,6 +83,7 @@ class HullNode(SagomaNode):
         self.refused: dict[str, str] = {}  # camera: why
         self._judged_infos: dict[str, bytes] = {}  # the last camera_info of each camera
         self._heard_ns: dict[str, int] = {}
+        self._last_stamp_ns = 0  # of the newest set that has closed
         self._newest: HullResult | None = None
         self.health.describe(self._describe)
         self._left_out: tuple[str, ...] = ()
@@ -124,6 +125,7 @@ class HullNode(SagomaNode):
         self._slicer = Worker("slicer", self._finish, 1, on_drop=dropped, on_error=self.report)
         self._carver = Worker("carver", self._begin, settings.queue_depth, on_drop=dropped, on_error=self.report)
         self._heard_ns = dict.fromkeys(self._canvases, monotonic_ns())
+        self._last_stamp_ns = 0
         self._collector = FrameSetCollector(
             self._canvases,
             tolerance_ns=round(settings.tolerance_s * 1e9),
@@ -254,10 +256,18 @@ class HullNode(SagomaNode):
 
     def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
         for frame_set in closed:
+            self._note_restart(frame_set.stamp_ns)
             if self._carver is not None:
                 closed_ns = self.get_clock().now().nanoseconds
                 self._overload.closed(frame_set, closed_ns - frame_set.stamp_ns)
                 self._carver.put(ClosedSet(frame_set, closed_ns))
+
+    def _note_restart(self, stamp_ns: int) -> None:
+        """Say once that the stamps of the rig went back; counted by the collector."""
+        back_ns = self._last_stamp_ns - stamp_ns
+        self._last_stamp_ns = stamp_ns
+        if back_ns > 0:
+            self.get_logger().warning(f"stamps went back by {back_ns / 1e9:.3f} s: a new beginning")
 
     def _begin(self, closed: ClosedSet) -> None:
         """Begin to carve one frame set, on the carver's thread."""

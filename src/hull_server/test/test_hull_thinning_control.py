@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import overload_simulation
 import pytest
 from overload_simulation import MS, Answer, S, Simulation
 
@@ -170,6 +171,16 @@ def test_clock_that_is_set_thins_nothing_for_long() -> None:
     graph.clock_error_ns = 400 * MS
     graph.run(5)
     assert graph.fraction == 1.0
+
+
+def test_bag_that_is_looped_is_not_thinned_for_the_age_of_its_stamps(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = Simulation()
+    for _ in range(3):
+        graph.run(5)
+        monkeypatch.setattr("overload_simulation.EPOCH_NS", overload_simulation.EPOCH_NS - 5 * S)
+        graph.clock_error_ns += 5 * S  # sets of the same stamps are older with each round
+    graph.run(5)
+    assert all(rule.fraction == 1.0 for rule in graph.rules)
 
 
 def test_footage_that_begins_again_is_thinned_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,8 +87,9 @@ class FilterFeedback:
         self._asked_ns = stamp_ns
 
     def forget(self) -> None:
-        """Forget what was asked: stamps begin anew."""
+        """Forget what was asked and what was answered: stamps begin anew, and may be those of earlier answers."""
         self._asked_ns = None
+        self.mailbox.forget()
 
     def after_previous_set(self) -> Mapping[int, Prediction]:
         """Return each person's state after the set last asked for, or the newest before it when that did not come in

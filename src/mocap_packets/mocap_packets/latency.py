@@ -45,6 +45,11 @@ class LatencyBook:
         self._hulls: OrderedDict[int, HullTimes] = OrderedDict()
         self._answers: OrderedDict[int, tuple[int, int]] = OrderedDict()
 
+    def forget(self) -> None:
+        """Drop the halves that wait: stamps begin anew, and may be those of earlier sets."""
+        self._hulls.clear()
+        self._answers.clear()
+
     def left_hull(self, times: HullTimes) -> SetLatency | None:
         """Take the hull server's times of a set; returns it once both halves are known."""
         _keep(self._hulls, times.stamp_ns, times)

@@ -19,3 +19,10 @@ def test_sets_that_are_never_answered_are_forgotten():
     for stamp in range(SETS_KEPT + 1):
         book.left_hull(HullTimes(stamp, stamp, stamp))
     assert book.answered(0, 1, 2) is None and book.answered(1, 2, 3) is not None
+
+
+def test_halves_of_sets_before_a_new_beginning_join_none_of_the_same_stamp():
+    book = LatencyBook()
+    book.left_hull(HullTimes(100, 100 + 9 * MS, 100 + 15 * MS))
+    book.forget()
+    assert book.answered(100, 100 + 20 * MS, 100 + 21 * MS) is None

@@ -130,6 +130,11 @@ class Mailbox(Generic[T]):
         with self._changed:
             return self._items[max(self._items)] if self._items else None
 
+    def forget(self) -> None:
+        """Drop what is stored: stamps begin anew."""
+        with self._changed:
+            self._items.clear()
+
     def close(self) -> None:
         """Release the threads that wait."""
         with self._changed:

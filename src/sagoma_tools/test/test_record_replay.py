@@ -2,6 +2,7 @@
 
 import re
 import threading
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -91,6 +92,20 @@ def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate(rate):
     assert play_timed(messages, publishers, clock, rate) == 5
     assert clock.waited == pytest.approx([1000.0 + ms / 1000 / rate for ms in log_ms])
     assert publishers.published == messages
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_simulated_clock_shows_the_bags_time_at_the_bags_pace(rate):
+    ticks, order = [], []
+    messages = [BagMessage("/x", SILHOUETTE, EPOCH_NS + ms * 1_000_000, b"") for ms in (0, 35, 100)]
+    clock = CountingClock()
+    simulated = SimpleNamespace(hz=50.0, show=lambda ns: ticks.append((clock.time_s, ns)) or order.append(ns))
+    publishers = SimpleNamespace(publish=lambda message: order.append(message.log_ns))
+    assert play_timed(messages, publishers, clock, rate, simulated) == 3
+    assert len(ticks) == round(100 / rate / 20)  # every 20 ms of the player's time, from the first message on
+    for at_s, shown_ns in ticks:
+        assert shown_ns - EPOCH_NS == pytest.approx((at_s - 1000.0) * rate * 1e9, abs=1000)
+    assert order == sorted(order)  # nothing of the bag is sent long before the clock shows its time
 
 
 def test_timed_replay_ends_when_it_is_stopped():

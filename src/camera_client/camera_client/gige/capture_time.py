@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from capture_rig.errors import InputError
+from mocap_packets.frame_set import LEAP_NS
 
 from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock, ClockReading
 
@@ -54,14 +55,15 @@ class TimeSource(Protocol):
 
 
 class _Increasing:
-    """Keeps stamps from going back."""
+    """Keeps stamps from going back, but for clocks that were set back: from then on they go with the clock."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
 
     def after_last(self, stamp_ns: int) -> int:
-        """``stamp_ns``, or a nanosecond after the last one if that is later."""
-        self._last_ns = stamp_ns if self._last_ns is None else max(stamp_ns, self._last_ns + 1)
+        """``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
+        earlier = self._last_ns is not None and 0 <= self._last_ns - stamp_ns < LEAP_NS
+        self._last_ns = self._last_ns + 1 if earlier and self._last_ns is not None else stamp_ns
         return self._last_ns
 
 

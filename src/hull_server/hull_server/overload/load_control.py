@@ -167,6 +167,13 @@ class LoadControl:
         self._settled_ns, self._changed_ns = stamp_ns, now_ns
         self._closings, self._answers = Throughput(), Throughput()
 
+    def begin_anew(self, stamp_ns: int, now_ns: int) -> None:
+        """Forget the sets so far: stamps begin anew here, perhaps with those of earlier sets, and so do ages."""
+        self._sets.clear()
+        self._open.clear()
+        self._age = Shortest()
+        self.begin_at(stamp_ns, now_ns)
+
     def closed_share(self, rate_hz: float, now_ns: int) -> float:
         """Return how many sets have closed at the present rate, over those that a rate makes one expect."""
         return self._closings.share(rate_hz, 1.0, now_ns)

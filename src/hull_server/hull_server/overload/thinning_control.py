@@ -157,11 +157,12 @@ class ThinningControl:
 
     def _begin_anew(self, stamp_ns: int, now_ns: int) -> None:
         """Take up a new run of stamps: until its exposures are known, every frame is kept."""
-        self.news = f"stamps went on {(stamp_ns - self._closed[-1][1]) / NS_PER_S:.3f} s later"
+        apart_s = (stamp_ns - self._closed[-1][1]) / NS_PER_S
+        self.news = f"stamps went on {apart_s:.3f} s later" if apart_s > 0 else f"stamps went back by {-apart_s:.3f} s"
         self._clock.forget()
         self._closed.clear()
         self._head_ns, self._told_ns = stamp_ns, None
-        self._load.begin_at(stamp_ns, now_ns)
+        self._load.begin_anew(stamp_ns, now_ns)
         self._selector.follow(replace(EVERY_FRAME, from_ns=stamp_ns), now_ns)
 
     def _lost_cameras(self, now_ns: int) -> str:

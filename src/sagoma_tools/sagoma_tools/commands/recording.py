@@ -11,11 +11,12 @@ from capture_rig.rig import load_rig
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, parse_settings
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
-from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, topics_of_others
+from ..graph.topics import CLOCK_TOPIC, DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, topics_of_others
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder, read_configuration
 from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
+from ..recording.simulated_clock import CLOCK_HZ, SimulatedClock
 from ..recording.writer import recover_bag, require_new
 from ..takes.summary_file import finish_take
 
@@ -37,6 +38,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--rate", type=float, default=1.0, help="speed as a factor of the recorded timing")
     help_topics = "inputs: what cameras send, for the graph; outputs: the rest, for viewers"
     parser.add_argument("--topics", choices=("inputs", "outputs", "all"), default="inputs", help=help_topics)
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
+    help_clock = "publish the bag's time on /clock (HZ times a second), for nodes with use_sim_time"
+    parser.add_argument("--clock", nargs="?", type=float, const=CLOCK_HZ, metavar="HZ", help=help_clock)
     parser.add_argument("--lockstep", action="store_true", help="send the next frame set when the EKF has answered")
     parser.add_argument("--graph", action="store_true", help="with --lockstep: start the server's nodes for this run")
     parser.add_argument("--output", metavar="BAG", help="with --graph: record the graph's output into this bag")
@@ -96,12 +100,21 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
     types = bag_topics(args.bag)
     inputs = set(input_topics(args.bag))
     wanted = {"inputs": inputs, "outputs": set(types) - inputs, "all": set(types)}[args.topics]
+    simulated = None if args.clock is None else SimulatedClock(link.node, args.clock)
+    if simulated is not None:
+        wanted.discard(CLOCK_TOPIC)  # one clock is enough
     publishers = InputPublishers(link.node, {name: types[name] for name in sorted(wanted)})
     if args.topics == "inputs":
         silhouettes = [name for name in inputs if name.endswith(SILHOUETTE_SUFFIX)]
         publishers.wait_for_subscribers(silhouettes, SUBSCRIBER_TIMEOUT_S)
-    count = play_timed(read_messages(args.bag, wanted.__contains__), publishers, MonotonicClock(stop), args.rate)
-    print(f"played {count} messages on {len(wanted)} topics")
+    count, times, clock = 0, 0, MonotonicClock(stop)
+    while not (stop.is_set() or (times and not args.loop)):
+        messages = read_messages(args.bag, wanted.__contains__)
+        count += play_timed(messages, publishers, clock, args.rate, simulated)
+        times += 1
+        if not count:
+            break
+    print(f"played {count} messages on {len(wanted)} topics" + (f", in {times} rounds" if args.loop else ""))
     return 0
 
 
@@ -110,6 +123,11 @@ def check_replay(args: argparse.Namespace) -> None:
     if args.graph != (args.output is not None) or (args.graph and not args.lockstep):
         remedy = "Write `sagoma replay BAG --graph --lockstep --output OUT`."
         raise InputError("--graph and --output belong together, with --lockstep", where="arguments", remedy=remedy)
+    if args.lockstep and (args.loop or args.clock is not None):
+        remedy = "Leave out --lockstep, or --clock and --loop."
+        raise InputError("a replay in lockstep keeps no time", where="arguments", remedy=remedy)
+    if args.clock is not None and not args.clock > 0:
+        raise InputError(f"--clock {args.clock:g} is no rate", where="arguments", remedy="Give Hz, or just --clock.")
     if args.rate <= 0:
         remedy = "Give a factor above 0, or --lockstep for as fast as the graph can."
         raise InputError(f"--rate {args.rate:g} is not a speed", where="arguments", remedy=remedy)

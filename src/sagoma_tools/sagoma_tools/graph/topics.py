@@ -18,6 +18,7 @@ SILHOUETTE_SUFFIX = "/silhouette/compressed"
 CAMERA_INFO_SUFFIX = "/camera_info"
 PREDICTION_TOPIC = "/ekf/prediction"
 DIAGNOSTICS_TOPIC = "/diagnostics"
+CLOCK_TOPIC = "/clock"
 CAMERA_TOPIC = re.compile(r"^/(?P<camera>[^/]+)/silhouette/compressed$")
 PERSON_TOPIC = re.compile(r"^/mocap/bodies/(?P<body_id>[^/]+)/(?P<what>[a-z_]+)$")
 FIRST_BODY_ID = "b0001"  # where the graph sets no other
@@ -75,6 +76,12 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
 RENAMED_TOPICS = {"/hull/rims": "/hull/contour_rays"}
 """Topics of bags that older versions recorded -> their names now."""
 DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False)
+
+
+def offered_qos(name: str) -> QoSProfile:
+    """Return how a player offers a topic: kept for later subscribers where its publisher keeps it."""
+    kept = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
+    return LATCHED if name in kept else LOSSLESS
 
 
 def camera_topics(camera: str) -> tuple[Topic, ...]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -86,7 +87,8 @@ class Recorder:
         first_id : of the person whose topics are those under /mocap.
         """
         if self._discovery is None:
-            self._discovery = self._node.create_timer(DISCOVERY_S, lambda: self._add_newcomers(first_id))
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._discovery = self._node.create_timer(DISCOVERY_S, lambda: self._add_newcomers(first_id), clock=steady)
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""

@@ -20,8 +20,9 @@ from sensor_msgs.msg import JointState
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
 
-from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, message_class
+from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, message_class, offered_qos
 from .reader import BagMessage, header_stamp_ns
+from .simulated_clock import Playback, SimulatedClock
 
 
 class Clock(Protocol):
@@ -58,7 +59,7 @@ class InputPublishers:
             name: node.create_publisher(
                 message_class(msgtype),
                 name,
-                LOSSLESS,
+                offered_qos(name),
                 event_callbacks=PublisherEventCallbacks(matched=self._on_match(name)),
             )
             for name, msgtype in topics.items()
@@ -90,13 +91,32 @@ class InputPublishers:
         return note
 
 
-def play_timed(messages: Iterable[BagMessage], publishers: InputPublishers, clock: Clock, rate: float = 1.0) -> int:
-    """Publish each message when its log time has come, ``rate`` times as fast as recorded; returns how many."""
-    count = 0
-    origin: tuple[int, float] | None = None
+def play_timed(
+    messages: Iterable[BagMessage],
+    publishers: InputPublishers,
+    clock: Clock,
+    rate: float = 1.0,
+    simulated: SimulatedClock | None = None,
+) -> int:
+    """Publish each message when its log time has come, ``rate`` times as fast as recorded; returns how many.
+
+    ``simulated`` : shows the bag's time from just before the first message to the last.
+    """
+    count, shown_s = 0, 0.0
+    playback: Playback | None = None
     for message in messages:
-        origin = origin or (message.log_ns, clock.now_s())
-        due_s = origin[1] + (message.log_ns - origin[0]) / 1e9 / rate
+        if playback is None:
+            shown_s = clock.now_s()
+            playback = Playback(message.log_ns, shown_s, rate)
+            if simulated is not None:
+                simulated.show(message.log_ns)
+        due_s = playback.due_s(message.log_ns)
+        if simulated is not None:
+            for tick_s, time_ns in playback.ticks(shown_s, due_s, simulated.hz):
+                if not clock.sleep_until(tick_s):
+                    return count
+                simulated.show(time_ns)
+                shown_s = tick_s
         if not clock.sleep_until(due_s):
             break
         publishers.publish(message)
