@@ -21,7 +21,7 @@ from mocap_packets.latency import HullTimes
 from sagoma_ros import mask_png
 from sagoma_ros.exchange import HeardPublisher, PacketPublisher
 from sagoma_ros.health import ERROR, WARN
-from sagoma_ros.images import decode_silhouette, support_message
+from sagoma_ros.images import ABSENT, decode_silhouette, support_message
 from sagoma_ros.latency import TIMES_TOPIC, times_message
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
@@ -37,7 +37,7 @@ from .settings import NodeSettings, hull_settings
 
 POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
 SHORTEST_POLL_NS = 200_000
-GIVE_UP_SETS = 5  # a camera missing from so many in a row is not waited for: more than packet loss takes by chance
+GIVE_UP_SETS = 5  # in a row have waited for a camera in vain: none does any more; packet loss takes fewer by chance
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 NEVER_NS = 1 << 62
@@ -131,7 +131,7 @@ class HullNode(SagomaNode):
             tolerance_ns=round(settings.tolerance_s * 1e9),
             deadline_ns=round(settings.deadline_s * 1e9),
             max_open=MAX_OPEN_SETS,
-            give_up=0 if settings.reliable else GIVE_UP_SETS,
+            give_up=GIVE_UP_SETS,
         )
 
     def deactivate(self) -> None:
@@ -193,6 +193,9 @@ class HullNode(SagomaNode):
             self.health.count("frames_refused")
             return
         image, canvas = read_compressed_image(message), self._canvases[camera]
+        if self.settings.reliable and image.format == ABSENT:
+            self._dispatch(self._collector.note_absence(camera, image.stamp_ns, now_ns))
+            return
         if not self._overload.admits(camera, image.stamp_ns, now_ns):
             return
         try:

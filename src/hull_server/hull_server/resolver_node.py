@@ -15,7 +15,7 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig import InputError
 from sagoma_ros import mask_png
 from sagoma_ros.health import OK
-from sagoma_ros.images import silhouette_message
+from sagoma_ros.images import absence_message, silhouette_message
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import SILHOUETTE_PUBLISHER
 
@@ -68,6 +68,9 @@ class ResolverNode(HullNode):
         for camera, levels in self._resolver.run(frame_set).items():
             message = silhouette_message(levels, frame_set.stamps_ns[camera], f"{camera}_optical")
             self._resolved[camera].publish(message)
+        if self.settings.reliable:
+            for camera in set(frame_set.missing) & self._resolved.keys():
+                self._resolved[camera].publish(absence_message(frame_set.stamp_ns))
         self.health.count("sets_resolved")
         if not self.refused:
             self.health.status(OK, f"resolving {', '.join(self._resolver.cameras)}")

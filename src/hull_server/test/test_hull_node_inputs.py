@@ -15,7 +15,7 @@ from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.overload.thinning_control import ThinningControl
 from mocap_packets.thinning import EVERY_FRAME, Thinning
-from sagoma_ros.images import camera_info_message, silhouette_message
+from sagoma_ros.images import absence_message, camera_info_message, silhouette_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import read_thinning
@@ -31,6 +31,16 @@ def test_node_answers_an_incomplete_set_at_its_deadline_and_names_the_missing_ca
     assert int(values["voxels"]) > 0
     assert "nothing in time from cam03" in bench.heard["hull/frame_set"][0].status[0].message
     bench.until_values(sets_incomplete="1", frames_missing="1")
+
+
+def test_node_waits_for_no_frame_that_a_replay_says_there_is_not(bench, scene):
+    _, rig, masks = scene
+    three = {name: masks[name] for name in rig.names[:3]}
+    for k in range(2):
+        bench.send(three, k)
+        bench.images[rig.names[3]].publish(absence_message(stamp(k)))
+    bench.send(masks, 2)  # back at once, for it has not been waited for in vain
+    assert [answer["missing"] for answer in bench.answers(3)] == [rig.names[3], rig.names[3], ""]
 
 
 def test_node_never_mixes_a_late_frame_into_another_set(make_bench, scene):

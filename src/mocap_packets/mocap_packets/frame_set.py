@@ -2,9 +2,10 @@
 
 A set is identified by capture stamp: all stamps of a set lie within the tolerance of each other. A set closes the
 moment its last camera has come, or when its deadline has passed since its first arrival. A camera that lacks is not
-waited for once it has delivered a later stamp, for stamps may not go back; nor, where the collector may give up, once
-it has been missing from several sets in a row, until it is heard again. Sets leave in stamp order; a frame that comes
-after its set has left is late: counted, never mixed into another set.
+waited for once it has delivered a later stamp, for stamps may not go back; nor where it is known to have no frame of
+that instant; nor, where the collector may give up, once several sets in a row have waited for it in vain, until it is
+heard again. Sets leave in stamp order; a frame that comes after its set has left is late: counted, never mixed into
+another set.
 
 A stamp that leaps by more than a quarter of a second is put to the vote, so that one camera with a wrong clock cannot
 silence the others: such frames wait as a candidate timeline, and the rig moves to it when more cameras deliver there
@@ -54,11 +55,12 @@ class Timeline(Generic[T]):
         self.head_ns: int | None = None  # the latest stamp taken
         self.last_stamp_ns: dict[str, int] = {}  # of each camera that has delivered
         self._last_closed_ns: int | None = None
-        self._absent = dict.fromkeys(names, 0)  # sets in a row that each camera is missing from
+        self._absent_ns: dict[str, int] = {}  # the latest instant of which each camera is known to have no frame
+        self._in_vain = dict.fromkeys(names, 0)  # sets in a row that waited for each camera and left without it
 
     def refusal(self, camera: str, stamp_ns: int) -> str | None:
         """Why a frame cannot be taken: DUPLICATE, BACKWARDS or LATE; None when it can."""
-        self._absent[camera] = 0  # heard, if late: it is waited for again
+        self._in_vain[camera] = 0  # heard, if late: it is waited for again
         last = self.last_stamp_ns.get(camera)
         if last is not None and stamp_ns == last:
             return DUPLICATE
@@ -81,6 +83,10 @@ class Timeline(Generic[T]):
         self.last_stamp_ns[camera] = stamp_ns
         self.head_ns = stamp_ns if self.head_ns is None else max(self.head_ns, stamp_ns)
 
+    def note_absence(self, camera: str, stamp_ns: int) -> None:
+        """Wait for no frame of this camera at this instant: it is known that there is none."""
+        self._absent_ns[camera] = stamp_ns
+
     def is_complete(self, candidate: OpenSet[T]) -> bool:
         return len(candidate.frames) == len(self.names)
 
@@ -101,22 +107,21 @@ class Timeline(Generic[T]):
 
     def _is_awaited(self, candidate: OpenSet[T]) -> bool:
         """Return whether a camera that the set lacks may still deliver its frame."""
-        return any(
-            not (self._has_passed(name, candidate) or 0 < self.give_up <= self._absent[name])
-            for name in self.names
-            if name not in candidate.frames
-        )
+        return any(self._is_camera_awaited(name, candidate) for name in self.names)
 
-    def _has_passed(self, camera: str, candidate: OpenSet[T]) -> bool:
-        last_ns = self.last_stamp_ns.get(camera)
-        return last_ns is not None and last_ns >= candidate.stamp_ns + self.tolerance_ns
+    def _is_camera_awaited(self, camera: str, candidate: OpenSet[T]) -> bool:
+        if camera in candidate.frames or 0 < self.give_up <= self._in_vain[camera]:
+            return False
+        last_ns, absent_ns = self.last_stamp_ns.get(camera), self._absent_ns.get(camera)
+        passed = last_ns is not None and last_ns >= candidate.stamp_ns + self.tolerance_ns
+        return not passed and (absent_ns is None or abs(absent_ns - candidate.stamp_ns) > self.tolerance_ns)
 
     def _close(self, count: int) -> list[OpenSet[T]]:
         closed, self.open = self.open[:count], self.open[count:]
         for each in closed:
             self._last_closed_ns = each.stamp_ns
             for name in self.names:
-                self._absent[name] = 0 if name in each.frames else self._absent[name] + 1
+                self._in_vain[name] += self._is_camera_awaited(name, each)
         return closed
 
 
@@ -176,8 +181,9 @@ class FrameSetCollector(Generic[T]):
     tolerance_ns : stamps of one set differ by at most this much (half a frame period).
     deadline_ns : how long after its first frame arrived a set waits for the others.
     max_open : at most this many sets are open at once; the oldest is closed beyond that.
-    give_up : a camera that is missing from so many sets in a row is not waited for until it is heard; 0: always. Which
-        set its first frame then joins depends on when it arrives, so a replay that must repeat itself never gives up.
+    give_up : a camera for which so many sets in a row have waited in vain is not waited for until it is heard; 0: it
+        always is. Which set its first frame then joins depends on when it arrives; a replay that must repeat itself
+        tells instead which frames there are not (:meth:`note_absence`).
     """
 
     def __init__(
@@ -208,6 +214,13 @@ class FrameSetCollector(Generic[T]):
         else:
             self._count(refusal)
         return self.poll(arrival_ns)
+
+    def note_absence(self, camera: str, stamp_ns: int, now_ns: int) -> list[FrameSet[T]]:
+        """Take it that a camera has no frame of this instant; return the sets that this closes. KeyError as above."""
+        if camera not in self.names:
+            raise KeyError(camera)
+        self._present.note_absence(camera, stamp_ns)
+        return self.poll(now_ns)
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
         """Close the sets that wait for nobody or are past their deadline; none overtakes an older one."""

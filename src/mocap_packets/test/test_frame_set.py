@@ -233,6 +233,24 @@ def test_camera_missing_from_several_sets_in_a_row_is_waited_for_again_once_hear
     assert whole.missing == ()
 
 
+def test_frames_that_are_known_not_to_exist_are_not_waited_for_and_never_make_the_set_give_up() -> None:
+    collector, sets = make_collector(deadline_ns=HOUR, give_up=3), []
+    for k in range(6):
+        sets += send(collector, [k], cameras=["cam01", "cam02"])
+        sets += collector.note_absence("cam03", EPOCH + k * PERIOD, k * PERIOD)
+    assert instants_of(sets) == list(range(6)) and {each.missing for each in sets} == {("cam03",)}
+    assert send(collector, [6], cameras=["cam01", "cam02"]) == []  # its next frame has its place, whoever comes first
+    (whole,) = send(collector, [6], cameras=["cam03"])
+    assert whole.missing == ()
+
+
+def test_camera_that_sent_a_later_frame_has_not_been_waited_for_in_vain() -> None:
+    collector = make_collector(deadline_ns=HOUR, give_up=2)
+    for k in range(6):  # half the rate
+        send(collector, [k], cameras=CAMERAS if k % 2 == 0 else CAMERAS[:2])
+    assert send(collector, [6], cameras=["cam01", "cam02"]) == []
+
+
 def test_older_set_completed_late_releases_the_complete_ones_behind_it() -> None:
     collector = make_collector()
     send(collector, [0, 1], cameras=["cam01", "cam02"])

@@ -8,6 +8,7 @@ from functools import cache
 import cv2
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -41,6 +42,9 @@ ENCODINGS: dict[str, tuple[int, str, int | None]] = {
 }
 
 
+ABSENT = "none"  # the format of a message that says that there is no silhouette of this instant
+
+
 def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
     """Mask (h, w) uint8 as a PNG of 2 to 6 KB that rviz, Foxglove and image_transport show.
 
@@ -50,6 +54,11 @@ def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> Compre
     message = CompressedImage(format=SILHOUETTE_FORMAT, data=array.array("B", mask_png.encode(mask)))
     message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
     return message
+
+
+def absence_message(stamp_ns: int) -> CompressedImage:
+    """Make the message by which a replay says that there is no silhouette of this instant."""
+    return CompressedImage(header=Header(stamp=to_stamp(stamp_ns)), format=ABSENT)
 
 
 def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
-from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
+from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX, camera_topics
 from .reader import SIDECAR_RIG, bag_cameras, bag_topics, frame_tolerance_ns, input_topics, read_frame_sets
 from .recorder import GraphRecorder, server_topics
 from .replayer import Answers, InputPublishers, LockstepReport, play_lockstep
@@ -83,7 +83,8 @@ def replay_through_graph(
             if server == THREE_PROCESSES:  # else they hand over in memory
                 wait_for_listeners(link.node, CONNECT_TIMEOUT_S)
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
-            report = lockstep_into(link.node, bag, tolerance_ns=tolerance_ns, cancel=cancel)
+            cameras = load_rig(rig_file).names
+            report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
             recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, FLUSH_TIMEOUT_S)
             recorder.recorder.wait_until_quiet(QUIET_S, FLUSH_TIMEOUT_S)
             report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.recorder.counts[t]) != 0}
@@ -91,13 +92,22 @@ def replay_through_graph(
 
 
 def lockstep_into(
-    node: Node, bag: str | Path, *, tolerance_ns: int | None = None, cancel: threading.Event | None = None
+    node: Node,
+    bag: str | Path,
+    cameras: Sequence[str] = (),
+    *,
+    tolerance_ns: int | None = None,
+    cancel: threading.Event | None = None,
 ) -> LockstepReport:
-    """Replay a bag in lockstep into a running graph; ``node`` must be spun by another thread."""
+    """Replay a bag in lockstep into a running graph; ``node`` must be spun by another thread.
+
+    cameras : those of the graph, where they are known: it waits for none that the bag does not have.
+    """
     types = bag_topics(bag)
     answers = Answers(node)
-    publishers = InputPublishers(node, {name: types[name] for name in input_topics(bag)})
-    silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in bag_cameras(bag)]
+    topics = {topic.name: topic.msgtype for camera in cameras for topic in camera_topics(camera)}
+    publishers = InputPublishers(node, topics | {name: types[name] for name in input_topics(bag)})
+    silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in {*cameras, *bag_cameras(bag)}]
     publishers.wait_for_subscribers(silhouettes, CONNECT_TIMEOUT_S)
     frame_sets = read_frame_sets(bag, frame_tolerance_ns(bag) if tolerance_ns is None else tolerance_ns)
     return play_lockstep(frame_sets, publishers, answers, timeout_s=ANSWER_TIMEOUT_S, cancel=cancel)

@@ -19,8 +19,9 @@ from sensor_msgs.msg import JointState
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
+from sagoma_ros.images import absence_message
 
-from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, message_class, offered_qos
+from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX, cameras_in, message_class, offered_qos
 from .reader import BagMessage, header_stamp_ns
 from .simulated_clock import Playback, SimulatedClock
 
@@ -81,6 +82,12 @@ class InputPublishers:
     def publish(self, message: BagMessage) -> None:
         """Publish the serialized message as it is."""
         self._publishers[message.topic].publish(message.data)
+
+    def publish_absences(self, frame_set: FrameSet[list[BagMessage]]) -> None:
+        """Say of every camera with a topic here that lacks in the set that it has no frame: nobody waits for it."""
+        for camera in cameras_in(self._publishers):
+            if camera not in frame_set.frames:
+                self._publishers[f"/{camera}{SILHOUETTE_SUFFIX}"].publish(absence_message(frame_set.stamp_ns))
 
     def _on_match(self, name: str) -> Any:
         def note(info: Any) -> None:
@@ -190,6 +197,7 @@ def play_lockstep(
         for frame in frame_set.frames.values():  # cameras in name order
             for message in frame:
                 publishers.publish(message)
+        publishers.publish_absences(frame_set)
         sent.append(frame_set.stamp_ns)
         report.sets += 1
         report.last_stamp_ns = frame_set.stamp_ns
