@@ -210,9 +210,9 @@ def _touch(camera, hull, sigma_per_depth, row):  # type: ignore[no-untyped-def]
     x = (camera.centre[0] - hull.corner[0]) / hull.voxel_m
     y = (camera.centre[1] - hull.corner[1]) / hull.voxel_m
     z = (camera.centre[2] - hull.corner[2]) / hull.voxel_m
-    begin, end = ray_hull_interval(hull.wide, hull.size, (x, y, z), row[3:6])
+    begin, end = ray_hull_interval(hull, (x, y, z), row[3:6])
     if begin == end:
-        begin, end = ray_hull_interval(hull.wide, hull.size, (x - row[6], y - row[7], z - row[8]), row[3:6])
+        begin, end = ray_hull_interval(hull, (x - row[6], y - row[7], z - row[8]), row[3:6])
     if begin == end:
         return False
     middle, depth = 0.5 * (begin + end), camera.P[2, 3]
@@ -261,25 +261,55 @@ def _fill_bits(row, start, end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def ray_hull_interval(wide, size, start, direction):  # type: ignore[no-untyped-def]
-    """Find the longest interval of a ray inside the dilated hull: lengths from and to, equal where there is none.
+def ray_hull_interval(hull, start, direction):  # type: ignore[no-untyped-def]
+    """Find the interval in which a ray can touch the body: lengths from and to, equal where there is none.
 
-    wide and size as :func:`widen` gives them; start (3,) and unit direction (3,) in voxels from that box's corner;
-    lengths in voxels from the start. An interval of a single voxel may be missed.
+    It is that of the dilated hull. A hull of few cameras is often met more than once, by a limb and by the phantom of
+    another: the ray tells no more than that one of them is touched, so that the interval reaches over all of them that
+    belong to the same part of the hull as the longest. start (3,) and unit direction (3,) in voxels from the corner of
+    the hull's box; lengths in voxels from the start. A stretch of a single voxel may be missed.
     """
-    near, far = _within_box(size, start, direction)
+    wide, (near, far) = hull.wide, _within_box(hull.size, start, direction)
     first, step = _fixed(start, direction, near + 0.5), _fixed((0.0, 0.0, 0.0), direction, 1.0)
-    steps, begin, best, longest = int(max(far - near, 0.0)), -1, 0, 0
-    for n in range(0, steps + 2, 2):
+    steps, stretches, begin, end, best, longest, n = int(max(far - near, 0.0)), 0, 0, 0, 0, 0, 0
+    while n <= steps + 1:
+        one, other, n = _next_stretch(wide, first, step, steps, n)
+        if other > one:
+            begin, end, stretches = one if stretches == 0 else begin, other, stretches + 1
+            if other - one > longest:
+                best, longest = one, other - one
+    if stretches < 2:
+        return near + best, near + best + longest
+    if not hull.several:
+        return near + begin, near + end
+    own, n = _part_along(hull, start, direction, near + best + 0.5 * longest), 0
+    begin, end = best, best + longest
+    while n <= steps + 1:
+        one, other, n = _next_stretch(wide, first, step, steps, n)
+        if other > one and _part_along(hull, start, direction, near + 0.5 * (one + other)) == own:
+            begin, end = min(begin, one), max(end, other)
+    return near + begin, near + end
+
+
+@kernel
+def _next_stretch(wide, first, step, steps, n):  # type: ignore[no-untyped-def]
+    """Return the next occupied voxels along a ray from step ``n`` on, from and to, and where to go on."""
+    begin = -1
+    while n < steps + 2:
         occupied = n < steps and _occupied(wide, first, step, n)
         if occupied and begin < 0:
             begin = n - (n > 0 and _occupied(wide, first, step, n - 1))
         elif not occupied and begin >= 0:
-            end = n - 1 + (n - 1 < steps and _occupied(wide, first, step, n - 1))
-            if end - begin > longest:
-                best, longest = begin, end - begin
-            begin = -1
-    return near + best, near + best + longest
+            return begin, n - 1 + (n - 1 < steps and _occupied(wide, first, step, n - 1)), n + 2
+        n += 2
+    return 0, 0, n
+
+
+@kernel
+def _part_along(hull, start, direction, length):  # type: ignore[no-untyped-def]
+    """Return the part of the hull near a place on a ray."""
+    x, y, z = start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2]
+    return part_near(hull.runs, (x, y, z))
 
 
 @kernel
