@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from capture_rig.settings import read_mapping
+from capture_rig.yaml_file import read_mapping
 
 from .measure import measure
 from .take import REMEDY, Summary
