@@ -25,14 +25,14 @@ import numpy as np
 import psutil
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage
 
-from capture_rig import load_rig
+from capture_rig import InputError, load_rig
 from sagoma_ros.images import camera_info_message, silhouette_message
 from sagoma_ros.qos import LATCHED, SILHOUETTE_PUBLISHER
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX
+from sagoma_tools.graph.topics import CAMERA_INFO_SUFFIX, LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX, message_class
 from sagoma_tools.recording.reader import header_stamp_ns
 
 JOINT_STATES, HULL_SERVER = "/mocap/joint_states", "/hull_server"
@@ -91,12 +91,24 @@ def followed_rule(link: RosLink) -> Any:
     return selector
 
 
+def published_type(link: RosLink, topic: str) -> str:
+    """Return the type of a topic that a server of any age publishes, as soon as it is there."""
+    deadline_s = time.monotonic() + ANSWER_TIMEOUT_S
+    while time.monotonic() < deadline_s:
+        found = dict(link.node.get_topic_names_and_types()).get(topic)
+        if found:
+            return found[0]
+        threading.Event().wait(0.05)
+    raise InputError("nobody publishes", where=topic, remedy="Start the server first.")
+
+
 class Arrivals:
     """The stamps of a topic's messages, and when each came, ns since the epoch."""
 
     def __init__(self, link: RosLink, topic: str) -> None:
         self._changed, self._came_ns = threading.Condition(), dict[int, int]()
-        self._subscription = link.node.create_subscription(JointState, topic, self._take, LOSSLESS, raw=True)
+        kind = message_class(published_type(link, topic))
+        self._subscription = link.node.create_subscription(kind, topic, self._take, LOSSLESS, raw=True)
 
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the message of this stamp or of a later one has come."""

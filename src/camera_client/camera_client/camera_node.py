@@ -17,7 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
@@ -26,6 +26,7 @@ from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
+from sagoma_ros.health import HOST
 from sagoma_ros.heap import release_free_memory, return_large_blocks
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
@@ -125,7 +126,8 @@ class CameraNode(SagomaNode):
         else:
             topic = settings.footage.pace_topic
             self._hold(
-                self.destroy_subscription, self.create_subscription(JointState, topic, self._on_acknowledgement, RESULT)
+                self.destroy_subscription,
+                self.create_subscription(MultiDOFJointState, topic, self._on_acknowledgement, RESULT),
             )
         info_file = settings.camera_info_file
         if info_file and not Path(info_file).exists() and settings.rig_file:
@@ -175,6 +177,7 @@ class CameraNode(SagomaNode):
         assert self.chain is not None
         for warning in source.warnings:
             self.get_logger().warning(warning)
+        self.health.hardware_id = str(source.details.get("camera_serial") or HOST)
         if self.chain.camera is not None:
             check_size(source, self.chain.camera)
         warm_up_silhouettes(len(source.shape) == 3)
@@ -253,7 +256,7 @@ class CameraNode(SagomaNode):
         self.health.set("last_error", text)
         self.get_logger().error(text, throttle_duration_sec=5.0)
 
-    def _on_acknowledgement(self, message: JointState) -> None:
+    def _on_acknowledgement(self, message: MultiDOFJointState) -> None:
         if self.source is not None:
             self.source.acknowledge(to_ns(message.header.stamp))
 

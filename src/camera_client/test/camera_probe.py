@@ -3,7 +3,7 @@
 import os
 
 from node_probe import NodeProbe
-from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, MultiDOFJointState
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
@@ -24,7 +24,7 @@ class CameraProbe(NodeProbe):
     def __init__(self, context, parameters):
         super().__init__(context, CameraNode, parameters, NAMESPACE)
         self.acknowledging = True
-        self.predictions = self.peer.create_publisher(JointState, PACE_TOPIC, RESULT)
+        self.predictions = self.peer.create_publisher(MultiDOFJointState, PACE_TOPIC, RESULT)
         self.listen(CompressedImage, "silhouette/compressed", SILHOUETTE_RELIABLE_SUBSCRIBER)
         self.listen(CameraInfo, "camera_info", SILHOUETTE_RELIABLE_SUBSCRIBER)
         self.peer.create_subscription(
@@ -36,7 +36,7 @@ class CameraProbe(NodeProbe):
             self.acknowledge(to_ns(message.header.stamp))
 
     def acknowledge(self, stamp_ns):
-        message = JointState()
+        message = MultiDOFJointState()
         message.header.stamp = to_stamp(stamp_ns)
         self.predictions.publish(message)
 

@@ -1,5 +1,6 @@
 """The camera node among messages: lifecycle, stamps, learning, faults."""
 
+import socket
 from dataclasses import replace
 
 import cv2
@@ -12,6 +13,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import CompressedImage, Image
 
 from camera_client.background.model import load_background
+from camera_client.sources.footage_source import FootageSource
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
 from mocap_packets.support import NOBODY, ForegroundSupport
@@ -340,3 +342,12 @@ def test_what_the_others_do_not_see_becomes_background(bench, session, scene):
     size = canvas.camera.width, canvas.camera.height
     first, last = (decode_silhouette(camera.masks[k], *size, "test") for k in (0, -1))
     assert (first[thing > 0] > 0).mean() > 0.9 and not last.any()
+
+
+@pytest.mark.parametrize(("details", "hardware"), [({"camera_serial": "S7"}, "S7"), ({}, socket.gethostname())])
+def test_diagnostics_name_the_camera_by_its_serial_number(bench, session, monkeypatch, details, hardware):
+    monkeypatch.setattr(FootageSource, "details", property(lambda source: details))
+    camera = bench(**session.parameters)
+    assert camera.node.trigger_configure() == SUCCESS
+    camera.until(lambda: camera.diagnostics and camera.diagnostics[-1].status[0].hardware_id == hardware)
+    assert camera.values()["host"] == socket.gethostname()

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -20,8 +20,9 @@ from mocap_packets.stamp_order import Order, StampOrder
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.exchange import Delivery, PacketPublisher, PacketSubscription
 from sagoma_ros.health import ERROR, OK, WARN
+from sagoma_ros.joint_motion import predictions_message
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import Text, predictions_message, read_people_points
+from sagoma_ros.packets import Text, read_people_points
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_ros.silence import SilenceWatch
@@ -68,7 +69,7 @@ class EkfNode(SagomaNode):
         self._topics = PeopleTopics(self, settings, self._forget)
         self._closing.append(self._topics.close)
         self._humans = make_humans(self, settings.publish_humans, self._topics.id_of(FIRST_PERSON), settings.frame_id)
-        self._prediction = PacketPublisher[Predictions](self, JointState, "ekf/prediction", predictions_message)
+        self._prediction = PacketPublisher[Predictions](self, MultiDOFJointState, "ekf/prediction", predictions_message)
         self._closing.append(self._prediction.close)
         self._latency = LatencyReport(self)
         self._closing.append(self._latency.close)

@@ -12,14 +12,14 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
-from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, String
+from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.exchange import HeardPublisher
-from sagoma_ros.packets import covariance_message, joint_state_message, packet_cloud
+from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_cloud
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, TANGENT_NAMES
@@ -27,7 +27,15 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, TANGENT_NAMES
 from .rep155 import body_id_of
 from .settings import EkfNodeSettings
 from .state import POSE
-from .state_ros import SkeletonStyle, deleted_markers, silence_message, skeleton_markers, state_message, torso_message
+from .state_ros import (
+    SkeletonStyle,
+    deleted_markers,
+    rotations_message,
+    silence_message,
+    skeleton_markers,
+    state_message,
+    torso_message,
+)
 
 NS_PER_S = 1_000_000_000
 CLOSED_AFTER_S = 10.0  # of the sets' time; long enough to walk round a room and come back
@@ -95,7 +103,8 @@ class PersonTopics:
         self._opened, self._frame, self._name = opened, settings.frame_id, node.get_fully_qualified_name()
         self._joint_states = publisher(JointState, "joint_states")
         self._torso = publisher(PoseWithCovarianceStamped, "torso")
-        self._joint_covariance = publisher(Float64MultiArray, "joint_covariance")
+        self._joint_covariance = publisher(PointCloud2, "joint_covariance")
+        self._joint_rotations = publisher(MultiDOFJointState, "joint_rotations")
         self._reference_points = publisher(PointCloud2, "reference_points")
         self._skeleton = Skeleton(
             (publisher(MarkerArray, "skeleton"), *all_skeletons), style, settings.skeleton_rate_hz
@@ -118,7 +127,9 @@ class PersonTopics:
             stamp_ns, angles, rates = state.stamp_ns, state.angles, state.rates
             self._joint_states.publish(joint_state_message, ANGLE_NAMES, angles, rates, stamp_ns, frame)
             self._torso.publish(torso_message, state, frame)
-            self._joint_covariance.publish(covariance_message, TANGENT_NAMES, state.covariance[POSE, POSE])
+            self._joint_rotations.publish(rotations_message, state, frame)
+            covariance = state.covariance[POSE, POSE]
+            self._joint_covariance.publish(covariance_cloud, TANGENT_NAMES, covariance, stamp_ns, frame)
             self._reference_points.publish(packet_cloud, state.reference_points, stamp_ns, frame)
         self._skeleton.show(state, body)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -10,14 +9,16 @@ import numpy as np
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
+from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from mocap_packets.fit import DOUBTFUL, PART_NAMES, PART_POINTS
+from mocap_packets.fit import DOUBTFUL, FIRST_PERSON, PART_NAMES, PART_POINTS
 from mocap_packets.state import BodyState, NoState, Tracking
+from sagoma_ros.joint_motion import motion_message
 from sagoma_ros.messages import key_values, to_stamp
 from stick_figure.body import Body
-from stick_figure.kernels import rotation_log
+from stick_figure.joint_motion import JointMotion, quaternion_of
 from stick_figure.kinematics import sticks
 
 LEVELS = {
@@ -67,6 +68,12 @@ def torso_message(state: BodyState, frame_id: str) -> PoseWithCovarianceStamped:
     message.pose.pose.orientation = quaternion(state.pose.R_world_torso)
     message.pose.covariance = state.covariance[:6, :6].ravel()
     return message
+
+
+def rotations_message(state: BodyState, frame_id: str) -> MultiDOFJointState:
+    """Return every joint's rotation and angular velocity: without the singularities of angles."""
+    motion = JointMotion.of(state.pose, state.velocity)
+    return motion_message({FIRST_PERSON: motion}, state.stamp_ns, frame_id)
 
 
 def state_message(state: BodyState | NoState, node_name: str) -> DiagnosticStatus:
@@ -126,11 +133,8 @@ def _colours(state: BodyState, part_of: Sequence[int], usual: ColorRGBA) -> list
 
 def quaternion(R: np.ndarray) -> Quaternion:
     """Rotation matrix to quaternion with w >= 0."""
-    vector = np.empty(3)
-    rotation_log(np.ascontiguousarray(R), vector)
-    angle = math.sqrt(vector @ vector)
-    x, y, z = (vector * (0.5 * np.sinc(angle / (2.0 * np.pi)))).tolist()  # sin(angle / 2) / angle
-    return Quaternion(x=x, y=y, z=z, w=math.cos(angle / 2.0))
+    x, y, z, w = quaternion_of(R).tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def _ellipsoids(header: Header, state: BodyState, namespace: str) -> list[Marker]:

@@ -4,8 +4,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ekf_person import ALL, isotropic
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_probe import NodeProbe
-from sensor_msgs.msg import JointState, PointCloud2
-from std_msgs.msg import Float64MultiArray, String
+from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from ekf_tracker.ekf_node import EkfNode
@@ -17,11 +17,12 @@ from sagoma_ros.qos import LATCHED, RESULT
 OUTPUTS = {
     "mocap/joint_states": JointState,
     "mocap/torso": PoseWithCovarianceStamped,
-    "mocap/joint_covariance": Float64MultiArray,
+    "mocap/joint_covariance": PointCloud2,
+    "mocap/joint_rotations": MultiDOFJointState,
     "mocap/reference_points": PointCloud2,
     "mocap/skeleton": MarkerArray,
     "mocap/state": DiagnosticStatus,
-    "ekf/prediction": JointState,
+    "ekf/prediction": MultiDOFJointState,
 }
 
 

@@ -18,9 +18,10 @@ from visualization_msgs.msg import Marker
 from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.latency import POINTS, HullTimes
+from sagoma_ros.joint_motion import read_motions, read_prediction
 from sagoma_ros.latency import LATENCY_TOPIC, TIMES_TOPIC, times_message
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import read_prediction, read_reference_points
+from sagoma_ros.packets import read_reference_points
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
@@ -47,9 +48,12 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     np.testing.assert_array_equal(joints.velocity, expected.rates)
     _check_torso(by_topic.mocap_torso, expected)
     covariance = by_topic.mocap_joint_covariance
-    assert [d.size for d in covariance.layout.dim] == [24, 24]
-    assert covariance.layout.dim[0].label.split(",") == list(TANGENT_NAMES)
-    np.testing.assert_array_equal(np.reshape(covariance.data, (24, 24)), expected.covariance[:24, :24])
+    assert [field.name for field in covariance.fields] == list(TANGENT_NAMES)
+    found = np.frombuffer(covariance.data, "<f8").reshape(24, 24)
+    np.testing.assert_array_equal(found, expected.covariance[:24, :24])
+    (motion,) = read_motions(by_topic.mocap_joint_rotations, "test").values()
+    assert np.abs(motion.pose.minus(expected.pose)).max() < 1e-9
+    np.testing.assert_array_equal(motion.velocity, expected.velocity)
     points, covariances, used, _ = read_reference_points(by_topic.mocap_reference_points, "test")
     np.testing.assert_allclose(points, expected.points_world, atol=1e-6)
     np.testing.assert_allclose(covariances, expected.point_covariance, rtol=1e-5, atol=1e-12)
@@ -78,6 +82,7 @@ def test_prediction_is_published_after_everything_else(bench, body_file, person,
     assert order == [
         "/mocap/joint_states",
         "/mocap/torso",
+        "/mocap/joint_rotations",
         "/mocap/joint_covariance",
         "/mocap/reference_points",
         "/mocap/skeleton",
@@ -151,13 +156,13 @@ def test_visible_set_waits_for_the_body_and_is_then_answered_with_a_pose(bench, 
     b.until(lambda: b.answers(stamp(1)))
     order = [(topic, to_ns(m.header.stamp)) for topic, m in b.arrived if topic == "ekf/prediction"]
     assert order == [("ekf/prediction", stamp(0)), ("ekf/prediction", stamp(1))]
-    assert all(m.name for topic, m in b.arrived if topic == "ekf/prediction")
+    assert all(m.joint_names for topic, m in b.arrived if topic == "ekf/prediction")
 
 
 def test_visible_set_without_a_body_is_answered_empty_in_the_end(bench, person):
     b = bench(body_wait_s=0.05).start()
     got = b.fit(stamp(0), person.points(0.0))
-    assert not got[-1][1].name
+    assert not got[-1][1].joint_names
     assert "waiting for the body" in got[-2][1].values[0].value
     assert b.node.health.counter("without_body") == 1
 
@@ -181,7 +186,7 @@ def test_reset_service_lets_the_next_set_start_anew(bench, body_file, person):
     b.fit(stamp(10), person.points(0.0))
     assert b.ask(Trigger, "/ekf_tracker/reset").success
     got = b.fit(stamp(5), person.points(5.0))  # earlier, elsewhere: fine after a reset
-    assert got[-1][1].name
+    assert got[-1][1].joint_names
     points, *_ = read_reference_points(b.latest("mocap/reference_points"), "test")
     assert np.linalg.norm(points - person.points(5.0), axis=1).max() < 5e-3
 

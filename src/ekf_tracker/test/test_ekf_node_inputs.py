@@ -31,7 +31,7 @@ def test_unusable_set_is_counted_answered_with_its_stamp_and_the_next_one_is_tra
     assert b.node.health.counter("bad_points") == 1
     bad = dict(b.arrived[begin:])
     assert bad["mocap/state"].message == "doubtful"  # treated as a set in which nothing was seen
-    assert bad["ekf/prediction"].name
+    assert bad["ekf/prediction"].joint_names
     b.fit(stamp(2), person.points(2 / 60))
     assert b.latest("mocap/state").message == "tracking"
 
@@ -42,10 +42,10 @@ def test_stamp_that_goes_back_is_counted_and_answered_empty_with_its_own_stamp(b
         b.fit(stamp(k), person.points(k / 60))
     got = b.fit(stamp(1) + 5, person.points(1 / 60))
     assert [topic for topic, _ in got] == ["mocap/state", "ekf/prediction"]
-    assert not got[-1][1].name
+    assert not got[-1][1].joint_names
     assert b.node.health.counter("stamp_back") == 1
     got = b.fit(stamp(3), person.points(3 / 60))
-    assert b.latest("mocap/state").message == "tracking" and got[-1][1].name
+    assert b.latest("mocap/state").message == "tracking" and got[-1][1].joint_names
 
 
 def test_stamps_that_go_back_begin_anew_at_once_and_say_so_once(bench, body_file, person, capfd):
@@ -53,7 +53,7 @@ def test_stamps_that_go_back_begin_anew_at_once_and_say_so_once(bench, body_file
     b = bench(body_file=body_file).start()
     b.fit(stamp(1000), person.points(0.0))
     answers = [b.fit(stamp(k), person.points(k / 60)) for k in range(12)]
-    assert all(got[-1][1].name for got in answers)
+    assert all(got[-1][1].joint_names for got in answers)
     assert b.latest("mocap/state").message == "tracking"
     assert b.node.health.counter("restarts") == 1
     assert capfd.readouterr().err.count("stamps went back by 16.667 s: a new beginning") == 1
@@ -62,7 +62,7 @@ def test_stamps_that_go_back_begin_anew_at_once_and_say_so_once(bench, body_file
 def test_footage_shorter_than_a_leap_begins_anew_after_some_sets(bench, body_file, person):
     b = bench(body_file=body_file).start()
     b.fit(stamp(12), person.points(0.0))
-    empty = [not b.fit(stamp(k), person.points(k / 60))[-1][1].name for k in range(12)]
+    empty = [not b.fit(stamp(k), person.points(k / 60))[-1][1].joint_names for k in range(12)]
     assert empty == [True] * 9 + [False] * 3
 
 

@@ -12,7 +12,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.people import PeoplePoints, format_bodies
-from sagoma_ros.packets import people_cloud, read_predictions
+from sagoma_ros.joint_motion import read_predictions
+from sagoma_ros.packets import people_cloud
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
@@ -74,7 +75,7 @@ def test_two_persons_have_topics_each_and_one_answer_a_set(couple, body, person)
             expected = reference.step(stamp(k), *ReferencePoints(points, isotropic(0.01), ALL).as_sent())
             np.testing.assert_array_equal(published[f"{prefix}joint_states"][k].position, expected.angles)
     assert {topic.removeprefix(SECOND) for topic in published if topic.startswith(SECOND)} == {
-        *("joint_states", "torso", "joint_covariance", "reference_points", "skeleton", "state")
+        *("joint_states", "torso", "joint_rotations", "joint_covariance", "reference_points", "skeleton", "state")
     }
     assert all(len(messages) == 3 for topic, messages in published.items() if topic != "mocap/skeletons")
     predictions = read_predictions(published["ekf/prediction"][-1], "test").of

@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from capture_rig import InputError
 from capture_rig.camera import CameraModel
+from sagoma_ros.health import HOST
 from sagoma_ros.messages import key_values, to_stamp
 
 from .hull_pipeline import HullResult
@@ -44,7 +45,7 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
     stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
     texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
     level, message = summarise(result)
-    status = DiagnosticStatus(level=level, name="hull/frame_set", message=message, hardware_id="hull_server")
+    status = DiagnosticStatus(level=level, name="hull/frame_set", message=message, hardware_id=HOST)
     status.values = key_values(texts)
     array = DiagnosticArray(status=[status])
     array.header.stamp = to_stamp(result.stamp_ns)

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -23,9 +23,10 @@ from mocap_packets.people import PeoplePoints, Predictions, format_bodies
 from mocap_packets.stamp_order import Order, StampOrder
 from sagoma_ros.exchange import Delivery, HeardPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.health import OK, WARN
+from sagoma_ros.joint_motion import read_predictions
 from sagoma_ros.messages import key_values, to_stamp
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import Text, people_cloud, read_finite, read_predictions
+from sagoma_ros.packets import Text, people_cloud, read_finite
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.silence import SilenceWatch
@@ -93,7 +94,7 @@ class IcpNode(SagomaNode):
             PacketSubscription(self, PointCloud2, "hull/centerline", self._on_centerline),
             PacketSubscription(self, PointCloud2, "hull/voxels", self._on_voxels),
             PacketSubscription(self, PointCloud2, "hull/contour_rays", self._on_contour_rays),
-            PacketSubscription(self, JointState, "ekf/prediction", self._on_prediction),
+            PacketSubscription(self, MultiDOFJointState, "ekf/prediction", self._on_prediction),
         ]
 
     def deactivate(self) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_probe import FAILURE, SUCCESS, NodeProbe, values_of
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -17,15 +17,9 @@ from icp_tracker.tracker import IcpTracker
 from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
 from mocap_packets.people import Predictions, parse_bodies
 from mocap_packets.state import Prediction
+from sagoma_ros.joint_motion import prediction_message, predictions_message
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import (
-    packet_cloud,
-    prediction_message,
-    predictions_message,
-    read_packet,
-    read_people_points,
-    read_reference_points,
-)
+from sagoma_ros.packets import packet_cloud, read_packet, read_people_points, read_reference_points
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.kinematics import forward
 
@@ -58,7 +52,7 @@ class IcpProbe(NodeProbe):
         self.fits = self.listen(DiagnosticArray, "icp/fit")
         self.centerlines = self.peer.create_publisher(PointCloud2, "hull/centerline", RESULT)
         self.voxels = self.peer.create_publisher(PointCloud2, "hull/voxels", RESULT)
-        self.predictions = self.peer.create_publisher(JointState, "ekf/prediction", RESULT)
+        self.predictions = self.peer.create_publisher(MultiDOFJointState, "ekf/prediction", RESULT)
 
     def start(self):
         super().start()
@@ -221,7 +215,7 @@ def test_bad_prediction_is_counted_and_not_used(bench, walk):
     node = bench(**walk.parameters).start()
     node.answer(centerline(walk.clouds[0], 0))
     message = prediction_message(Prediction(stamp(0), walk.poses[0], np.zeros(24)))
-    message.name[3] = "nonsense"
+    message.joint_names[3] = "nonsense"
     node.predictions.publish(message)
     node.until(lambda: node.node.health.counter("bad_predictions") == 1)
     assert node.answer(centerline(walk.clouds[1], 1)).started_from == "own"

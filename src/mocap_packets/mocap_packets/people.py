@@ -77,7 +77,7 @@ class Predictions:
     of: Mapping[int, Prediction]
 
     def as_sent(self) -> Predictions:
-        """Return the same, poses described by angles as they are between the nodes."""
+        """Return the same, poses rounded as they are between the nodes."""
         return Predictions(self.stamp_ns, {person: one.as_sent() for person, one in self.of.items()})
 
 

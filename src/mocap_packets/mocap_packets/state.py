@@ -7,9 +7,8 @@ from enum import StrEnum
 
 import numpy as np
 
+from stick_figure.joint_motion import JointMotion
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix, rotation_vector
-from stick_figure.skeleton import JOINTS, TORSO_POSITION, TORSO_ROTATION
 
 from .fit import DOUBTFUL, GOOD, LOST, PART_POINTS, ReferencePoints
 
@@ -37,23 +36,12 @@ class Prediction:
     pose: Pose | None
     velocity: np.ndarray
 
-    def to_row(self) -> np.ndarray:
-        """(24,) numbers that describe the pose: torso position (m), rotation vector of R_world_torso, 18 angles (rad).
-
-        Needs a pose.
-        """
-        assert self.pose is not None
-        return np.concatenate([self.pose.position_world, rotation_vector(self.pose.R_world_torso), self.pose.angles()])
-
-    @classmethod
-    def from_row(cls, stamp_ns: int, row: np.ndarray, velocity: np.ndarray) -> Prediction:
-        """Return the inverse of :meth:`to_row`."""
-        pose = Pose.from_angles(row[TORSO_POSITION], rotation_matrix(row[TORSO_ROTATION]), row[JOINTS])
-        return cls(stamp_ns, pose, velocity)
-
     def as_sent(self) -> Prediction:
-        """Return the same, its pose described by angles as it is between the nodes."""
-        return self if self.pose is None else Prediction.from_row(self.stamp_ns, self.to_row(), self.velocity)
+        """Return the same, its rotations as quaternions gave them back, as they do between the nodes."""
+        if self.pose is None:
+            return self
+        motion = JointMotion.of(self.pose, self.velocity)
+        return Prediction(self.stamp_ns, motion.pose, motion.velocity)
 
 
 @dataclass(frozen=True, eq=False)

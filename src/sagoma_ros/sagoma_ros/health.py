@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time
 from collections import Counter, deque
@@ -17,6 +18,7 @@ from .qos import RESULT
 
 PERIOD_S = 1.0
 LATENCY_SAMPLES = 1000
+HOST = socket.gethostname()
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -29,11 +31,13 @@ class NodeHealth:
     age; ``status`` sets level and message until the next call.
     """
 
-    def __init__(self, node: Node, hardware_id: str = "") -> None:
-        self._node, self._hardware_id = node, hardware_id
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.hardware_id = HOST
+        """What the node's results depend on, as diagnostics have it: its computer, or a camera's serial number."""
         self._lock = threading.Lock()
         self._counters: Counter[str] = Counter()
-        self._values: dict[str, str] = {}
+        self._values: dict[str, str] = {"host": HOST}
         self._latencies_ns: deque[int] = deque(maxlen=LATENCY_SAMPLES)
         self._level, self._message = OK, "starting"
         self._source: Callable[[], Mapping[str, object]] = dict
@@ -111,7 +115,7 @@ class NodeHealth:
             level=level,
             name=self._node.get_fully_qualified_name(),
             message=text,
-            hardware_id=self._hardware_id,
+            hardware_id=self.hardware_id,
             values=key_values(values),
         )
 

@@ -8,6 +8,7 @@ from std_msgs.msg import Int64MultiArray, MultiArrayDimension
 from capture_rig.errors import InputError
 from mocap_packets.latency import HullTimes, SetLatency
 
+from .health import HOST
 from .messages import key_values, to_stamp
 
 TIMES_TOPIC, LATENCY_TOPIC = "hull/times", "mocap/latency"
@@ -32,7 +33,9 @@ def read_times(message: Int64MultiArray, where: str) -> HullTimes:
 def latency_message(latency: SetLatency) -> DiagnosticArray:
     """Return a set's age at each point, in milliseconds since its exposure, under its capture stamp."""
     ages = {f"{point}_ms": f"{age_ms:.3f}" for point, age_ms in latency.ages_ms().items()}
-    status = DiagnosticStatus(level=DiagnosticStatus.OK, name="mocap: latency", values=key_values(ages))
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.OK, name="mocap: latency", hardware_id=HOST, values=key_values(ages)
+    )
     message = DiagnosticArray(status=[status])
     message.header.stamp = to_stamp(latency.stamp_ns)
     return message

@@ -54,7 +54,7 @@ class SagomaNode(LifecycleNode):
         declare_parameters(self, self.Settings)
         declare_parameters(self, AutostartSettings)
         self.settings: Any = None
-        self.health = NodeHealth(self, hardware_id=name)
+        self.health = NodeHealth(self)
         self.health.status(OK, "unconfigured")
         self.on_active: Callable[[], None] = _do_nothing
         """What the process does each time the node has become active."""

@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from capture_rig.errors import InputError
 from mocap_packets.thinning import Thinning
 
+from .health import HOST
 from .messages import key_values, to_ns, to_stamp
 
 TOPIC = "/hull/thinning"
@@ -21,7 +22,7 @@ def thinning_message(rule: Thinning, text: str = "") -> DiagnosticArray:
     status = DiagnosticStatus(
         level=DiagnosticStatus.WARN if thins else DiagnosticStatus.OK,
         name="hull_server: thinning",
-        hardware_id="hull_server",
+        hardware_id=HOST,
         message=text or ("thinned" if thins else "every frame"),
         values=key_values({name: getattr(rule, name) for name in _INTEGERS} | {"period_ns": f"{rule.period_ns:.3f}"}),
     )

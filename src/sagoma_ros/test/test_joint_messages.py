@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Quaternion
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
+from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
+from sagoma_ros.joint_motion import prediction_message, predictions_message, read_prediction, read_predictions
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import covariance_message, joint_state_message, prediction_message, read_prediction
+from sagoma_ros.packets import covariance_cloud, joint_state_message
+from stick_figure.joint_motion import JOINT_NAMES
+from stick_figure.kinematics import stick_frames
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, TANGENT_NAMES
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, PARENT, TANGENT_NAMES
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "ekf/prediction"
@@ -25,11 +30,11 @@ def random_pose(seed: int) -> Pose:
     return Pose.from_angles(rng.normal(size=3), Rotation.from_quat(rng.normal(size=4)).as_matrix(), angles)
 
 
-def good_message() -> JointState:
+def good_message() -> MultiDOFJointState:
     return prediction_message(Prediction(STAMP, random_pose(0), np.arange(24) / 10))
 
 
-def refusal(message: JointState) -> str:
+def refusal(message: MultiDOFJointState) -> str:
     with pytest.raises(InputError) as caught:
         read_prediction(message, TOPIC)
     assert str(caught.value).startswith(f"{TOPIC}: ")
@@ -48,62 +53,99 @@ def test_joint_state_has_names_angles_and_rates() -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_prediction_comes_back_as_the_same_pose_and_velocity(seed: int) -> None:
     pose, velocity = random_pose(seed), np.random.default_rng(seed).normal(size=24)
-    prediction = read_prediction(prediction_message(Prediction(STAMP, pose, velocity)), TOPIC)
+    sent = Prediction(STAMP, pose, velocity)
+    prediction = read_prediction(prediction_message(sent), TOPIC)
     assert prediction.stamp_ns == STAMP
     assert prediction.pose is not None
-    assert np.abs(prediction.pose.position_world - pose.position_world).max() < 1e-12
-    assert np.abs(prediction.pose.R_world_torso - pose.R_world_torso).max() < 1e-9
-    assert np.abs(prediction.pose.R_joints - pose.R_joints).max() < 1e-9
-    assert np.abs(prediction.pose.hinges - pose.hinges).max() < 1e-9
+    assert np.abs(prediction.pose.minus(pose)).max() < 1e-12
     assert np.array_equal(prediction.velocity, velocity)
+    in_memory = sent.as_sent().pose  # the same bytes, whether it went over the wire or not
+    assert in_memory is not None
+    for there, here in zip(prediction.pose.arrays, in_memory.arrays, strict=True):
+        assert np.array_equal(there, here)
 
 
-def test_prediction_message_names_the_24_tangent_slots_in_the_map_frame() -> None:
-    message = good_message()
-    assert tuple(message.name) == TANGENT_NAMES
-    assert message.header.frame_id == "map"
-    assert len(message.position) == len(message.velocity) == 24
+def test_prediction_message_holds_each_joint_in_the_axes_of_its_carrier() -> None:
+    pose, velocity = random_pose(5), np.random.default_rng(5).normal(size=24)
+    message = prediction_message(Prediction(STAMP, pose, velocity))
+    assert tuple(message.joint_names) == JOINT_NAMES and message.header.frame_id == "map"
+    torso = message.transforms[0].translation
+    assert [torso.x, torso.y, torso.z] == pose.position_world.tolist()
+    assert all((t.translation.x, t.translation.y, t.translation.z) == (0, 0, 0) for t in message.transforms[1:])
+    frames, step_s = stick_frames(pose), 1e-6
+    moved = stick_frames(pose.retract(velocity * step_s))
+    for k, (transform, twist) in enumerate(zip(message.transforms, message.twist, strict=True)):
+        carrier = np.eye(3) if PARENT[k] < 0 else frames[PARENT[k]]
+        carrier_moved = np.eye(3) if PARENT[k] < 0 else moved[PARENT[k]]
+        q = transform.rotation
+        turned = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        np.testing.assert_allclose(carrier @ turned, frames[k], atol=1e-9)
+        after = carrier_moved.T @ moved[k]
+        rate = Rotation.from_matrix(after @ turned.T).as_rotvec() / step_s
+        found = np.array([twist.angular.x, twist.angular.y, twist.angular.z])
+        if k != 1:  # the neck's third degree of freedom follows from the other two
+            np.testing.assert_allclose(found, rate, atol=1e-4)
 
 
 def test_filter_without_a_state_says_so_with_its_stamp() -> None:
     message = prediction_message(Prediction(STAMP, None, np.zeros(24)))
-    assert (len(message.name), len(message.position), len(message.velocity)) == (0, 0, 0)
+    assert (len(message.joint_names), len(message.transforms), len(message.twist)) == (0, 0, 0)
     prediction = read_prediction(message, TOPIC)
     assert (prediction.stamp_ns, prediction.pose) == (STAMP, None)
     assert prediction.velocity.tolist() == [0] * 24
 
 
-@pytest.mark.parametrize("field", ["position", "velocity"])
+def test_everybody_has_joints_of_their_own() -> None:
+    poses = {1: random_pose(1), 3: random_pose(3)}
+    sent = Predictions(STAMP, {p: Prediction(STAMP, pose, np.full(24, float(p))) for p, pose in poses.items()})
+    message = predictions_message(sent, STAMP)
+    assert message.joint_names[10] == "person_3/torso"
+    found = read_predictions(message, TOPIC).of
+    assert list(found) == [1, 3]
+    for person, pose in poses.items():
+        assert np.abs(found[person].pose.minus(pose)).max() < 1e-12
+        assert (found[person].velocity == person).all()
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_prediction_with_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
+@pytest.mark.parametrize("joint", [0, 7])
+def test_prediction_with_a_number_that_is_not_finite_is_refused(joint: int, bad: float) -> None:
+    turned, moving = good_message(), good_message()
+    turned.transforms[joint].rotation.y = bad
+    moving.twist[joint].angular.x = bad
+    assert "not finite" in refusal(turned) and "not finite" in refusal(moving)
+
+
+def test_prediction_with_a_quaternion_that_is_no_rotation_is_refused() -> None:
     message = good_message()
-    getattr(message, field)[7] = bad
-    assert "not finite" in refusal(message)
+    message.transforms[3].rotation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
+    assert "length 1" in refusal(message)
 
 
-def test_prediction_of_other_joints_is_refused() -> None:
+def test_prediction_of_other_joints_or_in_another_order_is_refused() -> None:
+    other, turned_round, twice = good_message(), good_message(), good_message()
+    other.joint_names = [*JOINT_NAMES[:-1], "tail"]
+    turned_round.joint_names = list(reversed(JOINT_NAMES))
+    for field in ("joint_names", "transforms", "twist"):
+        setattr(twice, field, [*getattr(twice, field), *getattr(twice, field)])
+    for message in (other, turned_round, twice):
+        assert "names" in refusal(message)
+
+
+@pytest.mark.parametrize(("transforms", "twists"), [(9, 10), (10, 9), (10, 0), (0, 10), (9, 9), (0, 0)])
+def test_prediction_with_joints_missing_is_refused(transforms: int, twists: int) -> None:
     message = good_message()
-    message.name = [*TANGENT_NAMES[:-1], "tail"]
-    assert "names" in refusal(message)
-
-
-def test_prediction_in_another_order_is_refused() -> None:
-    message = good_message()
-    message.name = list(reversed(TANGENT_NAMES))
-    assert "names" in refusal(message)
-
-
-@pytest.mark.parametrize(("positions", "velocities"), [(23, 24), (24, 23), (24, 0), (0, 24), (23, 23), (0, 0)])
-def test_prediction_with_numbers_missing_is_refused(positions: int, velocities: int) -> None:
-    message = good_message()
-    message.position, message.velocity = [0.0] * positions, [0.0] * velocities
+    message.transforms, message.twist = message.transforms[:transforms], message.twist[:twists]
     assert "lengths" in refusal(message)
 
 
-def test_covariance_is_labelled_row_by_row() -> None:
+def test_covariance_has_a_stamp_and_named_columns() -> None:
     covariance = np.random.default_rng(3).normal(size=(24, 24))
-    message = covariance_message(TANGENT_NAMES, covariance)
-    rows, columns = message.layout.dim
-    assert (rows.size, rows.stride, columns.size, columns.stride) == (24, 576, 24, 24)
-    assert tuple(rows.label.split(",")) == tuple(columns.label.split(",")) == TANGENT_NAMES
-    assert message.data[5 * columns.stride + 7] == covariance[5, 7]
+    message = covariance_cloud(TANGENT_NAMES, covariance, STAMP, "map")
+    assert (to_ns(message.header.stamp), message.header.frame_id) == (STAMP, "map")
+    assert [field.name for field in message.fields] == list(TANGENT_NAMES)
+    layout = np.dtype({"names": TANGENT_NAMES, "formats": ["<f8"] * 24, "offsets": [f.offset for f in message.fields]})
+    rows = np.frombuffer(message.data, layout)
+    assert (message.height, message.width, message.point_step) == (1, 24, layout.itemsize)
+    for column, name in enumerate(TANGENT_NAMES):
+        assert np.array_equal(rows[name], covariance[:, column])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -28,7 +29,7 @@ class Listener:
         listener = ros.add(Node("listener", context=ros.context))
         listener.create_subscription(DiagnosticArray, "/diagnostics", self._receive, RESULT)
         self.node = ros.add(Node("hull_server", context=ros.context, **options))
-        self.health = NodeHealth(self.node, hardware_id="hull")
+        self.health = NodeHealth(self.node)
 
     def _receive(self, message: DiagnosticArray) -> None:
         self.received += [message] * (message.status[0].name == "/hull_server")
@@ -60,7 +61,7 @@ def test_health_carries_counters_values_state_and_memory(ros: Spinner, monkeypat
     listener.health.set("spread_ms", 0.123456)
     listener.health.status(WARN, "camera cam02 is silent")
     status = listener.next_status()
-    assert (status.level, status.message, status.hardware_id) == (WARN, "camera cam02 is silent", "hull")
+    assert (status.level, status.message, status.hardware_id) == (WARN, "camera cam02 is silent", socket.gethostname())
     found = values(status)
     assert (found["late"], found["backend"], found["spread_ms"]) == ("3", "cpu", "0.1235")
     assert 5 < float(found["rss_mb"]) < 5000

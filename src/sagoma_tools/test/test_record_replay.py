@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CompressedImage, JointState
+from sensor_msgs.msg import CompressedImage, JointState, MultiDOFJointState
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
@@ -45,7 +45,7 @@ class FakeGraph:
 
     def __init__(self, link, deaf_to=()):
         self.heard, self.answered_after, self._deaf_to = [], [], deaf_to
-        self._publisher = link.node.create_publisher(JointState, "/ekf/prediction", LOSSLESS)
+        self._publisher = link.node.create_publisher(MultiDOFJointState, "/ekf/prediction", LOSSLESS)
         self._subscriptions = [
             link.node.create_subscription(CompressedImage, silhouette_topic(c), self.take, LOSSLESS) for c in CAMERAS
         ]
@@ -56,7 +56,7 @@ class FakeGraph:
         self.heard.append(k)
         if self.heard.count(k) == len(CAMERAS) and k not in self._deaf_to:
             self.answered_after.append(len(self.heard))
-            answer = JointState()
+            answer = MultiDOFJointState()
             answer.header.stamp = stamp
             self._publisher.publish(answer)
 
@@ -209,10 +209,7 @@ def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
 def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
     stamped = {topic.name for topic in OUTPUT_TOPICS if has_header(topic.msgtype)}
     unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
-    assert unstamped == {
-        *("/icp/body", "/icp/bodies", "/mocap/point_names"),
-        *("/mocap/joint_covariance", "/mocap/skeleton", "/mocap/state"),
-    }
+    assert unstamped == {*("/icp/body", "/icp/bodies", "/mocap/point_names"), *("/mocap/skeleton", "/mocap/state")}
 
 
 def test_link_close_is_idempotent_and_ends_its_thread():

@@ -6,7 +6,7 @@ from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.state import Prediction
@@ -53,7 +53,7 @@ class OverloadControl(NoOverloadControl):
     def __init__(self, node: SagomaNode) -> None:
         self._node, self._control, self._use = node, ThinningControl(), ProcessorUse()
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, LATCHED)
-        self._answers = PacketSubscription[Prediction](node, JointState, "ekf/prediction", self._on_answer)
+        self._answers = PacketSubscription[Prediction](node, MultiDOFJointState, "ekf/prediction", self._on_answer)
         self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered_ns = 0
         self._said = ""

@@ -52,7 +52,8 @@ class Topic:
 OF_A_PERSON = {
     "joint_states": "sensor_msgs/msg/JointState",
     "torso": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "joint_covariance": "std_msgs/msg/Float64MultiArray",
+    "joint_rotations": "sensor_msgs/msg/MultiDOFJointState",
+    "joint_covariance": "sensor_msgs/msg/PointCloud2",
     "reference_points": "sensor_msgs/msg/PointCloud2",
     "skeleton": "visualization_msgs/msg/MarkerArray",
     "state": "diagnostic_msgs/msg/DiagnosticStatus",
@@ -71,7 +72,7 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     *(Topic(f"/mocap/{what}", msgtype) for what, msgtype in OF_A_PERSON.items()),
     Topic("/mocap/point_names", "std_msgs/msg/String", latched=True),
     Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
-    Topic(PREDICTION_TOPIC, "sensor_msgs/msg/JointState"),
+    Topic(PREDICTION_TOPIC, "sensor_msgs/msg/MultiDOFJointState"),
 )
 RENAMED_TOPICS = {"/hull/rims": "/hull/contour_rays"}
 """Topics of bags that older versions recorded -> their names now."""

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
@@ -153,7 +153,7 @@ class Answers:
         self._arrived = threading.Condition()
         self._stamps: set[int] = set()
         self.total = 0
-        self._subscription = node.create_subscription(JointState, topic, self._take, LOSSLESS, raw=True)
+        self._subscription = node.create_subscription(MultiDOFJointState, topic, self._take, LOSSLESS, raw=True)
 
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""

@@ -15,10 +15,10 @@ from capture_rig.errors import InputError
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, check_stamps, smooth
 from ekf_tracker.state import POSE
-from ekf_tracker.state_ros import torso_message
+from ekf_tracker.state_ros import rotations_message, torso_message
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
-from sagoma_ros.packets import covariance_message, joint_state_message, packet_cloud, read_people_points
+from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_cloud, read_people_points
 from stick_figure.body import Body
 from stick_figure.body_file import parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
@@ -28,7 +28,13 @@ from .reader import SIDECAR_RIG, bag_topics, read_messages, read_provenance
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter, require_new
 
 FITTED, BODY = "/icp/reference_points", "/icp/body"
-SMOOTHED = ("/mocap/joint_states", "/mocap/torso", "/mocap/joint_covariance", "/mocap/reference_points")
+SMOOTHED = (
+    "/mocap/joint_states",
+    "/mocap/torso",
+    "/mocap/joint_covariance",
+    "/mocap/joint_rotations",
+    "/mocap/reference_points",
+)
 LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
 
 
@@ -93,7 +99,8 @@ def _write(writer: BagWriter, log_ns: int, state: BodyState, frame_id: str) -> N
     messages: tuple[Any, ...] = (
         joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame_id),
         torso_message(state, frame_id),
-        covariance_message(TANGENT_NAMES, state.covariance[POSE, POSE]),
+        covariance_cloud(TANGENT_NAMES, state.covariance[POSE, POSE], state.stamp_ns, frame_id),
+        rotations_message(state, frame_id),
         packet_cloud(state.reference_points, state.stamp_ns, frame_id),
     )
     for topic, message in zip(SMOOTHED, messages, strict=True):
