@@ -122,7 +122,7 @@ def killed(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     graph = build_graph(session=built_in_session, rate=0.0, settings=settings)
     folder, died = tmp_path_factory.mktemp("killed"), threading.Event()
     frames = frame_count(load_session(built_in_session))
-    with Supervisor(graph, folder / "logs", on_exit=lambda spec, log: died.set()) as supervisor:
+    with Supervisor(graph, folder / "logs", on_event=lambda event: died.set()) as supervisor:
         supervisor.configure()
         with GraphRecorder(graph, folder / "bag") as recorder:
             recorder.wait_for_publishers()

@@ -80,17 +80,18 @@ def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
 def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supervise):
     deaths, told = [], threading.Event()
 
-    def on_exit(process, log_tail):
-        deaths.append((process.label, log_tail))
+    def on_event(death):
+        deaths.append(death)
         told.set()
 
-    run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_exit=on_exit)
+    run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_event=on_event)
     run.configure()
     its_memory = owned_shared_memory([run.pids()["/cam01/camera_client"]])
     outcome = run.activate()
     assert told.wait(30)
     assert outcome.silent == ("/cam01/camera_client",)
-    assert deaths[0][0] == "cam01" and deaths[0][1].endswith("the last words of a dying node")
+    assert deaths[0].process.label == "cam01" and deaths[0].log_tail.endswith("the last words of a dying node")
+    assert "died: exit status 3; no restart: nobody asked for restarts" in str(deaths[0])
     assert run.states()["/cam01/camera_client"] == "dead"
     assert run.states()["/hull_server"] == run.states()["/cam02/camera_client"] == "active"
     exits = {ended.name: (ended.exit, ended.returncode) for ended in run.stop()}

@@ -44,6 +44,9 @@ class TinyNode(LifecycleNode):
 def main():
     rclpy.init()
     node = TinyNode()
+    if node.declare_parameter("autostart", False).value:
+        node.trigger_configure()
+        node.trigger_activate()
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

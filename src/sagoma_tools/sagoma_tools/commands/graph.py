@@ -17,12 +17,12 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
-from sagoma_bringup.processes import ProcessSpec
 from virtual_studio.gige import command as studio
 
 from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, table_console
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit
+from ..graph.restarts import Death, RestartPolicy, Return
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
 from ..recording.recorder import GraphRecorder
@@ -48,6 +48,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--record", metavar="BAG", help="record all topics into this bag")
     parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
     parser.add_argument("--run-folder", help="where logs and parameter files go (default: output/up-DATE-TIME)")
+    help_text = "leave processes that crash dead (default: start them again)"
+    parser.add_argument("--no-restart", dest="restart", action="store_false", help=help_text)
     parser.set_defaults(run=up)
     for verb, (goal, cameras_first, help_text) in VERBS.items():
         parser = subparsers.add_parser(verb, help=help_text)
@@ -68,13 +70,15 @@ def up(args: argparse.Namespace) -> int:
     console, folder = table_console(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
-    def report_exit(process: ProcessSpec, log_tail: str) -> None:
-        console.print(f"{process} died. The end of {folder / process.label}.log:", style="red")
-        console.print(log_tail, markup=False, highlight=False)
+    def tell(event: Death | Return) -> None:
+        console.print(str(event), style="red" if isinstance(event, Death) else "green", markup=False, highlight=False)
+        if isinstance(event, Death):
+            console.print(f"the end of {event.log}:\n{event.log_tail}", markup=False, highlight=False)
 
+    restart = RestartPolicy() if args.restart else None
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, on_exit=report_exit, cancel=stop, server=args.server) as supervisor,
+        Supervisor(graph, folder, on_event=tell, cancel=stop, server=args.server, restart=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop)

@@ -77,6 +77,7 @@ class StudioProcess:
         command = [sys.executable, "-u", "-m", "virtual_studio.gige", *places, *self._arguments]
         ended = threading.Event()
         log = self.folder / "studio.log"
+        log.unlink(missing_ok=True)
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
         patience = StartPatience(self._cpu_s)  # a long session is decoded into memory first
         while self._child.log_tail(1) != "ready":

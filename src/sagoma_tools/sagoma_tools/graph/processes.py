@@ -95,11 +95,14 @@ class Child:
     def __init__(
         self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str], on_exit: Callable[[Child], None]
     ) -> None:
-        """``on_exit`` is called from the child's watching thread when the process ends by itself."""
+        """``on_exit`` is called from the child's watching thread when the process ends by itself.
+
+        A log that exists is continued: that of a process that is started again.
+        """
         self.name, self.log = name, log
         self.shared_memory: set[str] = set()
         self._stopping = False
-        with log.open("wb") as sink:
+        with log.open("ab") as sink:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,

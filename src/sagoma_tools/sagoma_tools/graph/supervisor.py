@@ -1,8 +1,8 @@
 """Runs the node graph as processes, without the ros2 command line.
 
 Starts every process (the server's nodes share one, unless told otherwise), drives the nodes' lifecycle with
-acknowledgements (the server's first, the cameras' last), watches the processes, and stops them cleanly. A camera may
-die; the graph goes on.
+acknowledgements (the server's first, the cameras' last), watches the processes, starts crashed ones again (`restarts`),
+and stops them cleanly. A camera may die; the graph goes on.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
 from .diagnostics_table import DiagnosticsTable
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import Child, ExitStatus, Usage, busy_machine, node_command, remove_abandoned, stop_children
+from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
 from .ros_link import RosLink, node_names
 
 GRACE_S = 8.0
@@ -34,6 +36,9 @@ START_TIMEOUT_S = 300.0  # from a process's start to its first answer: seconds o
 ACTIVATION_NS = 2_500_000_000  # within this every camera's activation is acknowledged, even on a busy machine
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
+LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
+CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
+RESTARTING = "restarting"
 
 
 class GraphError(RuntimeError):
@@ -59,30 +64,38 @@ class Supervisor:
         env: Mapping[str, str] | None = None,
         grace_s: float = GRACE_S,
         cancel: threading.Event | None = None,
-        on_exit: Callable[[ProcessSpec, str], None] | None = None,
+        on_event: Callable[[Death | Return], None] = lambda event: None,
         server: str = ONE_PROCESS,
+        restart: RestartPolicy | None = None,
     ) -> None:
-        """``on_exit(process, log_tail)`` is called, from another thread, for every process that ends by itself.
+        """``on_event`` is called, from another thread, for every process that ends by itself or is back again.
 
         server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
         run_folder : gets one log and one parameter file a process; made when missing.
         domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
         grace_s : how long a node may take to end after SIGINT before it is killed.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
+        restart : once the graph is active, processes that crash are started again and become active by themselves,
+            but for cameras that read files: their place in the footage is lost. Live cameras without a background_file
+            keep theirs in the run folder, so that they find it again. None: what has died stays dead.
         """
-        self.graph = with_common_epoch(graph, time.time_ns())
-        self.processes = processes_of(self.graph, server)
         self.run_folder = Path(run_folder)
+        self.graph = with_common_epoch(graph, time.time_ns())
+        if restart is not None:
+            self.graph = with_kept_backgrounds(self.graph, self.run_folder)
+        self.processes = processes_of(self.graph, server)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome(())
         self._domain_id, self._env, self._grace_s = domain_id, dict(env or {}), grace_s
-        self._on_exit = on_exit
+        self._on_event, self._restart = on_event, restart
         self._cancel = cancel or threading.Event()
-        self._stopping = False
+        self._stopping = self._running = False
         self._lock = threading.Lock()
         self._children: dict[str, Child] = {}
         self._states: dict[str, str] = {}
         self._link: RosLink | None = None
+        self._restarter: Restarter | None = None
+        self._shared_memory: set[str] = set()
 
     def __enter__(self) -> Supervisor:
         self.start()
@@ -105,8 +118,10 @@ class Supervisor:
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
             for process in self.processes:
-                child = self._spawn(process)
-                self._children |= dict.fromkeys((node.full_name for node in process.nodes), child)
+                (self.run_folder / f"{process.label}.log").unlink(missing_ok=True)
+                self._spawn(process)
+            if self._restart is not None:
+                self._restarter = Restarter(self._restart, self._start_again, self._is_active, self._on_event)
         except BaseException:
             self.stop()
             raise
@@ -118,15 +133,19 @@ class Supervisor:
         """
         if self._link is None:
             return self.exit_statuses
-        self._stopping = True
+        self._stopping, self._running = True, False
+        if self._restarter is not None:
+            self._restarter.halt()
         self.stop_outcome = self.suspend() + self._bring(
             self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, STOP_TIMEOUT_S
         )
         children = list(dict.fromkeys(self._children.values()))
         self.exit_statuses = stop_children(children, self._grace_s)
+        if self._restarter is not None:
+            self._restarter.close()
         self._link.close()
         self._link = None
-        remove_abandoned(set().union(*(child.shared_memory for child in children)))
+        remove_abandoned(self._shared_memory.union(*(child.shared_memory for child in children)))
         return self.exit_statuses
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
@@ -151,10 +170,16 @@ class Supervisor:
             self._cancel.wait(seconds_to_start_window(time.time_ns()))
         outcome += self._bring([cameras], State.ACTIVE)
         self._check(State.ACTIVE, outcome, tolerate_cameras)
+        with self._lock:
+            self._running = True
+            lost = [process for process in self.processes if not self._child_of(process).alive]
+        for process in lost:
+            self._report_exit(process, self._child_of(process))
         return outcome
 
     def suspend(self) -> Outcome:
-        """Deactivate every active node, the cameras first."""
+        """Deactivate every active node, the cameras first; what dies from now on stays dead."""
+        self._running = False
         return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, STOP_TIMEOUT_S)
 
     def alive(self, name: str) -> bool:
@@ -163,10 +188,10 @@ class Supervisor:
         return child is not None and child.alive
 
     def states(self) -> dict[str, str]:
-        """Full node name -> lifecycle state as last acknowledged, or "dead"."""
+        """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
         with self._lock:
             known = dict(self._states)
-        return {n: known.get(n, FRESH) if self.alive(n) else "dead" for n in self._children}
+        return {n: known.get(n, FRESH) if child.alive else self._absence(child) for n, child in self._children.items()}
 
     def pids(self) -> dict[str, int]:
         """Full node name -> process id."""
@@ -174,7 +199,7 @@ class Supervisor:
 
     def usage(self) -> dict[str, Usage]:
         """Label of each living process -> the memory and processor time that it uses."""
-        found = {process.label: self._children[process.nodes[0].full_name].usage() for process in self.processes}
+        found = {process.label: self._child_of(process).usage() for process in self.processes}
         return {label: usage for label, usage in found.items() if usage is not None}
 
     def log_tail(self, name: str, lines: int = 15) -> str:
@@ -182,15 +207,24 @@ class Supervisor:
         return self._children[name].log_tail(lines)
 
     def _spawn(self, process: ProcessSpec) -> Child:
+        """Start a process. Children of the restarting thread live as long as it, the others as long as the caller's."""
         parameters = self.run_folder / f"{process.label}.yaml"
         save_mapping(parameters, process.parameter_document())
         executable = node_command(process.package, process.executable, process.module)
         command = [*executable, "--ros-args", *process.name_arguments, "--params-file", str(parameters)]
         log, env = self.run_folder / f"{process.label}.log", self._child_environment()
-        return Child(process.label, command, log, env, partial(self._report_exit, process))
+        child = Child(process.label, command, log, env, partial(self._report_exit, process))
+        self._children |= dict.fromkeys((node.full_name for node in process.nodes), child)
+        return child
+
+    def _child_of(self, process: ProcessSpec) -> Child:
+        return self._children[process.nodes[0].full_name]
+
+    def _absence(self, dead: Child) -> str:
+        return RESTARTING if self._restarter is not None and self._restarter.is_waiting(dead.name) else "dead"
 
     def _child_environment(self) -> dict[str, str]:
-        env = {**THREADS_ENV, **os.environ, **self._env, "PYTHONUNBUFFERED": "1"}
+        env = {**THREADS_ENV, **os.environ, **self._env, **LOG_ENV}
         env["ROS_LOG_DIR"] = str(self.run_folder / "ros_log")
         if self._domain_id is not None:
             env["ROS_DOMAIN_ID"] = str(self._domain_id)
@@ -200,8 +234,46 @@ class Supervisor:
         return self.alive(name) and (self._stopping or not self._cancel.is_set())
 
     def _report_exit(self, process: ProcessSpec, child: Child) -> None:
-        if self._on_exit is not None:
-            self._on_exit(process, child.log_tail())
+        with self._lock:
+            for node in process.nodes:
+                self._states.pop(node.full_name, None)
+            self._shared_memory |= child.shared_memory
+            running = self._running
+        why_not = self._why_no_restart(process, child, running)
+        delay_s = self._restarter.take(process) if self._restarter is not None and not why_not else None
+        if not why_not and delay_s is None and self._restarter is not None:
+            why_not = self._restarter.give_up_reason()
+        reason = exit_reason(child.returncode)
+        self._on_event(Death(process, child.pid, reason, child.log, child.log_tail(), delay_s, why_not))
+
+    def _why_no_restart(self, process: ProcessSpec, child: Child, running: bool) -> str:
+        """Say why a process that has ended is not started again; empty when it is."""
+        if self._restarter is None:
+            return "nobody asked for restarts"
+        if not running:
+            return "the graph is not active"
+        if child.returncode == 0:
+            return "somebody asked it to end"
+        if any(_reads_file(node) for node in process.nodes):
+            return "it reads footage, and its place in it is lost"
+        return ""
+
+    def _start_again(self, process: ProcessSpec) -> int:
+        """Start a process whose nodes become active by themselves; returns its process id."""
+        remove_abandoned(self._shared_memory)  # each crash leaves megabytes in /dev/shm
+        nodes = tuple(node.with_parameters({"autostart": True}) for node in process.nodes)
+        return self._spawn(replace(process, nodes=nodes)).pid
+
+    def _is_active(self, process: ProcessSpec) -> bool:
+        """Ask the nodes of a restarted process for their states; True when all are active."""
+        names = [node.full_name for node in process.nodes]
+        active = State.ACTIVE.value
+        if set(self.lifecycle.states(names, CONFIRM_S).values()) != {active}:
+            return False
+        self._child_of(process).note_shared_memory()
+        with self._lock:
+            self._states |= dict.fromkeys(names, active)
+        return True
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
         """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
@@ -277,6 +349,20 @@ def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpe
         return tuple(graph)
     epoch = {"footage.epoch_ns": epoch_ns}
     return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
+
+
+def with_kept_backgrounds(graph: Sequence[NodeSpec], folder: Path) -> tuple[NodeSpec, ...]:
+    """Return the graph, the live cameras that save their background nowhere saving it into ``folder``."""
+    return tuple(
+        spec.with_parameters({"background_file": str((folder / f"{spec.label}_background.npz").resolve())})
+        if spec.role is Role.CAMERA and not _reads_file(spec) and not spec.parameters.get("background_file")
+        else spec
+        for spec in graph
+    )
+
+
+def _reads_file(spec: NodeSpec) -> bool:
+    return spec.role is Role.CAMERA and spec.parameters.get("source") == "footage"
 
 
 def _chooses_epoch(camera: NodeSpec) -> bool:

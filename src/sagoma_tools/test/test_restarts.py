@@ -1,0 +1,112 @@
+"""Restarts of crashed processes: the policy by itself, and tiny lifecycle nodes that are killed in a running graph."""
+
+import os
+import queue
+import signal
+
+import pytest
+from test_supervisor_graph import camera, tiny
+
+from sagoma_tools.graph.processes import owned_shared_memory, shared_memory_files
+from sagoma_tools.graph.restarts import Death, RestartPolicy, Return, exit_reason
+from sagoma_tools.graph.supervisor import Supervisor, with_kept_backgrounds
+
+SOON = RestartPolicy(first_s=0.1, longest_s=0.1, most=2)
+PATIENCE_S = 120.0
+
+
+@pytest.mark.parametrize(
+    ("deaths_s", "expected_s"),
+    [
+        ([10.0], 1.0),
+        ([10.0, 20.0], 2.0),
+        ([10.0, 20.0, 30.0, 40.0, 50.0], 16.0),
+        ([10.0, 400.0], 1.0),  # the first one is forgiven
+        ([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], None),
+    ],
+)
+def test_delay_doubles_with_each_crash_until_the_process_is_given_up(deaths_s, expected_s):
+    assert RestartPolicy(first_s=1.0, longest_s=16.0, most=5, within_s=300.0).delay_s(deaths_s) == expected_s
+
+
+def test_exit_reason_names_the_signal_and_what_it_mostly_means():
+    assert exit_reason(3) == "exit status 3"
+    assert exit_reason(-signal.SIGKILL).startswith("killed by SIGKILL (by hand, or by the kernel when memory ran out")
+    assert "Python stack" in exit_reason(-signal.SIGSEGV)
+    assert exit_reason(-signal.SIGTERM) == "killed by SIGTERM"
+
+
+def test_live_cameras_keep_their_background_in_the_run_folder_unless_they_have_a_place_for_it(tmp_path):
+    given = camera("cam02").with_parameters({"background_file": "/somewhere/cam02.npz"})
+    footage = camera("cam03").with_parameters({"source": "footage"})
+    graph = with_kept_backgrounds([tiny("hull_server"), camera("cam01"), given, footage], tmp_path)
+    files = [spec.parameters.get("background_file") for spec in graph]
+    assert files == [None, str(tmp_path / "cam01_background.npz"), "/somewhere/cam02.npz", None]
+
+
+@pytest.fixture()
+def watched(tmp_path):
+    """Start a graph with restarts; returns the supervisor, active, and the queue of what it tells."""
+    running = []
+
+    def start(*graph, policy=SOON):
+        told = queue.Queue()
+        supervisor = Supervisor(graph, tmp_path / "run", on_event=told.put, restart=policy)
+        running.append(supervisor)
+        supervisor.start()
+        supervisor.configure()
+        supervisor.activate()
+        return supervisor, told
+
+    yield start
+    for supervisor in running:
+        supervisor.stop()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.slow)])
+def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memory(watched, number):
+    run, told = watched(tiny("hull_server"), camera("cam01"))
+    name = "/cam01/camera_client"
+    before = run.pids()[name]
+    its_memory = owned_shared_memory([before])
+    os.kill(before, number)
+    death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
+    assert isinstance(death, Death) and death.process.label == "cam01" and death.pid == before
+    assert f"killed by {number.name}" in str(death) and "restart in 0.1 s" in str(death)
+    assert isinstance(back, Return) and back.pid == run.pids()[name] != before
+    assert run.states() == {"/hull_server": "active", name: "active"}
+    assert "I am good" in death.log_tail and run.log_tail(name, lines=100).count("I am good") == 2  # the log goes on
+    ports_taken_over = owned_shared_memory(run.pids().values())
+    assert its_memory and not shared_memory_files(its_memory - ports_taken_over)
+    assert [status.returncode for status in run.stop()] == [0, 0]
+
+
+def test_process_that_crashes_at_every_start_is_given_up_with_its_last_words(watched):
+    run, told = watched(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"))
+    # it died once while the graph started, and dies at each of the two restarts
+    deaths = [told.get(timeout=PATIENCE_S) for _ in range(4)]
+    assert [death.restart_s for death in deaths] == [None, 0.1, 0.1, None]
+    assert "the graph is not active" in str(deaths[0])
+    assert "crashed more than 2 times within 300 s" in str(deaths[3])
+    assert deaths[3].log_tail.endswith("the last words of a dying node")
+    states = run.states()
+    assert states["/cam01/camera_client"] == "dead"
+    assert states["/hull_server"] == states["/cam02/camera_client"] == "active"
+
+
+@pytest.mark.slow
+def test_who_was_asked_to_end_or_reads_footage_stays_ended_and_stop_starts_nothing(watched):
+    footage = camera("cam02").with_parameters({"source": "footage"})
+    patient = RestartPolicy(first_s=3600.0, longest_s=3600.0)
+    run, told = watched(tiny("hull_server"), camera("cam01"), footage, camera("cam03"), policy=patient)
+    ends = {"cam01": signal.SIGINT, "cam02": signal.SIGKILL, "cam03": signal.SIGKILL}
+    for label, number in ends.items():
+        os.kill(run.pids()[f"/{label}/camera_client"], number)
+    deaths = {death.process.label: death for death in (told.get(timeout=PATIENCE_S) for _ in ends)}
+    assert "no restart: somebody asked it to end" in str(deaths["cam01"])
+    assert "no restart: it reads footage, and its place in it is lost" in str(deaths["cam02"])
+    assert deaths["cam03"].restart_s == 3600.0
+    states = run.states()
+    assert [states[f"/{label}/camera_client"] for label in ends] == ["dead", "dead", "restarting"]
+    run.stop()
+    assert told.empty()
