@@ -7,7 +7,7 @@ import signal
 import pytest
 from test_supervisor_graph import camera, tiny
 
-from sagoma_tools.graph.processes import owned_shared_memory, shared_memory_files
+from sagoma_tools.graph.processes import abandoned, owned_shared_memory, shared_memory_files
 from sagoma_tools.graph.restarts import Death, RestartPolicy, Return, exit_reason
 from sagoma_tools.graph.supervisor import Supervisor, with_kept_backgrounds
 
@@ -76,8 +76,7 @@ def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memor
     assert isinstance(back, Return) and back.pid == run.pids()[name] != before
     assert run.states() == {"/hull_server": "active", name: "active"}
     assert "I am good" in death.log_tail and run.log_tail(name, lines=100).count("I am good") == 2  # the log goes on
-    ports_taken_over = owned_shared_memory(run.pids().values())
-    assert its_memory and not shared_memory_files(its_memory - ports_taken_over)
+    assert its_memory and not shared_memory_files(abandoned(its_memory))
     assert [status.returncode for status in run.stop()] == [0, 0]
 
 

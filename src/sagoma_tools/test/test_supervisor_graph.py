@@ -10,7 +10,7 @@ from rich.console import Console
 from camera_client.sources.footage_source import choose_epoch_ns
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_tools.graph.lifecycle_client import Transition, Verdict
-from sagoma_tools.graph.processes import Exit, owned_shared_memory, shared_memory_files
+from sagoma_tools.graph.processes import Exit, abandoned, owned_shared_memory, shared_memory_files
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
 
 
@@ -96,7 +96,7 @@ def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supe
     assert run.states()["/hull_server"] == run.states()["/cam02/camera_client"] == "active"
     exits = {ended.name: (ended.exit, ended.returncode) for ended in run.stop()}
     assert exits["cam01"] == (Exit.ALREADY_DEAD, 3) and exits["cam02"] == (Exit.CLEAN, 0)
-    assert its_memory and not shared_memory_files(its_memory)
+    assert its_memory and not shared_memory_files(abandoned(its_memory))
 
 
 def test_only_camera_lost_is_an_error(supervise):
@@ -124,7 +124,7 @@ def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(superv
     exits = {ended.name: ended.exit for ended in run.stop()}
     assert exits == {"deaf": Exit.KILLED, "good": Exit.CLEAN}
     assert not psutil.pid_exists(pid)
-    assert not shared_memory_files(its_memory)
+    assert not shared_memory_files(abandoned(its_memory))
 
 
 @pytest.mark.slow

@@ -212,13 +212,16 @@ def shared_memory_files(names: Iterable[str]) -> list[Path]:
     return [path for path in paths if path.exists()]
 
 
+def abandoned(names: Iterable[str]) -> set[str]:
+    """Return those of these segments and ports that no living process owns: a port that is free again is soon taken."""
+    names = set(names)
+    return names - owned_shared_memory(process.pid for process in psutil.process_iter()) if names else names
+
+
 def remove_abandoned(names: Iterable[str]) -> None:
     """Delete the files of those segments and ports that no living process owns."""
-    names = set(names)
-    if names:
-        living = owned_shared_memory(process.pid for process in psutil.process_iter())
-        for path in shared_memory_files(names - living):
-            path.unlink(missing_ok=True)
+    for path in shared_memory_files(abandoned(names)):
+        path.unlink(missing_ok=True)
 
 
 def _prepare_child() -> None:
