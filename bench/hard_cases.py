@@ -28,7 +28,7 @@ from scenes import Clip, inside_volume, session_clip, studio_clip
 from capture_rig.errors import InputError
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.live_run import distort_mask
-from sagoma_tools.evaluation.pictures import montage, overlay
+from sagoma_tools.overlays.drawing import montage, overlay
 from stick_figure.body import Body
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.motions.catalogue import HARD_CASES

@@ -40,9 +40,9 @@ from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.people import score_people
-from sagoma_tools.evaluation.pictures import Window, montage, overlay
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
+from sagoma_tools.overlays.drawing import Window, montage, overlay
 from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.motions.catalogue import HARD_CASES

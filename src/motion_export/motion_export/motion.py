@@ -104,6 +104,11 @@ class Motion:
         """(F,) bool, False in a gap."""
         return self.states != UNTRACKED
 
+    def frame_at(self, stamp_ns: int) -> int | None:
+        """Return the frame nearest to a stamp; None before the first, after the last, and in a gap."""
+        frame = round((stamp_ns - self.start_ns) * self.rate_hz / NS_PER_S)
+        return frame if 0 <= frame < len(self) and self.states[frame] != UNTRACKED else None
+
     @property
     def gaps(self) -> list[tuple[int, int]]:
         """First frame, and the one after the last, of each gap."""

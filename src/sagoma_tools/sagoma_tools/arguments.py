@@ -14,6 +14,8 @@ from capture_rig.yaml_file import parse_value
 from sagoma_bringup.graph import NodeSpec, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
+from .takes.folder import TAKES, TakesFolder
+
 LOG_WIDTH = 150
 
 
@@ -76,3 +78,23 @@ def parse_settings(texts: list[str]) -> dict[str, Any]:
 def new_run_folder(given: str | None, kind: str) -> Path:
     """Return the folder for logs and parameter files: as given, or output/KIND-DATE-TIME."""
     return Path(given) if given else Path("output") / f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def add_takes_argument(parser: argparse.ArgumentParser) -> None:
+    """--takes FOLDER, in which takes are found by name; :func:`chosen_take` reads it."""
+    parser.add_argument("--takes", default=TAKES, metavar="FOLDER", help=f"folder of the takes (default: {TAKES})")
+
+
+def chosen_take(given: str, folder: str) -> tuple[TakesFolder, str]:
+    """Return the folder and name of a take that is given by its name in the folder of takes, or by its path."""
+    path = Path(given)
+    if not (path.name == given and (Path(folder) / path).exists()) and path.exists():
+        return TakesFolder(path.resolve().parent), path.resolve().name
+    return TakesFolder(Path(folder)), given
+
+
+def bag_of(given: str, folder: str) -> Path:
+    """Return the bag of a take that is given by its name, or by its path: a folder, or a single file."""
+    path = Path(given)
+    named = Path(folder) / path
+    return named if path.name == given and not path.exists() and named.exists() else path

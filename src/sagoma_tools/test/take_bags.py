@@ -1,5 +1,6 @@
 """Small bags as the graph records them, for tests of what is done with takes."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import String
 
 from mocap_packets.fit import ReferencePoints
+from sagoma_ros.images import silhouette_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.recording.writer import OFFERED_LATCHED, BagWriter
@@ -33,11 +35,18 @@ SIGMA_M = 0.01
 
 
 def write_take(
-    folder: Path, frames: int = 50, *, doubtful: range = range(0), lost: range = range(0), missing: range = range(0)
+    folder: Path,
+    frames: int = 50,
+    *,
+    doubtful: range = range(0),
+    lost: range = range(0),
+    missing: range = range(0),
+    masks: Mapping[str, np.ndarray] | None = None,
 ) -> Path:
     """A take of a person in the T-pose who moves along y by 1 cm a frame, at 50 Hz, seen by two cameras.
 
     doubtful, lost : frames in these states. missing : frames that cam02 lacks and the tracker does not answer.
+    masks : each camera's silhouette, else bytes that are none.
     """
     body = Body.from_stature(1.7)
     with BagWriter(folder) as bag:
@@ -54,7 +63,7 @@ def write_take(
             stamp = EPOCH_NS + frame * PERIOD_NS
             absent = frame in missing
             for camera in CAMERAS[: 1 if absent else 2]:
-                image = CompressedImage(format="png", data=b"x")
+                image = silhouette_message(masks[camera], stamp, camera) if masks else CompressedImage(data=b"x")
                 image.header.stamp = to_stamp(stamp)
                 write(f"/{camera}/silhouette/compressed", stamp, image)
             write("/hull/frame_set", stamp, report(stamp, "hull", missing="cam02" if absent else ""))

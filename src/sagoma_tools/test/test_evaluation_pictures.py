@@ -10,20 +10,11 @@ from capture_rig.camera import CameraModel
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video
 from sagoma_tools.evaluation.live_run import distort_mask
-from sagoma_tools.evaluation.pictures import (
-    LEFT_BGR,
-    TRUTH_BGR,
-    Window,
-    caption,
-    draw_skeleton,
-    draw_stills,
-    overlay,
-    sheets,
-    write_overlay,
-)
+from sagoma_tools.evaluation.pictures import caption, draw_stills, sheets, write_overlay
 from sagoma_tools.evaluation.plots import Curves, draw_plots, unwrapped
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
+from sagoma_tools.overlays.drawing import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring

@@ -14,18 +14,20 @@ from rich.table import Table
 
 from capture_rig.errors import InputError
 
-from ..arguments import table_console
+from ..arguments import add_takes_argument, chosen_take, table_console
+from ..takes.exporting import EXPORTS
 from ..takes.folder import TAKES, TakesFolder
 from ..takes.measure import digests
 from ..takes.summary_file import finish_take
 from ..takes.take import Background, Summary, Take, TakeState
 from ..takes.trim import trim
 from ..takes.verify import ERROR, OK, WARNING, Check, verify
+from ..takes.video import VIDEO, write_video
 
 MIB = 1 << 20
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
 CHECK_STYLE = {OK: "green", WARNING: "yellow", ERROR: "red"}
-PROGRESS_EVERY = 5000  # messages
+MESSAGES_EVERY, FRAMES_EVERY = 5000, 30
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -39,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         added = verbs.add_parser(name, help=text)
         if take:
             added.add_argument("take", help="a take's name, or the folder of a bag")
-        added.add_argument("--takes", default=TAKES, metavar="FOLDER", help=f"folder of the takes (default: {TAKES})")
+        add_takes_argument(added)
         added.set_defaults(run=run)
         return added
 
@@ -54,6 +56,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     cut.add_argument("name", help="the new take's name")
     cut.add_argument("--from", dest="from_s", type=float, default=0.0, metavar="S", help="second at which it begins")
     cut.add_argument("--to", dest="to_s", type=float, metavar="S", help="second at which it ends (default: the end)")
+    film = verb("video", video, "write a video of it: each camera's silhouettes or pictures, with everybody drawn")
+    film.add_argument(
+        "--output", metavar="FILE", help=f"mp4, webm (for browsers) or avi (default: TAKE/{EXPORTS}/{VIDEO})"
+    )
+    film.add_argument("--cameras", nargs="+", default=[], metavar="CAM", help="these only (default: all)")
+    film.add_argument("--fps", type=float, metavar="HZ", help="frames a second (default: the take's)")
     verb("delete", delete, "move a take into the bin")
     verb("restore", restore, "bring a deleted take back").add_argument("--name", default="", help="under this name")
     verb("bin", show_bin, "what is in the bin", False)
@@ -95,7 +103,7 @@ def list_takes(args: argparse.Namespace) -> int:
 
 def show(args: argparse.Namespace) -> int:
     """Print everything that is known of a take; 1 when it cannot be read."""
-    folder, name = chosen(args)
+    folder, name = chosen_take(args.take, args.takes)
     take = folder.find(name)
     if args.json:
         print(json.dumps(take.document(), indent=1))
@@ -121,7 +129,7 @@ def show(args: argparse.Namespace) -> int:
 
 def check(args: argparse.Namespace) -> int:
     """Print what every check found; 1 when one found an error."""
-    folder, name = chosen(args)
+    folder, name = chosen_take(args.take, args.takes)
     checks = verify(folder.find(name), counter("read"))
     if args.json:
         print(json.dumps([vars(each) for each in checks], indent=1))
@@ -140,25 +148,36 @@ def print_checks(checks: list[Check]) -> None:
 
 def rename(args: argparse.Namespace) -> int:
     """Give a take another name."""
-    folder, name = chosen(args)
+    folder, name = chosen_take(args.take, args.takes)
     print(f"{name} is now {folder.rename(name, args.name).name}")
     return 0
 
 
 def trim_take(args: argparse.Namespace) -> int:
     """Make a new take of a part."""
-    folder, name = chosen(args)
+    folder, name = chosen_take(args.take, args.takes)
     path = trim(folder, name, args.name, args.from_s, args.to_s, counter("copied"))
     made = folder.find(path.name)
     print(f"made {path}: {made.summary.quality.seconds if made.summary else made.seconds:.1f} s, {origin(made)}")
     return 0
 
 
+def video(args: argparse.Namespace) -> int:
+    """Write a video of a take."""
+    folder, name = chosen_take(args.take, args.takes)
+    take = folder.find(name)
+    path = Path(args.output) if args.output else take.path / EXPORTS / VIDEO
+    count = counter("drawn", "frames", FRAMES_EVERY)
+    frames = write_video(take, path, args.cameras, args.fps, lambda frame, frames: count(frame))
+    print(f"{path}: {frames} frames, {path.stat().st_size / MIB:.1f} MB")
+    return 0
+
+
 def delete(args: argparse.Namespace) -> int:
     """Move a take into the bin."""
-    folder, name = chosen(args)
+    folder, name = chosen_take(args.take, args.takes)
     deleted = folder.delete(name)
-    takes = "" if args.takes == str(folder.path) == TAKES else f" --takes '{folder.path}'"
+    takes = "" if folder.path == Path(TAKES) else f" --takes '{folder.path}'"
     print(f"{deleted.name} is in the bin (`sagoma takes restore '{deleted.name}'{takes}` brings it back)")
     return 0
 
@@ -196,7 +215,7 @@ def empty(args: argparse.Namespace) -> int:
 
 def measure_anew(args: argparse.Namespace) -> int:
     """Measure a take anew; refused where its files are not those that were recorded."""
-    folder, name = chosen(args)
+    folder, name = chosen_take(args.take, args.takes)
     take = folder.find(name)
     if take.summary is not None and take.summary.files != digests(take.path):
         remedy = f"See `sagoma takes verify {name}`; bring the take back from a copy."
@@ -208,24 +227,13 @@ def measure_anew(args: argparse.Namespace) -> int:
     return 0
 
 
-def chosen(args: argparse.Namespace) -> tuple[TakesFolder, str]:
-    """Return the folder and name of the take that was given by its name in the folder of takes, or by its path."""
-    given = Path(args.take)
-    if given.name == args.take and (Path(args.takes) / given).exists():
-        return TakesFolder(Path(args.takes)), args.take
-    if given.exists():
-        path = given.resolve()
-        return TakesFolder(path.parent), path.name
-    return TakesFolder(Path(args.takes)), args.take
-
-
-def counter(verb: str) -> Callable[[int], None]:
-    """Return a callback that shows the number of messages on a terminal."""
+def counter(verb: str, what: str = "messages", every: int = MESSAGES_EVERY) -> Callable[[int], None]:
+    """Return a callback that shows a number on a terminal."""
     console = Console(stderr=True)
 
     def shown(number: int) -> None:
-        if console.is_terminal and number % PROGRESS_EVERY == 0:
-            console.print(f"{verb} {number} messages", end="\r")
+        if console.is_terminal and number % every == 0:
+            console.print(f"{verb} {number} {what}", end="\r")
 
     return shown
 

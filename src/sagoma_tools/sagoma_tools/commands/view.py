@@ -9,9 +9,10 @@ from pathlib import Path
 
 from capture_rig.rig import Rig, load_rig
 
+from ..arguments import add_takes_argument, bag_of
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.ros_link import RosLink, StopOnSignal
-from ..takes.folder import TAKES, TakesFolder
+from ..takes.folder import TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard
 from ..view.live import LiveGraph
@@ -38,7 +39,7 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
     parser.add_argument("--host", default=HOST, help=help_host)
     parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}, or the next free one")
     parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
-    parser.add_argument("--takes", default=TAKES, metavar="FOLDER", help=f"where takes are (default: {TAKES})")
+    add_takes_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -55,7 +56,7 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
     rig = _rig(args)
     guard = Guard.of(args.host, args.token)
     if take is not None:
-        folder = Path(take).resolve()
+        folder = bag_of(take, args.takes).resolve()
         page = Page(guard, args.port, TakesFolder(folder.parent), None, None)
         try:
             page.show_take(folder)

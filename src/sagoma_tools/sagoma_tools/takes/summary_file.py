@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import yaml
 
+from capture_rig.files import write_text
 from capture_rig.yaml_file import read_mapping
 
 from .measure import measure
@@ -34,15 +34,7 @@ def finish_take(bag: Path, progress: Callable[[int], None] = lambda messages: No
 
 def write_summary(bag: Path, summary: Summary) -> None:
     """Write (or replace) take.yaml, whole or not at all."""
-    beside = bag / f".{SIDECAR_TAKE}.part"
-    try:
-        with beside.open("w", encoding="utf-8") as file:
-            yaml.safe_dump(summary.document(), file, sort_keys=False, allow_unicode=True)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(bag / SIDECAR_TAKE)
-    finally:
-        beside.unlink(missing_ok=True)
+    write_text(bag / SIDECAR_TAKE, yaml.safe_dump(summary.document(), sort_keys=False, allow_unicode=True))
 
 
 def read_summary(bag: Path) -> Summary | None:

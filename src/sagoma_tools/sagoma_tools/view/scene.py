@@ -9,31 +9,11 @@ import viser
 import viser.transforms
 
 from capture_rig.rig import Rig
-from stick_figure.skeleton import POINT_NAMES
+
+from ..overlays.drawing import BONES
 
 Array = np.ndarray
 
-BONES = tuple(
-    (POINT_NAMES.index(a), POINT_NAMES.index(b))
-    for a, b in [
-        ("neck", "head"),
-        ("neck", "left_shoulder"),
-        ("neck", "right_shoulder"),
-        ("neck", "torso"),
-        ("torso", "left_hip"),
-        ("torso", "right_hip"),
-        *(
-            (f"{side}_{a}", f"{side}_{b}")
-            for side in ("left", "right")
-            for a, b in [("shoulder", "elbow"), ("hip", "knee")]
-        ),
-        *(
-            (f"{side}_{a}", f"{side}_{b}")
-            for side in ("left", "right")
-            for a, b in [("elbow", "hand"), ("knee", "foot")]
-        ),
-    ]
-)
 SURE_M, UNSURE_M = 0.02, 0.12
 """Standard deviation of a point that is drawn green, and red: a joint's own width, and a limb's error of one lost."""
 GREEN, AMBER, RED = np.array([60, 190, 90.0]), np.array([240, 170, 30.0]), np.array([220, 50, 45.0])
@@ -90,8 +70,8 @@ class RoomScene:
                 handle.remove()
         for body_id, figure in figures.items():
             colours = confidence_colours(figure)
-            ends = figure.points_world[np.array(BONES)].astype(np.float32)
-            bone_colours = colours[np.array(BONES)]
+            ends = figure.points_world[BONES].astype(np.float32)
+            bone_colours = colours[BONES]
             points = figure.points_world.astype(np.float32)
             if body_id not in self._figures:
                 name = f"/people/{body_id}"

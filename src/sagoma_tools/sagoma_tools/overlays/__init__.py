@@ -1,0 +1,1 @@
+"""People drawn over the pictures of cameras, as pictures and as videos."""
