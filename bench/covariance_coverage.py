@@ -21,9 +21,9 @@ from scenes import session_with_truth
 
 from capture_rig.session import Session
 from mocap_pipeline.configuration import Configuration
+from sagoma_bringup.first_pose import start_settings
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.in_process import track_session
-from sagoma_tools.evaluation.live_run import start_settings
 from sagoma_tools.evaluation.scores import squared_distances
 from stick_figure.skeleton import POINT_NAMES
 

@@ -30,6 +30,7 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
+from hull_server.shadows import ShadowResolver
 from scenes import shared_sessions
 
 from camera_client.background.model import read_background
@@ -42,7 +43,6 @@ from hull_server.carve_backends import make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.level_stack import binary_mask
 from hull_server.settings import ShadowSettings
-from hull_server.shadows import ShadowResolver
 from hull_server.views import RigViews, min_seeing
 from sagoma_ros.mask_png import encode
 from stick_figure.body import Body

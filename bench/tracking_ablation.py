@@ -25,8 +25,8 @@ from scenes import session_with_truth
 from capture_rig.session import Session, Truth
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower
+from sagoma_bringup.first_pose import start_settings
 from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows, track_variants
-from sagoma_tools.evaluation.live_run import start_settings
 from sagoma_tools.evaluation.scores import Scores, score
 from sagoma_tools.evaluation.track import Track
 

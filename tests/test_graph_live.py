@@ -14,11 +14,12 @@ from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.session import load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
+from sagoma_bringup.first_pose import start_settings
 from sagoma_bringup.graph import build_graph
 from sagoma_bringup.processes import SERVER_LAYOUTS
 from sagoma_ros.images import decode_silhouette
 from sagoma_tools.evaluation.live_inputs import FootageInput
-from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live, start_settings
+from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
 from sagoma_tools.recording.lockstep import replay_through_graph

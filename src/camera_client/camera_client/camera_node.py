@@ -24,12 +24,14 @@ from std_srvs.srv import Trigger
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.health import HOST
 from sagoma_ros.heap import release_free_memory, return_large_blocks
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
+from sagoma_ros.names import graph_topic
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED, RESULT
@@ -41,7 +43,7 @@ from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
 from .background.verdict import describe_background
 from .camera_chain import CameraChain, FrameResult
-from .camera_topics_ros import CameraTopics, camera_from_message
+from .camera_topics_ros import SILHOUETTE_TOPIC, CameraTopics, camera_from_message
 from .condition_findings import KEY as FINDINGS_KEY
 from .condition_findings import findings_text
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
@@ -98,6 +100,7 @@ class CameraNode(SagomaNode):
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
         self._said = ""
+        self._peers: list[str] = []  # the silhouettes of all cameras that footage waits for
         # these live as long as the node, so that every request is answered; learning in a callback group of its own,
         # because its answer takes seconds and must not hold up the timer and the acknowledgements
         self.create_service(
@@ -113,6 +116,8 @@ class CameraNode(SagomaNode):
         known = self._calibration = load_calibration(settings, name)
         self.chain = CameraChain(known.camera, settings, known.volume, known.placed)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
+        names = load_rig(settings.rig_file).names if settings.footage.wait_for_cameras else ()
+        self._peers = [graph_topic(self, f"{name}/{SILHOUETTE_TOPIC}") for name in names]
         self.source = connect_source(settings, self._accept)
         mask_png.warm_up()
         if not self.source.shape:
@@ -121,10 +126,12 @@ class CameraNode(SagomaNode):
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report, clock=steady))
         self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
         if settings.source != "footage" or settings.footage.rate > 0:
-            rules = self.create_subscription(DiagnosticArray, THINNING_TOPIC, self._on_thinning, LATCHED)
+            rules = self.create_subscription(
+                DiagnosticArray, graph_topic(self, THINNING_TOPIC), self._on_thinning, LATCHED
+            )
             self._hold(self.destroy_subscription, rules)
         else:
-            topic = settings.footage.pace_topic
+            topic = graph_topic(self, settings.footage.pace_topic)
             self._hold(
                 self.destroy_subscription,
                 self.create_subscription(MultiDOFJointState, topic, self._on_acknowledgement, RESULT),
@@ -207,8 +214,8 @@ class CameraNode(SagomaNode):
 
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
-        acknowledged = not paced or self.count_publishers(self.settings.footage.pace_topic) > 0
-        if not self._topics.has_listener or not acknowledged:
+        acknowledged = not paced or self.count_publishers(graph_topic(self, self.settings.footage.pace_topic)) > 0
+        if not self._topics.has_listener or not acknowledged or not all(map(self.count_publishers, self._peers)):
             return False
         self._matched_s = self._matched_s or time.monotonic()
         return time.monotonic() >= self._matched_s + SETTLE_S

@@ -26,6 +26,7 @@ from .settings import CameraClientSettings
 from .silhouettes.pipeline import outline
 
 PREVIEW_PERIOD_S = 0.2
+SILHOUETTE_TOPIC = "silhouette/compressed"
 
 
 def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
@@ -50,7 +51,7 @@ class CameraTopics:
     ) -> None:
         """``to_calibrate``: images are offered for the calibration, and sent while there is a subscriber."""
         self._frame_id, self._raw_always = frame_id, settings.publish_raw
-        self._silhouettes = create(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
+        self._silhouettes = create(CompressedImage, SILHOUETTE_TOPIC, SILHOUETTE_PUBLISHER)
         self._infos = create(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
         self._means = create(Image, "background/mean", LATCHED)
         offered = settings.publish_raw or to_calibrate

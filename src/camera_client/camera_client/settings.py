@@ -28,7 +28,7 @@ class FootageSettings:
     loop: bool = setting(False, "Begin again after the last frame; stamps go on counting")
     window: int = setting(3, "At rate 0: frames under way before an acknowledgement is awaited", low=1, high=1000)
     pace_topic: str = setting(
-        "/ekf/prediction", "At rate 0: the MultiDOFJointState topic whose stamps acknowledge frames"
+        "ekf/prediction", "At rate 0: the MultiDOFJointState topic of the graph whose stamps acknowledge frames"
     )
     pace_timeout_s: float = setting(
         2.0, "At rate 0: go on (and count it) when no acknowledgement came for so long", unit="s", low=0.01, high=600
@@ -39,6 +39,10 @@ class FootageSettings:
         unit="s",
         low=0,
         high=600,
+    )
+    wait_for_cameras: bool = setting(
+        False,
+        "Hold it until every camera of the rig is configured, too: they then play in step though none drives them",
     )
 
 

@@ -19,7 +19,7 @@ from capture_rig.session import footage_stamp_ns
 from mocap_packets.support import NOBODY, ForegroundSupport
 from mocap_packets.thinning import Thinning
 from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
-from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER, SILHOUETTE_RELIABLE_SUBSCRIBER
 from sagoma_ros.thinning import thinning_message
 
 
@@ -57,6 +57,16 @@ def test_end_of_footage_is_said_and_the_next_activation_plays_again(bench, sessi
     assert camera.node.trigger_activate() == SUCCESS
     camera.until(lambda: len(camera.masks) == FRAMES)
     assert camera.stamps_ns()[0] == footage_stamp_ns(EPOCH_NS, FRAMES, scene.fps)
+
+
+def test_footage_waits_for_the_other_cameras_of_its_rig(bench, session):
+    camera = bench(**{**session.parameters, "footage.wait_for_cameras": True}).start()
+    camera.until_said("waiting for a consumer")
+    assert camera.masks == []
+    camera.peer.create_publisher(CompressedImage, "/cam02/silhouette/compressed", SILHOUETTE_PUBLISHER)
+    assert not camera.masks  # of two cameras one is there
+    camera.peer.create_publisher(CompressedImage, "/cam01/silhouette/compressed", SILHOUETTE_PUBLISHER)
+    camera.until(lambda: len(camera.masks) == FRAMES)
 
 
 def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, session, scene):

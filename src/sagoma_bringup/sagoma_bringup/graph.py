@@ -7,7 +7,7 @@ the program that starts them drives their lifecycle (or sets ``autostart``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ class Role(Enum):
 class NodeSpec:
     """A node: the package and executable that ``ros2 run`` takes, its module, its name, and its parameters.
 
-    namespace : "/" or "/NAME".
+    namespace : "/" of the server, "/NAME" of a camera, below the graph's own where it has one.
     parameters : dotted keys; values are bool, int, float, str or lists of one of them.
     """
 
@@ -48,20 +48,12 @@ class NodeSpec:
 
     @property
     def label(self) -> str:
-        """A short name for files and tables: the camera's name, or the node's."""
-        return self.namespace.strip("/").replace("/", "_") or self.name
+        """A short name for files, tables and settings: the camera's name, or the node's."""
+        return self.namespace.rpartition("/")[2] if self.role is Role.CAMERA else self.name
 
     def with_parameters(self, parameters: Mapping[str, Any]) -> NodeSpec:
         """Return the same node with some parameters set or replaced."""
-        return NodeSpec(
-            self.package,
-            self.executable,
-            self.module,
-            self.name,
-            self.namespace,
-            self.role,
-            {**self.parameters, **parameters},
-        )
+        return replace(self, parameters={**self.parameters, **parameters})
 
     def parameter_document(self) -> dict[str, Any]:
         """Return its parameters as the document of a ROS parameter file."""
@@ -128,6 +120,12 @@ def build_graph(
     else:
         raise InputError("neither a session nor a rig nor cameras are given", remedy="Name a session folder or a rig.")
     return apply_settings(select(graph, only), settings or {})
+
+
+def in_namespace(graph: Sequence[NodeSpec], namespace: str) -> list[NodeSpec]:
+    """Return the same nodes below a namespace ("studio"), so that several graphs can run side by side."""
+    above = namespace.strip("/")
+    return [replace(node, namespace=f"/{above}{node.namespace}".rstrip("/") or "/") for node in graph]
 
 
 def session_graph(

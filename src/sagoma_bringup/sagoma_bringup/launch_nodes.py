@@ -1,60 +1,114 @@
-"""The graph as launch_ros actions; imported by launch files only, since launch_ros comes with a ROS installation."""
+"""What the launch files start, as launch_ros actions; only they import it: launch comes with a ROS installation.
+
+Names are relative: a launch file that includes ours may push a namespace, and all of the graph stands below it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.launch_description import LaunchDescription
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from capture_rig.yaml_file import format_mapping
+from capture_rig.errors import InputError
+from capture_rig.yaml_file import format_mapping, read_mapping
+from sagoma_ros.names import SCHEME, package_path, resolve_packages
 
-from .graph import NodeSpec
-from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
+from .launch_arguments import ARGUMENTS, Argument, LaunchRequest, read_request
+from .processes import ProcessSpec
 
-
-def value_of(context: Any, argument: str) -> str:
-    """Return the value that the user gave to a launch argument."""
-    return LaunchConfiguration(argument).perform(context)
+PACKAGE = "sagoma_bringup"
 
 
-def server_argument() -> DeclareLaunchArgument:
-    """The argument that says whether the server's nodes share a process."""
-    text = f"hull, ICP and EKF nodes in one process, or in one each: {' or '.join(SERVER_LAYOUTS)}"
-    return DeclareLaunchArgument("server", default_value=ONE_PROCESS, description=text)
+def describe(file: str) -> LaunchDescription:
+    """Return the description of the launch file named ``file``: its arguments, and what their values start."""
+    declared = [_declare(argument) for argument in ARGUMENTS[file]]
+    return LaunchDescription([*declared, OpaqueFunction(function=partial(start, file))])
 
 
-def node_actions(graph: Sequence[NodeSpec], server: str, autostart: bool = True) -> list[Node]:
-    """Return one action a process; launched nodes configure and activate themselves unless told not to."""
-    started = [node.with_parameters({"autostart": autostart}) for node in graph]
-    return [_action(process) for process in processes_of(started, server)]
+def start(file: str, context: Any) -> list[Node]:
+    """Return one action a process. Raises InputError for values that cannot be used, before there is any."""
+    names = [argument.name for argument in ARGUMENTS[file]]
+    values = {name: resolve_packages(LaunchConfiguration(name).perform(context)) for name in names}
+    if file == "camera" and not values["params"]:
+        values["params"] = str(_config() / "camera" / f"{values['camera']}.yaml")
+    request = read_request(file, values)
+    viewer = [rviz(request)] if request.rviz else []
+    return [_process(process, request) for process in request.processes] + viewer
 
 
-def _action(process: ProcessSpec) -> Node:
-    shown = {"package": process.package, "executable": process.executable, "output": "screen"}
-    if len(process.nodes) > 1:  # a launch action names one node: these have their names, and parameters by name
-        with NamedTemporaryFile("w", prefix=f"{process.label}_", suffix=".yaml", delete=False) as file:
-            file.write(format_mapping(process.parameter_document()))
-        return Node(parameters=[file.name], **shown)
-    (node,) = process.nodes
-    parameters = {key: _typed(value) for key, value in node.parameters.items()}
-    return Node(name=node.name, namespace=node.namespace, parameters=[parameters], **shown)
+def rviz(request: LaunchRequest) -> Node:
+    """Return rviz2 with our configuration. Raises InputError when it is not installed."""
+    try:
+        get_package_prefix("rviz2")
+    except (PackageNotFoundError, OSError):  # OSError: nothing is sourced
+        remedy = "Install ros-jazzy-rviz2, or look at the graph with `sagoma view`."
+        raise InputError("rviz2 is not installed", where="argument rviz", remedy=remedy) from None
+    configuration = _config() / "rviz" / "sagoma.rviz"
+    topics = sorted(_topics(read_mapping(configuration, "Install sagoma_bringup anew.")))
+    return Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=request.namespace or None,
+        arguments=["-d", str(configuration)],
+        # the file names them as they are without a namespace
+        remappings=[(topic, topic.removeprefix("/")) for topic in topics],
+        parameters=[{"use_sim_time": request.use_sim_time}],
+        output="screen",
+    )
 
 
-def rviz_action(wanted: str) -> list[Node]:
-    """rviz2 with our configuration when ``wanted`` is "true"."""
-    if wanted.lower() != "true":
-        return []
-    configuration = Path(get_package_share_directory("sagoma_bringup")) / "config" / "rviz" / "sagoma.rviz"
-    return [Node(package="rviz2", executable="rviz2", arguments=["-d", str(configuration)], output="screen")]
+def _declare(argument: Argument) -> DeclareLaunchArgument:
+    choices = list(argument.choices) or None
+    return DeclareLaunchArgument(
+        argument.name, default_value=argument.default, description=argument.description, choices=choices
+    )
 
 
-def _typed(value: Any) -> Any:
-    # launch would read a text such as "1" as a number
-    return ParameterValue(value, value_type=str) if isinstance(value, str) else value
+def _process(process: ProcessSpec, request: LaunchRequest) -> Node:
+    restarts = request.respawn_delay_s is not None
+    below = f"{request.namespace}{process.nodes[0].namespace}".strip("/")
+    options: dict[str, Any] = {
+        "package": process.package,
+        "executable": process.executable,
+        "namespace": below or None,
+        "output": "screen",
+        "respawn": restarts,
+    }
+    if restarts:
+        options["respawn_delay"] = request.respawn_delay_s
+    else:
+        options["on_exit"] = [Shutdown(reason=f"{process} has ended")]
+    if len(process.nodes) == 1:  # a name would rename all of several
+        options["name"] = process.nodes[0].name
+    return Node(parameters=[_write_parameters(process), *request.parameter_files], **options)
+
+
+def _write_parameters(process: ProcessSpec) -> str:
+    """Write the nodes' parameters into a file that holds in every namespace, values typed as they are (launch would
+    read the text "1" as a number); return its path."""
+    document = {f"/**/{node.name}": {"ros__parameters": dict(node.parameters)} for node in process.nodes}
+    with NamedTemporaryFile("w", prefix=f"{process.label}_", suffix=".yaml", delete=False) as file:
+        file.write(format_mapping(document))
+    return file.name
+
+
+def _config() -> Path:
+    return package_path(f"{SCHEME}{PACKAGE}/config")
+
+
+def _topics(part: Any) -> set[str]:
+    """Return the topics that an rviz configuration names: each ``Topic: {Value: NAME}``."""
+    if isinstance(part, list):
+        return set().union(*map(_topics, part))
+    if not isinstance(part, dict):
+        return set()
+    own = part.get("Topic")
+    named = {own["Value"]} if isinstance(own, dict) and own.get("Value") else set()
+    return named.union(*(_topics(value) for value in part.values()))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .graph import SERVER_NODES, NodeSpec
+from .graph import SERVER_NODES, NodeSpec, Role
 
 ONE_PROCESS, THREE_PROCESSES = "one_process", "three_processes"
 SERVER_LAYOUTS = (ONE_PROCESS, THREE_PROCESSES)
@@ -31,11 +31,9 @@ class ProcessSpec:
 
     @property
     def name_arguments(self) -> list[str]:
-        """ROS arguments that give a node its name; nodes that share a process have theirs already."""
-        if len(self.nodes) > 1:
-            return []
-        (node,) = self.nodes
-        return ["-r", f"__node:={node.name}", "-r", f"__ns:={node.namespace}"]
+        """ROS arguments that give the nodes their namespace, and a node alone its name; several have theirs already."""
+        name = ["-r", f"__node:={self.nodes[0].name}"] if len(self.nodes) == 1 else []
+        return [*name, "-r", f"__ns:={self.nodes[0].namespace}"]
 
     def parameter_document(self) -> dict[str, Any]:
         """Return its nodes' parameters as the document of a ROS parameter file."""
@@ -44,7 +42,7 @@ class ProcessSpec:
 
 def processes_of(graph: Sequence[NodeSpec], server: str = ONE_PROCESS) -> list[ProcessSpec]:
     """Return the processes that run a graph, in its order; with ``server`` ONE_PROCESS its whole server is one."""
-    shared = [node for node in graph if node.full_name in {f"/{name}" for name in SERVER_NODES}]
+    shared = [node for node in graph if node.role is Role.SERVER and node.name in SERVER_NODES]
     if server != ONE_PROCESS or len(shared) < len(SERVER_NODES):
         shared = []
     together = [ProcessSpec(SERVER_PACKAGE, SERVER_EXECUTABLE, SERVER_MODULE, SERVER_EXECUTABLE, tuple(shared))]

@@ -18,7 +18,11 @@ def graph():
 def test_the_server_is_one_process_and_each_camera_another(graph):
     server, *cameras = processes_of(graph)
     assert [node.name for node in server.nodes] == list(SERVER_NODES)
-    assert (server.executable, server.label, server.name_arguments) == ("mocap_server", "mocap_server", [])
+    assert (server.executable, server.label, server.name_arguments) == (
+        "mocap_server",
+        "mocap_server",
+        ["-r", "__ns:=/"],
+    )
     assert server.parameter_document().keys() == {f"/{name}" for name in SERVER_NODES}
     assert [process.label for process in cameras] == [node.label for node in graph[3:]]
     assert cameras[0].name_arguments == ["-r", "__node:=camera_client", "-r", "__ns:=/cam01"]

@@ -1,160 +1,201 @@
-"""The launch files: XML ones are checked piece by piece, Python ones are run against stand-ins for launch_ros."""
+"""The launch files, run against a stand-in for launch and launch_ros: the graph that each starts, what it refuses."""
 
-import importlib.util
 import re
-import sys
-import types
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 import yaml
+from ament_index_python.packages import PackageNotFoundError
+from launch_stand_in import LaunchRun, launched, module_of
 
-from sagoma_bringup.graph import build_graph
-from sagoma_bringup.processes import THREE_PROCESSES
+from capture_rig.errors import InputError
+from sagoma_bringup.graph import SERVER_NODES, build_graph
+from sagoma_bringup.launch_arguments import ARGUMENTS
+from sagoma_bringup.processes import THREE_PROCESSES, processes_of
 
 PACKAGE = Path(__file__).resolve().parents[1]
 LAUNCH = PACKAGE / "launch"
 CONFIG = PACKAGE.parents[1] / "config"
-XML_FILES = sorted(LAUNCH.glob("*.launch.xml"))
-PYTHON_FILES = sorted(LAUNCH.glob("*.launch.py"))
+RIG, CAMERAS, BODY = CONFIG / "rig" / "ring4.yaml", CONFIG / "camera", CONFIG / "body" / "default.yaml"
+FILES = sorted(LAUNCH.glob("*.launch.*"))
+RIG_FILES = [LAUNCH / name for name in ("server.launch.py", "server.launch.xml", "all_in_one.launch.py")]
 
 
-def executables(package):
-    """The console scripts that the package's setup.py names."""
-    return set(re.findall(r'"(\w+) = [\w.]+:main"', (PACKAGE.parent / package / "setup.py").read_text()))
+def parameters_of(node) -> dict:
+    """What the node's own file sets, by node name."""
+    return {
+        key.removeprefix("/**/"): entry["ros__parameters"]
+        for key, entry in yaml.safe_load(Path(node.parameters[0]).read_text()).items()
+    }
+
+
+def of_graph(processes, **also) -> list[tuple]:
+    return [
+        (
+            process.package,
+            process.executable,
+            process.nodes[0].namespace,
+            {node.name: dict(node.parameters) | also for node in process.nodes},
+        )
+        for process in processes
+    ]
+
+
+def of_launch(nodes) -> list[tuple]:
+    return [(n.package, n.executable, n.full_namespace or "/", parameters_of(n)) for n in nodes]
+
+
+def arguments_for(path, **more) -> dict:
+    return {"rig": RIG, **({"cameras": CAMERAS} if path.name.startswith("all") else {}), **more}
+
+
+# --- the graph
 
 
 def test_there_is_a_launch_file_for_each_machine_role():
-    names = {path.name for path in XML_FILES + PYTHON_FILES}
-    assert names == {"server.launch.py", "camera.launch.xml", "demo.launch.py", "all_in_one.launch.py"}
-
-
-@pytest.mark.parametrize("path", XML_FILES, ids=lambda path: path.name)
-def test_xml_launch_file_names_packages_executables_and_described_arguments(path):
-    root = ET.parse(path).getroot()
-    arguments = {arg.get("name"): arg for arg in root.findall("arg")}
-    assert arguments and all(arg.get("description") for arg in arguments.values())
-    used = set(re.findall(r"\$\(var (\w+)\)", path.read_text()))
-    assert used == set(arguments)  # every argument is used, and every used one is declared
-    for node in root.findall("node"):
-        assert node.get("exec") in executables(node.get("pkg"))
-        assert node.get("name") and (PACKAGE.parent / node.get("pkg") / "package.xml").is_file()
-    for package in re.findall(r"\$\(find-pkg-share (\w+)\)", path.read_text()):
-        assert package == "sagoma_bringup"
-
-
-def test_camera_launch_file_finds_an_installed_parameter_file_by_default():
-    root = ET.parse(LAUNCH / "camera.launch.xml").getroot()
-    default = next(arg.get("default") for arg in root.findall("arg") if arg.get("name") == "params")
-    found = default.replace("$(find-pkg-share sagoma_bringup)", str(PACKAGE)).replace("$(var camera)", "cam03")
-    (node,) = root.findall("node")
-    assert yaml.safe_load(Path(found).read_text()).keys() == {f"/cam03/{node.get('name')}"}
-    assert node.get("namespace") == "$(var camera)"
-
-
-class StandIn:
-    """Keeps whatever it is made with."""
-
-    def __init__(self, *args, **kwargs):
-        self.args, self.kwargs = args, kwargs
-
-
-class FakeNode(StandIn):
-    pass
-
-
-class FakeArgument(StandIn):
-    pass
-
-
-class FakeFunction(StandIn):
-    pass
-
-
-class FakeConfiguration(StandIn):
-    def perform(self, context):
-        return context[self.args[0]]
-
-
-@pytest.fixture()
-def fake_launch(monkeypatch):
-    """Modules launch and launch_ros with just the names that our launch files import."""
-    contents = {
-        "launch": {"LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": FakeArgument, "OpaqueFunction": FakeFunction},
-        "launch.substitutions": {"LaunchConfiguration": FakeConfiguration},
-        "launch_ros": {},
-        "launch_ros.actions": {"Node": FakeNode},
-        "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, value_type: value_type(value)},
+    assert {path.name for path in FILES} == {
+        *(f"{name}.launch.py" for name in ("server", "camera", "all_in_one", "demo")),
+        *(f"{name}.launch.xml" for name in ("server", "camera")),
     }
-    for name, attributes in contents.items():
-        module = types.ModuleType(name)
-        module.__dict__.update(attributes)
-        monkeypatch.setitem(sys.modules, name, module)
-    monkeypatch.delitem(sys.modules, "sagoma_bringup.launch_nodes", raising=False)
-    yield
-    sys.modules.pop("sagoma_bringup.launch_nodes", None)
+    assert all(argument.description for arguments in ARGUMENTS.values() for argument in arguments)
 
 
-def run_launch_file(path, **given):
-    """The node actions that a Python launch file makes of these arguments; undeclared arguments are an error."""
-    spec = importlib.util.spec_from_file_location(path.stem.replace(".", "_"), path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    entities = module.generate_launch_description()
-    declared = {e.args[0]: e.kwargs for e in entities if isinstance(e, FakeArgument)}
-    assert all(options.get("description") for options in declared.values())
-    assert set(given) <= set(declared)
-    values = {name: options["default_value"] for name, options in declared.items() if "default_value" in options}
-    context = {**values, **{name: str(value) for name, value in given.items()}}
-    (function,) = [e for e in entities if isinstance(e, FakeFunction)]
-    return function.kwargs["function"](context)
+@pytest.mark.parametrize("server", ["one_process", THREE_PROCESSES])
+@pytest.mark.parametrize("path", RIG_FILES, ids=lambda path: path.name)
+def test_a_launch_file_of_a_rig_starts_the_graph_of_build_graph(path, server):
+    given = arguments_for(path, body=BODY, server=server)
+    graph = build_graph(**{key: given[key] for key in ("rig", "cameras", "body") if key in given})
+    expected = [node.with_parameters({"autostart": True}) for node in graph]
+    expected = [
+        node.with_parameters({"initial_pose.source": "auto"}) if node.name == "icp_tracker" else node
+        for node in expected
+    ]
+    assert of_launch(launched(path, **given)) == of_graph(processes_of(expected, server))
 
 
-def test_all_in_one_launch_file_starts_every_node_of_the_rig_by_itself(fake_launch):
-    rig, cameras = CONFIG / "rig" / "ring4.yaml", CONFIG / "camera"
-    actions = run_launch_file(LAUNCH / "all_in_one.launch.py", rig=rig, cameras=cameras, server=THREE_PROCESSES)
-    graph = build_graph(rig=rig, cameras=cameras)
-    assert [a.kwargs["namespace"].rstrip("/") + "/" + a.kwargs["name"] for a in actions] == [n.full_name for n in graph]
-    for action, node in zip(actions, graph, strict=True):
-        (parameters,) = action.kwargs["parameters"]
-        assert parameters == {**node.parameters, "autostart": True}
-        assert action.kwargs["executable"] in executables(action.kwargs["package"])
+def test_the_camera_launch_files_start_the_client_of_one_camera(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # from anywhere
+    in_python, in_xml = (launched(LAUNCH / f"camera.launch.{kind}", camera="cam03") for kind in ("py", "xml"))
+    assert of_launch(in_python) == of_launch(in_xml)
+    ((package, executable, namespace, parameters),) = of_launch(in_xml)
+    (node,) = build_graph(cameras=CAMERAS / "cam03.yaml")
+    assert (package, executable, namespace) == ("camera_client", "camera_client", "/cam03")
+    assert parameters == {"camera_client": {**node.parameters, "autostart": True}}
 
 
-@pytest.mark.parametrize("autostart", ["true", "false"])
-def test_server_launch_file_starts_the_server_graph_in_one_process(fake_launch, autostart):
-    rig, body = CONFIG / "rig" / "ring4.yaml", next((CONFIG / "body").glob("*.yaml"))
-    (action,) = run_launch_file(LAUNCH / "server.launch.py", rig=rig, body=body, autostart=autostart)
-    assert "name" not in action.kwargs  # it would rename all three nodes
-    assert action.kwargs["executable"] in executables(action.kwargs["package"])
-    (file,) = action.kwargs["parameters"]
-    nodes = [node.with_parameters({"autostart": autostart == "true"}) for node in build_graph(rig=rig, body=body)]
-    assert yaml.safe_load(Path(file).read_text()) == {
-        node.full_name: {"ros__parameters": dict(node.parameters)} for node in nodes
-    }
-    Path(file).unlink()
+@pytest.mark.parametrize("rig", ["package://sagoma_bringup/config/rig/ring4.yaml", str(RIG), "rig/ring4.yaml"])
+def test_a_rig_is_named_by_package_by_absolute_or_by_relative_path(rig, monkeypatch):
+    monkeypatch.chdir(CONFIG)
+    (camera,) = launched(LAUNCH / "camera.launch.xml", camera="cam01", rig=rig)
+    assert Path(parameters_of(camera)["camera_client"]["rig_file"]).samefile(RIG)
+    (server,) = launched(LAUNCH / "server.launch.py", rig=rig)
+    assert Path(parameters_of(server)["hull_server"]["rig_file"]).samefile(RIG)
 
 
-@pytest.mark.parametrize("autostart", ["true", "false"])
-def test_server_launch_file_starts_the_nodes_with_their_parameters(fake_launch, autostart):
-    rig, body = CONFIG / "rig" / "ring4.yaml", next((CONFIG / "body").glob("*.yaml"))
-    given = {"rig": rig, "body": body, "autostart": autostart, "server": THREE_PROCESSES}
-    actions = run_launch_file(LAUNCH / "server.launch.py", **given)
-    graph = build_graph(rig=rig, body=body)
-    assert [action.kwargs["name"] for action in actions] == [node.name for node in graph]
-    for action, node in zip(actions, graph, strict=True):
-        (parameters,) = action.kwargs["parameters"]
-        assert parameters == {**node.parameters, "autostart": autostart == "true"}
-        assert action.kwargs["executable"] in executables(action.kwargs["package"])
+def test_arguments_reach_the_nodes_that_they_are_for(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("/**/hull_server: {ros__parameters: {voxel_size_m: 0.03}}")
+    given = {"start": "t_pose", "publish_humans": "true", "use_sim_time": "true", "autostart": "false", "params": file}
+    (server,) = launched(LAUNCH / "server.launch.py", rig=RIG, **given)
+    parameters = parameters_of(server)
+    assert all(parameters[name]["use_sim_time"] and not parameters[name]["autostart"] for name in SERVER_NODES)
+    assert parameters["icp_tracker"]["initial_pose.source"] == "t_pose"
+    assert parameters["ekf_tracker"]["publish_humans"] is True
+    assert server.parameters[1:] == [str(file)]  # read last
 
 
-def test_demo_launch_file_plays_a_session(fake_launch, tmp_path, monkeypatch):
-    asked = {}
-    monkeypatch.setattr("sagoma_bringup.graph.build_graph", lambda **options: asked.update(options) or [])
-    assert run_launch_file(LAUNCH / "demo.launch.py", session=tmp_path, rate="0.5", loop="true") == []
-    assert asked == {"session": str(tmp_path), "rate": 0.5, "loop": True, "body": None}
+@pytest.mark.parametrize(
+    ("argument", "pushed", "expected"),
+    [("", None, ""), ("studio", None, "/studio"), ("", "/lab", "/lab"), ("studio", "lab", "/lab/studio")],
+)
+def test_the_whole_graph_stands_below_a_namespace(argument, pushed, expected):
+    nodes = launched(LAUNCH / "all_in_one.launch.py", pushed, rig=RIG, cameras=CAMERAS, namespace=argument)
+    found = [(node.full_namespace or "/").rstrip("/") for node in nodes]
+    assert found == [expected, *(f"{expected}/cam0{k}" for k in range(1, 5))]
+
+
+# --- nodes that die
+
+
+@pytest.mark.parametrize("path", RIG_FILES, ids=lambda path: path.name)
+def test_a_node_that_dies_is_started_again_or_ends_the_launch(path):
+    for node in launched(path, **arguments_for(path, respawn_delay="0.5")):
+        assert (node.respawn, node.respawn_delay, node.on_exit) == (True, 0.5, None)
+    for node in launched(path, **arguments_for(path, on_exit="shutdown")):
+        (shutdown,) = node.on_exit
+        assert not node.respawn and shutdown.reason.endswith("has ended")
+
+
+@pytest.mark.parametrize("on_exit", ["restart", "shutdown"])
+def test_a_camera_client_that_is_killed_comes_back_or_ends_the_launch(on_exit):
+    given = {"autostart": "false", "respawn_delay": "0.1", "on_exit": on_exit}
+    nodes = launched(LAUNCH / "camera.launch.xml", camera="cam01", **given)
+    with LaunchRun(nodes) as run:
+        assert run.wait_for_starts(1)
+        run.processes["/cam01/camera_client"].kill()
+        if on_exit == "restart":
+            assert run.wait_for_starts(2) and not run.over.is_set()
+        else:
+            assert run.over.wait(30.0) and run.starts == 1
+
+
+# --- what is refused, before anything starts
+
+
+def test_rviz_that_is_not_installed_is_refused_before_anything_starts(monkeypatch):
+    def absent(package):
+        raise PackageNotFoundError(package)
+
+    monkeypatch.setattr("ament_index_python.packages.get_package_prefix", absent)
+    with pytest.raises(InputError, match=r"rviz2 is not installed.*sagoma view"):
+        launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true")
+
+
+def test_rviz_shows_the_topics_of_the_namespace(monkeypatch):
+    installed = {"rviz2": "/opt/ros/jazzy", "sagoma_bringup": str(PACKAGE)}
+    monkeypatch.setattr("ament_index_python.packages.get_package_prefix", installed.__getitem__)
+    monkeypatch.setattr("sagoma_ros.names.get_package_share_directory", installed.__getitem__)
+    *_, rviz = launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true", namespace="studio")
+    assert (rviz.package, rviz.full_namespace) == ("rviz2", "/studio")
+    assert ("/mocap/skeletons", "mocap/skeletons") in rviz.remappings
+    assert all(re.fullmatch(r"/[\w/]+", topic) for topic, _ in rviz.remappings)
+
+
+@pytest.mark.parametrize(
+    ("file", "given", "message"),
+    [
+        ("server.launch.py", {"rig": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
+        ("server.launch.py", {"rig": RIG, "body": "nowhere.yaml"}, "there is no such file"),
+        ("server.launch.py", {"rig": RIG, "params": "nowhere.yaml"}, "cannot be read"),
+        ("server.launch.py", {"rig": RIG, "respawn_delay": "soon"}, "'soon' is no number"),
+        ("server.launch.py", {"rig": RIG, "respawn_delay": "-1"}, "is no time"),
+        ("server.launch.xml", {"rig": "package://no_such_package/rig.yaml"}, "no package 'no_such_package'"),
+        ("all_in_one.launch.py", {"rig": RIG, "cameras": "nowhere"}, "no camera parameter file"),
+        ("camera.launch.py", {"camera": "cam09"}, r"cam09\.yaml: cannot be read"),
+        ("camera.launch.xml", {"camera": "cam01", "params": CAMERAS / "cam02.yaml"}, "describes cam02, not cam01"),
+        ("demo.launch.py", {"session": "nowhere"}, "nowhere"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_before_anything_starts(file, given, message):
+    with pytest.raises(InputError, match=message):
+        launched(LAUNCH / file, **given)
+
+
+@pytest.mark.parametrize("wrong", [{"rviz": "perhaps"}, {"start": "session"}, {"on_exit": "ignore"}])
+def test_values_outside_the_choices_are_refused_by_launch_itself(wrong):
+    with pytest.raises(RuntimeError, match="not valid"):
+        launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, **wrong)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_required_argument_that_is_missing_is_named(path):
+    with pytest.raises((RuntimeError, KeyError), match=r"rig|camera|session"):
+        launched(path)
+
+
+def test_executables_of_all_launched_packages_are_there():
+    for node in launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, server=THREE_PROCESSES):
+        assert module_of(node.package, node.executable)
 
 
 def test_launch_files_load_in_a_full_ros_installation():
@@ -163,6 +204,6 @@ def test_launch_files_load_in_a_full_ros_installation():
 
     from launch import LaunchContext
 
-    for path in XML_FILES + PYTHON_FILES:
+    for path in FILES:
         description = AnyLaunchDescriptionSource(str(path)).get_launch_description(LaunchContext())
         assert description.get_launch_arguments()

@@ -24,6 +24,7 @@ from capture_rig.errors import InputError
 from capture_rig.settings import Leaf, build_settings, leaves, resolve_renamed, setting
 
 from .health import ERROR, OK, NodeHealth
+from .names import resolve_packages
 
 T = TypeVar("T")
 
@@ -218,7 +219,8 @@ def read_declared(node: Node, settings_class: type[T]) -> T:
 
 
 def _declared(node: Node, settings_class: type) -> dict[str, Any]:
-    return {leaf.key: _value(leaf, node.get_parameter(leaf.key).value) for leaf in leaves(settings_class)}
+    declared = {leaf.key: _value(leaf, node.get_parameter(leaf.key).value) for leaf in leaves(settings_class)}
+    return {key: resolve_packages(value) for key, value in declared.items()}
 
 
 def _value(leaf: Leaf, given: Any) -> Any:

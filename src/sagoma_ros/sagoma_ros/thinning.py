@@ -12,7 +12,7 @@ from mocap_packets.thinning import Thinning
 from .health import HOST
 from .messages import key_values, to_ns, to_stamp
 
-TOPIC = "/hull/thinning"
+TOPIC = "hull/thinning"
 _INTEGERS = ("resume_ns", "phase_ns", "keep", "of")
 
 

@@ -10,8 +10,10 @@ from typing import Any
 from rich.console import Console
 
 from capture_rig.errors import InputError
+from capture_rig.session import load_session
 from capture_rig.yaml_file import parse_value
-from sagoma_bringup.graph import NodeSpec, build_graph
+from sagoma_bringup.first_pose import AUTO_START, STARTS, start_settings
+from sagoma_bringup.graph import NodeSpec, apply_settings, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
 from .takes.folder import TAKES, TakesFolder
@@ -35,7 +37,17 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=1.0, help="playing speed of footage; 0: as fast as the graph can")
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
     parser.add_argument("--body", help="body YAML for the trackers")
+    add_start_argument(parser)
     add_settings_argument(parser)
+
+
+def add_start_argument(parser: argparse.ArgumentParser) -> None:
+    """--start: where the first pose comes from; `start_settings` of sagoma_bringup reads it."""
+    text = (
+        "first pose: the session's reference where it was measured on its footage, else a T-pose or whoever walks in "
+    )
+    text += "(auto); a T-pose alone; the session's reference or truth"
+    parser.add_argument("--start", choices=STARTS, default=AUTO_START, help=text)
 
 
 def add_settings_argument(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +64,8 @@ def add_server_argument(parser: argparse.ArgumentParser) -> None:
 
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
     """Return the graph that the arguments describe."""
-    return build_graph(
+    session = None if args.session is None else load_session(args.session)
+    graph = build_graph(
         session=args.session,
         rig=args.rig,
         cameras=args.cameras,
@@ -60,8 +73,10 @@ def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
         rate=args.rate,
         loop=args.loop,
         body=args.body,
-        settings=parse_settings(args.settings),
     )
+    if any(node.label == "icp_tracker" for node in graph):
+        graph = apply_settings(graph, start_settings(session, args.start))
+    return apply_settings(graph, parse_settings(args.settings))
 
 
 def parse_settings(texts: list[str]) -> dict[str, Any]:

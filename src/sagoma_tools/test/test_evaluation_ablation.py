@@ -9,6 +9,7 @@ import pytest
 from capture_rig.session import Session, load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
+from sagoma_bringup.first_pose import start_settings
 from sagoma_tools.evaluation import in_process
 from sagoma_tools.evaluation.in_process import (
     OURS,
@@ -20,7 +21,6 @@ from sagoma_tools.evaluation.in_process import (
     track_session,
     track_variants,
 )
-from sagoma_tools.evaluation.live_run import start_settings
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring

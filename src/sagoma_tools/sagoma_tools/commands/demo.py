@@ -16,7 +16,7 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-from ..arguments import add_settings_argument, parse_settings
+from ..arguments import add_settings_argument, add_start_argument, parse_settings
 from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInput
 from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
@@ -41,8 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--fps", type=float, help=rate)
     speed = "at this speed, or at 0 as fast as the graph keeps up, dropping nothing"
     option("--rate", type=float, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
-    help_start = "first pose: from a T-pose, or from the session's reference"
-    option("--start", choices=("auto", "t_pose", "session"), default="auto", help=help_start)
+    add_start_argument(parser)
     add_settings_argument(parser)
     parser.set_defaults(run=run)
 

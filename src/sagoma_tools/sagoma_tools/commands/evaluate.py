@@ -16,10 +16,10 @@ from capture_rig.session import Session, load_session
 from capture_rig.sight import Sight
 from capture_rig.video_findings import VideoFacts, ended_findings
 from mocap_pipeline.configuration import Configuration
+from sagoma_bringup.first_pose import start_settings
 
-from ..arguments import add_settings_argument, parse_settings, table_console
+from ..arguments import add_settings_argument, add_start_argument, parse_settings, table_console
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
-from ..evaluation.live_run import REFERENCE_START, T_POSE_START, start_settings
 from ..evaluation.people import PeopleScores, main_track, score_people
 from ..evaluation.pictures import draw_stills, write_overlay
 from ..evaluation.scores import Scores, score
@@ -43,8 +43,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_ablation = "also one row a part of the tracker, from the thesis's method to ours"
     option("--ablation", action="store_true", help=help_ablation)
     option("--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage")
-    help_start = "first pose: from a T-pose, or from the session's reference"
-    option("--start", choices=("auto", T_POSE_START, REFERENCE_START), default="auto", help=help_start)
+    add_start_argument(parser)
     option("--plots", metavar="FOLDER", help="where pictures go (default: output/evaluate/SESSION)")
     option("--video", action="store_true", help="also write overlay.mp4, the track over all the footage")
     option("--json", action="store_true", help="print the line of JSON only; pictures only with --plots")

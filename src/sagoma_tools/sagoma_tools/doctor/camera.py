@@ -14,6 +14,7 @@ from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
 from gige_vision.pixel_formats import PixelFormat
 from sagoma_bringup.graph import camera_from_file
+from sagoma_ros.names import resolve_packages
 
 from .camera_network import ask_camera, check_bandwidth, check_device, check_interface, check_receive_buffer
 from .collect import collect_background, collect_host, collect_interface
@@ -146,7 +147,7 @@ def _examine_file(path: Path, file: CameraFile, host: HostFacts, open_it: bool) 
 def read_file(path: Path) -> CameraFile:
     """Return the file's settings, validated. Raises InputError naming file, key, value and remedy."""
     spec = camera_from_file(path)
-    values = {key: value for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
+    values = {key: resolve_packages(value) for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
     settings = build_settings(CameraClientSettings, values, str(path))
     return CameraFile(path, spec.namespace.strip("/"), settings)
 

@@ -16,9 +16,9 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
-from capture_rig.errors import InputError
 from capture_rig.session import Session
 from mocap_packets.latency import POINTS
+from sagoma_bringup.first_pose import start_settings
 from sagoma_ros.images import decode_silhouette
 
 from ..graph.processes import Usage
@@ -39,7 +39,6 @@ NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
 TAKES = 2  # at most, when the machine's load rises while the session plays
 LATENCY_TOPIC = "/mocap/latency"
-AUTO_START, T_POSE_START, REFERENCE_START = "auto", "t_pose", "session"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
 
@@ -150,22 +149,6 @@ class UsageMeter:
         """Processor time of each process for one of so many frame sets."""
         spent = {n: used.cpu_s - self._before[n].cpu_s for n, used in self.usage.items() if n in self._before}
         return {label: 1e3 * cpu_s / max(sets, 1) for label, cpu_s in spent.items()}
-
-
-def start_settings(session: Session, start: str) -> dict[str, Any]:
-    """Return the ICP node's parameters for the source of its first pose. Raises InputError without a reference."""
-    if start == AUTO_START:
-        measured = session.truth is not None and session.truth.source.name.startswith("reference")
-        start = REFERENCE_START if measured else AUTO_START
-    if start == REFERENCE_START and session.truth is None:
-        raise InputError("has no reference to start from", where=str(session.folder), remedy="Start from a T-pose.")
-    if start in (AUTO_START, T_POSE_START):
-        return {"icp_tracker.initial_pose.source": start}
-    return {
-        "icp_tracker.initial_pose.source": REFERENCE_START,
-        "icp_tracker.initial_pose.session": str(session.folder.resolve()),
-        "icp_tracker.initial_pose.frame": int(session.truth.frames[0]),  # type: ignore[union-attr]
-    }
 
 
 def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:

@@ -1,0 +1,183 @@
+"""The arguments of the launch files, and the graph that their values describe. It does not import ROS.
+
+One table says what each file takes; the files, `ros2 launch --show-args` and the tests read it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from capture_rig.errors import InputError
+from capture_rig.session import load_session
+from capture_rig.yaml_file import read_mapping
+
+from .first_pose import AUTO_START, STARTS, start_settings
+from .graph import ALL_CAMERAS, NodeSpec, apply_settings, build_graph, camera_from_file
+from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
+
+# nobody drives the cameras of launched footage: they agree on its stamps, and on when to begin
+PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True, f"{ALL_CAMERAS}.footage.wait_for_consumer_s": 300.0}
+RESTART, SHUTDOWN = "restart", "shutdown"
+RESTART_DELAY_S = 2.0  # long enough to read why a node died, short enough not to miss the next person
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One argument of a launch file; without a default it has to be given."""
+
+    name: str
+    description: str
+    default: str | None = None
+    choices: tuple[str, ...] = ()
+
+
+def switch(name: str, description: str, default: str = "false") -> Argument:
+    """Return an argument that is true or false."""
+    return Argument(name, description, default, ("true", "false"))
+
+
+RIG = Argument("rig", "rig YAML: the calibrated cameras and the capture volume; a path, or package://PACKAGE/FILE")
+OF_ANY_NODE = (
+    Argument("namespace", "put the whole graph below this namespace, as in /studio/mocap/joint_states", ""),
+    switch("use_sim_time", "every node takes the time from /clock, as of a bag that is played"),
+    switch("autostart", "configure and activate at start; false: `sagoma start` does, from any machine", "true"),
+    Argument("on_exit", "when a node dies: start it again, or end the whole launch", RESTART, (RESTART, SHUTDOWN)),
+    Argument("respawn_delay", "seconds before a node that died is started again", f"{RESTART_DELAY_S:g}"),
+)
+OF_A_SERVER = (
+    Argument("body", "body YAML; empty: measured when a person is found", ""),
+    Argument("start", "first pose: a T-pose or whoever walks in (auto), or a T-pose alone", AUTO_START, STARTS[:2]),
+    switch("publish_humans", "publish REP-155 topics under /humans/bodies"),
+    Argument("params", "ROS parameter file for all nodes, read last: its values win (keys: /**/hull_server ...)", ""),
+    Argument("server", "hull, ICP and EKF nodes in one process, or in one each", ONE_PROCESS, SERVER_LAYOUTS),
+)
+ON_A_DESK = (switch("rviz", "show it in rviz2"),)
+OF_FOOTAGE = (
+    Argument("session", "folder with rig.yaml, camNN.mp4, camNN_background.png or .mp4"),
+    Argument("rate", "playing speed; 0: as fast as the graph can, which drops nothing then", "0"),
+    switch("loop", "play the footage again and again"),
+)
+FROM_A_SESSION = Argument(
+    "start",
+    "first pose: the session's reference where it was measured on its footage, else a T-pose or whoever walks in "
+    "(auto); a T-pose alone; the session's reference or truth",
+    AUTO_START,
+    STARTS,
+)
+CAMERAS = Argument("cameras", "folder with one parameter file a camera of the rig")
+ARGUMENTS: Mapping[str, tuple[Argument, ...]] = {
+    "server": (RIG, *OF_A_SERVER, *OF_ANY_NODE),
+    "all_in_one": (RIG, CAMERAS, *OF_A_SERVER, *OF_ANY_NODE, *ON_A_DESK),
+    "demo": (
+        *OF_FOOTAGE,
+        *(FROM_A_SESSION if one.name == "start" else one for one in OF_A_SERVER),
+        *OF_ANY_NODE,
+        *ON_A_DESK,
+    ),
+    "camera": (
+        Argument("camera", "name of the camera in the rig, e.g. cam01"),
+        Argument("params", "parameter file of this camera (default: config/camera/CAMERA.yaml of sagoma_bringup)", ""),
+        Argument("rig", "rig YAML in place of the one that the parameter file names; a path, or package://...", ""),
+        *OF_ANY_NODE,
+    ),
+}
+"""By the name of the launch file."""
+
+
+@dataclass(frozen=True)
+class LaunchRequest:
+    """What a launch file has to start.
+
+    respawn_delay_s : None: the launch ends when a node does.
+    parameter_files : read by every process after its own parameters.
+    """
+
+    processes: tuple[ProcessSpec, ...]
+    namespace: str
+    respawn_delay_s: float | None
+    parameter_files: tuple[str, ...]
+    use_sim_time: bool
+    rviz: bool
+
+
+def read_request(file: str, values: Mapping[str, str]) -> LaunchRequest:
+    """Return what the launch file named ``file`` has to start for the arguments' values.
+
+    Raises InputError, before anything is started, for a value that cannot be used.
+    """
+    graph = camera_graph(values) if file == "camera" else server_graph(values)
+    common: dict[str, Any] = {"autostart": _true(values, "autostart")}
+    if _true(values, "use_sim_time"):
+        common["use_sim_time"] = True
+    graph = [node.with_parameters(common) for node in graph]
+    own = () if file == "camera" else _parameter_files(values["params"])
+    return LaunchRequest(
+        processes=tuple(processes_of(graph, values.get("server", ONE_PROCESS))),
+        namespace=values["namespace"].strip("/"),
+        respawn_delay_s=_seconds(values, "respawn_delay") if values["on_exit"] == RESTART else None,
+        parameter_files=own,
+        use_sim_time=_true(values, "use_sim_time"),
+        rviz=_true(values, "rviz"),
+    )
+
+
+def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
+    """Return the server's nodes, and the cameras' of a session or of ``cameras``."""
+    session = load_session(values["session"]) if "session" in values else None
+    settings = start_settings(session, values["start"])
+    if _true(values, "publish_humans"):
+        settings["ekf_tracker.publish_humans"] = True
+    if session is not None:
+        settings |= PLAY_IN_STEP
+    return build_graph(
+        session=values.get("session"),
+        epoch_ns=0 if session is None else time.time_ns(),
+        rig=values.get("rig"),
+        cameras=values.get("cameras"),
+        rate=_number(values, "rate") if session is not None else 1.0,
+        loop=_true(values, "loop"),
+        body=values["body"] or None,
+        settings=settings,
+    )
+
+
+def camera_graph(values: Mapping[str, str]) -> list[NodeSpec]:
+    """Return the client of one camera, from its parameter file."""
+    camera, path = values["camera"], values["params"]
+    node = camera_from_file(path)
+    if node.label != camera:
+        remedy = f"Give camera:={node.label}, or the parameter file of {camera}."
+        raise InputError(f"describes {node.label}, not {camera}", where=path, remedy=remedy)
+    return apply_settings([node], {f"{ALL_CAMERAS}.rig_file": values["rig"]} if values["rig"] else {})
+
+
+def _parameter_files(path: str) -> tuple[str, ...]:
+    if not path:
+        return ()
+    read_mapping(Path(path), "Give a ROS parameter file.")
+    return (str(Path(path).resolve()),)
+
+
+def _true(values: Mapping[str, str], name: str) -> bool:
+    text = values.get(name, "false").lower()
+    if text not in ("true", "false"):
+        raise InputError(f"is '{text}'", where=f"argument {name}", remedy="Give true or false.")
+    return text == "true"
+
+
+def _number(values: Mapping[str, str], name: str) -> float:
+    try:
+        return float(values[name])
+    except ValueError:
+        raise InputError(f"'{values[name]}' is no number", where=f"argument {name}", remedy="Give one.") from None
+
+
+def _seconds(values: Mapping[str, str], name: str) -> float:
+    seconds = _number(values, name)
+    if not 0.0 <= seconds < float("inf"):
+        raise InputError(f"{seconds:g} is no time", where=f"argument {name}", remedy="Give seconds, from 0 on.")
+    return seconds

@@ -1,0 +1,265 @@
+"""A stand-in for ROS 2's launch and launch_ros, which are not on PyPI: enough of them to run our launch files.
+
+It follows launch_ros of Jazzy in what decides how our nodes run: arguments with defaults and choices, namespaces
+(relative ones stand below the pushed one, none means the pushed one itself), the order of parameter files, respawn,
+and a shutdown when a process ends. A launch file that uses anything else fails here.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+import types
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SOURCES = Path(__file__).resolve().parents[2] / "src"
+END_S = 30.0
+
+
+class Context:
+    """Values of the arguments, and the namespace that was pushed."""
+
+    def __init__(self, **values: object) -> None:
+        self.values = {name: str(value) for name, value in values.items()}
+        self.pushed: str | None = None
+
+
+@dataclass
+class Kept:
+    """Keeps whatever it was made with."""
+
+    args: tuple[Any, ...]
+    kwargs: dict[str, Any]
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self.args, self.kwargs = args, kwargs
+
+
+class DeclareLaunchArgument(Kept):
+    def __init__(self, name: str, *, default_value: str | None = None, description: str, choices: list | None) -> None:
+        self.name, self.default, self.description, self.choices = name, default_value, description, choices
+
+    def visit(self, context: Context) -> None:
+        if self.name not in context.values:
+            if self.default is None:
+                raise RuntimeError(f"Required launch argument '{self.name}' was not provided.")
+            context.values[self.name] = self.default
+        if self.choices and context.values[self.name] not in self.choices:
+            raise RuntimeError(f"Argument '{self.name}' provided value is not valid.")
+
+
+class OpaqueFunction(Kept):
+    def __init__(self, *, function: Any) -> None:
+        self.function = function
+
+
+class GroupAction(Kept):
+    """What stands in it, with a namespace of its own."""
+
+    def __init__(self, actions: list[Any]) -> None:
+        self.actions = actions
+
+
+class PushRosNamespace(Kept):
+    def __init__(self, namespace: str) -> None:
+        self.namespace = namespace
+
+
+class Shutdown(Kept):
+    def __init__(self, *, reason: str) -> None:
+        self.reason = reason
+
+
+class LaunchConfiguration(Kept):
+    def perform(self, context: Context) -> str:
+        return context.values[self.args[0]]
+
+
+@dataclass
+class Node:
+    """launch_ros.actions.Node, and what it starts once ``full_namespace`` is known."""
+
+    package: str
+    executable: str
+    name: str | None = None
+    namespace: str | None = None
+    parameters: list[Any] = field(default_factory=list)
+    remappings: list[tuple[str, str]] = field(default_factory=list)
+    arguments: list[str] = field(default_factory=list)
+    output: str = "log"
+    respawn: bool = False
+    respawn_delay: float | None = None
+    on_exit: list[Shutdown] | None = None
+    full_namespace: str | None = None
+
+    def ros_arguments(self) -> list[str]:
+        """What launch_ros appends to the command."""
+        said = ["--ros-args"]
+        if self.name is not None:
+            said += ["-r", f"__node:={self.name}"]
+        if self.full_namespace is not None:
+            said += ["-r", f"__ns:={self.full_namespace}"]
+        for file in self.parameters:
+            said += ["--params-file", file]
+        return said
+
+
+def below(base: str | None, namespace: str | None) -> str | None:
+    """The namespace of a node that asks for ``namespace`` where ``base`` was pushed (launch_ros, prefix_namespace)."""
+    if namespace is None:
+        found = base
+    elif not base or namespace.startswith("/"):
+        found = namespace
+    else:
+        found = f"{base.rstrip('/')}/{namespace}"
+    return None if found is None else "/" + found.strip("/")
+
+
+@contextmanager
+def stood_in() -> Iterator[None]:
+    """Modules launch and launch_ros with just the names above; and our module that imports them, loaded anew."""
+    contents = {
+        "launch": {},
+        "launch.launch_description": {"LaunchDescription": list},
+        "launch.actions": {
+            kind.__name__: kind for kind in (DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown)
+        },
+        "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": Node, "PushRosNamespace": PushRosNamespace},
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, attributes in contents.items():
+            module = types.ModuleType(name)
+            module.__dict__.update(attributes)
+            patch.setitem(sys.modules, name, module)
+        patch.delitem(sys.modules, "sagoma_bringup.launch_nodes", raising=False)
+        yield
+        sys.modules.pop("sagoma_bringup.launch_nodes", None)
+
+
+# --- what a launch file starts
+
+
+def launched(path: Path, pushed: str | None = None, **arguments: object) -> list[Node]:
+    """The nodes that a launch file, Python or XML, starts; where ``pushed``, included below a pushed namespace."""
+    context = Context(**arguments)
+    context.pushed = below(None, pushed)
+    with stood_in():
+        return list(_visit(_entities(path, context), context))
+
+
+def _entities(path: Path, context: Context) -> list[Any]:
+    if path.suffix == ".xml":
+        return _from_xml(ET.parse(path).getroot(), context)
+    module = types.ModuleType(path.stem)
+    exec(compile(path.read_text(), str(path), "exec"), module.__dict__)
+    return module.generate_launch_description()
+
+
+def _from_xml(root: ET.Element, context: Context) -> list[Any]:
+    made: list[Any] = []
+    for element in root:
+        if element.tag == "arg":
+            name, default, text = (element.get(key) for key in ("name", "default", "description"))
+            made.append(DeclareLaunchArgument(str(name), default_value=default, description=str(text), choices=None))
+        elif element.tag == "include":
+            given = {str(arg.get("name")): _text(arg.get("value"), context) for arg in element.findall("arg")}
+            context.values.update(given)
+            included = _entities(Path(_text(element.get("file"), context)), context)
+            required = {e.name for e in included if isinstance(e, DeclareLaunchArgument) and e.default is None}
+            assert required <= set(given), "launch wants required arguments to be handed over"
+            made += included
+        else:
+            raise AssertionError(f"the stand-in knows no <{element.tag}>")
+    return made
+
+
+def _text(text: str | None, context: Context) -> str:
+    text = re.sub(r"\$\(var (\w+)\)", lambda found: context.values[found[1]], text or "")
+    return re.sub(r"\$\(find-pkg-share (\w+)\)", lambda found: str(SOURCES / found[1]), text)
+
+
+def _visit(entities: Iterable[Any], context: Context) -> Iterator[Node]:
+    for entity in entities:
+        if isinstance(entity, DeclareLaunchArgument):
+            entity.visit(context)
+        elif isinstance(entity, OpaqueFunction):
+            yield from _visit(entity.function(context), context)
+        elif isinstance(entity, PushRosNamespace):
+            context.pushed = below(context.pushed, entity.namespace)
+        elif isinstance(entity, GroupAction):
+            outside = context.pushed
+            yield from _visit(entity.actions, context)
+            context.pushed = outside
+        else:
+            assert isinstance(entity, Node), entity
+            entity.full_namespace = below(context.pushed, entity.namespace)
+            yield entity
+
+
+# --- and runs
+
+
+def module_of(package: str, executable: str) -> str:
+    """The module that the package's setup.py names for an executable."""
+    found = re.search(rf'"{executable} = ([\w.]+):main"', (SOURCES / package / "setup.py").read_text())
+    assert found is not None, f"{package} has no executable {executable}"
+    return found[1]
+
+
+class LaunchRun:
+    """Runs what a launch file starts, as launch does: a process that ends is started again, or ends them all."""
+
+    def __init__(self, nodes: list[Node]) -> None:
+        self.nodes = nodes
+        self.processes: dict[str, subprocess.Popen] = {}
+        self.over = threading.Event()
+        self.starts = 0
+        self._started = threading.Condition()
+        self._watchers = [threading.Thread(target=self._keep, args=(node,), daemon=True) for node in nodes]
+
+    def __enter__(self) -> LaunchRun:
+        for watcher in self._watchers:
+            watcher.start()
+        return self
+
+    def wait_for_starts(self, count: int) -> bool:
+        """Wait until so many processes have been started, those that were started again included."""
+        with self._started:
+            return self._started.wait_for(lambda: self.starts >= count, END_S)
+
+    def __exit__(self, *error: object) -> None:
+        self.over.set()
+        for process in self.processes.values():
+            process.send_signal(signal.SIGINT)
+        for watcher in self._watchers:
+            watcher.join(END_S)
+        for process in self.processes.values():
+            process.kill()
+
+    def _keep(self, node: Node) -> None:
+        module = module_of(node.package, node.executable)
+        command = [sys.executable, "-m", module, *node.arguments, *node.ros_arguments()]
+        label = f"{(node.full_namespace or '').rstrip('/')}/{node.executable}"
+        while not self.over.is_set():
+            process = subprocess.Popen(command)
+            with self._started:
+                self.processes[label] = process
+                self.starts += 1
+                self._started.notify_all()
+            process.wait()
+            if node.on_exit:
+                self.over.set()
+            if not node.respawn or self.over.wait(node.respawn_delay or 0.0):
+                return
