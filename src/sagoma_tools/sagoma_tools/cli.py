@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 
 from capture_rig.errors import InputError
+from capture_rig.files import describe_os_error
 
 from .commands import (
     background,
@@ -60,6 +62,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return GRAPH_FAILED
     except InputError as error:
         print(f"sagoma: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except BrokenPipeError:  # who read our output has gone; there is nobody to tell
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BAD_INPUT
+    except OSError as error:  # a file or folder that cannot be used, wherever it was named
+        print(f"sagoma: {describe_os_error(error, 'cannot be used')}", file=sys.stderr)
         return BAD_INPUT
 
 

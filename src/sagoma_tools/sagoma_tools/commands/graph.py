@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -76,12 +77,16 @@ def up(args: argparse.Namespace) -> int:
             console.print(f"the end of {event.log}:\n{event.log_tail}", markup=False, highlight=False)
 
     restart = RestartPolicy() if args.restart else None
+
+    def report_failure(error: InputError) -> None:
+        console.print(f"{error} The capture goes on.", style="red", markup=False, highlight=False)
+
     with (
         StopOnSignal() as stop,
         Supervisor(graph, folder, on_event=tell, cancel=stop, server=args.server, restart=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
-        recorder = bring_up(supervisor, args.record, stop)
+        recorder = bring_up(supervisor, args.record, stop, report_failure)
         watch(supervisor, console, stop, args.seconds)
         supervisor.suspend()
         if recorder is not None:
@@ -89,16 +94,22 @@ def up(args: argparse.Namespace) -> int:
             finish_take(Path(args.record))
             console.print(f"recorded {sum(counts.values())} messages on {len(counts)} topics in {args.record}")
         supervisor.stop()
-    return print_exit_statuses(console, supervisor)
+    incomplete = recorder is not None and recorder.recorder.failure is not None
+    return print_exit_statuses(console, supervisor) or int(incomplete)
 
 
-def bring_up(supervisor: Supervisor, bag: str | None, stop: threading.Event) -> GraphRecorder | None:
-    """Configure, begin to record, activate. Raises GraphError, unless the user stopped it meanwhile."""
+def bring_up(
+    supervisor: Supervisor, bag: str | None, stop: threading.Event, on_failure: Callable[[InputError], object]
+) -> GraphRecorder | None:
+    """Configure, begin to record, activate. Raises GraphError, unless the user stopped it meanwhile.
+
+    on_failure : called when the recording ends because of the disk.
+    """
     recorder = None
     try:
         supervisor.configure()
         if bag:
-            recorder = GraphRecorder(supervisor.graph, bag)
+            recorder = GraphRecorder(supervisor.graph, bag, on_failure=on_failure)
             recorder.wait_for_publishers()
         supervisor.activate()
     except GraphError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import threading
 from pathlib import Path
 
@@ -15,9 +16,10 @@ from ..graph.topics import CLOCK_TOPIC, DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_S
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder, read_configuration
+from ..recording.recovery import recover_bag
 from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
 from ..recording.simulated_clock import CLOCK_HZ, SimulatedClock
-from ..recording.writer import recover_bag, require_new
+from ..recording.writer import require_new
 from ..takes.summary_file import finish_take
 
 PARAMETERS_TIMEOUT_S = 2.0
@@ -68,7 +70,13 @@ def record(args: argparse.Namespace) -> int:
     cameras = load_rig(args.rig).names if args.rig else ()
     topics = [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, *topics_of_others()]
     with StopOnSignal() as stop, RosLink("sagoma_recorder") as link:
-        recorder = Recorder(link.node, args.bag, topics if args.no_diagnostics else [*topics, DIAGNOSTICS])
+
+        def report_failure(error: InputError) -> None:
+            print(f"sagoma: {error}", file=sys.stderr, flush=True)
+            stop.set()
+
+        topics = topics if args.no_diagnostics else [*topics, DIAGNOSTICS]
+        recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
         recorder.follow_graph()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         stop.wait(args.seconds)
@@ -76,7 +84,7 @@ def record(args: argparse.Namespace) -> int:
         counts = recorder.close({"graph": configuration}, Path(args.rig) if args.rig else None)
     finish_take(Path(args.bag))
     print_counts(counts)
-    return 0
+    return 0 if recorder.failure is None else 1
 
 
 def replay(args: argparse.Namespace) -> int:
@@ -167,10 +175,10 @@ def compare(args: argparse.Namespace) -> int:
 def recover(args: argparse.Namespace) -> int:
     """Copy the readable messages of a damaged bag into a new one, and print their number by topic."""
     target = args.target or args.bag.rstrip("/") + "_recovered"
-    counts = recover_bag(args.bag, target)
+    recovery = recover_bag(args.bag, target)
     finish_take(Path(target))
-    print_counts(counts)
-    print(f"recovered {sum(counts.values())} messages into {target}")
+    print_counts(recovery.counts)
+    print(f"{recovery}: {target}")
     return 0
 
 

@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig.camera import CameraModel
@@ -24,7 +23,7 @@ from sagoma_ros.images import decode_silhouette
 from ..graph.processes import Usage
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
-from ..recording.reader import read_messages
+from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps
 from .held_rate import OtherPrograms
@@ -156,9 +155,9 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
     clock, stamps = clock_of_bag(bag, session), silhouette_stamps(bag, session)
     measured_from_ns = meter.began_ns if live_input.in_real_time else 0
     answers = [m.log_ns for m in read_messages(bag, PREDICTION_TOPIC.__eq__) if m.stamp_ns in clock]
-    sets = [_values(m.data) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
+    sets = [_values(m) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
     measured = {key for values in sets for key in values if key.endswith("_ms")} - {"spread_ms"}
-    ages = [_values(m.data) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
+    ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
     points = [f"{point}_ms" for point in POINTS] if ages and live_input.in_real_time else []
     stages = sorted(measured if live_input.in_real_time else measured - AGES)
     return LiveRun(
@@ -181,9 +180,11 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
     )
 
 
-def _values(data: bytes) -> dict[str, str]:
-    status = deserialize_message(data, DiagnosticArray).status[0]
-    return {pair.key: pair.value for pair in status.values}
+def _values(message: BagMessage) -> dict[str, str]:
+    statuses = message.decode(DiagnosticArray).status
+    if not statuses:
+        raise message.damaged("holds no status")
+    return {pair.key: pair.value for pair in statuses[0].values}
 
 
 def image_masks(
@@ -212,7 +213,7 @@ def _masks_of(
     for message in read_messages(bag, topic.__eq__):
         frame = frame_of_stamp(message.stamp_ns)
         if frame in frames:
-            image = deserialize_message(message.data, CompressedImage)
+            image = message.decode(CompressedImage)
             found[frame] = distort_mask(camera, decode_silhouette(image, canvas.width, canvas.height, topic))
     empty = np.zeros((camera.height, camera.width), np.uint8)
     return [found.get(frame, empty) for frame in frames]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
@@ -128,17 +127,17 @@ def _read_track(bag: str | Path, frame_of_stamp: Callable[[int], int], prefix: s
     points_topic, angles_topic, state_topic = (f"{prefix}/{what}" for what in (POINTS, ANGLES, STATE))
     for message in read_messages(bag, {points_topic, angles_topic, state_topic}.__contains__):
         if message.topic == state_topic:  # without a header: its values hold the stamp
-            status = deserialize_message(message.data, DiagnosticStatus)
+            status = message.decode(DiagnosticStatus)
             stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
             states.update((frame_of_stamp(stamp_ns), status.message) for stamp_ns in stamps)
             continue
         frame = frame_of_stamp(message.stamp_ns)
         if message.topic == points_topic:
-            cloud = deserialize_message(message.data, PointCloud2)
+            cloud = message.decode(PointCloud2)
             measured = read_reference_points(cloud, f"{bag}: {points_topic}")
             points[frame] = measured.points_world, measured.covariance
         else:
-            angles[frame] = _angles(deserialize_message(message.data, JointState), f"{bag}: {angles_topic}")
+            angles[frame] = _angles(message.decode(JointState), f"{bag}: {angles_topic}")
     frames = sorted(set(points) & set(angles))
     return Track(
         np.array(frames, dtype=int),

@@ -116,6 +116,19 @@ def cameras_in(topic_names: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted({match["camera"] for match in matches if match}))
 
 
+def type_of(topic: str) -> str | None:
+    """Return the message type of a topic of the graph; None for any other topic."""
+    camera, person = CAMERA_TOPIC.match(topic), PERSON_TOPIC.match(topic)
+    if camera:
+        return camera_topics(camera["camera"])[1].msgtype
+    if person:
+        return OF_A_PERSON.get(person["what"])
+    return _TYPES.get(topic)
+
+
+_TYPES = {topic.name: topic.msgtype for topic in (*OUTPUT_TOPICS, DIAGNOSTICS)}
+
+
 def message_class(msgtype: str) -> Any:
     """Return the Python class of a message type written ``package/msg/Name``; ImportError when it is not installed."""
     package, kind, name = msgtype.split("/")

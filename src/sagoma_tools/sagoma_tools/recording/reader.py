@@ -9,21 +9,24 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, TypeVar
 
+from rclpy.serialization import deserialize_message
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from capture_rig.errors import InputError
+from capture_rig.files import shortened
 from capture_rig.yaml_file import read_mapping
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 
@@ -36,13 +39,17 @@ from ..graph.topics import (
     cameras_in,
     person_topics,
     persons_in,
+    type_of,
 )
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+METADATA = "metadata.yaml"
+RECOVER = "Bring it back from a copy, or save what is left of it: `sagoma recover`."
 SIDECAR_RIG, SIDECAR_PROVENANCE = "rig.yaml", "sagoma.yaml"
 NEVER_NS = 2**62
 UNPAIRED_SETS = 64
 DEFAULT_TOLERANCE_NS = 8_000_000
+T = TypeVar("T")
 _log = logging.getLogger("sagoma.bags")
 
 
@@ -54,11 +61,27 @@ class BagMessage:
     msgtype: str
     log_ns: int
     data: bytes
+    bag: str = ""
 
     @property
     def stamp_ns(self) -> int:
-        """``header.stamp`` in ns; only for messages whose first field is a std_msgs/Header."""
-        return header_stamp_ns(self.data)
+        """``header.stamp`` in ns; only for messages whose first field is a std_msgs/Header. Raises InputError."""
+        try:
+            return header_stamp_ns(self.data)
+        except (struct.error, IndexError):
+            raise self.damaged(f"has {len(self.data)} bytes") from None
+
+    def decode(self, kind: type[T]) -> T:
+        """Return the message as an object of ``kind``, a message class. Raises InputError when it is damaged."""
+        try:
+            return deserialize_message(self.data, kind)
+        except Exception as error:  # whatever the middleware raises for bytes that are no such message
+            raise self.damaged(f"is no {self.msgtype}: {error}") from None
+
+    def damaged(self, how: str) -> InputError:
+        """The error that says where the message is and ``how`` it is damaged."""
+        what = f"the message logged at {self.log_ns} ns {shortened(how)}: it was cut or damaged"
+        return InputError(what, where=f"{self.bag}: {self.topic}", remedy=RECOVER)
 
 
 @dataclass(frozen=True)
@@ -97,9 +120,9 @@ def header_stamp_ns(data: bytes) -> int:
 def open_bag(bag: str | Path) -> Iterator[Reader]:
     """Open a bag folder (or a single .mcap/.db3 file). Raises InputError for a bag that cannot be read."""
     bag = Path(bag)
-    if not bag.exists():
+    if not os.path.exists(bag):  # also of a path that is too long
         raise InputError("there is no such bag", where=str(bag), remedy="Give the folder that holds metadata.yaml.")
-    if bag.is_dir() and not (bag / "metadata.yaml").exists():
+    if bag.is_dir() and not (bag / METADATA).exists():
         mcap = bool(list(bag.glob("*.mcap")))
         raise InputError(
             "has no metadata.yaml",
@@ -108,12 +131,49 @@ def open_bag(bag: str | Path) -> Iterator[Reader]:
             if mcap
             else "Give the folder of a rosbag2 bag.",
         )
+    if (bag / METADATA).is_file():
+        read_mapping(bag / METADATA, RECOVER)  # within limits; what it means is for the reader
     try:
-        with Reader(bag) as reader:
-            yield reader
-    except ReaderError as error:
-        remedy = "Record it again, or try `sagoma recover`."
-        raise InputError(f"cannot be read as a rosbag2 bag ({error})", where=str(bag), remedy=remedy) from error
+        reader = _Reader(bag)
+        reader.open()
+    except InputError:
+        raise
+    except Exception as error:  # a damaged index makes the reader raise anything
+        raise _unreadable(bag, error) from error
+    try:
+        _check_types(reader, bag)
+        yield reader
+    finally:
+        reader.close()
+
+
+class _Reader(Reader):
+    """A reader whose every trouble with damaged bytes is an InputError."""
+
+    def messages(
+        self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Yield (connection, log time ns, bytes) in log order. Raises InputError."""
+        try:
+            yield from super().messages(connections, start, stop)
+        except Exception as error:
+            raise _unreadable(str(self.path), error) from error
+
+
+def _unreadable(bag: str | Path, error: Exception) -> InputError:
+    known = isinstance(error, ReaderError | OSError)
+    reason = str(error) if known else f"its bytes are damaged: {type(error).__name__} {error}".rstrip()
+    return InputError(f"cannot be read as a rosbag2 bag ({shortened(reason)})", where=str(bag), remedy=RECOVER)
+
+
+def _check_types(reader: Reader, bag: Path) -> None:
+    """Raises InputError for a topic of the graph that has another type than the graph's."""
+    for connection in reader.connections:
+        expected = type_of(RENAMED_TOPICS.get(connection.topic, connection.topic))
+        if expected not in (None, connection.msgtype):
+            what = f"{connection.topic} holds messages of type {connection.msgtype}, not {expected}"
+            remedy = "Record it again, or give the topic another name when recording."
+            raise InputError(what, where=str(bag), remedy=remedy)
 
 
 def bag_topics(bag: str | Path) -> dict[str, str]:
@@ -130,7 +190,7 @@ def read_messages(bag: str | Path, wanted: Callable[[str], bool] = lambda topic:
         if not connections:
             return
         for connection, log_ns, data in reader.messages(connections):
-            yield BagMessage(names[connection.id], connection.msgtype, log_ns, bytes(data))
+            yield BagMessage(names[connection.id], connection.msgtype, log_ns, bytes(data), str(bag))
 
 
 def read_provenance(bag: str | Path) -> Mapping[str, Any]:
@@ -233,7 +293,7 @@ def canonical_bytes(data: bytes, msgtype: str) -> bytes:
     """Return the message with zeros in its padding; unchanged when its type is unknown or it does not parse."""
     try:
         return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
-    except (SerdeError, TypesysError, KeyError):
+    except Exception:  # of damaged bytes, whatever the parser raises
         return data
 
 

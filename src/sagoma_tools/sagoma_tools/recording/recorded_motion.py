@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState, PointCloud2
 
@@ -20,7 +19,7 @@ from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..graph.topics import FIRST_BODY_ID
-from .reader import read_messages
+from .reader import BagMessage, read_messages
 
 ROW_TOPIC = re.compile(r"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>reference_points|joint_states|torso|state)$")
 TRUSTED = "tracking"
@@ -39,12 +38,17 @@ def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str,
         match = ROW_TOPIC.match(message.topic)
         assert match is not None
         kind, body_id = match["kind"], match["body_id"] or FIRST_BODY_ID
-        if kind == "state":
-            status = deserialize_message(message.data, DiagnosticStatus)
-            stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
-            rows[body_id][kind].update(dict.fromkeys(stamps, status.message))
-        else:
-            rows[body_id][kind][message.stamp_ns] = _READERS[kind](message.data, f"{bag}: {message.topic}")
+        try:
+            if kind == "state":
+                status = message.decode(DiagnosticStatus)
+                stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
+                rows[body_id][kind].update(dict.fromkeys(stamps, status.message))
+            else:
+                rows[body_id][kind][message.stamp_ns] = _READERS[kind](message)
+        except InputError:
+            raise
+        except ValueError as error:  # a number that is none, a rotation of zeros
+            raise message.damaged(f"holds what cannot be: {error}") from None
     found = {body_id: _samples(kinds) for body_id, kinds in sorted(rows.items())}
     found = {body_id: samples for body_id, samples in found.items() if len(samples.stamps_ns) > 1}
     name = Path(bag).resolve().name
@@ -76,21 +80,21 @@ def _samples(kinds: dict[str, dict[int, Any]]) -> Samples:
     )
 
 
-def _points(data: bytes, where: str) -> tuple[np.ndarray, np.ndarray]:
-    measured = read_reference_points(deserialize_message(data, PointCloud2), where)
+def _points(row: BagMessage) -> tuple[np.ndarray, np.ndarray]:
+    measured = read_reference_points(row.decode(PointCloud2), f"{row.bag}: {row.topic}")
     return measured.points_world, measured.covariance
 
 
-def _angles(data: bytes, where: str) -> np.ndarray:
-    message = deserialize_message(data, JointState)
-    if list(message.name) != list(ANGLE_NAMES):
-        remedy = "Give a bag that this graph recorded."
-        raise InputError(f"joint names {list(message.name)} are not the stick figure's", where=where, remedy=remedy)
+def _angles(row: BagMessage) -> np.ndarray:
+    message = row.decode(JointState)
+    if list(message.name) != list(ANGLE_NAMES) or len(message.position) != len(ANGLE_NAMES):
+        what, remedy = f"joint names {list(message.name)} are not the stick figure's", "Give a bag of this graph."
+        raise InputError(what, where=f"{row.bag}: {row.topic}", remedy=remedy)
     return np.array(message.position)
 
 
-def _torso(data: bytes, where: str) -> tuple[np.ndarray, np.ndarray]:
-    pose = deserialize_message(data, PoseWithCovarianceStamped).pose.pose
+def _torso(row: BagMessage) -> tuple[np.ndarray, np.ndarray]:
+    pose = row.decode(PoseWithCovarianceStamped).pose.pose
     p, q = pose.position, pose.orientation
     return np.array([p.x, p.y, p.z]), Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
 

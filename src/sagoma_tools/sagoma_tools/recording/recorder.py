@@ -17,6 +17,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
 
 from ..graph.ros_link import RosLink, call_all
@@ -36,6 +37,7 @@ from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 DISCOVERY_S = 0.2
+STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
 SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
 CONNECT_TIMEOUT_S = 60.0
 
@@ -47,13 +49,24 @@ class Recorder:
     some 0.05 ms a message (2 ms for markers), so it is for lockstep, not for live recordings.
     """
 
-    def __init__(self, node: Node, folder: str | Path, topics: Iterable[Topic], *, canonical: bool = False) -> None:
+    def __init__(
+        self,
+        node: Node,
+        folder: str | Path,
+        topics: Iterable[Topic],
+        *,
+        canonical: bool = False,
+        on_failure: Callable[[InputError], object] = lambda error: None,
+    ) -> None:
+        """``on_failure`` is called once, when the disk is full or fails: by then nothing more is recorded."""
         self._node, self._canonical = node, canonical
         self._writer = BagWriter(folder)
         self._arrived = threading.Condition()
         self._last_stamp_ns: dict[str, int] = {}
         self._publishers: dict[str, int] = {}
         self._open = True
+        self.failure: InputError | None = None
+        self._on_failure = on_failure
         self._subscriptions: dict[str, Any] = {}
         self._discovery: Any = None
         for topic in topics:
@@ -127,8 +140,11 @@ class Recorder:
                 self._node.destroy_timer(self._discovery)
             for subscription in self._subscriptions.values():
                 self._node.destroy_subscription(subscription)
-            self._writer.describe(provenance or {}, rig)
-            self._writer.close()
+            try:
+                self._writer.describe(provenance or {}, rig)
+            finally:
+                self._writer.close()
+                self.failure = self.failure or self._writer.failure
         return dict(self._writer.counts)
 
     def __enter__(self) -> Recorder:
@@ -143,13 +159,19 @@ class Recorder:
         def take(data: bytes) -> None:
             now_ns = self._node.get_clock().now().nanoseconds
             with self._arrived:
-                if self._open:
-                    self._announce(topic)
-                    written = canonical_bytes(data, topic.msgtype) if self._canonical else data
+                if not self._open or self.failure is not None:
+                    return
+                self._announce(topic)
+                written = canonical_bytes(data, topic.msgtype) if self._canonical else data
+                try:
                     self._writer.write(topic.name, now_ns, written)
-                    if stamped:
-                        self._last_stamp_ns[topic.name] = header_stamp_ns(data)
-                    self._arrived.notify_all()
+                except InputError as error:
+                    self.failure = error
+                if stamped and len(data) >= STAMPED_BYTES:
+                    self._last_stamp_ns[topic.name] = header_stamp_ns(data)
+                self._arrived.notify_all()
+            if self.failure is not None:
+                self._on_failure(self.failure)
 
         return take
 
@@ -190,14 +212,16 @@ class GraphRecorder:
         domain_id: int | None = None,
         provenance: Mapping[str, Any] | None = None,
         canonical: bool = False,
+        on_failure: Callable[[InputError], object] = lambda error: None,
     ) -> None:
-        """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml."""
+        """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml;
+        ``on_failure`` as of :class:`Recorder`."""
         self._topics = tuple(graph_topics(graph) if topics is None else topics)
         self._graph = tuple(graph)
         self._provenance = dict(provenance or {})
         self._link = RosLink("sagoma_recorder", domain_id=domain_id)
         try:
-            self.recorder = Recorder(self._link.node, bag, self._topics, canonical=canonical)
+            self.recorder = Recorder(self._link.node, bag, self._topics, canonical=canonical, on_failure=on_failure)
         except BaseException:
             self._link.close()
             raise

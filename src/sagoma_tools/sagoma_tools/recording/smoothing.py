@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from bisect import bisect_right
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
+from capture_rig.files import copy_file
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, check_stamps, smooth
 from ekf_tracker.state import POSE
@@ -69,7 +69,7 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)})
         if rig.is_file():
-            shutil.copyfile(rig, writer.folder / SIDECAR_RIG)
+            copy_file(rig, writer.folder / SIDECAR_RIG)
     return SmoothedTake(len(states), len(sets), writer.counts)
 
 
@@ -82,10 +82,10 @@ def read_sets(bag: str | Path) -> list[tuple[Set, str]]:
     bodies, fits = list[tuple[int, Body]](), list[tuple[int, PointCloud2]]()
     for message in read_messages(bag, {FITTED, BODY}.__contains__):
         if message.topic == BODY:
-            text = deserialize_message(message.data, String).data
+            text = message.decode(String).data
             bodies.append((message.log_ns, parse_body(text, f"{bag}: {BODY}")))
         else:
-            fits.append((message.log_ns, deserialize_message(message.data, PointCloud2)))
+            fits.append((message.log_ns, message.decode(PointCloud2)))
     logged, sets = [log_ns for log_ns, _ in bodies], list[tuple[Set, str]]()
     for log_ns, cloud in fits:
         points = read_people_points(cloud, f"{bag}: {FITTED}").of[FIRST_PERSON]

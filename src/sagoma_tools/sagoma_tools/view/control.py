@@ -132,7 +132,9 @@ class Control:
             if self._recorder is not None:
                 return f"{self.recording} is being recorded already"
             folder = self._takes.new_path(name)
-            self._recorder = Recorder(self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS])
+            self._recorder = Recorder(
+                self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS], on_failure=self._tell_failure
+            )
             self._recorder.follow_graph()
             self._recording_to = folder
             return f"recording {folder.name}"
@@ -146,9 +148,11 @@ class Control:
         names = sorted(our_nodes(self._link.node))
         configuration = read_configuration(self._link.node, names, PARAMETERS_TIMEOUT_S)
         counts = self._recorder.close({"graph": configuration})
-        folder, self._recorder, self._recording_to = self._recording_to, None, None
+        folder, failure = self._recording_to, self._recorder.failure
+        self._recorder, self._recording_to = None, None
         finish_take(folder)
-        return f"recorded {folder.name}: {sum(counts.values())} messages"
+        early = f"; {failure}" if failure is not None else ""
+        return f"recorded {folder.name}: {sum(counts.values())} messages{early}"
 
     def _run(self, what: str, work: Work) -> None:
         try:
@@ -159,6 +163,9 @@ class Control:
             said = f"{what} failed: {error!r}"
         with self._lock:
             self._said, self._running = said, ""
+
+    def _tell_failure(self, error: InputError) -> None:
+        self._tell(f"{error} The capture goes on.")
 
     def _tell(self, text: str) -> None:
         with self._lock:

@@ -1,0 +1,185 @@
+"""A recording survives kill -9, a power cut and a full disk with at most a second lost."""
+
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from capture_rig.errors import InputError
+from sagoma_ros.qos import LATCHED
+from sagoma_tools.recording.durable import RESERVE_BYTES, DurableWriter
+from sagoma_tools.recording.reader import open_bag, read_messages, read_provenance
+from sagoma_tools.recording.recovery import recover_bag
+from sagoma_tools.recording.writer import SYNC_S, BagWriter
+
+TOPIC, TEXT = "/icp/body", "std_msgs/msg/String"
+WRITER_TO_KILL = """
+import sys, time
+from sagoma_tools.recording.writer import BagWriter
+writer = BagWriter(sys.argv[1])
+writer.add_topic("/icp/body", "std_msgs/msg/String")
+while True:
+    now_ns = time.monotonic_ns()
+    writer.write("/icp/body", now_ns, b"\\0\\1\\0\\0" + bytes(100))
+    print(now_ns, flush=True)
+    time.sleep(0.005)
+"""
+RECORDED = b"\0\1\0\0" + bytes(100)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system with room for the reserve of a bag and 4 MiB of it."""
+    mount = tmp_path / "disk"
+    mount.mkdir()
+    size = RESERVE_BYTES + (4 << 20)
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "sagoma-test", str(mount)]
+    if os.geteuid() != 0 or subprocess.run(command, capture_output=True).returncode != 0:
+        pytest.skip("a small disk cannot be mounted here: that needs root and CAP_SYS_ADMIN")
+    yield mount
+    subprocess.run(["umount", "--lazy", str(mount)], check=True)
+
+
+def fill(writer: BagWriter, kib: int = 256) -> int:
+    """Write until the writer refuses; return the messages that it took."""
+    for number in range(10_000):
+        try:
+            writer.write(TOPIC, 1_000_000 * number, b"\0\1\0\0" + bytes(kib << 10))
+        except InputError:
+            return number
+    raise AssertionError("the disk is not full")
+
+
+def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WRITER_TO_KILL, str(tmp_path / "bag")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+        first_ns = int(process.stdout.readline())
+        written = [first_ns]
+        while written[-1] - first_ns < 3 * SYNC_S * 1e9:
+            written.append(int(process.stdout.readline()))
+        process.send_signal(signal.SIGKILL)
+        written += [int(line) for line in process.stdout if line.endswith("\n")]
+    with pytest.raises(InputError, match="sagoma recover"):
+        list(read_messages(tmp_path / "bag"))
+    recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
+    read = [message.log_ns for message in read_messages(tmp_path / "mended")]
+    assert read == written[: len(read)] and recovery.counts == {TOPIC: len(read)}
+    # by the writer's own clock; the pauses that a busy machine gives it are no loss
+    lost = [later - earlier for earlier, later in zip(written[len(read) - 1 :], written[len(read) :], strict=False)]
+    assert sum(min(gap, 50_000_000) for gap in lost) < 1e9
+
+
+def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_path: Path, monkeypatch) -> None:
+    """The disk is sure to have of a file what it held when fsync returned: the rest is cut off here."""
+    on_disk, synced = [0], threading.Condition()
+    fsync = os.fsync
+
+    def remember(descriptor: int) -> None:
+        fsync(descriptor)
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".mcap"):
+            with synced:
+                on_disk.append(os.fstat(descriptor).st_size)
+                synced.notify_all()
+
+    monkeypatch.setattr(os, "fsync", remember)
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(TOPIC, TEXT)
+    writer.write(TOPIC, 1, RECORDED)
+    before = on_disk[-1]
+    with synced:  # nobody asks for it: the bag syncs by itself
+        assert synced.wait_for(lambda: on_disk[-1] > before, 60.0)
+    writer.write(TOPIC, 2, RECORDED)  # has not been synced when the power goes
+    shutil.copytree(tmp_path / "bag", tmp_path / "cut", ignore=shutil.ignore_patterns(".*"))
+    os.truncate(tmp_path / "cut" / "bag.mcap", on_disk[1 + next(i for i, n in enumerate(on_disk[1:]) if n > before)])
+    writer.close()
+    recover_bag(tmp_path / "cut", tmp_path / "mended")
+    assert 1 in [message.log_ns for message in read_messages(tmp_path / "mended")]
+    assert SYNC_S <= 0.5
+
+
+def test_a_full_disk_ends_the_recording_and_what_was_saved_can_be_read(small_disk: Path) -> None:
+    writer = BagWriter(small_disk / "bag")
+    writer.add_topic(TOPIC, TEXT)
+    taken = fill(writer)
+    assert writer.failure is not None
+    said = str(writer.failure)
+    assert "No space left on device" in said and "messages" in said and "are saved" in said and "Free space" in said
+    saved = writer.counts[TOPIC]
+    assert 0 < taken - saved <= 5  # chunks close at a MiB: these were in the one that found no room
+    writer.describe({"by": "test"})
+    writer.close()
+    read = list(read_messages(small_disk / "bag"))
+    assert len(read) == saved and [m.log_ns for m in read] == [1_000_000 * number for number in range(saved)]
+    with open_bag(small_disk / "bag") as reader:
+        assert reader.message_count == saved and reader.duration == 1_000_000 * (saved - 1) + 1
+    assert "No space left" in read_provenance(small_disk / "bag")["ended_early"]
+    assert not list((small_disk / "bag").glob(".*"))
+
+
+def test_a_disk_without_room_for_a_bag_is_refused_at_once(small_disk: Path) -> None:
+    (small_disk / "other").write_bytes(bytes(6 << 20))
+    with pytest.raises(InputError, match=r"no bag can be written \(No space left on device\)\. Free space"):
+        BagWriter(small_disk / "bag")
+    assert not (small_disk / "bag").exists()
+
+
+def test_a_disk_that_is_full_even_at_the_end_says_how_to_go_on(small_disk: Path, monkeypatch) -> None:
+    writer = BagWriter(small_disk / "bag")
+    writer.add_topic(TOPIC, TEXT)
+    fill(writer)
+
+    def somebody_else_takes_the_room(self: DurableWriter) -> None:
+        with (small_disk / "other").open("wb", buffering=0) as file:
+            while file.write(bytes(4096)) == 4096:
+                pass
+
+    monkeypatch.setattr(DurableWriter, "close", somebody_else_takes_the_room)
+    with pytest.raises(InputError, match=r"end cannot be written .*are saved.*sagoma recover"):
+        writer.close()
+    monkeypatch.undo()
+    (small_disk / "other").unlink()
+    assert recover_bag(small_disk / "bag", small_disk.parent / "mended").counts == {TOPIC: writer.counts[TOPIC]}
+
+
+def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk: Path, link) -> None:
+    publisher = link.node.create_publisher(String, TOPIC, LATCHED)
+    command = [sys.executable, "-m", "sagoma_tools.cli", "record", str(small_disk / "bag")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert "recording into" in process.stdout.readline()
+        text = "x" * (200 << 10)
+        while process.poll() is None and not select.select([process.stderr], [], [], 0.0)[0]:
+            publisher.publish(String(data=text))
+            time.sleep(0.01)  # paces the load; nothing is awaited
+        said, told = process.communicate(timeout=60.0)
+    assert process.returncode == 1, told
+    assert "the recording has ended (No space left on device)" in told and "Traceback" not in told
+    saved = int(next(line.split()[0] for line in said.splitlines() if TOPIC in line))
+    assert f"{sum(int(line.split()[0]) for line in said.splitlines() if line.split()[0].isdigit())} messages" in told
+    assert len(list(read_messages(small_disk / "bag", TOPIC.__eq__))) == saved > 0
+
+
+def test_messages_of_a_bag_have_a_checksum(tmp_path: Path) -> None:
+    """A flipped byte is found, and costs the messages of its chunk alone."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic(TOPIC, TEXT)
+        for number in range(40):
+            writer.write(TOPIC, number, serialize_message(String(data=f"{number:03d}" * 30_000)))
+    mcap = tmp_path / "bag" / "bag.mcap"
+    content = bytearray(mcap.read_bytes())
+    content[content.index(b"017017") + 1000] ^= 1
+    mcap.write_bytes(content)
+    with pytest.raises(InputError, match=r"checksum.*sagoma recover"):
+        list(read_messages(tmp_path / "bag"))
+    recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
+    read = [message.log_ns for message in read_messages(tmp_path / "mended")]
+    assert recovery.damaged_chunks == 1 and "1 damaged chunks" in str(recovery)
+    assert 17 not in read and len(read) >= 25 and read == sorted(read)
