@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from time import monotonic_ns
 
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
@@ -174,8 +175,8 @@ class EkfNode(SagomaNode):
 
     def _answer(self, stamp_ns: int, measured: PeoplePoints, fitted_ns: int) -> None:
         """Publish the one answer that every set gets: everybody's."""
-        if self._is_past(stamp_ns):
-            answers: dict[int, Answer] = {FIRST_PERSON: NoState(stamp_ns, "stamp is not later than the last set's")}
+        if self._is_left_out(stamp_ns):
+            answers: dict[int, Answer] = {FIRST_PERSON: NoState(stamp_ns, "stamp is out of order")}
             self._topics.say_of_first(answers[FIRST_PERSON])
         else:
             answers = self._filtered(stamp_ns, measured)
@@ -193,20 +194,23 @@ class EkfNode(SagomaNode):
         self._humans.update({self._topics.id_of(p): body for p, body in tracked.items()}, stamp_ns)
         self._topics.publish_states(answers, stamp_ns)
 
-    def _is_past(self, stamp_ns: int) -> bool:
-        """Return whether a set comes too late; stamps that went back begin anew, which is said once."""
+    def _is_left_out(self, stamp_ns: int) -> bool:
+        """Return whether a set comes too late, or far ahead; stamps that went back begin anew, which is said once."""
         before_ns = self._order.last_ns or 0
-        order = self._order.take(stamp_ns)
+        order = self._order.take(stamp_ns, monotonic_ns() if self.settings.stale_after_s > 0 else None)
         if order is Order.PAST:
             what, remedy = f"stamp {stamp_ns} ns is of the past", "Send each frame set once, in stamp order."
             self._drop("stamp_back", InputError(what, where=POINTS_TOPIC, remedy=remedy))
+        elif order is Order.AHEAD:
+            what, remedy = f"stamp {stamp_ns} ns is far ahead of the sets before", "Check the clocks of the cameras."
+            self._drop("stamp_ahead", InputError(what, where=POINTS_TOPIC, remedy=remedy))
         elif order is Order.RESTART:
             self.health.count("restarts")
             back_s = 1e-9 * (before_ns - stamp_ns)
             self.get_logger().warning(f"stamps went back by {back_s:.3f} s: a new beginning, for everybody")
             self._forget_states()
             self._latency.forget()
-        return order is Order.PAST
+        return order in (Order.PAST, Order.AHEAD)
 
     def _filtered(self, stamp_ns: int, measured: PeoplePoints) -> dict[int, Answer]:
         """Let everybody's filter answer a set."""

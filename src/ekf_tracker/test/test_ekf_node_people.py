@@ -119,11 +119,13 @@ def test_person_who_leaves_is_lost_then_gone_with_the_markers_and_the_topics_in_
         ("b0002/joints", Marker.DELETE),
     }
     state = "/mocap/bodies/b0002/state"
-    pair.fit(300, others=())
+    for k in (300, 301, 302):  # a leap is believed when others go on from it
+        pair.fit(k, others=())
     assert pair.bench.node.count_publishers(state) == 1  # comes back within ten seconds, maybe
-    pair.fit(700, others=())
+    for k in (700, 701, 702):
+        pair.fit(k, others=())
     pair.bench.until(lambda: pair.bench.node.count_publishers(state) == 0)
-    got = pair.fit(701)  # the same number, its body known
+    got = pair.fit(703)  # the same number, its body known
     assert [m.message for t, m in got if t == "mocap/bodies/b0002/state"] == ["tracking"]
 
 

@@ -188,17 +188,19 @@ class IcpNode(SagomaNode):
         """Return whether a set is to be fitted; stamps that went back begin anew, which is said once."""
         with self._lock:
             before_ns = self._order.last_ns or 0
-            order = self._order.take(stamp_ns)
+            order = self._order.take(stamp_ns, time.monotonic_ns() if self.settings.stale_after_s > 0 else None)
             if order is Order.RESTART:
                 self._begin_anew()
                 self._feedback.forget()
         if order is Order.PAST:
             self.health.count("backward_stamps")
+        elif order is Order.AHEAD:
+            self.health.count("ahead_stamps")
         elif order is Order.RESTART:
             self.health.count("restarts")
             back_s = 1e-9 * (before_ns - stamp_ns)
             self.get_logger().warning(f"stamps went back by {back_s:.3f} s: a new beginning, for everybody")
-        return order is not Order.PAST
+        return order in (Order.NEXT, Order.RESTART)
 
     def _voxels_of(self, stamp_ns: int) -> VoxelSamples:
         """Return the set's voxels, if they are wanted and there."""

@@ -93,3 +93,34 @@ def test_order_that_was_reset_takes_any_stamp():
     order.take(1000)
     order.reset()
     assert order.take(5) is Order.NEXT
+
+
+def arrivals(*sets):
+    """Orders of sets (stamp, arrival), both in periods."""
+    order = StampOrder()
+    return [order.take(stamp * PERIOD_NS, arrival * PERIOD_NS) for stamp, arrival in sets]
+
+
+def test_a_set_far_in_the_future_is_left_out_and_those_after_it_are_taken():
+    centuries = 10**9
+    seen = arrivals((0, 0), (1, 1), (centuries, 1), (2, 2), (centuries, 2), (centuries + 1, 2), (3, 3))
+    assert seen == [Order.NEXT] * 2 + [Order.AHEAD, Order.NEXT, Order.AHEAD, Order.AHEAD, Order.NEXT]
+
+
+def test_a_stray_set_of_long_ago_does_not_begin_anew():
+    assert arrivals((1000, 0), (1001, 1), (0, 1), (1002, 2)) == [Order.NEXT, Order.NEXT, Order.PAST, Order.NEXT]
+
+
+def test_a_pause_is_no_leap_however_long_it_was():
+    assert arrivals((0, 0), (1, 1), (100_000, 100_000)) == [Order.NEXT] * 3
+
+
+def test_stamps_that_go_on_from_a_leap_are_believed_after_three_sets():
+    ahead = arrivals((0, 0), *((10**6 + k, 1 + k) for k in range(4)))
+    assert ahead == [Order.NEXT, Order.AHEAD, Order.AHEAD, Order.NEXT, Order.NEXT]
+    back = arrivals((10**6, 0), *((k, 1 + k) for k in range(4)))
+    assert back == [Order.NEXT, Order.PAST, Order.PAST, Order.RESTART, Order.NEXT]
+
+
+def test_a_first_set_of_another_time_does_not_silence_the_others():
+    assert arrivals((10**9, 0), *((k, k) for k in range(1, 5)))[2:] == [Order.PAST, Order.RESTART, Order.NEXT]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -49,6 +50,8 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
     ending = _Ending()
     status = 0
     nodes: list[SagomaNode] = []
+    # a client that has gone gets no reply: its own affair, and nothing that our user could mend
+    warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         nodes.extend(factory() for factory in factories)

@@ -19,6 +19,7 @@ BUDGET_PERIODS = 1.5  # from exposure to joint state, in periods of the frame se
 POINTS_OF = {"hull_server": "hull", "icp_tracker": "fit", "ekf_tracker": "joint state"}
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
 LOSS_WORDS = (*_LOSSES.split(), "control_losses")
+MOST_DIGITS = 18  # of a counter: of longer ones, which no node sends, Python may refuse to make a number
 LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", DiagnosticStatus.ERROR: "red"}
 
 
@@ -33,7 +34,8 @@ class NodeReport:
 
     def losses(self) -> dict[str, int]:
         """Return the counters above zero of input or work that was lost."""
-        counters = {key: int(text) for key, text in self.values.items() if text.isdigit()}
+        numbers = {key: text for key, text in self.values.items() if text.isascii() and text.isdigit()}
+        counters = {key: int(text) for key, text in numbers.items() if len(text) <= MOST_DIGITS}
         return {k: n for k, n in counters.items() if n and any(word in k for word in LOSS_WORDS)}
 
 

@@ -1,0 +1,285 @@
+"""Sends hostile messages on every topic and service of a running graph, and shows what they do to it.
+
+The whole graph runs on footage of the virtual studio, every node a process. Topics and services are those that the
+graph has (introspection), so new ones are attacked too. A row an attack, sent on every topic that it applies to:
+
+sent        messages, on how many topics
+alive       answers of the filter after it come at once / after so many seconds; "no": none within 20 s
+state       what the filter says of the person then
+memory      MiB of all processes before and after, and the largest growth of one
+counted     counters of the nodes' diagnostics that have risen: where the attack was noticed
+died        processes that ended
+
+    python bench/hostile.py [--only TEXT] [--quick] [--domain 167] [--markdown]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from report import Table, parser
+
+import numpy as np
+from hostile_messages import Attack, attacks, requests
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from sagoma_bringup.graph import build_graph
+from sagoma_bringup.processes import THREE_PROCESSES
+from sagoma_tools.graph.ros_link import RosLink, call_all
+from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.graph.topics import PREDICTION_TOPIC, message_class, type_of
+from stick_figure.body import Body
+from virtual_studio.recording.session import RenderSettings, write_session
+from virtual_studio.rig import ring
+
+FPS, SECONDS = 4.0, 40.0  # of the footage, which is played again and again; a slow rate, for busy machines
+ALIVE_ANSWERS, ALIVE_TIMEOUT_S = 5, 20.0
+LISTEN_S = 3.0  # for a valid message of each topic
+CALL_TIMEOUT_S = 2.0
+NOT_OURS = ("/rosout", "/parameter_events", "/clock")
+COUNTERS = (
+    *("bad", "dropped", "refused", "failed", "late", "backward", "ahead", "restart", "duplicate", "unknown", "large"),
+    *("missing", "error", "recover", "without", "stamp_back", "timeout"),
+)
+SERVICES_LEFT_ALONE = ("change_state",)  # to stop a node is what it is for; a transition that is none is asked for
+
+
+@dataclass
+class Effect:
+    """What an attack did. memory in MiB, by process."""
+
+    name: str
+    sent: int = 0
+    topics: int = 0
+    recovered_s: float = float("nan")
+    state: str = ""
+    before: Mapping[str, float] = field(default_factory=dict)
+    after: Mapping[str, float] = field(default_factory=dict)
+    counted: Mapping[str, int] = field(default_factory=dict)
+    died: tuple[str, ...] = ()
+
+    @property
+    def growth(self) -> tuple[float, str]:
+        """The largest growth of a process, and whose."""
+        return max(((self.after.get(name, 0.0) - mib, name) for name, mib in self.before.items()), default=(0.0, ""))
+
+
+class Target:
+    """The running graph, and what can be seen of it from outside."""
+
+    def __init__(self, supervisor: Supervisor, link: RosLink) -> None:
+        self.supervisor, self.link = supervisor, link
+        self._changed = threading.Condition()
+        self._answers = 0
+        kind = message_class(type_of(PREDICTION_TOPIC) or "")
+        link.node.create_subscription(kind, PREDICTION_TOPIC, self._answered, 100, raw=True)
+
+    def _answered(self, data: bytes) -> None:
+        with self._changed:
+            self._answers += 1
+            self._changed.notify_all()
+
+    def wait_for_answers(self, count: int = ALIVE_ANSWERS, timeout_s: float = ALIVE_TIMEOUT_S) -> float:
+        """Seconds until the filter has answered ``count`` more sets; NaN when it has not."""
+        began_s = time.monotonic()
+        with self._changed:
+            goal = self._answers + count
+            done = self._changed.wait_for(lambda: self._answers >= goal, timeout_s)
+        return time.monotonic() - began_s if done else float("nan")
+
+    def wait_for_tracking(self, timeout_s: float) -> bool:
+        """Return whether the filter says in time that it tracks."""
+        end_s = time.monotonic() + timeout_s
+        while time.monotonic() < end_s:
+            if self.state().startswith("tracking"):
+                return True
+            self.wait_for_answers(1, 1.0)
+        return False
+
+    def state(self) -> str:
+        """Return the filter's own words."""
+        report = self.supervisor.diagnostics.report("/ekf_tracker")
+        return report.message if report is not None else "?"
+
+    def memory(self) -> dict[str, float]:
+        """Return the resident MiB of each process."""
+        return {label: used.resident_mib for label, used in self.supervisor.usage().items()}
+
+    def counters(self) -> Counter[str]:
+        """Return every whole number in the nodes' diagnostics."""
+        found: Counter[str] = Counter()
+        for name in self.supervisor.diagnostics.names():
+            report = self.supervisor.diagnostics.report(name)
+            for key, text in (report.values if report is not None else {}).items():
+                if text.isascii() and text.isdigit() and len(text) < 16:
+                    found[f"{name.strip('/')}: {key}"] = int(text)
+        return found
+
+    def dead(self) -> tuple[str, ...]:
+        """Return the nodes whose process has ended."""
+        return tuple(name for name in self.supervisor.states() if not self.supervisor.alive(name))
+
+
+@contextmanager
+def running_graph(folder: Path, domain: int, server: str = THREE_PROCESSES, cameras: int = 2) -> Iterator[Target]:
+    """A graph that tracks the studio's person until the block ends."""
+    session = folder / "session"
+    if not session.exists():
+        body, look = Body.from_stature(1.75), RenderSettings(seed=17)
+        write_session(session, ring(cameras, True), body, fps=FPS, seconds=SECONDS, motion="t_pose_only", settings=look)
+    settings = {"icp_tracker.bodies.folder": str(folder / "bodies"), "hull_server.mesh.folder": str(folder / "meshes")}
+    graph = build_graph(session=session, loop=True, settings={**settings, "hull_server.thin_out": False})
+    with Supervisor(graph, folder / "run", domain_id=domain, server=server) as supervisor:
+        supervisor.configure()
+        supervisor.activate()
+        with RosLink("hostile", domain_id=domain) as link:
+            target = Target(supervisor, link)
+            if not target.wait_for_tracking(90.0):
+                raise SystemExit(f"the graph does not track: {target.state()}")
+            yield target
+
+
+def _types(link: RosLink) -> dict[str, str]:
+    return {name: kinds[0] for name, kinds in link.node.get_topic_names_and_types()}
+
+
+def valid_messages(link: RosLink, topics: Mapping[str, str]) -> dict[str, Any]:
+    """Return a message of each topic as it is sent there; an empty one where none was heard."""
+    heard: dict[str, bytes] = {}
+    subscriptions = []
+    for topic, kind in topics.items():
+        info = link.node.get_publishers_info_by_topic(topic)
+        kept = any(one.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in info)
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=durability)
+        take = lambda data, topic=topic: heard.__setitem__(topic, data)  # noqa: E731
+        subscriptions.append(link.node.create_subscription(message_class(kind), topic, take, qos, raw=True))
+    end_s = time.monotonic() + LISTEN_S
+    while len(heard) < len(topics) and time.monotonic() < end_s:
+        time.sleep(0.05)
+    for subscription in subscriptions:
+        link.node.destroy_subscription(subscription)
+    kinds = {topic: message_class(kind) for topic, kind in topics.items()}
+    return {t: deserialize_message(heard[t], kind) if t in heard else kind() for t, kind in kinds.items()}
+
+
+class Attacker:
+    """Sends attacks into the graph from a node of its own."""
+
+    def __init__(self, target: Target, seed: int = 1) -> None:
+        self._target, self._rng = target, np.random.default_rng(seed)
+        self.topics = {
+            t: k for t, k in _types(target.link).items() if t not in NOT_OURS and "/transition_event" not in t
+        }
+        self._valid = valid_messages(target.link, self.topics)
+        qos = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node = target.link.node
+        self._publishers = {t: node.create_publisher(type(self._valid[t]), t, qos) for t in self.topics}
+        target.wait_for_answers(2)
+
+    def send(self, attack: Attack) -> Effect:
+        """Send it on every topic that it applies to, and see what it does."""
+        target = self._target
+        effect = Effect(attack.name, before=target.memory())
+        counters = target.counters()
+        for topic, valid in self._valid.items():
+            sent = 0
+            for _ in range(attack.repeat):
+                began_s = time.monotonic()
+                try:
+                    message = attack.make(valid, self._rng)
+                    if message is None:
+                        break
+                    self._publishers[topic].publish(message)
+                except (AssertionError, OverflowError, UnicodeEncodeError):
+                    break  # the message type itself refuses such a value
+                sent += 1
+                time.sleep(max(1.0 / attack.per_second - (time.monotonic() - began_s), 0.0))
+            effect.sent += sent
+            effect.topics += sent > 0
+        return self._judge(effect, counters)
+
+    def call(self) -> Effect:
+        """Send hostile requests to every service."""
+        target = self._target
+        effect = Effect("services: hostile requests", before=target.memory())
+        counters = target.counters()
+        for name, (kind, *_) in target.link.node.get_service_names_and_types():
+            srv = message_class(kind)
+            for what, request in requests(srv, self._rng).items():
+                if what == "empty" and name.endswith(SERVICES_LEFT_ALONE) and not hasattr(request, "transition"):
+                    continue
+                with suppress(AssertionError, UnicodeEncodeError, OverflowError):
+                    call_all(target.link.node, srv, {name: request}, CALL_TIMEOUT_S)
+                    effect.sent += 1
+            effect.topics += 1
+        return self._judge(effect, counters)
+
+    def _judge(self, effect: Effect, counters: Counter[str]) -> Effect:
+        target = self._target
+        effect.recovered_s = target.wait_for_answers()
+        target.wait_for_tracking(ALIVE_TIMEOUT_S)
+        effect.state, effect.after, effect.died = target.state(), target.memory(), target.dead()
+        risen = target.counters() - counters
+        effect.counted = {key: n for key, n in risen.items() if any(word in key for word in COUNTERS)}
+        return effect
+
+
+def show(effects: Iterator[Effect], markdown: bool) -> bool:
+    """Print a row an attack; return whether all was well."""
+    columns = "message:<28 | sent:>6 | topics:>6 | alive:>7 | state:<24 | MiB before:>10 | MiB after:>9 | most:<26"
+    table = Table(columns + " | counted:<60 | died:<12", markdown=markdown)
+    well = True
+    for effect in effects:
+        growth, whose = effect.growth
+        counted = ", ".join(f"{key} {n}" for key, n in sorted(effect.counted.items(), key=lambda item: -item[1])[:6])
+        alive = "no" if np.isnan(effect.recovered_s) else f"{effect.recovered_s:.1f} s"
+        before, after = sum(effect.before.values()), sum(effect.after.values())
+        most = f"{whose} {growth:+.0f}"
+        died = ", ".join(effect.died) or "none"
+        table.row(
+            *(effect.name, effect.sent, effect.topics, alive, effect.state[:24], f"{before:.0f}", f"{after:.0f}", most),
+            *(counted or "nothing", died),
+        )
+        well &= alive != "no" and not effect.died
+    return well
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the drill; 0 when the graph lived through all of it."""
+    made = parser(__doc__, "the attacks that were most telling, in one process")
+    made.add_argument("--only", default="", help="attacks whose name holds this text")
+    made.add_argument("--domain", type=int, default=int(os.environ.get("ROS_DOMAIN_ID", "0")) + 100)
+    made.add_argument("--server", default=THREE_PROCESSES)
+    made.add_argument("--markdown", action="store_true")
+    made.add_argument("--folder", type=Path, help="keep session and logs here")
+    args: argparse.Namespace = made.parse_args(argv)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        running_graph(args.folder or Path(folder), args.domain, args.server) as target,
+    ):
+        attacker = Attacker(target)
+        chosen = [attack for attack in attacks(time.time_ns) if args.only in attack.name]
+
+        def effects() -> Iterator[Effect]:
+            yield from map(attacker.send, chosen)
+            if not args.only or args.only in "services":
+                yield attacker.call()
+
+        return 0 if show(effects(), args.markdown) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
