@@ -56,8 +56,9 @@ def joint_rotations(angles: Array) -> Array:
 def angles_of_joints(R_joints: Array, hinges: Array, previous: Array | None = None) -> Array:
     """Return the 18 angles (rad) of ball rotations (5, 3, 3) and hinges (4,).
 
-    Inside the ranges whenever the pose is; otherwise an equal description that exceeds them. At a gimbal
-    singularity the undefined angle keeps its value of `previous` (18,), or of the T-pose when there is none.
+    Inside the ranges whenever the pose is; otherwise an equal description that exceeds them. With `previous` (18,) the
+    description goes on from there instead: never a whole turn away, and beyond the ranges by a slack. At a gimbal
+    singularity the undefined angle keeps its value of `previous`, or of the T-pose when there is none.
     """
     angles = np.empty(18)
     reference = T_POSE_ANGLES if previous is None else np.ascontiguousarray(previous, float)
@@ -70,6 +71,11 @@ def wrap_pi(angle: Array) -> Array:
     return (np.asarray(angle) + np.pi) % TURN - np.pi
 
 
+BALL_SLACK_RAD = 0.5
+"""By which a ball joint's angles may exceed their ranges in all before another description, a jump by pi, is taken."""
+HINGE_SLACK_RAD = 0.35
+"""The same of elbows and knees. The hand of a straight arm is known to some 3 cm and its elbow too, so that a forearm of
+25 cm seems bent by 0.17 rad (1 sd): within two of those the upper arm keeps its twist instead of turning by pi."""
 OUT_OF_RANGE = 100.0
 """What a radian beyond a joint's range costs, in radians of a jump away from the angles before."""
 
@@ -120,6 +126,8 @@ def _all_angles(R_joints, hinges, reference, continuous, angles):
     x, y, z = R_joints[0, 0, 2], R_joints[0, 1, 2], R_joints[0, 2, 2]
     level = math.hypot(y, z)
     angles[0] = wrap_into_range(math.atan2(-y, z), 0) if level > GIMBAL_SINE else reference[0]
+    if continuous:
+        angles[0] = _unwrapped(angles[0], reference[0])
     angles[1] = math.atan2(x, level)
     best = np.empty(4)
     for limb in range(4):
@@ -143,13 +151,24 @@ def _limb_angles(limb, R, hinge, reference, continuous, best):
             values[3] = hinge if bent == 0 else -hinge
             for k in range(4):
                 values[k] = _wrap_near(values[k], slots[k], reference, continuous)
-            excess = excess_over_range(values, slots)
-            cost = OUT_OF_RANGE * excess
+            ball, bend = excess_over_range(values[:3], slots[:3]), excess_over_range(values[3:], slots[3:])
             if continuous:
+                cost = OUT_OF_RANGE * (max(ball - BALL_SLACK_RAD, 0.0) + max(bend - HINGE_SLACK_RAD, 0.0))
                 cost += _turning_distance(values, slots, reference)
+            else:
+                cost = OUT_OF_RANGE * (ball + bend)
             if cost < best_cost:
                 best_cost = cost
                 best[:] = values
+    if continuous:
+        for k in range(4):
+            best[k] = _unwrapped(best[k], reference[slots[k]])
+
+
+@njit(cache=True)
+def _unwrapped(value, before):
+    """The same angle within half a turn of what it was before."""
+    return value - TURN * math.floor((value - before) / TURN + 0.5)
 
 
 @njit(cache=True)

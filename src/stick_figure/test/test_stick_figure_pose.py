@@ -206,3 +206,30 @@ def test_pose_refuses_wrong_shapes_and_copies_its_arrays():
         Pose(position, np.eye(4), pose.R_joints, pose.hinges)
     with pytest.raises(ValueError, match="18"):
         Pose.from_angles(position, np.eye(3), np.zeros(16))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_arm_that_circles_turns_on_and_on_without_a_jump(sign):
+    previous = T_POSE_ANGLES
+    for turned in np.linspace(0.0, sign * 4.0 * np.pi, 400):
+        angles = T_POSE_ANGLES.copy()
+        angles[[2, 4, 8]] = turned, 0.3, -0.8
+        pose = Pose.from_angles(np.zeros(3), np.eye(3), angles)
+        found = pose.angles(previous)
+        assert np.abs(found - previous).max() < (0.05 if turned else 1.0)
+        previous = found
+    np.testing.assert_allclose(previous, angles, atol=1e-9)
+
+
+@pytest.mark.parametrize(("straight", "twist"), [(0.3, 0.2), (-0.3, 0.2)])
+def test_straight_elbow_keeps_its_twist_where_noise_bends_it_the_other_way(straight, twist):
+    angles = T_POSE_ANGLES.copy()
+    angles[[2, 4, 6, 8]] = 0.4, 0.3, twist, straight
+    # the filter describes an elbow that passed straight by the arm turned about itself
+    pose = Pose.from_angles(np.zeros(3), np.eye(3), angles).canonical()
+    before = angles.copy()
+    before[8] = -0.05
+    found = pose.angles(before)
+    np.testing.assert_allclose(found[[2, 4, 6, 8]], angles[[2, 4, 6, 8]], atol=1e-9)
+    again = Pose.from_angles(np.zeros(3), np.eye(3), found).canonical()
+    np.testing.assert_allclose(again.R_joints, pose.R_joints, atol=1e-9)
