@@ -31,6 +31,7 @@ from stick_figure.body import Body
 from stick_figure.body_file import load_body, parse_body
 
 from .filter import POINT_SD_FLOOR_M, warm_up
+from .frames_ros import BodyFrames
 from .humans_ros import Humans, NoHumans, make_humans
 from .latency_ros import LatencyReport
 from .measurement import Measurement
@@ -70,6 +71,8 @@ class EkfNode(SagomaNode):
         self._topics = PeopleTopics(self, settings, self._forget)
         self._closing.append(self._topics.close)
         self._humans = make_humans(self, settings.publish_humans, self._topics.id_of(FIRST_PERSON), settings.frame_id)
+        self._frames = BodyFrames(self, settings.publish_tf, settings.frame_id)
+        self._closing.append(self._frames.close)
         self._prediction = PacketPublisher[Predictions](self, MultiDOFJointState, "ekf/prediction", predictions_message)
         self._closing.append(self._prediction.close)
         self._latency = LatencyReport(self)
@@ -191,7 +194,9 @@ class EkfNode(SagomaNode):
         bodies = {person: body for person in answers if (body := self._body_of(person)) is not None}
         self._topics.publish_bodies(answers, bodies)
         tracked = {p: (a, bodies[p]) for p, a in answers.items() if isinstance(a, BodyState) and is_tracked(a)}
-        self._humans.update({self._topics.id_of(p): body for p, body in tracked.items()}, stamp_ns)
+        by_id = {self._topics.id_of(p): body for p, body in tracked.items()}
+        self._frames.update(by_id)
+        self._humans.update(by_id, stamp_ns)
         self._topics.publish_states(answers, stamp_ns)
 
     def _is_left_out(self, stamp_ns: int) -> bool:

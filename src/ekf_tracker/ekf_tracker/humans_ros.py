@@ -6,28 +6,26 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped, Vector3
+from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from mocap_packets.state import BodyState
 from sagoma_ros.exchange import HeardPublisher
+from sagoma_ros.frames import FramePublisher, frame
 from sagoma_ros.messages import to_stamp
+from sagoma_ros.packets import joint_state_message
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
+from stick_figure.joint_motion import quaternion_of
 
-from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, human_urdf
-from .state_ros import quaternion
+from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, hri_rates, human_urdf
 
 try:  # not part of common_interfaces: REP-155 listeners have it, others do not need it
     from hri_msgs.msg import IdsList
 except ImportError:
     IdsList = None
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
 
 Tracked = Mapping[str, tuple[BodyState, Body]]
 """The bodies that are tracked, by REP-155 id."""
@@ -72,12 +70,12 @@ class HumansPublisher:
         self._node, self._frame_id = node, frame_id
         self._bodies = {first_id: _BodyTopics(node, first_id)}
         self._tracked = HeardPublisher(node, IdsList, "/humans/bodies/tracked") if IdsList else None
-        self._tf = HeardPublisher(node, TFMessage, "/tf") if TFMessage else None
+        self._frames = FramePublisher(node)
 
     def update(self, tracked: Tracked, stamp_ns: int) -> None:
         """Publish frames, presence, and each body's joints; its URDF whenever its sizes changed."""
-        if self._tf is not None and tracked:
-            self._tf.publish(lambda: TFMessage(transforms=[self._transform(i, *body) for i, body in tracked.items()]))
+        if tracked:
+            self._frames.publish(lambda: [self._transform(i, *body) for i, body in tracked.items()])
         if self._tracked is not None:
             self._tracked.publish(_ids_message, list(tracked), stamp_ns)
         for body_id, topics in self._bodies.items():
@@ -95,18 +93,14 @@ class HumansPublisher:
 
     def close(self) -> None:
         """Destroy the publishers."""
-        for publisher in (*self._bodies.values(), self._tracked, self._tf):
+        for publisher in (*self._bodies.values(), self._tracked, self._frames):
             if publisher is not None:
                 publisher.close()
 
     def _transform(self, body_id: str, state: BodyState, body: Body) -> TransformStamped:
         origin, R = body_frame(state.pose, float(body.half_lengths[0]))
-        message = TransformStamped(child_frame_id=f"body_{body_id}")
-        message.header.stamp, message.header.frame_id = to_stamp(state.stamp_ns), self._frame_id
-        x, y, z = origin.tolist()
-        message.transform.translation = Vector3(x=x, y=y, z=z)
-        message.transform.rotation = quaternion(R)
-        return message
+        turned = quaternion_of(R).tolist()
+        return frame(self._frame_id, f"body_{body_id}", state.stamp_ns, origin.tolist(), turned)
 
 
 class _BodyTopics:
@@ -125,7 +119,7 @@ class _BodyTopics:
             self._body, self._angles = body, None
             self._urdf.publish(lambda: String(data=human_urdf(body, self._id)))
         self._angles = hri_angles(state.pose, self._angles)
-        self._joints.publish(self._joint_states, self._angles, state.stamp_ns)
+        self._joints.publish(self._joint_states, self._angles, state)
 
     def absent(self) -> None:
         self._angles = None
@@ -134,10 +128,9 @@ class _BodyTopics:
         self._joints.close()
         self._urdf.close()
 
-    def _joint_states(self, angles: np.ndarray, stamp_ns: int) -> JointState:
-        message = JointState(name=self._names, position=angles.tolist())
-        message.header.stamp = to_stamp(stamp_ns)
-        return message
+    def _joint_states(self, angles: np.ndarray, state: BodyState) -> JointState:
+        rates = hri_rates(state.pose, state.velocity, angles)
+        return joint_state_message(self._names, angles, rates, state.stamp_ns)
 
 
 def _ids_message(ids: list[str], stamp_ns: int) -> IdsList:

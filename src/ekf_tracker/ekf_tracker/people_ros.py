@@ -12,6 +12,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -20,7 +21,7 @@ from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.exchange import HeardPublisher
 from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_cloud
-from sagoma_ros.qos import LATCHED
+from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, TANGENT_NAMES
 
@@ -36,6 +37,7 @@ from .state_ros import (
     state_message,
     torso_message,
 )
+from .urdf import body_urdf, same_sizes
 
 NS_PER_S = 1_000_000_000
 CLOSED_AFTER_S = 10.0  # of the sets' time; long enough to walk round a room and come back
@@ -89,6 +91,7 @@ class PersonTopics:
         self,
         node: Node,
         prefix: str,
+        body_id: str,
         settings: EkfNodeSettings,
         style: SkeletonStyle,
         all_skeletons: tuple[HeardPublisher, ...] = (),
@@ -96,8 +99,8 @@ class PersonTopics:
         """``all_skeletons`` : the publisher of everybody's markers, where these are to be among them."""
         opened: list[HeardPublisher] = []
 
-        def publisher(kind: type, topic: str) -> HeardPublisher:
-            opened.append(HeardPublisher(node, kind, f"{prefix}/{topic}"))
+        def publisher(kind: type, topic: str, qos: QoSProfile = RESULT) -> HeardPublisher:
+            opened.append(HeardPublisher(node, kind, f"{prefix}/{topic}", qos))
             return opened[-1]
 
         self._opened, self._frame, self._name = opened, settings.frame_id, node.get_fully_qualified_name()
@@ -110,6 +113,9 @@ class PersonTopics:
             (publisher(MarkerArray, "skeleton"), *all_skeletons), style, settings.skeleton_rate_hz
         )
         self._state = publisher(DiagnosticStatus, "state")
+        self._description = publisher(String, "robot_description", LATCHED)
+        self._body_id = body_id
+        self._described: Body | None = None
         self._answer: Answer | None = None
 
     @property
@@ -124,6 +130,7 @@ class PersonTopics:
             return
         state, frame = answer, self._frame
         if is_tracked(state):
+            self._describe(body)
             stamp_ns, angles, rates = state.stamp_ns, state.angles, state.rates
             self._joint_states.publish(joint_state_message, ANGLE_NAMES, angles, rates, stamp_ns, frame)
             self._torso.publish(torso_message, state, frame)
@@ -132,6 +139,12 @@ class PersonTopics:
             self._joint_covariance.publish(covariance_cloud, TANGENT_NAMES, covariance, stamp_ns, frame)
             self._reference_points.publish(packet_cloud, state.reference_points, stamp_ns, frame)
         self._skeleton.show(state, body)
+
+    def _describe(self, body: Body) -> None:
+        """Publish the body's URDF whenever its sizes have changed."""
+        if not same_sizes(body, self._described):
+            self._described = body
+            self._description.publish(lambda: String(data=body_urdf(body, self._body_id)))
 
     def publish_state(self, answer: Answer) -> None:
         """Publish how far to trust an answer."""
@@ -161,9 +174,8 @@ class PeopleTopics:
     def __init__(self, node: Node, settings: EkfNodeSettings, on_closed: Callable[[str], None]) -> None:
         """``on_closed(body_id)`` is called when a person has left for good. InputError for a body_id that is none."""
         self._node, self._settings, self._on_closed = node, settings, on_closed
-        self.id_of(FIRST_PERSON)
         plain = SkeletonStyle(settings.frame_id, settings.skeleton_covariance)
-        self._first = PersonTopics(node, "mocap", settings, plain)
+        self._first = PersonTopics(node, "mocap", self.id_of(FIRST_PERSON), settings, plain)
         self._all_skeletons = HeardPublisher(node, MarkerArray, "mocap/skeletons")
         self._names = HeardPublisher(node, String, "mocap/point_names", LATCHED)
         self._names.publish(lambda: String(data=",".join(POINT_NAMES)))
@@ -218,7 +230,7 @@ class PeopleTopics:
     def _topics_of(self, person: int) -> PersonTopics:
         body_id, settings = self.id_of(person), self._settings
         style = SkeletonStyle.of_person(person, body_id, settings.frame_id, settings.skeleton_covariance)
-        return PersonTopics(self._node, f"mocap/bodies/{body_id}", settings, style, (self._all_skeletons,))
+        return PersonTopics(self._node, f"mocap/bodies/{body_id}", body_id, settings, style, (self._all_skeletons,))
 
     def _away(self, person: int, topics: PersonTopics, stamp_ns: int) -> None:
         """Say once that a person has left; close the topics of one who has been away for long."""

@@ -48,6 +48,7 @@ HRI_JOINT_NAMES = (
 
 BODY_ID = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 SINGULAR_SINE = 1e-6
+STEP_S = 1e-4  # of the difference that gives rates: 20 rad/s turn by 2 mrad, so the error is some 1e-3 of them
 SHOULDER_PITCH_LOW = -0.4
 """rad; lower limit of p_shoulder in the URDF."""
 
@@ -72,8 +73,8 @@ def body_id_of(first_id: str, person: int) -> str:
 def hri_angles(pose: Pose, previous: np.ndarray | None = None) -> np.ndarray:
     """Return the joints of `HRI_JOINT_NAMES` (20,), rad.
 
-    ``previous`` (20,) keeps them continuous where the shoulder's angles are not unique: with the arm hanging, y and r
-    turn about the same axis.
+    ``previous`` (20,) keeps them continuous: never a whole turn away, and where the shoulder's angles are not unique;
+    with the arm hanging, y and r turn about the same axis.
     """
     neck, *limbs = pose.R_joints
     before = np.zeros(20) if previous is None else previous
@@ -85,7 +86,15 @@ def hri_angles(pose: Pose, previous: np.ndarray | None = None) -> np.ndarray:
         angles[leg] = _hip(limbs[2 + side], outward)
     angles[[7, 11]] = -pose.hinges[:2]  # our elbows bend about +z of the arm, which hangs as +y
     angles[[15, 19]] = -pose.hinges[2:]
-    return angles
+    return angles if previous is None else previous + _wrapped(angles - previous)
+
+
+def hri_rates(pose: Pose, velocity: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return the rates (20,) of :func:`hri_angles`, rad/s, from those (24,) of the pose's tangent.
+
+    Near a gimbal lock (an arm that hangs or points up, a leg spread by a right angle) they grow as the angles swing.
+    """
+    return (hri_angles(pose.retract(STEP_S * velocity), angles) - angles) / STEP_S
 
 
 def body_frame(pose: Pose, half_torso: float) -> tuple[np.ndarray, np.ndarray]:

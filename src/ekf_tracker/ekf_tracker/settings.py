@@ -10,6 +10,8 @@ from capture_rig.settings import setting
 
 from .motion_model import DampedVelocity, Identity, MotionModel
 
+NO_FRAMES, TORSO_FRAME, LINK_FRAMES = TF_CHOICES = ("none", "torso", "links")
+
 
 @dataclass(frozen=True)
 class DampedVelocitySettings:
@@ -92,6 +94,11 @@ class EkfNodeSettings:
     frame_id: str = setting("map", "frame of the points that come in and of all that goes out")
     skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
     skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
+    publish_tf: str = setting(
+        "links",
+        "frames on /tf, where tf2_msgs is installed; torso: leaves the links to a robot_state_publisher",
+        choices=TF_CHOICES,
+    )
     publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
     body_id: str = setting("b0001", "REP-155 id of the first person; the others count on from it")
     stale_after_s: float = setting(

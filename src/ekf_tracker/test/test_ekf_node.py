@@ -80,12 +80,14 @@ def test_prediction_is_published_after_everything_else(bench, body_file, person,
     b.fit(stamp(0), person.points(0.0))
     order = [topic for topic in order if topic not in ("/diagnostics", "/icp/reference_points")]
     assert order == [
+        "/mocap/robot_description",
         "/mocap/joint_states",
         "/mocap/torso",
         "/mocap/joint_rotations",
         "/mocap/joint_covariance",
         "/mocap/reference_points",
         "/mocap/skeleton",
+        "/mocap/bodies/b0001/robot_description",
         "/humans/bodies/b0001/urdf",
         joints,
         "/mocap/state",

@@ -20,6 +20,7 @@ from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from mocap_packets.latency import HullTimes
 from sagoma_ros import mask_png
 from sagoma_ros.exchange import HeardPublisher, PacketPublisher
+from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import ABSENT, decode_silhouette, support_message
 from sagoma_ros.latency import TIMES_TOPIC, times_message
@@ -30,6 +31,7 @@ from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.raw import read_compressed_image, same_but_for_stamp
 from sagoma_ros.worker import Worker
 
+from .frames_ros import camera_frames
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .hull_ros import SaveMeshService, calibration_mismatch, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
@@ -101,10 +103,19 @@ class HullNode(SagomaNode):
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
         self.health.set("backend", f"{self._pipeline.backend.name} ({self._pipeline.backend.device})")
         self._advertise()
+        if settings.publish_tf:
+            self._publish_frames(rig)
         self._mesh = SaveMeshService(self, self.settings.mesh)
         if settings.thin_out and not settings.reliable:
             self._overload = OverloadControl(self)
         self._subscribe()
+
+    def _publish_frames(self, rig: Rig) -> None:
+        """Say where the cameras are, for whoever listens, now and later."""
+        frames = FramePublisher(self, static=True)
+        now_ns = self.get_clock().now().nanoseconds
+        frames.publish(lambda: list(camera_frames(rig, self.settings.frame_id, now_ns)))
+        self._closing.append(frames.close)
 
     def _load_rig(self) -> Rig:
         """Load the rig of the settings, and note its canvases."""

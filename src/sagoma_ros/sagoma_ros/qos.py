@@ -20,3 +20,4 @@ SILHOUETTE_SUBSCRIBER = _profile(ReliabilityPolicy.BEST_EFFORT)
 SILHOUETTE_RELIABLE_SUBSCRIBER = _profile(ReliabilityPolicy.RELIABLE)
 RESULT = _profile(ReliabilityPolicy.RELIABLE)
 LATCHED = _profile(ReliabilityPolicy.RELIABLE, depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TF = _profile(ReliabilityPolicy.RELIABLE, depth=100)  # as tf2_ros offers it

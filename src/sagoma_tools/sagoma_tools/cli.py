@@ -22,6 +22,7 @@ from .commands import (
     recording,
     smooth,
     takes,
+    urdf,
     view,
 )
 from .graph.supervisor import GraphError
@@ -38,6 +39,7 @@ COMMANDS = (
     evaluate,
     export,
     import_session,
+    urdf,
     doctor,
 )
 GRAPH_FAILED, BAD_INPUT = 1, 2

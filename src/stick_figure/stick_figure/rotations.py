@@ -74,8 +74,8 @@ def wrap_pi(angle: Array) -> Array:
 BALL_SLACK_RAD = 0.5
 """By which a ball joint's angles may exceed their ranges in all before another description, a jump by pi, is taken."""
 HINGE_SLACK_RAD = 0.35
-"""The same of elbows and knees. The hand of a straight arm is known to some 3 cm and its elbow too, so that a forearm of
-25 cm seems bent by 0.17 rad (1 sd): within two of those the upper arm keeps its twist instead of turning by pi."""
+"""The same of elbows and knees. The hand of a straight arm is known to some 3 cm and its elbow too, so that a forearm
+of 25 cm seems bent by 0.17 rad (1 sd): within two of those the upper arm keeps its twist instead of turning by pi."""
 OUT_OF_RANGE = 100.0
 """What a radian beyond a joint's range costs, in radians of a jump away from the angles before."""
 

@@ -57,8 +57,11 @@ OF_A_PERSON = {
     "reference_points": "sensor_msgs/msg/PointCloud2",
     "skeleton": "visualization_msgs/msg/MarkerArray",
     "state": "diagnostic_msgs/msg/DiagnosticStatus",
+    "robot_description": "std_msgs/msg/String",
 }
 """What is published of each person, with its type: of the first under /mocap, of everybody under /mocap/bodies/ID."""
+KEPT = ("robot_description",)
+"""Those of which later subscribers get the last message."""
 OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/hull/contour_rays", "sensor_msgs/msg/PointCloud2"),
     Topic("/hull/centerline", "sensor_msgs/msg/PointCloud2"),
@@ -69,7 +72,7 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/icp/fit", "diagnostic_msgs/msg/DiagnosticArray"),
     Topic("/icp/body", "std_msgs/msg/String", latched=True),
     Topic("/icp/bodies", "std_msgs/msg/String", latched=True),
-    *(Topic(f"/mocap/{what}", msgtype) for what, msgtype in OF_A_PERSON.items()),
+    *(Topic(f"/mocap/{what}", msgtype, latched=what in KEPT) for what, msgtype in OF_A_PERSON.items()),
     Topic("/mocap/point_names", "std_msgs/msg/String", latched=True),
     Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
     Topic(PREDICTION_TOPIC, "sensor_msgs/msg/MultiDOFJointState"),
@@ -95,7 +98,10 @@ def camera_topics(camera: str) -> tuple[Topic, ...]:
 
 def person_topics(body_id: str) -> tuple[Topic, ...]:
     """Return the topics of one person under /mocap/bodies/ID."""
-    return tuple(Topic(f"/mocap/bodies/{body_id}/{what}", kind, of_person=True) for what, kind in OF_A_PERSON.items())
+    return tuple(
+        Topic(f"/mocap/bodies/{body_id}/{what}", kind, latched=what in KEPT, of_person=True)
+        for what, kind in OF_A_PERSON.items()
+    )
 
 
 def topics_of_others(first_id: str = FIRST_BODY_ID) -> tuple[Topic, ...]:

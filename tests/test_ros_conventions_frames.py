@@ -1,0 +1,278 @@
+"""Frames as ROS people expect them: cameras on /tf_static, bodies on /tf, a URDF that the joint states move.
+
+tf2_msgs is in every ROS installation, not in the wheels: where it is not, a stand-in takes what would be published.
+"""
+
+import importlib.util
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from ekf_person import Person
+from geometry_msgs.msg import TransformStamped
+from node_probe import SUCCESS, NodeProbe
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+
+from capture_rig import save_rig
+from ekf_tracker.ekf_node import EkfNode
+from ekf_tracker.rep155 import HRI_JOINT_NAMES, hri_angles, hri_rates
+from ekf_tracker.urdf import body_urdf, link_name, link_of_point, same_sizes
+from hull_server.frames_ros import camera_frames
+from hull_server.hull_node import HullNode
+from mocap_packets.fit import ReferencePoints
+from sagoma_ros import frames
+from sagoma_ros.packets import packet_cloud, read_reference_points
+from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_tools.cli import main
+from stick_figure.body import Body
+from stick_figure.body_file import save_body
+from stick_figure.kinematics import forward
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_NAMES
+from virtual_studio.rig import ring
+
+BODY_ID = "b0001"
+MM = 1e-3
+
+
+@pytest.fixture
+def person() -> Person:
+    return Person(Body.from_stature(1.82))
+
+
+def urdf_frames(text, angles, torso):
+    """Every link's transform (4, 4) by the URDF alone: what robot_state_publisher does with joint states."""
+    robot = ElementTree.fromstring(text)
+    links = [link.get("name") for link in robot.findall("link")]
+    assert len(set(links)) == len(links) and links[0] == link_name(BODY_ID, "torso")
+    placed = {links[0]: torso}
+    for joint in robot.findall("joint"):
+        parent, child = joint.find("parent").get("link"), joint.find("child").get("link")
+        local = np.eye(4)
+        local[:3, 3] = [float(v) for v in joint.find("origin").get("xyz").split()]
+        if joint.get("type") != "fixed":
+            axis = np.array([float(v) for v in joint.find("axis").get("xyz").split()])
+            local[:3, :3] = Rotation.from_rotvec(angles[joint.get("name")] * axis).as_matrix()
+        assert child not in placed
+        placed[child] = placed[parent] @ local
+    assert set(placed) == set(links)
+    return placed
+
+
+def homogeneous(R, t):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_forward_kinematics_of_the_urdf_gives_the_figures_points(seed):
+    rng = np.random.default_rng(seed)
+    body = Body.from_stature(rng.uniform(1.4, 2.0))
+    angles, R = rng.uniform(ANGLE_LOW, ANGLE_HIGH), Rotation.random(random_state=seed).as_matrix()
+    pose = Pose.from_angles(rng.normal(size=3), R, angles)
+    named = dict(zip(ANGLE_NAMES, angles, strict=True))
+    placed = urdf_frames(body_urdf(body, BODY_ID), named, homogeneous(R, pose.position_world))
+    found = np.array([placed[link_name(BODY_ID, link_of_point(i))][:3, 3] for i in range(15)])
+    np.testing.assert_allclose(found, forward(body, pose), atol=1e-6)
+
+
+def test_joints_of_the_urdf_are_those_of_the_joint_states_and_links_have_shapes():
+    robot = ElementTree.fromstring(body_urdf(Body.from_stature(1.75), BODY_ID))
+    moving = [joint.get("name") for joint in robot.findall("joint") if joint.get("type") != "fixed"]
+    assert sorted(moving) == sorted(ANGLE_NAMES)
+    shown = {link.get("name") for link in robot.findall("link") if link.find("visual") is not None}
+    assert shown >= {link_name(BODY_ID, stick) for stick in ("torso", "head", "left_forearm", "right_calf")}
+
+
+def test_a_urdf_library_reads_it_the_same():
+    yourdfpy = pytest.importorskip("yourdfpy")
+    body, rng = Body.from_stature(1.75), np.random.default_rng(3)
+    pose = Pose.from_angles(np.zeros(3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH))
+    robot = yourdfpy.URDF(yourdfpy.URDF._parse_robot(_lxml(body_urdf(body, BODY_ID))), build_scene_graph=True)
+    robot.update_cfg(dict(zip(ANGLE_NAMES, pose.angles(), strict=True)))
+    for i, point in enumerate(forward(body, pose)):
+        found = robot.get_transform(link_name(BODY_ID, link_of_point(i)), link_name(BODY_ID, "torso"))
+        np.testing.assert_allclose(found[:3, 3], point, atol=1e-6)
+
+
+def _lxml(text):
+    from lxml import etree
+
+    return etree.fromstring(text)
+
+
+@pytest.mark.parametrize("growth_m", [0.0, 1e-4, 5e-4])
+def test_urdf_is_told_again_when_somebody_could_see_the_change(growth_m):
+    body = Body.from_stature(1.75)
+    longer = replace(body, half_lengths=body.half_lengths + 0.5 * growth_m)
+    assert same_sizes(longer, body) == (growth_m < 2e-4) and not same_sizes(body, None)
+
+
+class Taken:
+    """A stand-in of the publisher of tf2_msgs/TFMessage: its list of transforms, checked as rclpy would."""
+
+    def __init__(self, node, kind, topic, qos):
+        self.topic, self.qos = topic, qos
+        self.heard, self.closed = True, False
+        PUBLISHERS.append(self)
+        self.messages = []
+
+    def publish(self, make):
+        self.messages.append(make())
+
+    def close(self):
+        self.closed = True
+
+
+PUBLISHERS: list[Taken] = []
+
+
+class TFMessage:
+    def __init__(self, transforms):
+        assert isinstance(transforms, list) and all(isinstance(one, TransformStamped) for one in transforms)
+        self.transforms = transforms
+
+
+@pytest.fixture
+def taken(monkeypatch):
+    """What goes to /tf and /tf_static: the publishers, in the order in which they were made."""
+    PUBLISHERS.clear()
+    monkeypatch.setattr(frames, "TFMessage", TFMessage)
+    monkeypatch.setattr(frames, "HeardPublisher", Taken)
+    return PUBLISHERS
+
+
+def tree_of(transforms):
+    """Frame -> its transform (4, 4) in map."""
+    placed = {"map": np.eye(4)}
+    for one in transforms:
+        t, q = one.transform.translation, one.transform.rotation
+        local = homogeneous(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), [t.x, t.y, t.z])
+        placed[one.child_frame_id] = placed[one.header.frame_id] @ local
+    return placed
+
+
+@pytest.mark.parametrize("which", ["links", "torso", "none"])
+def test_body_and_its_links_are_on_tf_where_the_reference_points_are(open_probe, tmp_path, person, taken, which):
+    points, got = track(open_probe, tmp_path, person, publish_tf=which, publish_humans=True)
+    bodies = [p for p in taken if p.topic == "/tf"]
+    assert [len(p.messages) for p in bodies] == ([1] if which == "none" else [1, 1])  # one is that of REP-155
+    placed = tree_of([one for publisher in bodies for one in publisher.messages[-1].transforms])
+    assert f"body_{BODY_ID}" in placed
+    if which == "none":
+        return
+    assert (link_name(BODY_ID, "left_forearm") in placed) == (which == "links")
+    for i in range(15) if which == "links" else [0]:
+        assert np.linalg.norm(placed[link_name(BODY_ID, link_of_point(i))][:3, 3] - points[i]) < MM, POINT_NAMES[i]
+    stamps = {(t.header.stamp.sec, t.header.stamp.nanosec) for p in bodies for t in p.messages[-1].transforms}
+    assert stamps == {(got.header.stamp.sec, got.header.stamp.nanosec)}
+
+
+def test_robot_description_with_the_published_joint_states_gives_the_published_points(open_probe, tmp_path, person):
+    """The topics alone, as rviz and robot_state_publisher have them."""
+    described = []
+    points, joints = track(open_probe, tmp_path, person, described=described)
+    angles = dict(zip(joints.name, joints.position, strict=True))
+    torso = np.eye(4)
+    torso[:3, :3] = person_rotation(points, described[0], angles)
+    placed = urdf_frames(described[0], angles, torso)
+    found = np.array([placed[link_name(BODY_ID, link_of_point(i))][:3, 3] for i in range(15)]) + points[0]
+    assert np.linalg.norm(found - points, axis=1).max() < MM
+
+
+def person_rotation(points, text, angles):
+    """The torso's rotation by its points: the other points are not used for it."""
+    placed = urdf_frames(text, angles, np.eye(4))
+    torso = [POINT_NAMES.index(n) for n in ("neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")]
+    own = np.array([placed[link_name(BODY_ID, link_of_point(i))][:3, 3] for i in torso])
+    return Rotation.align_vectors(points[torso] - points[0], own)[0].as_matrix()
+
+
+def track(open_probe, tmp_path, person, described=None, **parameters):
+    """Let a filter answer one set; returns the published points (15, 3) and joint states."""
+    body_file = tmp_path / "body.yaml"
+    save_body(person.body, body_file)
+    probe = open_probe(NodeProbe, EkfNode, {"body_file": str(body_file), **parameters})
+    sender = probe.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
+    clouds = probe.listen(PointCloud2, "mocap/reference_points")
+    joints = probe.listen(JointState, "mocap/joint_states")
+    texts = probe.listen(String, "mocap/robot_description", LATCHED)
+    probe.start()
+    probe.until(sender.get_subscription_count)
+    probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in probe.heard))
+    measured = ReferencePoints(person.points(0.5), np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
+    sender.publish(packet_cloud(measured, 5_000_000_000, "map"))
+    probe.until(lambda: clouds and joints and texts)
+    if described is not None:
+        described.append(texts[0].data)
+    return read_reference_points(clouds[0], "test").points_world, joints[0]
+
+
+def test_cameras_are_on_tf_static_with_a_body_frame_and_an_optical_one(open_probe, tmp_path, taken):
+    rig = ring(3)
+    save_rig(rig, tmp_path / "rig.yaml")
+    probe = open_probe(NodeProbe, HullNode, {"rig_file": str(tmp_path / "rig.yaml"), "backend": "cpu"})
+    assert probe.node.trigger_configure() == SUCCESS
+    (publisher,) = taken
+    assert (publisher.topic, publisher.qos) == ("/tf_static", LATCHED) and len(publisher.messages) == 1
+    placed = tree_of(publisher.messages[0].transforms)
+    assert set(placed) == {"map", *rig.names, *(f"{name}_optical" for name in rig.names)}
+    for camera in rig.cameras:
+        np.testing.assert_allclose(placed[f"{camera.name}_optical"], np.linalg.inv(camera.T_camera_world), atol=1e-9)
+        np.testing.assert_allclose(placed[camera.name][:3, 0], camera.T_camera_world[2, :3], atol=1e-9)  # x: forward
+        assert placed[camera.name][2, 2] > 0.0 or camera.name == rig.names[-1]  # z: up, but of the one on the ceiling
+    assert probe.node.trigger_cleanup() == SUCCESS and publisher.closed
+
+
+def test_no_camera_frames_without_the_parameter(open_probe, tmp_path, taken):
+    save_rig(ring(3), tmp_path / "rig.yaml")
+    given = {"rig_file": str(tmp_path / "rig.yaml"), "backend": "cpu", "publish_tf": False}
+    assert open_probe(NodeProbe, HullNode, given).node.trigger_configure() == SUCCESS
+    assert taken == []
+
+
+@pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is None, reason="tf2_msgs is not installed")
+def test_frames_are_heard_as_tf2_msgs(open_probe, tmp_path):
+    from tf2_msgs.msg import TFMessage as Real
+
+    rig = ring(3)
+    save_rig(rig, tmp_path / "rig.yaml")
+    probe = open_probe(NodeProbe, HullNode, {"rig_file": str(tmp_path / "rig.yaml"), "backend": "cpu"})
+    assert probe.node.trigger_configure() == SUCCESS
+    heard = probe.listen(Real, "/tf_static", LATCHED)
+    probe.until(lambda: heard)
+    assert len(heard[0].transforms) == len(list(camera_frames(rig, "map", 0)))
+
+
+def test_rep155_angles_go_on_and_their_rates_are_those_of_the_angles():
+    angles, velocity = T_POSE_ANGLES.copy(), np.zeros(24)
+    angles[[8, 9, 14]] = -0.6, -0.4, 0.5
+    velocity[3:] = np.random.default_rng(1).normal(size=21)
+    pose, before = Pose.from_angles(np.zeros(3), np.eye(3), angles), None
+    for _ in range(400):
+        found = hri_angles(pose, before)
+        if before is not None:
+            rates = hri_rates(pose, velocity, found)
+            assert np.isfinite(rates).all()
+            still = np.abs(rates) < 20.0  # elsewhere an angle swings through its gimbal lock
+            np.testing.assert_allclose((found - before)[still], 0.01 * rates[still], atol=0.12)
+            turns = [HRI_JOINT_NAMES.index(name) for name in ("l_elbow", "r_elbow", "l_knee", "r_knee", "waist")]
+            assert np.abs((found - before)[turns]).max() < 0.1
+        before, pose = found, pose.retract(0.01 * velocity)
+
+
+def test_urdf_command_prints_the_body_of_a_file_and_replaces_nothing(tmp_path, capsys):
+    body = Body.from_stature(1.63)
+    save_body(body, tmp_path / "body.yaml")
+    assert main(["urdf", "--body", str(tmp_path / "body.yaml"), "--id", "anna"]) == 0
+    assert capsys.readouterr().out == body_urdf(body, "anna")
+    out = tmp_path / "body.urdf"
+    assert main(["urdf", "--stature", "1.9", "--output", str(out)]) == 0
+    assert out.read_text() == body_urdf(Body.from_stature(1.9), BODY_ID)
+    assert main(["urdf", "--output", str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["urdf", "--body", "b.yaml", "--stature", "1.9"]) == 2
