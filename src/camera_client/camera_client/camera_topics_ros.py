@@ -70,6 +70,10 @@ class CameraTopics:
     def _raw_has_listener(self) -> bool:
         return self._raws is not None and self._raws.get_subscription_count() > 0
 
+    @property
+    def _preview_has_listener(self) -> bool:
+        return self._previews is not None and self._previews.get_subscription_count() > 0
+
     def publish_image(self, frame: Frame) -> None:
         """The frame as it came, with ``publish_raw``, or while there is a subscriber that calibrates the camera."""
         if self._raws is not None and (self._raw_always or self._raw_has_listener):
@@ -82,12 +86,13 @@ class CameraTopics:
         self._infos.publish(info)
 
     def publish_silhouette(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
-        """The silhouette and its camera_info under one stamp; now and then a preview."""
+        """The silhouette and its camera_info under one stamp; now and then a preview, while somebody looks."""
         assert seen.canvas is not None
         self._infos.publish(self._info_of(seen.canvas).at(frame.stamp_ns))
         self._silhouettes.publish(self._writer.write(frame.stamp_ns, mask_png.encode(silhouette.mask)))
         now_s = time.monotonic()
-        if self._previews is not None and now_s - self._last_preview_s >= PREVIEW_PERIOD_S:
+        if now_s - self._last_preview_s >= PREVIEW_PERIOD_S and self._preview_has_listener:
+            assert self._previews is not None
             self._last_preview_s = now_s
             outlined = outline(frame.image, silhouette.image_mask)
             self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))

@@ -333,7 +333,9 @@ class CameraClientSettings:
     background_frames: int = setting(100, "Frames taken by ~/learn_background", low=2, high=100000)
     background_file: str = setting("", "Where ~/learn_background saves the model (.npz); empty: nowhere")
     publish_raw: bool = setting(False, "Publish image_raw (without a rig it is there in any case, for calibration)")
-    publish_preview: bool = setting(False, "Publish preview/compressed: the image with the silhouette's outline")
+    publish_preview: bool = setting(
+        True, "Offer preview/compressed: the image with the silhouette's outline, sent while somebody subscribes"
+    )
     footage: FootageSettings = setting(FootageSettings, "Footage source")
     aravis: AravisSettings = setting(AravisSettings, "GigE Vision source")
     supervision: SupervisionSettings = setting(SupervisionSettings, "Stalls and reconnections of a live camera")

@@ -211,6 +211,20 @@ def test_raw_images_and_previews_are_published_on_request(bench, session, scene)
     assert 30 < green.sum() < 400
 
 
+def test_no_preview_is_drawn_while_nobody_looks(bench, session, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("camera_client.camera_topics_ros.outline", lambda image, mask: drawn.append(1) or image)
+    camera = bench(**session.parameters)
+    camera.start()
+    camera.until(lambda: len(camera.masks) == FRAMES)
+    assert not drawn
+    looked_at = bench(**session.parameters)
+    looked_at.listen(CompressedImage, "preview/compressed", RESULT)
+    looked_at.start()
+    looked_at.until(lambda: looked_at.heard["preview/compressed"])
+    assert drawn
+
+
 @pytest.mark.parametrize(
     "changed, text",
     [

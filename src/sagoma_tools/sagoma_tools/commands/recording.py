@@ -15,7 +15,7 @@ from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
 from ..graph.topics import CLOCK_TOPIC, DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, topics_of_others
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
-from ..recording.recorder import Recorder, read_configuration
+from ..recording.recorder import Recorder, read_configuration, rig_of_configuration
 from ..recording.recovery import recover_bag
 from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
 from ..recording.simulated_clock import CLOCK_HZ, SimulatedClock
@@ -81,7 +81,9 @@ def record(args: argparse.Namespace) -> int:
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         stop.wait(args.seconds)
         configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)
-        counts = recorder.close({"graph": configuration}, Path(args.rig) if args.rig else None)
+        counts = recorder.close(
+            {"graph": configuration}, Path(args.rig) if args.rig else rig_of_configuration(configuration)
+        )
     finish_take(Path(args.bag))
     print_counts(counts)
     return 0 if recorder.failure is None else 1

@@ -19,12 +19,12 @@ from ..takes.exporting import EXPORTS
 from ..takes.folder import TAKES, TakesFolder
 from ..takes.measure import digests
 from ..takes.summary_file import finish_take
-from ..takes.take import Background, Summary, Take, TakeState
+from ..takes.take import Summary, TakeState
+from ..takes.texts import FIGURES, MIB, NOT_MEASURED, date, figures, origin, remark, summary_lines
 from ..takes.trim import trim
 from ..takes.verify import ERROR, OK, WARNING, Check, verify
 from ..takes.video import VIDEO, write_video
 
-MIB = 1 << 20
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
 CHECK_STYLE = {OK: "green", WARNING: "yellow", ERROR: "red"}
 MESSAGES_EVERY, FRAMES_EVERY = 5000, 30
@@ -82,18 +82,18 @@ def list_takes(args: argparse.Namespace) -> int:
         print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
         return 0
     console, table = table_console(), Table(box=None, pad_edge=False)
-    for title, right in (("take", 0), ("recorded", 0), ("seconds", 1), ("sets/s", 1), ("persons", 1), ("tracked", 1)):
-        table.add_column(title, justify="right" if right else "left", no_wrap=True)
-    for title in ("doubtful", "± mm", "dropped", "MB"):
+    for title in ("take", "recorded"):
+        table.add_column(title, no_wrap=True)
+    for title in FIGURES:
         table.add_column(title, justify="right", no_wrap=True)
     table.add_column("", ratio=1)
     for take in takes:
-        table.add_row(take.name, _date(take.began_ns), *_figures(take), _remark(take), style=STATE_STYLE[take.state])
+        table.add_row(take.name, date(take), *figures(take), remark(take), style=STATE_STYLE[take.state])
     console.print(table)
     for take in takes:
         if take.problem:
             console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
-    if any(take.state is TakeState.WHOLE and take.summary is None for take in takes):
+    if any(remark(take) == NOT_MEASURED for take in takes):
         console.print("not measured: `sagoma takes measure TAKE` measures it", highlight=False)
     deleted = len(folder.deleted())
     if deleted:
@@ -109,9 +109,7 @@ def show(args: argparse.Namespace) -> int:
         print(json.dumps(take.document(), indent=1))
         return 0 if take.state is TakeState.WHOLE else 1
     console = table_console()
-    console.print(
-        f"{take.name}   {_date(take.began_ns)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold"
-    )
+    console.print(f"{take.name}   {date(take)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold")
     console.print(f"  {take.path.resolve()}", highlight=False)
     if take.state is not TakeState.WHOLE:
         console.print(f"  {take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
@@ -122,9 +120,15 @@ def show(args: argparse.Namespace) -> int:
     if take.summary is None:
         console.print(f"  no figures: recorded by an older version (`sagoma takes measure {take.name}` measures them)")
     else:
-        _show_summary(console, take.summary)
+        print_summary(console, take.summary)
     console.print(f"  {sum(take.topics.values())} messages on {len(take.topics)} topics")
     return 0
+
+
+def print_summary(console: Console, summary: Summary) -> None:
+    """Print a take's figures, moved in."""
+    for line in summary_lines(summary):
+        console.print(f"  {line}", markup=False, highlight=False)
 
 
 def check(args: argparse.Namespace) -> int:
@@ -223,7 +227,7 @@ def measure_anew(args: argparse.Namespace) -> int:
     summary = finish_take(take.path, counter("read")) if take.state is TakeState.WHOLE else None
     if summary is None:
         raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
-    _show_summary(table_console(), summary)
+    print_summary(table_console(), summary)
     return 0
 
 
@@ -236,77 +240,3 @@ def counter(verb: str, what: str = "messages", every: int = MESSAGES_EVERY) -> C
             console.print(f"{verb} {number} {what}", end="\r")
 
     return shown
-
-
-# texts -----------------------------------------------------------------------------------------------------------
-
-
-def origin(take: Take) -> str:
-    """Say of which take it is a part."""
-    part = take.trimmed_from
-    if part is None:
-        return ""
-    to_s = "its end" if part.get("to_s") is None else f"{part['to_s']:g} s"
-    return f"trimmed from {part.get('take')}, {part.get('from_s'):g} s to {to_s}"
-
-
-def _date(ns: int) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(ns / 1e9)) if ns else "-"
-
-
-def _figures(take: Take) -> tuple[str, ...]:
-    """Seconds, rate, persons, tracked, doubtful, uncertainty, drops, size."""
-    size = f"{take.bytes / MIB:.1f}"
-    if take.summary is None:
-        return (f"{take.seconds:.1f}" if take.topics else "-", "-", "-", "-", "-", "-", "-", size)
-    quality, persons = take.summary.quality, take.summary.persons.values()
-    seconds, rate = f"{quality.seconds:.1f}", f"{quality.sets_per_s:.1f}"
-    if not persons:
-        return (seconds, rate, "0", "-", "-", "-", f"{quality.unanswered}", size)
-    rows = sum(person.rows for person in persons)
-    return (
-        seconds,
-        rate,
-        str(len(persons)),
-        f"{100 * min(person.coverage for person in persons):.0f} %",
-        f"{100 * sum(person.doubtful * person.rows for person in persons) / rows:.0f} %",
-        f"{sum(person.sd_mm * person.rows for person in persons) / rows:.0f}",
-        str(quality.unanswered),
-        size,
-    )
-
-
-def _remark(take: Take) -> str:
-    if take.state is not TakeState.WHOLE:
-        return str(take.state)
-    return origin(take) if take.summary is not None else "not measured"
-
-
-def _show_summary(console: Console, summary: Summary) -> None:
-    quality = summary.quality
-    back = f", stamps went back {quality.stamps_back} times" if quality.stamps_back else ""
-    console.print(
-        f"  {quality.sets} frame sets in {quality.seconds:.2f} s ({quality.sets_per_s:.1f} a second, mostly at "
-        f"{quality.rate_hz:g} Hz); {quality.incomplete} incomplete, {quality.unanswered} dropped{back}",
-        highlight=False,
-    )
-    for name, person in summary.persons.items():
-        console.print(
-            f"  {name}: {person.rows} poses, tracked in {100 * person.coverage:.1f} % of its time, doubtful in "
-            f"{100 * person.doubtful:.1f} %, lost in {100 * person.lost:.1f} %; standard deviation of a point "
-            f"{person.sd_mm:.0f} mm (median), {person.sd_95_mm:.0f} mm (95 %)",
-            highlight=False,
-        )
-    for name, camera in summary.cameras.items():
-        lost = f", lost {camera.lost} of {camera.expected}" if camera.lost is not None else ""
-        what = " ".join(filter(None, (camera.model, camera.serial))) or "model and serial unknown"
-        console.print(f"  {name}: {camera.frames} silhouettes{lost}; {what}", highlight=False)
-        for background in camera.backgrounds:
-            console.print(f"      background: {background_text(background)}", highlight=False)
-
-
-def background_text(background: Background) -> str:
-    """Say what a background was, when it was learned and of which camera."""
-    learned = f"; learned {background.learned}" if background.learned else ""
-    serial = f" of {background.serial}" if background.serial else ""
-    return f"{background.description}{learned}{serial}"

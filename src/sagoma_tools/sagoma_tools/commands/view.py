@@ -15,6 +15,7 @@ from ..graph.ros_link import RosLink, StopOnSignal
 from ..takes.folder import TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard
+from ..view.jobs import Jobs
 from ..view.live import LiveGraph
 from ..view.page import Page
 
@@ -57,7 +58,7 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
     guard = Guard.of(args.host, args.token)
     if take is not None:
         folder = bag_of(take, args.takes).resolve()
-        page = Page(guard, args.port, TakesFolder(folder.parent), None, None)
+        page = Page(guard, args.port, TakesFolder(folder.parent))
         try:
             page.show_take(folder)
             announce(guard, page.port)
@@ -68,8 +69,9 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
     with RosLink("sagoma_view") as link:
         diagnostics = DiagnosticsTable(link.node)
         takes = TakesFolder(Path(args.takes))
-        control = Control(link, diagnostics, takes)
-        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control)
+        jobs = Jobs()
+        control = Control(link, diagnostics, takes, jobs)
+        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs)
         try:
             if rig is not None:
                 page.show_rig(rig)

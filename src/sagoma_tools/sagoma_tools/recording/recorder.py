@@ -276,6 +276,12 @@ def rig_file(graph: Sequence[NodeSpec]) -> Path | None:
     return next((Path(name) for name in named if name), None)
 
 
+def rig_of_configuration(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
+    """Return the rig file that running nodes say they have (:func:`read_configuration`), if it is on this computer."""
+    named = (parameters.get("rig_file") for parameters in configuration.values())
+    return next((Path(name) for name in named if name and Path(name).is_file()), None)
+
+
 def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> dict[str, dict[str, Any]]:
     """Ask running nodes for their parameters: full name -> parameters; a node that does not answer is left out.
 

@@ -7,17 +7,15 @@ import time
 import cv2
 import numpy as np
 import viser
-from diagnostic_msgs.msg import DiagnosticStatus
 
 from mocap_packets.hull import VoxelSamples
 from motion_export.motion import point_deviations
 from sagoma_ros.packets import read_finite, read_reference_points
 
-from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
+from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, our_nodes
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, persons_in
 from .feed import Feed
-from .markdown import escape
 from .scene import Figure
 
 LOOK_S = 1.0
@@ -28,9 +26,6 @@ VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
 PREVIEW = "/preview/compressed"
 PICTURE_TYPE = "sensor_msgs/msg/CompressedImage"
 PICTURE_WIDTH = 320
-MARKS = {DiagnosticStatus.OK: "", DiagnosticStatus.WARN: "**warning** ", DiagnosticStatus.ERROR: "**error** "}
-FIGURES = (("rate_hz", "Hz"), ("latency_p50_ms", "ms"))
-"""Of the diagnostics: frame sets a second, and how old they are (median)."""
 
 
 class LiveGraph:
@@ -106,22 +101,10 @@ class LiveGraph:
         cloud = self._feed.take(VOXELS[0])
         return None if cloud is None else read_finite(cloud, VoxelSamples, VOXELS[0])[0].points_world
 
-    def states_list(self) -> str:
-        """Return every node of the graph, by its last diagnostics, as a markdown list."""
-        now_s, lines = time.monotonic(), []
-        for name in sorted(our_nodes(self._node) | set(self._diagnostics.names())):
-            label = name.strip("/").removesuffix("/camera_client")
-            report = self._diagnostics.report(name)
-            if report is None:
-                lines.append(f"- **{label}** has not been heard yet")
-                continue
-            silent_s = now_s - report.heard_s
-            mark = MARKS.get(report.level, "**stale** ") if silent_s <= STALE_S else MARKS[DiagnosticStatus.ERROR]
-            says = report.message if silent_s <= STALE_S else f"silent for {silent_s:.0f} s"
-            figures = [f"{report.values[key]} {unit}" for key, unit in FIGURES if key in report.values]
-            figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
-            lines.append(f"- **{label}** {mark}{', '.join(figures)}: {escape(says)}")
-        return "\n".join(lines)
+    def reports(self) -> dict[str, NodeReport | None]:
+        """Return the last report of every node that is in the graph or was heard, by full name."""
+        names = our_nodes(self._node) | set(self._diagnostics.names())
+        return {name: self._diagnostics.report(name) for name in sorted(names)}
 
     def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
         """Draw each camera's newest picture: its preview where the client publishes one, else its silhouette."""

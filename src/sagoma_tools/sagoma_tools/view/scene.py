@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,8 @@ SURE_M, UNSURE_M = 0.02, 0.12
 """Standard deviation of a point that is drawn green, and red: a joint's own width, and a limb's error of one lost."""
 GREEN, AMBER, RED = np.array([60, 190, 90.0]), np.array([240, 170, 30.0]), np.array([220, 50, 45.0])
 BONE_M, JOINT_M, VOXEL_M = 0.035, 0.07, 0.02
-FRUSTUM_M = 0.3
-CAMERA_COLOUR = (150, 160, 190)
+FRUSTUM_M = 0.2
+CAMERA_COLOUR, LOST_COLOUR = (150, 160, 190), (229, 72, 77)
 FLOOR_M = 6.0
 
 
@@ -38,16 +39,17 @@ class RoomScene:
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self._figures: dict[str, tuple[viser.LineSegmentsHandle, viser.PointCloudHandle, viser.LabelHandle]] = {}
-        self._cameras: list[viser.SceneNodeHandle] = []
+        self._cameras: dict[str, tuple[viser.CameraFrustumHandle, viser.LabelHandle]] = {}
         self._voxels: viser.PointCloudHandle | None = None
         scene.set_up_direction("+z")
         scene.add_grid("/floor", FLOOR_M, FLOOR_M, cell_size=0.5, section_size=1.0)
 
     def show_rig(self, rig: Rig) -> None:
         """Draw every camera as its view's pyramid, with its name."""
-        for node in self._cameras:
-            node.remove()
-        self._cameras = []
+        for nodes in self._cameras.values():
+            for node in nodes:
+                node.remove()
+        self._cameras = {}
         for camera in rig.cameras:
             R_world_camera = camera.R_camera_world.T
             fov = 2.0 * float(np.arctan(0.5 * camera.height / camera.K[1, 1]))
@@ -61,7 +63,15 @@ class RoomScene:
                 position=camera.centre_world,
             )
             label = self._scene.add_label(f"/cameras/{camera.name}/name", camera.name)
-            self._cameras += [label, frustum]
+            self._cameras[camera.name] = frustum, label
+
+    def mark_cameras(self, troubles: Mapping[str, str]) -> None:
+        """Draw cameras in trouble red, with the trouble beside their name; all others as ever."""
+        for name, (frustum, label) in self._cameras.items():
+            text = f"{name}: {troubles[name]}" if name in troubles else name
+            if label.text != text:
+                label.text = text
+                frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
 
     def show(self, figures: dict[str, Figure]) -> None:
         """Draw these persons, by id, and nobody else."""

@@ -1,0 +1,58 @@
+"""What the page was asked for: one thing at a time, on a thread of its own, told as it goes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from capture_rig.errors import InputError
+
+BUSY = "still busy with: {}"
+Tell = Callable[[str], None]
+Work = Callable[[Tell], str]
+
+
+class Jobs:
+    """Runs requests one after the other's end, and says what came of each; a request while one runs is refused."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running = ""
+        self._said = ""
+        self.cancelled = threading.Event()
+
+    @property
+    def said(self) -> str:
+        """What the last request said last."""
+        with self._lock:
+            return self._said
+
+    def request(self, what: str, work: Work) -> bool:
+        """Begin some work unless other work is under way; its last word is shown. Returns whether it began."""
+        with self._lock:
+            if self._running:
+                self._said = BUSY.format(self._running)
+                return False
+            self._running, self._said = what, f"{what} ..."
+        self.cancelled.clear()
+        threading.Thread(target=self._run, args=(what, work), name=f"page: {what}", daemon=True).start()
+        return True
+
+    def cancel(self) -> None:
+        """End a countdown."""
+        self.cancelled.set()
+
+    def say(self, text: str) -> None:
+        """Show this until something else is said."""
+        with self._lock:
+            self._said = text
+
+    def _run(self, what: str, work: Work) -> None:
+        try:
+            said = work(self.say)
+        except InputError as error:
+            said = str(error)
+        except Exception as error:  # the page goes on, whatever a request met
+            said = f"{what} failed: {error!r}"
+        with self._lock:
+            self._said, self._running = said, ""

@@ -1,0 +1,164 @@
+"""The controls of takes beside the scene: a list, one to play with slider and curves, and what can be done with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from typing import Any
+
+import viser
+
+from ..takes.exporting import FORMATS
+from ..takes.take import Take
+from ..takes.texts import FIGURES, date, figures, remark, summary_lines
+from .buttons import on_click, on_click_deliver
+from .jobs import Jobs, Work
+from .playback import Playback
+from .take_work import ALL_FORMATS, Deliver, TakeWork
+
+NO_TAKES = "(none yet)"
+PLAY, PAUSE, BACK = "play", "pause", "back to live"
+EXPORT, VIDEO = "export", "video"
+RENAME, TRIM, DELETE, RESTORE = "rename", "trim", "delete", "restore"
+BEGIN, END = "begin", "end"
+SLIDER_LAG_S = 0.2
+"""The slider follows what is played in such steps: each is a message to every browser."""
+
+
+class TakesPanel:
+    """The tab "Takes"; ``play`` and ``leave`` begin to play a take by name, and go back to the live graph."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        tabs: viser.GuiTabGroupHandle,
+        work: TakeWork,
+        jobs: Jobs,
+        play: Callable[[str], None],
+        leave: Callable[[], None] | None,
+    ) -> None:
+        self._gui, self._takes = gui, dict[str, Take]()
+        self._playback: Playback | None = None
+        with tabs.add_tab("Takes"):
+            self._choice = gui.add_dropdown("take", (NO_TAKES,))
+            self._about = gui.add_html("")
+            player = gui.add_button_group("replay", (PLAY, PAUSE, BACK) if leave is not None else (PLAY, PAUSE))
+            self._position = gui.add_slider("second", 0.0, 1.0, 0.01, 0.0, disabled=True)
+            self._plots = gui.add_folder("angles", visible=False)
+            with gui.add_folder("for other programs"):
+                self._format = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
+                files = gui.add_button_group("files", (EXPORT, VIDEO))
+            with gui.add_folder("change"):
+                self._new_name = gui.add_text("new name", "", hint="for rename and trim")
+                self._from = gui.add_number("from, s", 0.0, min=0.0, step=0.01)
+                self._to = gui.add_number("to, s", 0.0, min=0.0, step=0.01)
+                mark = gui.add_button_group("slider to", (BEGIN, END))
+                change = gui.add_button_group("take", (RENAME, TRIM))
+                bin_group = gui.add_button_group("bin", (DELETE, RESTORE))
+        on_click(player, lambda: players[player.value]())
+        self._position.on_update(self._jump)
+        self._choice.on_update(lambda event: self._show_about())
+        on_click(mark, lambda: self._mark(mark.value))
+        on_click(change, lambda: jobs.request(*changes[change.value]()))
+        on_click(bin_group, lambda: jobs.request(*changes[bin_group.value]()))
+        on_click_deliver(files, lambda send: jobs.request(*made[files.value](send)))
+        players: dict[str, Callable[[], object]] = {
+            PLAY: lambda: self._if_chosen(play),
+            PAUSE: self._pause,
+            BACK: leave or (lambda: None),
+        }
+        changes: dict[str, Callable[[], tuple[str, Work]]] = {
+            RENAME: lambda: ("renaming", work.rename(self.chosen, self._new_name.value)),
+            TRIM: lambda: ("trimming", work.trim(self.chosen, self._new_name.value, self._from.value, self._to.value)),
+            DELETE: lambda: ("deleting", work.delete(self.chosen)),
+            RESTORE: lambda: ("restoring", work.restore),
+        }
+        made: dict[str, Callable[[Deliver], tuple[str, Work]]] = {
+            EXPORT: lambda send: ("exporting", work.export(self.chosen, self._format.value, send)),
+            VIDEO: lambda send: ("drawing", work.video(self.chosen, send)),
+        }
+
+    @property
+    def chosen(self) -> str:
+        """The name that the list stands on; empty while there is none."""
+        return self._choice.value if self._choice.value in self._takes else ""
+
+    def show_takes(self, takes: Sequence[Take]) -> None:
+        """List the takes."""
+        known, self._takes = self._takes, {take.name: take for take in takes}
+        names = tuple(self._takes) or (NO_TAKES,)
+        if tuple(self._choice.options) != names:
+            self._choice.options = names
+        if known != self._takes:
+            self._show_about()
+
+    def show_playback(self, playback: Playback | None) -> None:
+        """Show the angles and the length of a take; of none, nothing."""
+        self._playback = playback
+        for child in list(self._plots._children.values()):
+            child.remove()
+        self._plots.visible = playback is not None
+        self._position.disabled = playback is None
+        if playback is None:
+            return
+        self._position.max = round(playback.seconds, 2)
+        _set(self._to, round(playback.seconds, 2))
+        if playback.take.name in self._choice.options:
+            _set(self._choice, playback.take.name)
+        with self._plots:
+            for title, times_s, series in playback.plots():
+                styles = [viser.uplot.Series(label="s")]
+                styles += [viser.uplot.Series(label=name, stroke=colour) for name, colour in series]
+                columns = (times_s, *(values for values in series.values()))
+                self._gui.add_uplot(columns, tuple(styles), title=title, aspect=2.0, scales=NOT_A_DATE)
+
+    def show_progress(self, playback: Playback) -> None:
+        """Move the slider to where the take plays."""
+        if abs(self._position.value - playback.position_s) > SLIDER_LAG_S:
+            _set(self._position, round(playback.position_s, 2))
+
+    def _if_chosen(self, act: Callable[[str], None]) -> None:
+        if self.chosen:
+            act(self.chosen)
+
+    def _pause(self) -> None:
+        if self._playback is not None:
+            self._playback.playing = not self._playback.playing
+
+    def _jump(self, event: viser.GuiEvent) -> None:
+        """Go on playing from where somebody has moved the slider to."""
+        if self._playback is not None and event.client is not None:
+            self._playback.jump(self._position.value)
+
+    def _mark(self, which: str) -> None:
+        _set(self._from if which == BEGIN else self._to, self._position.value)
+
+    def _show_about(self) -> None:
+        take = self._takes.get(self._choice.value)
+        self._about.content = "" if take is None else about_html(take)
+
+
+WORDS = {"persons": "persons: {}", "± mm": "± {} mm"}
+"""Figures whose title does not stand behind them."""
+TEXT = "font-size: 13px; line-height: 1.35; overflow-wrap: anywhere; padding: 0 10px"
+NOT_A_DATE = {"x": viser.uplot.Scale(time=False)}
+"""Of a curve's times: seconds of the take."""
+
+
+def _set(handle: Any, value: object) -> None:
+    """Set a control's value: viser's types call it read-only, its descriptors do not."""
+    handle.value = value
+
+
+def about_html(take: Take) -> str:
+    """Return what is known of a take as HTML."""
+    if take.problem:
+        return f'<div style="{TEXT}; color: #f0aa1e">{escape(take.problem)}</div>'
+    cells = " &nbsp; ".join(
+        f'<span style="white-space: nowrap">{WORDS.get(title, "{} " + title).format(f"<b>{escape(value)}</b>")}</span>'
+        for title, value in zip(FIGURES, figures(take), strict=True)
+    )
+    lines = "<br>".join(map(escape, summary_lines(take.summary))) if take.summary is not None else ""
+    said = escape(" ".join(filter(None, (date(take), remark(take)))))
+    more = f"<details><summary>cameras and persons</summary>{lines}</details>" if lines else ""
+    return f'<div style="{TEXT}; padding-bottom: 8px">{said}<br>{cells}{more}</div>'

@@ -1,0 +1,137 @@
+"""The page's work with takes: what its buttons do, what it says of a take, and how it plays one."""
+
+import io
+import time
+import zipfile
+
+import pytest
+import take_bags
+from diagnostic_msgs.msg import DiagnosticStatus
+from take_bags import EPOCH_NS, PERIOD_NS
+
+from capture_rig.errors import InputError
+from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
+from sagoma_tools.takes.folder import TakesFolder
+from sagoma_tools.takes.summary_file import finish_take
+from sagoma_tools.view.jobs import Jobs
+from sagoma_tools.view.playback import Playback
+from sagoma_tools.view.states import states_html, trouble_of
+from sagoma_tools.view.take_work import ALL_FORMATS, TakeWork
+from sagoma_tools.view.takes_panel import about_html
+
+FRAMES = 50
+
+
+@pytest.fixture()
+def takes(tmp_path):
+    folder = TakesFolder(tmp_path / "takes")
+    finish_take(take_bags.write_take(folder.new_path("walk"), FRAMES, lost=range(10, 20)))
+    return folder
+
+
+def silently(text):
+    pass
+
+
+def test_buttons_do_what_the_commands_do(takes):
+    work = TakeWork(takes, lambda: "")
+    assert "gait" in work.rename("walk", "gait")(silently)
+    assert "made part" in work.trim("gait", "part", 0.2, 0.6)(silently)
+    assert takes.find("part").trimmed_from["take"] == "gait"
+    assert "bin" in work.delete("gait")(silently)
+    assert [take.name for take in takes.takes()] == ["part"]
+    assert work.restore(silently) == "gait is back"
+    assert work.restore(silently) == "the bin is empty"
+
+
+def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, tmp_path):
+    outside = take_bags.write_take(tmp_path / "outside", 3)
+    work = TakeWork(takes, lambda: "walk")
+    sent = []
+    for name in ("walk", "../outside", str(outside), ""):
+        for asked in (
+            work.rename(name, "mine"),
+            work.trim(name, "mine", 0.1, 0.3),
+            work.delete(name),
+            work.export(name, "bvh", lambda *file: sent.append(file)),
+            work.video(name, lambda *file: sent.append(file)),
+        ):
+            with pytest.raises(InputError):
+                asked(silently)
+    for new_name in ("../mine", "/tmp/mine", ""):
+        with pytest.raises(InputError):
+            TakeWork(takes, lambda: "").trim("walk", new_name, 0.1, 0.3)(silently)
+    assert not sent and {path.name for path in tmp_path.iterdir()} == {"takes", "outside"}
+    assert {path.name for path in takes.path.iterdir()} == {"walk"}
+
+
+def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):
+    sent = {}
+    work = TakeWork(takes, lambda: "")
+    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__)(silently)
+    assert sent["walk.bvh"].startswith(b"HIERARCHY")
+    work.export("walk", ALL_FORMATS, sent.__setitem__)(silently)
+    names = set(zipfile.ZipFile(io.BytesIO(sent["walk_all_formats.zip"])).namelist())
+    assert names == {path.name for path in (takes.path / "walk" / "export").iterdir()} and "walk.c3d" in names
+
+
+def test_one_job_runs_at_a_time_and_a_failure_is_said():
+    jobs, begun = Jobs(), []
+    assert jobs.request("waiting", lambda tell: begun.append(1) or str(jobs.cancelled.wait(30.0)))
+    assert not jobs.request("second", lambda tell: "never") and "busy with: waiting" in jobs.said
+    jobs.cancel()
+    wait_for(lambda: jobs.said == "True")
+
+    def fails(tell):
+        raise InputError("no such thing", remedy="Give another.")
+
+    assert jobs.request("failing", fails)
+    wait_for(lambda: "no such thing" in jobs.said)
+
+
+def wait_for(done):
+    deadline_s = time.monotonic() + 30.0
+    while not done():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)  # Jobs has no event for its end: only the page asks
+
+
+def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes):
+    playback = Playback.of(takes.find("walk"))
+    assert playback.begins_ns == EPOCH_NS and playback.seconds == pytest.approx((FRAMES - 1) * PERIOD_NS / 1e9)
+    playback.playing = False
+    for seconds, there in ((0.1, True), (0.3, False), (0.5, True)):  # frames 10 to 19 are lost
+        playback.jump(seconds)
+        assert ("b0001" in playback.figures_at(time.monotonic())) is there
+        assert playback.position_s == seconds
+    figure = playback.figures_at(time.monotonic())["b0001"]
+    assert figure.points_world[0, 1] == pytest.approx(0.25, abs=0.01)  # 1 cm a frame along y
+    assert figure.sigma_m == pytest.approx(take_bags.SIGMA_M)
+    playback.playing = True
+    now_s = time.monotonic()
+    playback.figures_at(now_s)
+    playback.figures_at(now_s + 0.2)
+    assert playback.position_s == pytest.approx(0.7, abs=0.1)
+
+
+def test_what_the_page_says_of_a_take_cannot_be_markup(takes):
+    take = takes.find("walk")
+    assert "persons" in about_html(take) and "80 %" in about_html(take)
+    hostile = takes.path / "<img src=x onerror=alert(1)>"
+    hostile.mkdir()
+    (hostile / "x.mcap").write_bytes(b"")
+    assert "<img" not in about_html(takes.find(hostile.name))
+
+
+def test_a_silent_camera_is_said_with_since_when_and_what_to_do():
+    now_s = time.monotonic()
+    running = NodeReport(DiagnosticStatus.OK, "active", {"rate_hz": "30.0", "frames_lost": "3"}, now_s)
+    warned = NodeReport(DiagnosticStatus.WARN, "<b>the lens</b> is foggy", {}, now_s)
+    gone = NodeReport(DiagnosticStatus.OK, "active", {}, now_s - STALE_S - 5.0)
+    reports = {"/cam01/camera_client": running, "/cam02/camera_client": warned, "/cam03/camera_client": gone}
+    said = states_html({**reports, "/hull_server": None}, now_s)
+    assert said.index("hull_server") < said.index("cam03") < said.index("cam01")
+    assert "no word since" in said and "(8 s)" in said and "start it again" in said
+    assert "30.0 Hz" in said and "3 frames lost" in said and "&lt;b&gt;the lens" in said and "not been heard" in said
+    assert [trouble_of(report, now_s) for report in reports.values()] == ["", "", "silent 8 s"]
+    assert trouble_of(NodeReport(DiagnosticStatus.ERROR, "no camera", {}, now_s), now_s) == "error"
