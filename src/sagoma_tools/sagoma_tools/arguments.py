@@ -1,4 +1,4 @@
-"""What several subcommands share: the graph's arguments, parameter settings, the run folder, the console."""
+"""What several subcommands share: the graph's arguments, parameter settings, the run folder."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import argparse
 import time
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
@@ -17,14 +15,6 @@ from sagoma_bringup.graph import NodeSpec, apply_settings, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
 from .takes.folder import TAKES, TakesFolder
-
-LOG_WIDTH = 150
-
-
-def table_console(*, stderr: bool = False, width: int = LOG_WIDTH) -> Console:
-    """Return a console as wide as the terminal, or ``width`` columns wide where the output goes into a file."""
-    console = Console(stderr=stderr)
-    return console if console.is_terminal else Console(stderr=stderr, width=width)
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""The ``sagoma`` command: one subcommand a module in ``commands``."""
+"""The ``sagoma`` command: one subcommand or more a module in ``commands``, loaded when they are asked for."""
 
 from __future__ import annotations
 
@@ -6,71 +6,86 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
 from capture_rig.errors import InputError
 from capture_rig.files import describe_os_error
 
-from .commands import (
-    background,
-    calibrate,
-    demo,
-    doctor,
-    evaluate,
-    export,
-    graph,
-    import_session,
-    recording,
-    smooth,
-    takes,
-    urdf,
-    view,
-)
-from .graph.supervisor import GraphError
+from .command_help import BAD_INPUT, FAILED, HELP, INTERRUPTED, NO_READER, CommandParser, describe
+from .graph.errors import GraphError
+from .narrator import Narrator
 
-COMMANDS = (
-    demo,
-    calibrate,
-    background,
-    graph,
-    recording,
-    takes,
-    smooth,
-    view,
-    evaluate,
-    export,
-    import_session,
-    urdf,
-    doctor,
-)
-GRAPH_FAILED, BAD_INPUT = 1, 2
-
-
-def build_parser() -> argparse.ArgumentParser:
-    """The parser of the whole command line; every subcommand sets ``run``, a function of the parsed arguments."""
-    parser = argparse.ArgumentParser("sagoma", description="Markerless motion capture: run, record, replay, measure.")
-    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        command.add_parser(subparsers)
-    return parser
+COMMANDS = {
+    "demo": ("demo",),
+    "calibrate": ("calibrate",),
+    "background": ("background",),
+    "graph": ("up", "start", "suspend", "stop", "studio"),
+    "recording": ("record", "replay", "compare", "recover"),
+    "takes": ("takes",),
+    "smooth": ("smooth",),
+    "view": ("view",),
+    "evaluate": ("evaluate",),
+    "export": ("export",),
+    "import_session": ("import",),
+    "urdf": ("urdf",),
+    "doctor": ("doctor",),
+}
+"""Module -> its subcommands, in the order of the help."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one subcommand; 0 when it did what it was asked, 1 when the graph failed, 2 for input it cannot use."""
-    args = build_parser().parse_args(argv)
+    """Run one subcommand; the statuses are those of docs/commands.md. Never a traceback for what a user can cause."""
     try:
-        return args.run(args)
+        try:
+            return run(list(sys.argv[1:] if argv is None else argv))
+        finally:
+            sys.stdout.flush()
     except GraphError as error:
-        print(f"sagoma: {error}", file=sys.stderr)
-        return GRAPH_FAILED
+        return _refuse(error, FAILED)
     except InputError as error:
-        print(f"sagoma: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except BrokenPipeError:  # who read our output has gone; there is nobody to tell
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BAD_INPUT
+        return _refuse(error, BAD_INPUT)
+    except KeyboardInterrupt:
+        return _refuse("interrupted", INTERRUPTED)
+    except BrokenPipeError:  # there is nobody to tell
+        _drop_output()
+        return NO_READER
     except OSError as error:  # a file or folder that cannot be used, wherever it was named
-        print(f"sagoma: {describe_os_error(error, 'cannot be used')}", file=sys.stderr)
-        return BAD_INPUT
+        return _refuse(describe_os_error(error, "cannot be used"), BAD_INPUT)
+
+
+def run(argv: list[str]) -> int:
+    """Parse the arguments, and run their command, which says what it does when it is silent for long."""
+    args, unknown = build_parser(modules_for(argv)).parse_known_args(argv)
+    command, leaf = vars(args).pop("command"), vars(args).pop("leaf")
+    if unknown:
+        leaf.error(f"unknown {' '.join(unknown)}")
+    with Narrator(f"sagoma {command}", endless=HELP[command].endless):
+        return args.run(args)
+
+
+def build_parser(modules: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """The parser of the whole command line; every subcommand sets ``run``, a function of the parsed arguments."""
+    parser = CommandParser("sagoma", description="Markerless motion capture: run, record, replay, measure.")
+    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name in modules:
+        import_module(f".commands.{name}", __package__).add_parser(subparsers)
+    describe(parser)
+    return parser
+
+
+def modules_for(argv: Sequence[str]) -> tuple[str, ...]:
+    """Return the module of the subcommand that is asked for, or all: each takes a second or two to load."""
+    return tuple(name for name, commands in COMMANDS.items() if argv and argv[0] in commands) or tuple(COMMANDS)
+
+
+def _drop_output() -> None:
+    """Let stdout lead nowhere: Python flushes it once more at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _refuse(why: object, status: int) -> int:
+    print(f"sagoma: {why}", file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":

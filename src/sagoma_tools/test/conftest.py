@@ -26,3 +26,9 @@ def _graphs_settle_soon(monkeypatch):
 def link():
     with RosLink("sagoma_test") as link:
         yield link
+
+
+@pytest.fixture(autouse=True)
+def _tables_have_room(monkeypatch):
+    """pytest-xdist sets COLUMNS, to which commands keep."""
+    monkeypatch.delenv("COLUMNS", raising=False)

@@ -24,7 +24,8 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
 from capture_rig.verdict import GOOD, REDO, USABLE
 
-from ..arguments import table_console
+from ..command_help import INTERRUPTED
+from ..console import command_console
 from ..graph.background_training import (
     TIMEOUT_S,
     TrainingOutcome,
@@ -44,7 +45,6 @@ ERROR = b"\2"
 IDLE = ("unconfigured", "configured, inactive", "suspended")
 STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
-EPILOG = "exit status: 0 all good, 1 a camera is only usable, 2 one has to be done again or did not answer"
 BRIGHTEST_SIGMA = 10.0  # grey levels of noise that the picture shows in its brightest colour
 REGION_BGR = (0, 0, 255)
 
@@ -52,7 +52,7 @@ REGION_BGR = (0, 0, 255)
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     help_text = "let the cameras of a running graph learn the empty room"
-    parser = subparsers.add_parser("background", help=help_text, epilog=EPILOG)
+    parser = subparsers.add_parser("background", help=help_text)
     option = parser.add_argument
     help_countdown = f"seconds to leave the room (default: {COUNTDOWN_S})"
     option("--countdown", type=int, default=COUNTDOWN_S, metavar="S", help=help_countdown)
@@ -73,7 +73,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Find the clients, wait for the empty room, train, report; the exit status is the worst verdict's."""
-    console = table_console()
+    console = command_console()
     with StopOnSignal() as stop, RosLink("sagoma_background") as link:
         diagnostics = DiagnosticsTable(link.node)
         names = select_clients(find_clients(link.node, args.expect, args.wait), args.cameras)
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     console.print(training_table(outcomes))
     if args.json:
         print(json.dumps(figures(outcomes)))
-    return exit_status(outcomes)
+    return INTERRUPTED if stop.is_set() else exit_status(outcomes)
 
 
 class BackgroundTraining:
@@ -230,7 +230,7 @@ def _reasons(outcome: TrainingOutcome) -> list[tuple[str, str]]:
 
 def run_show(args: argparse.Namespace) -> int:
     """Print where each saved background comes from and what can be found against it, and write its pictures."""
-    console, before = table_console(), load_background(args.against) if args.against else None
+    console, before = command_console(), load_background(args.against) if args.against else None
     for file in map(Path, args.files):
         model = load_background(file)
         console.print(provenance_table(model, str(file)))

@@ -15,8 +15,8 @@ from rig_calibration.boards.printing import PAPER_MM
 from rig_calibration.boards.specification import board_text, read_board
 from rig_calibration.intrinsics.model_choice import AUTO
 
-from ..arguments import table_console
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
+from ..console import command_console
 from . import calibrate_extrinsics
 
 INTRINSICS_FOLDER = "output/intrinsics"
@@ -49,7 +49,8 @@ def _add_intrinsics(steps: argparse._SubParsersAction) -> None:
     parser.add_argument("sources", nargs="*", metavar="SOURCE", help=help_sources)
     parser.add_argument("--topic", help="live: a camera's image topic, such as /cam01/image_raw")
     parser.add_argument("--board", required=True, help="its YAML file, or e.g. 'checkerboard 9x6 25mm' (inner corners)")
-    parser.add_argument("--model", choices=MODELS, default=AUTO, help="lens (default auto: whichever predicts better)")
+    help_model = f"lens: {', '.join(MODELS)} (the default: whichever predicts better)"
+    parser.add_argument("--model", choices=MODELS, default=AUTO, metavar="MODEL", help=help_model)
     help_output = f"folder of the results (default: {INTRINSICS_FOLDER})"
     parser.add_argument("--output", default=INTRINSICS_FOLDER, help=help_output)
     parser.add_argument("--json", action="store_true", help="the last line is the figures as JSON")
@@ -79,7 +80,7 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
     if bool(args.sources) == bool(args.topic):
         remedy = "For example: sagoma calibrate intrinsics FOLDER --board 'checkerboard 9x6 25mm'."
         raise InputError("give either footage or --topic", where="sagoma calibrate intrinsics", remedy=remedy)
-    board, console = read_board(args.board), table_console(stderr=args.json)
+    board, console = read_board(args.board), command_console(stderr=args.json)
     failures: list[InputError] = []
     if args.topic:
         from ..calibration.live_lens import calibrate_live  # ROS takes a second to load

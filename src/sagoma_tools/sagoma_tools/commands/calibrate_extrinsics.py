@@ -11,15 +11,14 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.verdict import REDO
 
-from ..arguments import table_console
 from ..calibration.rig_request import RigRequest, read_boards, read_choice, read_floor_at, read_marks, read_tape
+from ..console import command_console
 
 NOT_GOOD_ENOUGH = 1
 WIDTH = 120
 EPILOG = """\
 A SOURCE is a folder (cam01.mp4, cam02.png, cam03/*.jpg ...), one video or still, or NAME=PATH.
-The world: z up, origin on the floor in the middle of the floor board, x along its rows.
-Exit status: 0 when the verdict is good or usable, 1 when it is redo, 2 for input that cannot be used."""
+The world: z up, origin on the floor in the middle of the floor board, x along its rows."""
 
 
 def add_parser(steps: argparse._SubParsersAction) -> None:
@@ -28,7 +27,6 @@ def add_parser(steps: argparse._SubParsersAction) -> None:
         "extrinsics",
         help="where the cameras stand: a board on the floor, a board carried through the room",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_pictures(parser.add_argument_group("pictures"))
     _add_world(parser.add_argument_group("world"))
@@ -82,7 +80,7 @@ def _add_world(group: argparse._ArgumentGroup) -> None:
 def run(args: argparse.Namespace) -> int:
     """Calibrate; 0 when the rig can be used, 1 when it should be calibrated again."""
     request = request_from(args)
-    console = table_console(width=WIDTH)
+    console = command_console(width=WIDTH)
     grade = _from_cameras(request, console) if request.live else _from_footage(request, console)
     return NOT_GOOD_ENOUGH if grade == REDO else 0
 
@@ -91,7 +89,7 @@ def _from_footage(request: RigRequest, console: Console) -> str:
     from ..calibration.extrinsics import calibrate_extrinsics  # the solver and numba take a second to load
     from ..calibration.rig_detections import FootageSources
 
-    sources = FootageSources(request.floor, request.moving, request.wand, request.without, Console(stderr=True))
+    sources = FootageSources(request.floor, request.moving, request.wand, request.without, command_console(stderr=True))
     return calibrate_extrinsics(request, sources, console).verdict.grade
 
 

@@ -17,11 +17,14 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
+from ..command_help import INTERRUPTED
+from ..console import command_console
 from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInput
 from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..graph.ros_link import StopOnSignal
+from ..narrator import doing
 from ..takes.summary_file import finish_take
 
 CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out
@@ -49,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Make the session if need be, run, report; 0 when the capture is sound, however busy the machine, else 1."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    console = Console()
+    console = command_console()
     output = Path(args.output)
     session = Path(args.session) if args.session else built_in_session(output / "session", console)
     shutil.rmtree(output / "bag", ignore_errors=True)
@@ -65,6 +68,9 @@ def run(args: argparse.Namespace) -> int:
     with StopOnSignal() as stop:
         live = run_live(live_input, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
     finish_take(live.bag)
+    if stop.is_set():
+        return INTERRUPTED
+    doing("evaluating and drawing")
     outcome = evaluate_run(live)
     report(console, live, outcome.scores)
     for path in draw(live, output, outcome):
@@ -84,7 +90,8 @@ def built_in_session(folder: Path, console: Console) -> Path:
     if not (folder / "session.yaml").is_file():
         console.print(f"making a synthetic session in {folder}")
         folder.parent.mkdir(parents=True, exist_ok=True)
-        write_session(folder, ring(RING_CAMERAS, True), Body.from_stature(STATURE_M), seconds=SECONDS)
+        rig, body = ring(RING_CAMERAS, True), Body.from_stature(STATURE_M)
+        write_session(folder, rig, body, seconds=SECONDS, progress=doing("rendering frames"))
     return folder
 
 

@@ -7,10 +7,9 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from rich.console import Console
-
 from capture_rig.errors import InputError
 
+from ..console import command_console
 from ..doctor.camera import examine
 from ..doctor.findings import Finding, exit_status, show, summary
 from ..doctor.graph.graph_checks import LIVE_S, examine_graph
@@ -18,9 +17,10 @@ from ..doctor.machine.collect import examine_machine
 from ..doctor.machine.network import examine_hosts
 from ..doctor.rig_checks import examine_rig
 
-DESCRIPTION = """Examine this machine; with --rig also a rig and its calibration, with --live also the running graph,
-with --camera also a camera PC's parameter file and its camera. Exit status: 0 all is well (or notes only), 1 warnings,
-2 errors."""
+DESCRIPTION = (
+    "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "
+    "--camera also a camera PC's parameter file and its camera"
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         listed = [finding.as_dict() for finding in findings]
         print(json.dumps({"status": status, "summary": summary(findings), "findings": listed}))
     else:
-        show(findings, Console(), all_of_them=args.all)
+        show(findings, command_console(), all_of_them=args.all)
     return status
 
 

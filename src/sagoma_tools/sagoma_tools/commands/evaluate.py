@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from capture_rig.sight import Sight
@@ -18,7 +16,8 @@ from capture_rig.video_findings import VideoFacts, ended_findings
 from mocap_pipeline.configuration import Configuration
 from sagoma_bringup.first_pose import start_settings
 
-from ..arguments import add_settings_argument, add_start_argument, parse_settings, table_console
+from ..arguments import add_settings_argument, add_start_argument, parse_settings
+from ..console import command_console
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
 from ..evaluation.people import PeopleScores, main_track, score_people
 from ..evaluation.pictures import draw_stills, write_overlay
@@ -26,6 +25,7 @@ from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
 from ..evaluation.track import Track, tracks_from_bag
 from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
+from ..narrator import doing
 from ..recording.session_clock import clock_of_bag, is_bag, session_of_bag
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     everybody, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
     tracks = {name: main_track(of_all, session.truths, session.fps) for name, of_all in everybody.items()}
     evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS))
-    figures, console = evaluated.figures(), table_console(stderr=args.json, width=TABLE_WIDTH)
+    figures, console = evaluated.figures(), command_console(stderr=args.json, width=TABLE_WIDTH)
     rows = ablation_scores(session, tracks) if args.ablation else {}
     people = people_scores(session, everybody[OURS])
     if people is not None:
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             print_ablation(console, rows)
     if args.plots or args.video or not args.json:
         folder = Path(args.plots) if args.plots else Path("output/evaluate") / session.folder.name
-        for path in pictures(folder, evaluated, args.video, counter("drawing")):
+        for path in pictures(folder, evaluated, args.video, doing("drawing frames", evaluated.frames)):
             console.print(f"picture: {path}")
     if rows:
         figures["ablation"] = {
@@ -119,7 +119,7 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
     ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
     came: dict[str, VideoFacts] = {}
     tracks = track_people(
-        session, ours_first, exact_masks=args.exact_masks, progress=counter("tracking"), ended=came.update
+        session, ours_first, exact_masks=args.exact_masks, progress=doing("tracking frames"), ended=came.update
     )
     for finding in ended_findings(came):
         print(f"sagoma: {finding}", file=sys.stderr)
@@ -148,17 +148,6 @@ def pictures(folder: Path, evaluated: TrackEvaluation, video: bool, progress: Ca
         return paths
     paths += draw_stills(folder, evaluated)
     return [*paths, write_overlay(folder / "overlay.mp4", evaluated, progress)] if video else paths
-
-
-def counter(verb: str) -> Callable[[int], None]:
-    """Return a callback that shows the frame number on a terminal."""
-    console = Console(stderr=True)
-
-    def show(frame: int) -> None:
-        if console.is_terminal:
-            console.print(f"{verb} frame {frame}", end="\r")
-
-    return show
 
 
 def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:

@@ -20,12 +20,14 @@ from rich.live import Live
 from capture_rig.errors import InputError
 from virtual_studio.gige import command as studio
 
-from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, table_console
+from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder
+from ..console import command_console
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit
 from ..graph.restarts import Death, RestartPolicy, Return
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
+from ..narrator import doing, until_stopped
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.summary_file import finish_take
@@ -68,7 +70,7 @@ def up(args: argparse.Namespace) -> int:
     graph = graph_from(args)
     if args.record:
         require_new(args.record)
-    console, folder = table_console(), new_run_folder(args.run_folder, "up")
+    console, folder = command_console(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
     def tell(event: Death | Return) -> None:
@@ -87,7 +89,9 @@ def up(args: argparse.Namespace) -> int:
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
+        until_stopped("running")
         watch(supervisor, console, stop, args.seconds)
+        doing("stopping the nodes")
         supervisor.suspend()
         if recorder is not None:
             counts = recorder.close()
@@ -106,6 +110,7 @@ def bring_up(
     on_failure : called when the recording ends because of the disk.
     """
     recorder = None
+    doing(f"starting {len(supervisor.graph)} nodes")
     try:
         supervisor.configure()
         if bag:
@@ -146,7 +151,9 @@ def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
 def change_state(args: argparse.Namespace) -> int:
     """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
     with RosLink("sagoma_control") as link:
+        doing("looking for nodes")
         names = discover(link.node, args.expect, args.wait)
+        doing(f"bringing {len(names)} nodes to {args.goal.value}")
         client = LifecycleClient(link.node)
         outcome = client.bring(groups_of(names, args.cameras_first), args.goal, args.timeout)
         states = client.states(names)

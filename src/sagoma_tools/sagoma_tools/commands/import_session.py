@@ -10,6 +10,7 @@ from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedC
 
 from capture_rig.errors import InputError
 
+from ..console import command_console
 from ..importers.humaneva.importer import CAMERAS, Request, Summary, Trial, import_trial
 
 
@@ -42,7 +43,7 @@ def import_humaneva(args: argparse.Namespace) -> int:
     frames = None if args.frames is None else (args.frames[0], args.frames[1])
     trial = Trial(args.root, args.subject, args.action, args.trial)
     request = Request(trial, cameras, frames, not args.no_truth)
-    console = Console()
+    console = command_console()
     columns = TextColumn("copying"), MofNCompleteColumn(), TextColumn("frames"), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("", total=None if frames is None else frames[1] - frames[0] + 1)

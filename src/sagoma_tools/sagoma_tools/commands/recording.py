@@ -11,8 +11,10 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, parse_settings
+from ..command_help import INTERRUPTED
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
 from ..graph.topics import CLOCK_TOPIC, DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, topics_of_others
+from ..narrator import doing, until_stopped
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder, read_configuration, rig_of_configuration
@@ -79,7 +81,9 @@ def record(args: argparse.Namespace) -> int:
         recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
         recorder.follow_graph()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
+        until_stopped("recording")
         stop.wait(args.seconds)
+        doing("closing the bag")
         configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)
         counts = recorder.close(
             {"graph": configuration}, Path(args.rig) if args.rig else rig_of_configuration(configuration)
@@ -98,10 +102,11 @@ def replay(args: argparse.Namespace) -> int:
             settings = parse_settings(args.settings)
             graph = {"rig": args.rig, "body": args.body, "settings": settings, "server": args.server}
             report = replay_through_graph(args.bag, args.output, run_folder, **graph, cancel=stop)
-            return print_report(report)
+            return INTERRUPTED if stop.is_set() else print_report(report)
         with RosLink("sagoma_replayer") as link:
             if args.lockstep:
-                return print_report(lockstep_into(link.node, args.bag, cancel=stop))
+                report = lockstep_into(link.node, args.bag, cancel=stop)
+                return INTERRUPTED if stop.is_set() else print_report(report)
             return replay_timed(args, link, stop)
 
 
@@ -118,6 +123,7 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
         silhouettes = [name for name in inputs if name.endswith(SILHOUETTE_SUFFIX)]
         publishers.wait_for_subscribers(silhouettes, SUBSCRIBER_TIMEOUT_S)
     count, times, clock = 0, 0, MonotonicClock(stop)
+    doing("playing the bag")
     while not (stop.is_set() or (times and not args.loop)):
         messages = read_messages(args.bag, wanted.__contains__)
         count += play_timed(messages, publishers, clock, args.rate, simulated)
@@ -125,7 +131,7 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
         if not count:
             break
     print(f"played {count} messages on {len(wanted)} topics" + (f", in {times} rounds" if args.loop else ""))
-    return 0
+    return INTERRUPTED if stop.is_set() and not args.loop else 0
 
 
 def check_replay(args: argparse.Namespace) -> None:
@@ -163,6 +169,7 @@ def compare(args: argparse.Namespace) -> int:
     if not topics:
         remedy = "Name the topics to compare with --topics."
         raise InputError("neither bag holds an output of the graph", where=f"{args.a}, {args.b}", remedy=remedy)
+    doing(f"reading {args.a} and {args.b}")
     digests_a, digests_b = bag_digest(args.a, topics), bag_digest(args.b, topics)
     different = [topic for topic in topics if digests_a[topic] != digests_b[topic]]
     for topic in topics:

@@ -8,6 +8,7 @@ from pathlib import Path
 from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings
+from ..narrator import doing
 from ..recording.smoothing import smooth_bag
 from ..takes.summary_file import finish_take
 
@@ -24,6 +25,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Smooth the take and print how much of it has a state."""
     target = args.target or args.bag.rstrip("/") + "_smoothed"
+    doing(f"smoothing {args.bag}")
     take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
     finish_take(Path(target))
     print(f"smoothed {take.states} of {take.sets} frame sets into {target}")

@@ -14,7 +14,9 @@ from rich.table import Table
 
 from capture_rig.errors import InputError
 
-from ..arguments import add_takes_argument, chosen_take, table_console
+from ..arguments import add_takes_argument, chosen_take
+from ..console import command_console
+from ..narrator import doing
 from ..takes.exporting import EXPORTS
 from ..takes.folder import TAKES, TakesFolder
 from ..takes.measure import digests
@@ -27,7 +29,6 @@ from ..takes.video import VIDEO, write_video
 
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
 CHECK_STYLE = {OK: "green", WARNING: "yellow", ERROR: "red"}
-MESSAGES_EVERY, FRAMES_EVERY = 5000, 30
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -48,7 +49,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     for name, run, text, takes_one in (
         ("list", list_takes, "all takes, the newest first", False),
         ("show", show, "everything that is known of a take", True),
-        ("verify", check, "is all of it readable, and as it was recorded? (exit status 1 if not)", True),
+        ("verify", check, "check that all of it is readable, and as it was recorded", True),
     ):
         verb(name, run, text, takes_one).add_argument("--json", action="store_true", help="for programs")
     verb("rename", rename, "give a take another name").add_argument("name", help="the new name")
@@ -81,7 +82,7 @@ def list_takes(args: argparse.Namespace) -> int:
     if not takes:
         print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
         return 0
-    console, table = table_console(), Table(box=None, pad_edge=False)
+    console, table = command_console(), Table(box=None, pad_edge=False)
     for title in ("take", "recorded"):
         table.add_column(title, no_wrap=True)
     for title in FIGURES:
@@ -108,7 +109,7 @@ def show(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(take.document(), indent=1))
         return 0 if take.state is TakeState.WHOLE else 1
-    console = table_console()
+    console = command_console()
     console.print(f"{take.name}   {date(take)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold")
     console.print(f"  {take.path.resolve()}", highlight=False)
     if take.state is not TakeState.WHOLE:
@@ -134,7 +135,7 @@ def print_summary(console: Console, summary: Summary) -> None:
 def check(args: argparse.Namespace) -> int:
     """Print what every check found; 1 when one found an error."""
     folder, name = chosen_take(args.take, args.takes)
-    checks = verify(folder.find(name), counter("read"))
+    checks = verify(folder.find(name), doing("reading messages"))
     if args.json:
         print(json.dumps([vars(each) for each in checks], indent=1))
     else:
@@ -144,7 +145,7 @@ def check(args: argparse.Namespace) -> int:
 
 def print_checks(checks: list[Check]) -> None:
     """Print a line a check."""
-    console = table_console()
+    console = command_console()
     for each in checks:
         console.print(f"{each.grade:8s}", style=CHECK_STYLE[each.grade], end="", highlight=False)
         console.print(each.text, markup=False, highlight=False)
@@ -160,7 +161,7 @@ def rename(args: argparse.Namespace) -> int:
 def trim_take(args: argparse.Namespace) -> int:
     """Make a new take of a part."""
     folder, name = chosen_take(args.take, args.takes)
-    path = trim(folder, name, args.name, args.from_s, args.to_s, counter("copied"))
+    path = trim(folder, name, args.name, args.from_s, args.to_s, doing("copying messages"))
     made = folder.find(path.name)
     print(f"made {path}: {made.summary.quality.seconds if made.summary else made.seconds:.1f} s, {origin(made)}")
     return 0
@@ -171,8 +172,7 @@ def video(args: argparse.Namespace) -> int:
     folder, name = chosen_take(args.take, args.takes)
     take = folder.find(name)
     path = Path(args.output) if args.output else take.path / EXPORTS / VIDEO
-    count = counter("drawn", "frames", FRAMES_EVERY)
-    frames = write_video(take, path, args.cameras, args.fps, lambda frame, frames: count(frame))
+    frames = write_video(take, path, args.cameras, args.fps, doing("drawing frames"))
     print(f"{path}: {frames} frames, {path.stat().st_size / MIB:.1f} MB")
     return 0
 
@@ -224,19 +224,8 @@ def measure_anew(args: argparse.Namespace) -> int:
     if take.summary is not None and take.summary.files != digests(take.path):
         remedy = f"See `sagoma takes verify {name}`; bring the take back from a copy."
         raise InputError("its files are not those that were recorded", where=str(take.path), remedy=remedy)
-    summary = finish_take(take.path, counter("read")) if take.state is TakeState.WHOLE else None
+    summary = finish_take(take.path, doing("reading messages")) if take.state is TakeState.WHOLE else None
     if summary is None:
         raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
-    print_summary(table_console(), summary)
+    print_summary(command_console(), summary)
     return 0
-
-
-def counter(verb: str, what: str = "messages", every: int = MESSAGES_EVERY) -> Callable[[int], None]:
-    """Return a callback that shows a number on a terminal."""
-    console = Console(stderr=True)
-
-    def shown(number: int) -> None:
-        if console.is_terminal and number % every == 0:
-            console.print(f"{verb} {number} {what}", end="\r")
-
-    return shown

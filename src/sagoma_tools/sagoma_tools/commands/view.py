@@ -12,6 +12,7 @@ from capture_rig.rig import Rig, load_rig
 from ..arguments import add_takes_argument, bag_of
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.ros_link import RosLink, StopOnSignal
+from ..narrator import until_stopped
 from ..takes.folder import TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard
@@ -46,6 +47,7 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
 def run(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
     with StopOnSignal() as stop, page_of(args):
+        until_stopped("serving the page")
         stop.wait(args.seconds)
     return 0
 

@@ -23,6 +23,7 @@ from sagoma_ros.images import decode_silhouette
 from ..graph.processes import Usage
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
+from ..narrator import doing
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps
@@ -105,21 +106,26 @@ def run_live(
         live_input.open(cancel)
         graph = live_input.graph({**start_from, **(settings or {})})
         with Supervisor(graph, output / "logs", domain_id=domain_id, cancel=cancel) as supervisor:
+            doing(f"starting {len(graph)} nodes")
             supervisor.configure(tolerate_cameras=False)
             provenance = {"session": str(live_input.session.folder)}
             with GraphRecorder(graph, bag, domain_id=domain_id, provenance=provenance) as recorder:
                 recorder.wait_for_publishers()
                 supervisor.activate(tolerate_cameras=False)
+                doing("waiting until cameras and graph are in step")
                 live_input.prepare(supervisor, cancel)
                 for _ in range(TAKES):
                     live_input.settle(cancel)
                     meter = UsageMeter(supervisor, live_input)
+                    doing("playing the session")
                     clock = live_input.play(recorder, cancel)
                     meter.stop()
                     if cancel.is_set() or not live_input.disturbed:
                         break
+                doing("stopping the nodes")
                 supervisor.suspend()
                 recorder.close(**({} if clock is None else clock.provenance()))
+    doing("reading the bag")
     return _read_back(live_input, bag, meter)
 
 

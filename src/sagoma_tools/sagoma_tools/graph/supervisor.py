@@ -24,6 +24,7 @@ from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
 
 from .diagnostics_table import DiagnosticsTable
+from .errors import GraphError
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import Child, ExitStatus, Usage, busy_machine, node_command, remove_abandoned, stop_children
 from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
@@ -39,10 +40,6 @@ THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
 CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
 RESTARTING = "restarting"
-
-
-class GraphError(RuntimeError):
-    """The graph cannot run; names the failed node, its answer, and the end of its log."""
 
 
 class Supervisor:

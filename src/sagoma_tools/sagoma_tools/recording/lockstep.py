@@ -18,6 +18,7 @@ from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX, camera_topics
+from ..narrator import doing
 from .reader import SIDECAR_RIG, bag_cameras, bag_topics, frame_tolerance_ns, input_topics, read_frame_sets
 from .recorder import GraphRecorder, server_topics
 from .replayer import Answers, InputPublishers, LockstepReport, play_lockstep
@@ -71,6 +72,7 @@ def replay_through_graph(
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
     with Supervisor(graph, run_folder, domain_id=domain_id, cancel=cancel, server=server) as supervisor:
+        doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (
             GraphRecorder(
@@ -110,7 +112,8 @@ def lockstep_into(
     silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in {*cameras, *bag_cameras(bag)}]
     publishers.wait_for_subscribers(silhouettes, CONNECT_TIMEOUT_S)
     frame_sets = read_frame_sets(bag, frame_tolerance_ns(bag) if tolerance_ns is None else tolerance_ns)
-    return play_lockstep(frame_sets, publishers, answers, timeout_s=ANSWER_TIMEOUT_S, cancel=cancel)
+    done = doing("replaying frame sets")
+    return play_lockstep(frame_sets, publishers, answers, timeout_s=ANSWER_TIMEOUT_S, cancel=cancel, progress=done)
 
 
 def wait_for_listeners(node: Node, timeout_s: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -184,6 +184,7 @@ def play_lockstep(
     *,
     timeout_s: float,
     cancel: threading.Event | None = None,
+    progress: Callable[[int], None] = lambda sets: None,
 ) -> LockstepReport:
     """Publish one frame set after another, each when the EKF has answered the last.
 
@@ -201,6 +202,7 @@ def play_lockstep(
         sent.append(frame_set.stamp_ns)
         report.sets += 1
         report.last_stamp_ns = frame_set.stamp_ns
+        progress(report.sets)
         if not answers.wait_for(frame_set.stamp_ns, timeout_s):
             report.unanswered_ns.append(frame_set.stamp_ns)
             if report.sets == 1:

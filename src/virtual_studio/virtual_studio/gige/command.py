@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
+import textwrap
 import threading
 from pathlib import Path
 from typing import Any
@@ -25,14 +26,17 @@ CAMERA_FOLDER = "cameras"
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:
   status                          what every camera does
-  set [CAMERA ...] FAULT=VALUE    faults: {", ".join(FAULT_NAMES)}
+  set [CAMERA ...] FAULT=VALUE    faults:
+{textwrap.fill(", ".join(FAULT_NAMES), 78, initial_indent=" " * 6, subsequent_indent=" " * 6)}
   clear [CAMERA ...]              no faults any more
   off | on [CAMERA ...]           power (all cameras where none is named)
   room empty | occupied           for learning the background
-  show PHASE                      of a set-up: {", ".join(PHASES)}, or next
+  show PHASE                      of a set-up: next, or
+{textwrap.fill(", ".join(PHASES), 78, initial_indent=" " * 6)}
   play [once] [at_ns=N]           begin at frame 0; prints when that is
   hold                            stay at frame 0
-  pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or as a generator (0 stops it)
+  pulse | wire rate=HZ            trigger input Line1 of all cameras: once, or
+                                  as a generator (0 stops it)
 """
 
 

@@ -1,0 +1,214 @@
+"""What `--help` and docs/commands.md say of every command beside its arguments: examples and exit statuses.
+
+``python -m sagoma_tools.command_help`` prints docs/commands.md; a test holds the page to this table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+OK, FAILED, BAD_INPUT, INTERRUPTED, NO_READER = 0, 1, 2, 130, 141
+STATUSES = {
+    OK: "done",
+    FAILED: "the graph failed, or what was asked for was not reached",
+    BAD_INPUT: "input or arguments cannot be used; the message says what, where and the remedy",
+    INTERRUPTED: "interrupted by Ctrl-C (128 + SIGINT)",
+    NO_READER: "whoever read the output went away, as `head` does (128 + SIGPIPE)",
+}
+ENDED = "ended by Ctrl-C, SIGTERM or --seconds, in order"
+
+
+@dataclass(frozen=True)
+class CommandHelp:
+    """Of one command.
+
+    statuses : exit statuses that mean something of their own here.
+    endless : it runs until Ctrl-C, which is its ordinary end.
+    """
+
+    examples: tuple[str, ...]
+    statuses: Mapping[int, str] = field(default_factory=dict)
+    endless: bool = False
+
+
+SESSION, RIG, TAKE, BOARD = "my_session", "rig.yaml", "output/takes/walk1", "'checkerboard 9x6 25mm'"
+HELP: Mapping[str, CommandHelp] = {
+    "demo": CommandHelp(
+        ("demo", f"demo --session {SESSION}", "demo --rate 0"),
+        {FAILED: "the capture is not sound: too few frame sets answered, or nobody tracked; the last lines say why"},
+    ),
+    "calibrate board": CommandHelp((f"calibrate board {BOARD} --output board.pdf",)),
+    "calibrate intrinsics": CommandHelp(
+        (f"calibrate intrinsics footage/ --board {BOARD}",), {FAILED: "a camera has to be done again"}
+    ),
+    "calibrate extrinsics": CommandHelp(
+        (f"calibrate extrinsics --intrinsics output/intrinsics --floor floor/ --moving moving/ --board {BOARD}",),
+        {FAILED: "the verdict is redo"},
+    ),
+    "background": CommandHelp(
+        ("background", "background --cameras cam01 cam03 --countdown 20"),
+        {FAILED: "a camera is only usable", BAD_INPUT: "a camera has to be done again, or did not answer"},
+    ),
+    "background show": CommandHelp(("background show cam01_background.npz",)),
+    "up": CommandHelp(
+        (f"up {SESSION}", f"up --rig {RIG} --cameras config/camera --view", f"up {SESSION} --rate 0 --record {TAKE}"),
+        {OK: ENDED, FAILED: "the graph did not start, or a node did not end in order"},
+        endless=True,
+    ),
+    "start": CommandHelp(("start --expect 8",), {FAILED: "a node refused, or did not answer"}),
+    "suspend": CommandHelp(("suspend",), {FAILED: "a node refused, or did not answer"}),
+    "stop": CommandHelp(("stop",), {FAILED: "a node refused, or did not answer"}),
+    "studio": CommandHelp(("studio --write output/studio", "studio status"), {OK: ENDED}, endless=True),
+    "record": CommandHelp(
+        (f"record {TAKE} --rig {RIG}",), {OK: ENDED, FAILED: "the recording could not be kept whole"}, endless=True
+    ),
+    "replay": CommandHelp(
+        (f"replay {TAKE} --rate 0.5", f"replay {TAKE} --graph --lockstep --output output/again"),
+        {FAILED: "in lockstep: a frame set was not answered"},
+    ),
+    "compare": CommandHelp((f"compare {TAKE} output/again",), {FAILED: "the bags differ"}),
+    "recover": CommandHelp((f"recover {TAKE}",)),
+    "takes list": CommandHelp(("takes list",)),
+    "takes show": CommandHelp(("takes show walk1",), {FAILED: "the take cannot be read"}),
+    "takes verify": CommandHelp(("takes verify walk1",), {FAILED: "a check found an error"}),
+    "takes rename": CommandHelp(("takes rename walk1 anna_walk",)),
+    "takes trim": CommandHelp(("takes trim walk1 walk1_middle --from 2 --to 8",)),
+    "takes video": CommandHelp(("takes video walk1 --output walk1.mp4",)),
+    "takes delete": CommandHelp(("takes delete walk1",)),
+    "takes restore": CommandHelp(("takes restore walk1",)),
+    "takes bin": CommandHelp(("takes bin",)),
+    "takes empty": CommandHelp(("takes empty",)),
+    "takes measure": CommandHelp(("takes measure walk1",)),
+    "smooth": CommandHelp((f"smooth {TAKE}",)),
+    "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}, endless=True),
+    "evaluate": CommandHelp((f"evaluate {SESSION} --video", "evaluate output/demo/bag")),
+    "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
+    "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
+    "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
+    "doctor": CommandHelp(
+        ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open"),
+        {OK: "all is well, or notes only", FAILED: "warnings", BAD_INPUT: "errors, or arguments that cannot be used"},
+    ),
+}
+
+
+class CommandFormatter(argparse.HelpFormatter):
+    """Wraps every line of a text for itself, between words; lines that are indented stay as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        wrapped = [[line] if line[:1] in ("", " ") else self._split_lines(line, width) for line in text.splitlines()]
+        return "\n".join(indent + part for line in wrapped for part in line)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_long_words=False, break_on_hyphens=False)
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose help begins with what the command does, and whose errors say where the options are listed."""
+
+    def format_help(self) -> str:
+        """As of argparse, the description first."""
+        formatter = self._get_formatter()
+        formatter.add_text(self.description)
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        for group in self._action_groups:
+            formatter.start_section(group.title)
+            formatter.add_text(group.description)
+            formatter.add_arguments(group._group_actions)
+            formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong and where to look, and exit."""
+        self.exit(BAD_INPUT, f"sagoma: {message} (arguments of `{self.prog}`). See `{self.prog} --help`.\n")
+
+
+def describe(parser: argparse.ArgumentParser) -> None:
+    """Give every command below ``parser`` its description, examples and exit statuses."""
+    for name, leaf, text in commands_of(parser):
+        known = HELP.get(name)
+        first = leaf.description or text
+        leaf.description = first[:1].upper() + first[1:].rstrip(".") + ("" if first.endswith("?") else ".")
+        leaf.set_defaults(command=name, leaf=leaf)
+        leaf.formatter_class = CommandFormatter
+        if known is None:
+            continue
+        examples = "\n".join(f"  sagoma {example}" for example in known.examples)
+        statuses = "; ".join(f"{status} {meaning}" for status, meaning in own_statuses(known).items())
+        added = f"examples:\n{examples}\n\nexit status: {statuses}"
+        leaf.epilog = f"{leaf.epilog}\n\n{added}" if leaf.epilog else added
+
+
+def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tuple[str, argparse.ArgumentParser, str]]:
+    """Yield every command that runs by itself: its name ("takes list"), its parser, and what the list says of it."""
+    for action in parser._actions:
+        if not isinstance(action, argparse._SubParsersAction):
+            continue
+        texts = {choice.dest: choice.help or "" for choice in action._choices_actions}
+        for name, child in action.choices.items():
+            full = f"{above} {name}".strip()
+            if child.get_default("run") is not None:
+                yield full, child, texts.get(name, "")
+            yield from commands_of(child, full)
+
+
+def own_statuses(known: CommandHelp) -> dict[int, str]:
+    """Return the command's exit statuses without those that are the same for all."""
+    common = {OK: STATUSES[OK], BAD_INPUT: "input cannot be used"}
+    statuses = dict(sorted({**common, **known.statuses}.items()))
+    return statuses if known.endless else {**statuses, INTERRUPTED: "interrupted"}
+
+
+def page(parser: argparse.ArgumentParser) -> str:
+    """Return docs/commands.md."""
+    rows = []
+    for name, _, text in commands_of(parser):
+        meant = "; ".join(f"{status}: {meaning}" for status, meaning in sorted(HELP[name].statuses.items()))
+        rows.append(f"| `sagoma {name}` | {text} | {meant} |")
+    statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in STATUSES.items())
+    return PAGE.format(rows="\n".join(rows), statuses=statuses)
+
+
+PAGE = """# The commands: what all of them keep to
+
+`sagoma COMMAND --help` says what a command does, its arguments, examples and exit statuses. This page is printed from
+`sagoma_tools/command_help.py` (`python -m sagoma_tools.command_help`); a test runs over all commands and holds both.
+
+## Exit statuses
+
+| status | meaning, where the command's own line says nothing else |
+|---|---|
+{statuses}
+
+| command | does | statuses of its own |
+|---|---|---|
+{rows}
+
+Commands that run until they are stopped (`up`, `record`, `view`, `studio`) end with 0 after Ctrl-C: it is their end.
+`make demo` and `make test` hand the status of their command on.
+
+## Output
+
+- **Messages** begin with `sagoma:`, stand on stderr, and say what is wrong, where, and the remedy. Results stand on
+  stdout; `--json`, where there is one, is for programs.
+- **Progress**: a command that has been silent for three seconds says what it does and how far it is, on stderr: on a
+  terminal in one line that the next output replaces, elsewhere in a plain line every ten seconds. While it
+  runs until it is stopped, it does so on terminals only.
+- **Pipes and files** get plain text: no escape codes, no carriage returns, lines of text unbroken (grep finds them).
+- **Width**: that of the terminal, or of `COLUMNS`. No word and no path is broken; a table that does not fit becomes a
+  list of its rows. Into a file tables are 150 columns wide unless `COLUMNS` says otherwise.
+- **Colours** only on terminals; none with `NO_COLOR` set.
+- **Ctrl-C** ends a command in order: what it started is stopped, what it recorded is readable.
+"""
+
+
+if __name__ == "__main__":
+    from .cli import build_parser
+
+    sys.stdout.write(page(build_parser()))
