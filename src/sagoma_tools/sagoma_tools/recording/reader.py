@@ -39,7 +39,7 @@ from ..graph.topics import (
     cameras_in,
     person_topics,
     persons_in,
-    type_of,
+    readable_types,
 )
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -167,11 +167,11 @@ def _unreadable(bag: str | Path, error: Exception) -> InputError:
 
 
 def _check_types(reader: Reader, bag: Path) -> None:
-    """Raises InputError for a topic of the graph that has another type than the graph's."""
+    """Raises InputError for a topic of the graph that has another type than the graph's, now or once."""
     for connection in reader.connections:
-        expected = type_of(RENAMED_TOPICS.get(connection.topic, connection.topic))
-        if expected not in (None, connection.msgtype):
-            what = f"{connection.topic} holds messages of type {connection.msgtype}, not {expected}"
+        readable = readable_types(RENAMED_TOPICS.get(connection.topic, connection.topic))
+        if readable and connection.msgtype not in readable:
+            what = f"{connection.topic} holds messages of type {connection.msgtype}, not {readable[0]}"
             remedy = "Record it again, or give the topic another name when recording."
             raise InputError(what, where=str(bag), remedy=remedy)
 
