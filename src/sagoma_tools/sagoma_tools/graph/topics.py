@@ -79,7 +79,7 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
 )
 RENAMED_TOPICS = {"/hull/rims": "/hull/contour_rays"}
 """Topics of bags that older versions recorded -> their names now."""
-FORMER_TYPES = {
+FORMER_TYPES: dict[str, tuple[str, ...]] = {
     "/ekf/prediction": ("sensor_msgs/msg/JointState",),
     "joint_covariance": ("std_msgs/msg/Float64MultiArray",),
 }
