@@ -30,7 +30,8 @@ test-all: setup
 
 lint: setup
 	$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .
-	MYPYPATH=$(subst $() ,:,$(wildcard src/*)) $(PYTHON) -m mypy $(addprefix -p ,$(notdir $(wildcard src/*)))
+	@echo "mypy: the types of all packages (half a minute when nothing is cached)"
+	@MYPYPATH=$(subst $() ,:,$(wildcard src/*)) $(PYTHON) -m mypy $(addprefix -p ,$(notdir $(wildcard src/*)))
 
 colcon: setup
 	cd ros_ws && COLCON_DEFAULTS_FILE=$$PWD/colcon_defaults.yaml ../$(VENV)/bin/colcon build

@@ -5,12 +5,15 @@
 set -euo pipefail
 root=$(realpath -m "${1:?give an empty folder}")
 target=${2:-demo}
+[ "$(id -u)" = 0 ] || { echo "run this as root: it makes a Debian in $root" >&2; exit 2; }
+command -v debootstrap >/dev/null || { echo "there is no debootstrap: apt-get install debootstrap" >&2; exit 2; }
 repository=$(git -C "$(dirname "$0")" rev-parse --show-toplevel)
 
 if [ ! -d "$root/usr" ]; then
     # either form of apt's sources may be absent; without any, Debian's own mirror
     mirror=$(cat /etc/apt/sources.list /etc/apt/sources.list.d/* 2>/dev/null |
         sed -n 's/^URIs: *//p; s/^deb \(\[[^]]*\] \)\?\([^ ]*\).*/\2/p' | sed -n 1p || true)
+    echo "making a minimal Debian 12 in $root (log: $root.log)"
     debootstrap --variant=minbase --include=make,git,ca-certificates bookworm "$root" \
         "${mirror:-http://deb.debian.org/debian}" >"$root.log" 2>&1 || { tail "$root.log" >&2; exit 1; }
 fi

