@@ -1,10 +1,13 @@
 """The demo's rate: what the graph holds under load, whether the capture is sound, and what it says."""
 
 import threading
+from types import SimpleNamespace
 
 import pytest
 
 from mocap_packets.thinning import EVERY_FRAME, Thinning
+from sagoma_tools.cli import main
+from sagoma_tools.commands import demo
 from sagoma_tools.commands.demo import next_step, rate_line, unsound
 from sagoma_tools.evaluation.held_rate import LONGEST_S, SETTLED_S, HeldRate, RuleHistory
 
@@ -62,3 +65,19 @@ def test_line_says_what_was_done_and_what_else_the_machine_did():
     assert "36 Hz of the cameras' 60 Hz, and all cameras left out the same frames" in line
     assert "other programs took 55 %" in line and "load 7.3" in line
     assert "other programs take 55 %" in next_step(0.55) and "--rate 0" in next_step(0.0)
+
+
+def test_a_demo_that_tracked_nobody_on_a_busy_machine_says_so_and_fails(tmp_path, monkeypatch, capsys):
+    nobody = SimpleNamespace(
+        bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=10.0, spread_ms=0.0,
+        others=0.8, track=[], usage={}, cpu_ms_per_set={}, diagnostics={}, latency_ms={}, ages_ms={},
+        session=SimpleNamespace(fps=60.0),
+    )  # fmt: skip
+    monkeypatch.setattr(demo, "FootageInput", lambda session, rate: None)
+    monkeypatch.setattr(demo, "run_live", lambda *arguments, **options: nobody)
+    monkeypatch.setattr(demo, "finish_take", lambda bag: None)
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--session", "any", "--rate", "0"]) == 1
+    said = capsys.readouterr().out
+    assert "tracked in none of 58 frame sets; the machine is busy, other programs take 80 % of it" in said
+    assert "holds no tracked body" not in said

@@ -71,9 +71,10 @@ def run(args: argparse.Namespace) -> int:
     if stop.is_set():
         return INTERRUPTED
     doing("evaluating and drawing")
-    outcome = evaluate_run(live)
-    report(console, live, outcome.scores)
-    for path in draw(live, output, outcome):
+    outcome = evaluate_run(live) if len(live.track) else None
+    scores = outcome.scores if outcome else None
+    report(console, live, scores)
+    for path in draw(live, output, outcome) if outcome else ():
         console.print(f"picture: {path}")
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
     trouble = unsound(live.sets, live.answered, len(live.track), live.hz_held)
@@ -81,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(rate_line(fps, live.hz_held, live.others, os.getloadavg()[0]), style="bold")
     if trouble:
         console.print(f"{trouble}; {next_step(live.others)}", style="yellow")
-    print(json.dumps(figures(live, outcome.scores)))
+    print(json.dumps(figures(live, scores)))
     return 1 if trouble else 0
 
 
@@ -103,7 +104,7 @@ def unsound(sets: int, answered: int, tracked: int, hz: float) -> str:
     if answered < KEPT_UP * sets:
         return f"only {answered} of {sets} frame sets were answered"
     if tracked < TRACKED * answered:
-        return f"a person was tracked in only {tracked} of {answered} frame sets"
+        return f"a person was tracked in {f'only {tracked}' if tracked else 'none'} of {answered} frame sets"
     if hz < LEAST_HZ:
         return f"{hz:.0f} frame sets a second are too few to follow a person"
     return ""

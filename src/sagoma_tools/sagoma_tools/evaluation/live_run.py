@@ -55,7 +55,7 @@ class LiveRun:
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     others : share of the processors that other programs took meanwhile.
-    tracks : everybody's, by the person's number.
+    tracks : everybody's, by the person's number; the first person's is empty where nobody was tracked.
     """
 
     session: Session
@@ -166,6 +166,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
     ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
     points = [f"{point}_ms" for point in POINTS] if ages and live_input.in_real_time else []
     stages = sorted(measured if live_input.in_real_time else measured - AGES)
+    tracks = tracks_from_bag(bag, clock.frame_of, may_be_empty=True)
     return LiveRun(
         session=session,
         bag=bag,
@@ -182,7 +183,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
         others=meter.others,
-        tracks={n: track.between(0, clock.frames) for n, track in tracks_from_bag(bag, clock.frame_of).items()},
+        tracks={n: track.between(0, clock.frames) for n, track in tracks.items()},
     )
 
 

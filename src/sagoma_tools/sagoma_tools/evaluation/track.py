@@ -103,12 +103,17 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
     return track
 
 
-def tracks_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> dict[int, Track]:
+def tracks_from_bag(
+    bag: str | Path, frame_of_stamp: Callable[[int], int], *, may_be_empty: bool = False
+) -> dict[int, Track]:
     """Read everybody's track, by the person's number; the first person's is there, others' where they have any row.
 
-    Raises InputError as :func:`track_from_bag`.
+    Raises InputError as :func:`track_from_bag`, unless the first person's ``may_be_empty``.
     """
-    tracks = {FIRST_PERSON: track_from_bag(bag, frame_of_stamp)}
+    if may_be_empty:
+        tracks = {FIRST_PERSON: _read_track(bag, frame_of_stamp, FIRST_PREFIX)}
+    else:
+        tracks = {FIRST_PERSON: track_from_bag(bag, frame_of_stamp)}
     nodes = read_provenance(bag).get("graph", {}).values()
     first_id = first_body_id(node for node in nodes if isinstance(node, Mapping))
     others = [body_id for body_id in persons_in(bag_topics(bag)) if body_id != first_id]
