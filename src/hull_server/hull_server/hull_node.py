@@ -181,7 +181,8 @@ class HullNode(SagomaNode):
         self._closing += [self._times.close, *(publisher.close for publisher in self._supports.values())]
 
     def _subscribe(self) -> None:
-        qos = SILHOUETTE_RELIABLE_SUBSCRIBER if self.settings.reliable else SILHOUETTE_SUBSCRIBER
+        reliable = self.settings.reliable or self.settings.resend
+        qos = SILHOUETTE_RELIABLE_SUBSCRIBER if reliable else SILHOUETTE_SUBSCRIBER
         silhouettes = RESOLVED if self.settings.resolved else "silhouette"
         for camera in self._canvases:
             for kind, topic, callback in (

@@ -154,6 +154,11 @@ class NodeSettings(HullSettings):
     thin_out: bool = setting(
         True, "leave out frame sets, the same ones in all cameras, while the graph cannot process them all"
     )
+    resend: bool = setting(
+        False,
+        "have silhouettes sent again that the network lost; only with our DDS profile (docs/hosts.md): with ROS's own "
+        "heartbeats one that is lost holds up all behind it for seconds",
+    )
     reliable: bool = setting(
         False,
         "subscribe reliably, thin nothing out: for replay and lockstep; live, a lost silhouette should cost one view, "

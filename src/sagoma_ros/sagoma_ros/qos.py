@@ -1,7 +1,8 @@
 """Quality of service of every topic of the graph, in one place.
 
 Publishers are reliable (REP-2003), so that recorders miss nothing; the live hull server listens best effort, because
-a lost silhouette costs one view of one frame set while a repeated one would delay them all.
+a lost silhouette costs one view of one frame set while a repeated one would delay them all, unless heartbeats come as
+often as our DDS profile has them (parameter resend, docs/hosts.md). Queues are bounded: a dead reader costs nothing.
 """
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy

@@ -13,6 +13,7 @@ from capture_rig.files import describe_os_error
 
 from .command_help import BAD_INPUT, FAILED, HELP, INTERRUPTED, NO_READER, CommandParser, describe
 from .graph.errors import GraphError
+from .graph.network_settings import add_peers_argument, use_peers
 from .narrator import Narrator
 
 COMMANDS = {
@@ -31,6 +32,7 @@ COMMANDS = {
     "doctor": ("doctor",),
 }
 """Module -> its subcommands, in the order of the help."""
+ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "doctor"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -59,6 +61,8 @@ def run(argv: list[str]) -> int:
     command, leaf = vars(args).pop("command"), vars(args).pop("leaf")
     if unknown:
         leaf.error(f"unknown {' '.join(unknown)}")
+    if (peers := vars(args).pop("peers", None)) is not None:
+        use_peers(peers)
     with Narrator(f"sagoma {command}", endless=HELP[command].endless):
         return args.run(args)
 
@@ -69,6 +73,8 @@ def build_parser(modules: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name in modules:
         import_module(f".commands.{name}", __package__).add_parser(subparsers)
+    for name in ON_A_GRAPH & subparsers.choices.keys():
+        add_peers_argument(subparsers.choices[name])
     describe(parser)
     return parser
 

@@ -15,7 +15,10 @@ from ..doctor.findings import Finding, exit_status, show, summary
 from ..doctor.graph.graph_checks import LIVE_S, examine_graph
 from ..doctor.machine.collect import examine_machine
 from ..doctor.machine.network import examine_hosts
+from ..doctor.machine.way_probe import PORT, answer
 from ..doctor.rig_checks import examine_rig
+from ..graph.ros_link import StopOnSignal
+from ..narrator import until_stopped
 
 DESCRIPTION = (
     "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "
@@ -45,6 +48,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--seconds", type=float, default=LIVE_S, help="how long to listen (default: %(default)g)")
     help_host = "another machine of the graph: does it answer, which packets get there?"
     option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
+    option(
+        "--answer", action="store_true", help="serve another machine's --host: clock, losses, bandwidth; until Ctrl-C"
+    )
     help_bags = "where bags are written (default: %(default)s)"
     option("--bags", metavar="FOLDER", type=Path, default=Path("output"), help=help_bags)
     option("--no-machine", action="store_true", help="leave this machine out")
@@ -60,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if not 0 < args.seconds < float("inf"):
         raise InputError(f"{args.seconds:g} is no time", where="--seconds", remedy="Give seconds above 0.")
+    if args.answer:
+        return serve()
     findings = list(examined(args))
     status = exit_status(findings, args.strict)
     if args.json:
@@ -68,6 +76,15 @@ def run(args: argparse.Namespace) -> int:
     else:
         show(findings, command_console(), all_of_them=args.all)
     return status
+
+
+def serve() -> int:
+    """Answer the doctor of other machines until Ctrl-C."""
+    with StopOnSignal() as stop:
+        text = f"answering `sagoma doctor --host` on UDP port {PORT}; Ctrl-C ends it"
+        until_stopped(text)
+        answer(stop, begun=lambda: print(text, flush=True))
+    return 0
 
 
 def examined(args: argparse.Namespace) -> Iterator[Finding]:

@@ -113,6 +113,10 @@ class GraphFacts:
         """Return the node with this fully qualified name."""
         return next((node for node in self.nodes if node.name == name), None)
 
+    def domains_elsewhere(self) -> list[int]:
+        """Return the other ROS domains in which nodes are known, on whatever machine."""
+        return sorted(({one.domain for one in self.announced} | {*self.domains_here}) - {self.domain})
+
     def elsewhere(self, domain: int) -> list[str]:
         """Return the addresses of other machines with nodes in this domain."""
         return sorted({one.address for one in self.announced if one.domain == domain and one.machine != self.machine})

@@ -73,11 +73,15 @@ def check_graph(facts: GraphFacts, cameras: Sequence[str]) -> Iterator[Finding]:
 def check_camera_is_there(camera: str, facts: GraphFacts) -> Iterator[Finding]:
     """Check that a camera of the rig has its client."""
     if facts.nodes and facts.node(camera_node(camera)) is None:
+        others = [
+            f"{domain} on {', '.join(at)}" for domain in facts.domains_elsewhere() if (at := facts.elsewhere(domain))
+        ]
+        hint = f" (other nodes announce themselves in ROS_DOMAIN_ID {'; '.join(others)})" if others else ""
         yield error(
             "node.missing",
-            f"its client {camera_node(camera)} is not heard",
-            f"Start it on its machine (sagoma up --cameras FOLDER --only {camera}); the same ROS_DOMAIN_ID "
-            f"({facts.domain}) and discovery range there.",
+            f"its client {camera_node(camera)} is not heard: it does not run, or its machine vanished{hint}",
+            "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
+            f"--only {camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range.",
         )
 
 
@@ -153,17 +157,17 @@ def _no_node_heard(facts: GraphFacts) -> Finding:
 
 
 def _where_else(facts: GraphFacts) -> str:
-    domains = {one.domain for one in facts.announced} | {*facts.domains_here}
     places = []
-    for domain in sorted(domains - {facts.domain}):
+    for domain in facts.domains_elsewhere():
         at = ["this machine"] if domain in facts.domains_here else []
         places.append(f"{' and '.join([*at, *facts.elsewhere(domain)])}: {domain}")
     hint = f"Nodes run in another ROS_DOMAIN_ID ({'; '.join(places)}): export that. " if places else ""
     if facts.discovery_range in ("LOCALHOST", "OFF"):
         hint += f"ROS_AUTOMATIC_DISCOVERY_RANGE = {facts.discovery_range} hears this machine only. "
     return (
-        f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them, and "
-        "restart nodes that were started before their network was up: they never connect."
+        f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them (--peers "
+        "where the network passes no multicast), and restart nodes that were started before their network was up: they "
+        "never connect."
     )
 
 

@@ -108,7 +108,7 @@ SLOW_DISK = 20e6  # five cameras with everything recorded take 4 MB/s; a disk ha
 SMALL_SHARED_MEMORY = 128 << 20  # containers start with 64 MiB
 ABANDONED = 20
 OPEN_FILES = 1024
-ETHERNET_MTU = 1500
+ETHERNET_MTU, GIGABIT = 1500, 1000
 
 
 def check_machine(machine: MachineFacts) -> Iterator[Finding]:
@@ -263,6 +263,9 @@ def _check_interface(interface: InterfaceFacts) -> Iterator[Finding]:
         yield note(
             "network.down", f"{interface.name} is down", f"sudo ip link set {interface.name} up, if it is in use."
         )
+    elif 0 < interface.speed_mbit < GIGABIT:
+        remedy = "Enough for silhouettes, not for pictures or GigE cameras: a Cat 5e cable, gigabit ports."
+        yield warning("network.slow", text, remedy)
     elif interface.mtu < ETHERNET_MTU:
         remedy = f"sudo ip link set {interface.name} mtu {ETHERNET_MTU}, unless a tunnel wants it so."
         yield note("network.small_mtu", f"{text}: silhouettes are cut into more packets than needed", remedy)

@@ -20,7 +20,8 @@ import psutil
 
 from ..collect import collect_interface, read_number
 from ..facts import InterfaceFacts, NetworkFacts
-from ..findings import Finding, error, note, ok, on, warning
+from ..findings import Finding, error, graded, note, ok, on, warning
+from .way_probe import PINGS, Way, measure_way
 
 WMEM_MAX = Path("/proc/sys/net/core/wmem_max")
 UDP_SOCKETS = Path("/proc/net/udp")
@@ -96,6 +97,18 @@ HEADERS = 28  # IPv4 and UDP
 SMALL_BYTES = 64
 ATTEMPTS, REPLY_S = 3, 0.3
 IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore what was learned before
+CLOCK_ERROR_S, CLOCK_WARNING_S = 1 / 60, 2e-3  # a frame period at 60 Hz is a wrong set; a tenth of it shows in motion
+LOSS_LIMIT = 0.002  # one of 500 may be chance: a cable loses none
+SLOW_MBIT, FAST_MBIT = 500.0, 2000.0  # between 100 and 1000 Mbit/s; beyond what the probe's bursts can tell
+CLOCKS = "chrony or PTP on all machines, with one source: frame sets are formed by stamps. docs/hosts.md"
+LOSSES = (
+    "A cable or port that is damaged (ip -s link), Wi-Fi, a switch that is overloaded; until it is mended: "
+    "--set hull_server.resend=true with our DDS profile. docs/hosts.md"
+)
+SLOW = (
+    "Enough for silhouettes, not for pictures (calibration, previews) or GigE cameras: a cable with all eight wires "
+    "(Cat 5e), gigabit ports on both machines and the switch; ethtool shows what was agreed."
+)
 SIZES = (9000, 1500, 1400, 1280)
 
 
@@ -111,9 +124,12 @@ class ReachFacts:
 
 
 def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
-    """Examine the network paths to these machines."""
+    """Examine the network paths to these machines; where `sagoma doctor --answer` runs there, also clock and losses."""
     for address in addresses:
-        yield from on(f"machine {address}", check_reach(collect_reach(address)))
+        reach = collect_reach(address)
+        yield from on(f"machine {address}", check_reach(reach))
+        if reach.answers:
+            yield from on(f"machine {address}", check_way(measure_way(address)))
 
 
 def collect_reach(address: str) -> ReachFacts:
@@ -147,6 +163,35 @@ def check_reach(facts: ReachFacts) -> Iterator[Finding]:
         )
     if facts.interface is not None and facts.interface.loopback:
         yield note("way.local", f"{facts.address} is this machine")
+
+
+def check_way(way: Way | None) -> Iterator[Finding]:
+    """Check the other machine's clock, what gets lost on the way there and back, and the bandwidth."""
+    if way is None:
+        text = "its clock, losses and bandwidth were not measured: nothing answers there"
+        yield note("way.unmeasured", text, "Run there, meanwhile: sagoma doctor --answer")
+        return
+    off, known = abs(way.offset_s), f"+- {1e3 * way.error_s:.1f} ms"
+    size = f"{off:.2f} s" if off >= 1 else f"{1e3 * off:.1f} ms"
+    text = f"its clock is {size} {'ahead of' if way.offset_s > 0 else 'behind'} this machine's ({known})"
+    certain_s = off - way.error_s
+    yield graded(
+        "clock",
+        text,
+        (certain_s > CLOCK_ERROR_S, error, "off", CLOCKS),
+        (certain_s > CLOCK_WARNING_S, warning, "imprecise", CLOCKS),
+    )
+    text = f"{100 * way.loss:.1f} % of {PINGS} small packets did not come back"
+    yield graded("packets", text, (way.loss > LOSS_LIMIT, warning, "lost", LOSSES))
+    if way.rate_mbit is None:
+        yield warning("bandwidth.unknown", "too few packets of a burst arrive to measure the bandwidth", LOSSES)
+    else:
+        text = f"{_rate(way.rate_mbit)} get there"
+        yield graded("bandwidth", text, (way.rate_mbit < SLOW_MBIT, warning, "slow", SLOW))
+
+
+def _rate(mbit: float) -> str:
+    return f"{mbit:.0f} Mbit/s" if mbit < FAST_MBIT else f"more than {FAST_MBIT:.0f} Mbit/s"
 
 
 def _arrives(address: str, size: int) -> bool:

@@ -1,0 +1,377 @@
+"""Camera hosts and a server in a network: what arrives of 60 silhouettes a second under each fault of the network.
+
+    python bench/hosts.py                          # every condition: four camera hosts, 60 Hz
+    python bench/hosts.py --quick                  # three conditions, short
+    python bench/hosts.py --profile none           # ROS's own DDS settings, or another file than config/dds/fastdds.xml
+    python bench/hosts.py --peers                  # a network without multicast; the server's address is given
+    python bench/hosts.py --only "loss 5 %"        # conditions whose name begins so (any number of times)
+
+Needs Linux namespaces and no rights beside: nothing leaves them (namespaces.py). Real: the hull server, DDS, the
+silhouettes (the studio's person, as messages of a camera client). For the camera clients, of which five at 60 Hz are
+more than a small machine has, stand light senders (hosts_camera.py). The hull server carves coarsely and thins nothing
+out: what is measured is the way of the silhouettes into frame sets. ``complete``: frame sets with all cameras, of those
+that were exposed; latency: from exposure until the frame set is closed, p50 and p95, of all sets that were formed.
+Faults are those of the cameras' cables, one way; a rate is that of every cable. Clocks are set apart by what the sender
+stamps; the exposures are at the same instants. The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from report import Table, execute, finish, parser
+
+import numpy as np
+import psutil
+from hosts_camera import READY, write_clip
+from namespaces import Condition, World, inside, is_inside, why_not
+from scenes import studio_clip
+
+from capture_rig import save_rig
+
+CAMERAS, HZ, CLIP_S = 4, 60.0, 2.0
+SECONDS, QUICK_S, SETTLE_S = 8.0, 4.0, 1.5
+START_S, RECOVER_S, LOOK_S = 90.0, 30.0, 0.02
+CUT_S, ABSENT_S, WAY_S = 3.0, 6.0, 0.5
+WHOLE_IN_A_ROW = 6  # frame sets that are complete again after a fault: a tenth of a second
+VOXEL_M = 0.08
+SERVER, DOMAIN, OTHER_DOMAIN = "server", "7", "8"
+JUMBO = 9000
+BENCH = Path(__file__).resolve().parent
+PROFILE = BENCH.parent / "config" / "dds" / "fastdds.xml"
+NO_PROFILE = "none"
+QUICK = ("plain", "loss 5 %", "a host vanishes")
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of a condition. complete : share of the exposures that became a set of all cameras; formed : of any.
+
+    noticed_s : until the graph no longer knows the camera; recovered_s : from the fault's end until sets are whole.
+    hull_cpu, sender_cpu : cores that the hull server and one camera host's sender used.
+    """
+
+    name: str
+    complete: float
+    formed: float
+    p50_ms: float
+    p95_ms: float
+    spread_ms: float
+    noticed_s: float | None = None
+    recovered_s: float | None = None
+    hull_cpu: float | None = None
+    sender_cpu: float | None = None
+
+
+class Witness:
+    """What the listener on the server has told so far."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.sets: list[dict[str, Any]] = []
+        self.known: list[dict[str, Any]] = []
+        self.said: list[dict[str, Any]] = []
+        threading.Thread(target=self._read, args=(process.stdout,), daemon=True).start()
+
+    def _read(self, lines: Any) -> None:
+        for line in lines:
+            told = json.loads(line)
+            (self.sets if "stamp_ns" in told else self.known if "known" in told else self.said).append(told)
+
+    def figures(self, name: str, begin_ns: int, seconds: float, hz: float, **times: float | None) -> Row:
+        """Return the figures of the exposures in ``seconds`` from ``begin_ns`` on."""
+        sets = [each for each in list(self.sets) if begin_ns <= each["stamp_ns"] < begin_ns + seconds * 1e9]
+        ages = [each["received_ms"] for each in sets] or [float("nan")]
+        exposed = seconds * hz
+        return Row(
+            name,
+            sum(not each["missing"] for each in sets) / exposed,
+            len(sets) / exposed,
+            float(np.percentile(ages, 50)),
+            float(np.percentile(ages, 95)),
+            max((each["spread_ms"] for each in sets), default=float("nan")),
+            **times,
+        )
+
+    def whole_since(self, since_s: float) -> float | None:
+        """Return when sets became whole, and stayed so for a moment, after ``since_s``; None when they have not."""
+        row = 0
+        for each in list(self.sets):
+            row = row + 1 if each["at_s"] >= since_s and not each["missing"] else 0
+            if row == 1:
+                first_s = each["at_s"]
+            if row == WHOLE_IN_A_ROW:
+                return first_s
+        return None
+
+    def lost_since(self, camera: str, since_s: float) -> float | None:
+        """Return when the graph no longer knew this camera."""
+        gone = (told["at_s"] for told in list(self.known) if told["at_s"] >= since_s and camera not in told["known"])
+        return next(gone, None)
+
+
+class Drill:
+    """A world with a server and camera hosts in it, all of them running."""
+
+    def __init__(self, world: World, folder: Path, arguments: Any) -> None:
+        self.world, self.folder, self.hz, self.seconds = world, folder, arguments.hz, arguments.seconds
+        self.cameras = [name for name in world.hosts if name != SERVER]
+        self._environment = {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder), "OPENBLAS_NUM_THREADS": "1"}
+        if arguments.profile != NO_PROFILE:
+            self._environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(arguments.profile).resolve())
+        if arguments.peers:
+            peers = ";".join(host.address for host in world.hosts.values())
+            self._environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": peers}
+        self.witness = self._start_server(arguments.resend)
+        for camera in self.cameras:
+            self.start_camera(camera)
+        self.wait("the first whole frame set", lambda: self.witness.whole_since(0.0), START_S)
+
+    def _start_server(self, resend: bool) -> Witness:
+        values = {
+            "resend": str(resend).lower(),
+            "rig_file": self.folder / "rig.yaml",
+            "voxel_size_m": VOXEL_M,
+            "backend": "cpu",
+            "thin_out": "false",
+            "queue_depth": 1000,
+            "tolerance_s": 0.5 / self.hz,
+            "autostart": "true",
+        }
+        parameters = [word for key, value in values.items() for word in ("-p", f"{key}:={value}")]
+        hull = [sys.executable, "-m", "hull_server.hull_node", "--ros-args", *parameters]
+        host, log = self.world.hosts[SERVER], (self.folder / "hull_server.log").open("w")
+        host.start(hull, self._environment, stdout=log, stderr=log)
+        listener = [sys.executable, str(BENCH / "hosts_listener.py"), *self.cameras]
+        return Witness(host.start(listener, self._environment, stdout=subprocess.PIPE, text=True))
+
+    def start_camera(self, camera: str, *options: str, domain: str = DOMAIN) -> float:
+        """Start a camera's sender; returns when it had begun to send, s of the monotonic clock."""
+        command = [sys.executable, str(BENCH / "hosts_camera.py"), str(self.folder / "clip"), camera, f"{self.hz:g}"]
+        environment = {**self._environment, "ROS_DOMAIN_ID": domain}
+        sender = self.world.hosts[camera].start([*command, *options], environment, stdout=subprocess.PIPE, text=True)
+        assert sender.stdout.readline().strip() == READY, f"the sender of {camera} did not start"
+        return time.monotonic()
+
+    def wait(self, what: str, happened: Callable[[], float | None], patience_s: float = RECOVER_S) -> float | None:
+        """Return what ``happened`` returns once it does; None when it did not within ``patience_s``, and say so."""
+        deadline_s = time.monotonic() + patience_s
+        while time.monotonic() < deadline_s:
+            if (at_s := happened()) is not None:
+                return at_s
+            time.sleep(LOOK_S)
+        print(f"{what} did not come within {patience_s:g} s", flush=True)
+        return None
+
+    def measure(self, name: str, seconds: float | None = None, **times: float | None) -> Row:
+        """Let some time pass, and return its figures."""
+        begin_ns, seconds = time.time_ns(), seconds or self.seconds
+        watched = [self.world.hosts[name].processes[0].pid for name in (SERVER, self.cameras[0])]
+        before_s = [used_s(pid) for pid in watched]
+        time.sleep(seconds)
+        used = [(used_s(pid) - before) / seconds for pid, before in zip(watched, before_s, strict=True)]
+        time.sleep(WAY_S)
+        figures = {"hull_cpu": used[0], "sender_cpu": used[1], **times}
+        return self.witness.figures(name, begin_ns, seconds, self.hz, **figures)
+
+    def since_whole(self, since_s: float) -> float | None:
+        """Wait until sets are whole; return how long that took after ``since_s``."""
+        at_s = self.wait("a whole frame set", lambda: self.witness.whole_since(since_s))
+        return None if at_s is None else at_s - since_s
+
+    def restart(self, camera: str, *options: str) -> None:
+        """Start a camera's sender anew, with other options."""
+        self.world.hosts[camera].kill()
+        self.start_camera(camera, *options)
+
+
+def used_s(pid: int) -> float:
+    """Processor time of a process so far, s."""
+    times = psutil.Process(pid).cpu_times()
+    return float(times.user + times.system)
+
+
+def steady(condition: Condition, everywhere: bool = False) -> Callable[[Drill, str], list[Row]]:
+    """Return the trial of a condition of the cameras' cables, or of every cable."""
+
+    def trial(drill: Drill, name: str) -> list[Row]:
+        cables = [cable for host, cable in drill.world.cables.items() if everywhere or host != SERVER]
+        for cable in cables:
+            cable.set(condition)
+        time.sleep(SETTLE_S)
+        row = drill.measure(name)
+        for cable in cables:
+            cable.set(Condition())
+        return [row]
+
+    return trial
+
+
+def cut(drill: Drill, name: str) -> list[Row]:
+    """Cut the last camera's cable and mend it, then the server's."""
+    rows = []
+    for host in (drill.cameras[-1], SERVER):
+        cable = drill.world.cables[host]
+        cable.cut()
+        begin_ns = time.time_ns()
+        time.sleep(CUT_S)
+        cable.mend()
+        recovered_s = drill.since_whole(time.monotonic())
+        rows.append(drill.witness.figures(f"{name}, of {host}", begin_ns, CUT_S, drill.hz, recovered_s=recovered_s))
+    return rows
+
+
+def vanish(drill: Drill, name: str) -> list[Row]:
+    """Take the power of the last camera's host, and give it again."""
+    camera = drill.cameras[-1]
+    drill.world.cables[camera].cut()
+    drill.world.hosts[camera].kill()
+    gone_s = time.monotonic()
+    time.sleep(SETTLE_S)
+    row = drill.measure(name, ABSENT_S)
+    lost_s = drill.wait("the graph's notice", lambda: drill.witness.lost_since(camera, gone_s))
+    drill.world.cables[camera].mend()
+    recovered_s = drill.since_whole(drill.start_camera(camera))
+    times = {"noticed_s": None if lost_s is None else lost_s - gone_s, "recovered_s": recovered_s}
+    return [Row(**{**asdict(row), **times})]
+
+
+def apart(seconds: float) -> Callable[[Drill, str], list[Row]]:
+    """Return the trial of a clock that is ahead by so much."""
+
+    def trial(drill: Drill, name: str) -> list[Row]:
+        camera = drill.cameras[-1]
+        drill.restart(camera, "--clock", str(seconds))
+        time.sleep(SETTLE_S)
+        row = drill.measure(name)
+        drill.restart(camera)
+        return [Row(**{**asdict(row), "recovered_s": drill.since_whole(time.monotonic())})]
+
+    return trial
+
+
+def other_domain(drill: Drill, name: str) -> list[Row]:
+    """Send another graph's silhouettes beside, from every camera host, in another ROS domain."""
+    for camera in drill.cameras:
+        drill.start_camera(camera, domain=OTHER_DOMAIN)
+    time.sleep(SETTLE_S)
+    row = drill.measure(name)
+    for camera in drill.cameras:
+        drill.restart(camera)
+    return [row]
+
+
+def jumbo(drill: Drill, name: str) -> list[Row]:
+    """Let the first camera's host, whose silhouettes are the largest, send packets that the bridge does not take."""
+    camera = drill.cameras[0]
+    drill.world.cables[camera].set_host_mtu(JUMBO)
+    drill.restart(camera)
+    time.sleep(SETTLE_S)
+    row = drill.measure(name)
+    drill.world.cables[camera].set_host_mtu(None)
+    drill.restart(camera)
+    return [row]
+
+
+CONDITIONS: dict[str, Callable[[Drill, str], list[Row]]] = {
+    "plain": steady(Condition()),
+    "delay 5 ms": steady(Condition(delay_ms=5.0)),
+    "delay 20 ms": steady(Condition(delay_ms=20.0)),
+    "jitter 0 to 15 ms": steady(Condition(jitter_ms=15.0)),
+    "loss 1 %": steady(Condition(loss=0.01)),
+    "loss 5 %": steady(Condition(loss=0.05)),
+    "duplicates 5 %": steady(Condition(duplicate=0.05)),
+    "1 Gbit/s": steady(Condition(rate_mbit=1000.0), everywhere=True),
+    "100 Mbit/s": steady(Condition(rate_mbit=100.0), everywhere=True),
+    "10 Mbit/s": steady(Condition(rate_mbit=10.0), everywhere=True),
+    "cable cut for 3 s": cut,
+    "a host vanishes": vanish,
+    "clock 5 ms ahead": apart(0.005),
+    "clock 2 s ahead": apart(2.0),
+    "two ROS domains": other_domain,
+    "one host's MTU 9000": jumbo,
+}
+
+
+def trials(arguments: Any) -> dict[str, Callable[[Drill, str], list[Row]]]:
+    """Return the conditions that were asked for."""
+    asked = arguments.only or (QUICK if arguments.quick else [""])
+    return {name: trial for name, trial in CONDITIONS.items() if any(name.startswith(word) for word in asked)}
+
+
+@contextmanager
+def running(arguments: Any) -> Iterator[Drill]:
+    """The drill's hosts, all of them sending; nothing is left of them afterwards."""
+    folder = Path(tempfile.mkdtemp(prefix="sagoma_hosts_"))
+    clip = studio_clip("walk", CLIP_S, arguments.cameras)
+    save_rig(clip.rig, folder / "rig.yaml")
+    size = write_clip(folder / "clip", clip.rig, [clip.masks(frame) for frame in range(len(clip))])
+    names = [SERVER, *clip.rig.names]
+    try:
+        with World(names, seed=arguments.seed, multicast=not arguments.peers) as world:
+            print(f"{len(names)} hosts, silhouettes of {size} bytes (median), faults by {world.faults_by}", flush=True)
+            yield Drill(world, folder, arguments)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def main(arguments: Any) -> dict[str, Any]:
+    """Run the conditions one after the other."""
+    table = Table(
+        "condition:<28 | complete:>9.1% | formed:>8.1% | p50 ms:>8.1f | p95 ms:>8.1f | spread ms:>9.1f "
+        "| noticed s:>9.1f | recovered s:>11.1f | hull cpu:>8.2f | sender cpu:>10.2f",
+        markdown=arguments.markdown,
+    )
+    rows: list[Row] = []
+    with running(arguments) as drill:
+        for name, trial in trials(arguments).items():
+            for row in trial(drill, name):
+                rows.append(row)
+                table.row(*asdict(row).values())
+    return {"rows": [asdict(row) for row in rows]}
+
+
+def outside(words: Sequence[str]) -> int:
+    """Run this program in namespaces of its own."""
+    if reason := why_not():
+        print(reason)
+        return 2
+    with inside([__file__, *words]) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            print(line, end="", flush=True)
+    return process.returncode
+
+
+def arguments_of(words: Sequence[str]) -> Any:
+    """Parse the command line."""
+    given = parser(__doc__, quick=f"{', '.join(QUICK)} alone, short")
+    given.add_argument("--cameras", type=int, default=CAMERAS, help="camera hosts (default: %(default)s)")
+    given.add_argument("--hz", type=float, default=HZ, help="exposures a second (default: %(default)g)")
+    given.add_argument("--seconds", type=float, help="of every condition (default: 8; with --quick 4)")
+    given.add_argument("--only", action="append", default=[], metavar="NAME", help="conditions that begin so")
+    given.add_argument("--profile", default=str(PROFILE), metavar="XML", help=f"of Fast DDS, or '{NO_PROFILE}'")
+    given.add_argument("--peers", action="store_true", help="a network without multicast, addresses given")
+    given.add_argument("--resend", action="store_true", help="the hull server asks for silhouettes that got lost")
+    given.add_argument("--seed", type=int, default=0, help="of the packets' fates")
+    given.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    arguments = given.parse_args(words)
+    arguments.seconds = arguments.seconds or (QUICK_S if arguments.quick else SECONDS)
+    return arguments
+
+
+if __name__ == "__main__":
+    parsed = arguments_of(sys.argv[1:])
+    if not is_inside():
+        raise SystemExit(outside(sys.argv[1:]))
+    execute(lambda: finish(main(parsed)))

@@ -1,0 +1,101 @@
+"""Run by bench/namespaces.py's `inside`: a graph of two camera hosts, a fault of the network, and what the doctor says.
+
+hosts_faults.py FOLDER FAULT ... ; of each fault a line: its name, a tab, and what `sagoma doctor --json` prints.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from doctor_fake_nodes import RIG
+from namespaces import Condition, World
+
+from capture_rig import save_rig
+from sagoma_tools.graph.network_settings import PROFILE_VARIABLE, profile_file
+
+NODES = str(Path(__file__).resolve().parents[2] / "src/sagoma_tools/test/doctor_fake_nodes.py")
+SERVER, HOSTS, AWAY = "server", ("cam01", "cam02"), "cam02"
+DOMAIN, OTHER_DOMAIN, SECONDS = "3", "4", "4"
+LEAD_S = {"clock 2 s": 2.0, "clock 40 ms": 0.04}
+LIFE_S = "600"
+ANSWERS = """
+import sys, threading
+from sagoma_tools.doctor.machine.way_probe import answer
+clock = lambda now_ns: now_ns + round(1e9 * float(sys.argv[1]))
+answer(threading.Event(), clock_ns=clock, begun=lambda: print("ready", flush=True))
+"""
+
+
+def start(world, camera, environment, lead_s=0.0):
+    """Start a camera's nodes and what answers the doctor, both by a clock that is so far ahead."""
+    host = world.hosts[camera]
+    for command in ([NODES, LIFE_S, f"{camera},lead={lead_s}"], ["-c", ANSWERS, str(lead_s)]):
+        process = host.start([sys.executable, *command], environment, stdout=subprocess.PIPE, text=True)
+        assert process.stdout.readline() == "ready\n"
+
+
+def restart(world, environment, **options):
+    world.hosts[AWAY].kill()
+    start(world, AWAY, environment, **options)
+
+
+def examine(world, environment, rig):
+    """What the doctor on the server finds, of the graph and of the way to the camera that has the fault."""
+    options = [
+        "--no-machine",
+        "--json",
+        "--live",
+        "--seconds",
+        SECONDS,
+        "--rig",
+        rig,
+        "--host",
+        world.hosts[AWAY].address,
+    ]
+    command = [sys.executable, "-m", "sagoma_tools.cli", "doctor", *options]
+    doctor = world.hosts[SERVER].start(command, environment, stdout=subprocess.PIPE, text=True)
+    return doctor.communicate()[0].splitlines()[-1]
+
+
+def with_fault(fault, world, environment, rig):
+    """Bring the fault about, examine, and take it away again."""
+    cable = world.cables[AWAY]
+    if fault in LEAD_S:
+        restart(world, environment, lead_s=LEAD_S[fault])
+    elif fault == "100 Mbit/s":
+        cable.set(Condition(rate_mbit=100.0))
+    elif fault == "loss":
+        cable.set(Condition(loss=0.05))
+    elif fault == "MTU":
+        world.cables[SERVER].set_host_mtu(9000)
+    elif fault == "domain":
+        restart(world, {**environment, "ROS_DOMAIN_ID": OTHER_DOMAIN})
+    elif fault == "vanished":
+        cable.cut()
+        world.hosts[AWAY].kill()
+        time.sleep(4.0)  # the profile's lease of 3 s, and an announcement
+    found = examine(world, environment, rig)
+    cable.mend()
+    cable.set(Condition())
+    world.cables[SERVER].set_host_mtu(None)
+    if fault in (*LEAD_S, "domain", "vanished"):
+        restart(world, environment)
+    return found
+
+
+def main(folder, *faults):
+    environment = {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": folder, PROFILE_VARIABLE: str(profile_file())}
+    os.environ.update(environment)
+    rig = str(Path(folder) / "rig.yaml")
+    save_rig(RIG, rig)
+    with World([SERVER, *HOSTS]) as world:
+        for camera in HOSTS:
+            start(world, camera, environment)
+        for fault in faults:
+            print(fault, with_fault(fault, world, environment, rig), sep="\t", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,113 @@
+"""Hosts in network namespaces: what arrives of the cameras' silhouettes, and what the doctor says, under each fault."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from namespaces import Condition, inside, netem_words, tbf_words, why_not
+
+PATIENCE_S = 30.0
+ROOT = Path(__file__).resolve().parents[1]
+FAULTS = ("none", "clock 2 s", "clock 40 ms", "100 Mbit/s", "loss", "MTU", "domain", "vanished")
+AWAY, AWAY_ADDRESS = "camera cam02", "machine 10.66.0.3"
+
+
+@pytest.fixture(scope="module")
+def needs_namespaces():
+    if reason := why_not():
+        pytest.skip(reason)
+
+
+def test_conditions_in_the_words_of_the_kernel():
+    condition = Condition(delay_ms=5.0, jitter_ms=10.0, loss=0.01, duplicate=0.002)
+    assert " ".join(netem_words(condition)) == "delay 10ms 5ms loss 1% duplicate 0.2%"
+    assert condition.is_packetwise and not Condition(rate_mbit=100.0).is_packetwise
+    assert " ".join(tbf_words(Condition(rate_mbit=100.0))) == "tbf rate 100mbit burst 15000 latency 50ms"
+    assert " ".join(tbf_words(Condition(rate_mbit=1000.0))) == "tbf rate 1000mbit burst 125000 latency 50ms"
+
+
+def run_drill(*options):
+    """The rows of bench/hosts.py by name."""
+    command = [sys.executable, str(ROOT / "bench/hosts.py"), "--quick", "--cameras", "3", "--hz", "20", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500.0, check=True)
+    return {row["name"]: row for row in json.loads(done.stdout.splitlines()[-1])["rows"]}
+
+
+@pytest.mark.slow
+def test_sets_are_whole_where_silhouettes_are_sent_again_and_a_host_that_vanishes_costs_its_own_view(needs_namespaces):
+    rows = run_drill("--resend")
+    assert rows["plain"]["complete"] > 0.9
+    assert (
+        rows["loss 5 %"]["complete"] > 0.8
+    )  # 65 % of the exposures arrive whole: 0.95 ** (3 cameras * 2 or 3 packets)
+    gone = rows["a host vanishes"]
+    assert gone["complete"] == 0.0 and gone["formed"] > 0.9
+    assert gone["noticed_s"] is not None and gone["recovered_s"] is not None
+
+
+@pytest.mark.slow
+def test_hosts_find_each_other_by_unicast_where_the_network_passes_no_multicast(needs_namespaces):
+    rows = run_drill("--peers", "--only", "plain")
+    assert rows["plain"]["complete"] > 0.9
+
+
+def left_behind():
+    """Interfaces and bridges outside that are ours, of which there are none."""
+    links = subprocess.check_output(["ip", "-o", "link"], text=True)
+    return [line for line in links.splitlines() if "port1" in line or "bridge0" in line or "inner1" in line]
+
+
+@pytest.mark.slow
+def test_nothing_is_left_of_a_drill_that_was_killed(needs_namespaces):
+    command = [sys.executable, str(ROOT / "bench/hosts.py"), "--quick", "--cameras", "2", "--hz", "10"]
+    drill = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    for line in drill.stdout:
+        if line.startswith("plain"):  # everything runs
+            break
+    mine = psutil.Process(drill.pid).children(recursive=True)
+    assert len(mine) > 5
+    drill.kill()
+    drill.wait()
+    assert psutil.wait_procs(mine, PATIENCE_S)[1] == []
+    assert not left_behind()
+
+
+@pytest.fixture(scope="module")
+def said(needs_namespaces, tmp_path_factory):
+    """Of each fault, the codes of what the doctor found, by subject; and all its words."""
+    folder = str(tmp_path_factory.mktemp("faults"))
+    search = [ROOT / "bench", ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
+    path = os.pathsep.join([*map(str, search), *filter(None, [os.environ.get("PYTHONPATH")])])
+    found = {}
+    with inside([str(ROOT / "tests/support/hosts_faults.py"), folder, *FAULTS], {"PYTHONPATH": path}) as process:
+        for line in process.stdout:
+            fault, _, listed = line.partition("\t")
+            found[fault] = [(f["subject"], f["code"], f["what"], f["remedy"]) for f in json.loads(listed)["findings"]]
+    assert process.returncode == 0
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "subject", "code", "words"),
+    [
+        ("clock 2 s", AWAY_ADDRESS, "clock.off", "2.00 s ahead"),
+        ("clock 2 s", AWAY, "clock.off", "ahead of this machine's"),
+        ("clock 40 ms", AWAY_ADDRESS, "clock.off", "40."),
+        ("100 Mbit/s", AWAY_ADDRESS, "bandwidth.slow", "Mbit/s"),
+        ("loss", AWAY_ADDRESS, "packets.lost", "did not come back"),
+        ("MTU", AWAY_ADDRESS, "mtu.too_large", "9000 bytes"),
+        ("domain", AWAY, "node.missing", "ROS_DOMAIN_ID 4 on 10.66.0.3"),
+        ("vanished", AWAY, "node.missing", "its machine vanished"),
+        ("vanished", AWAY_ADDRESS, "answer.none", "does not answer"),
+    ],
+)
+def test_the_doctor_names_each_fault_of_the_network_with_a_remedy(said, fault, subject, code, words):
+    mine = [finding for finding in said[fault] if finding[:2] == (subject, code)]
+    assert mine, [finding for finding in said[fault] if not finding[1].endswith(".ok")]
+    assert words in mine[0][2] and mine[0][3]
+    assert code not in {finding[1] for finding in said["none"] if finding[0] == subject}
