@@ -90,6 +90,19 @@ def test_lamp_that_lights_a_part_of_the_room_is_taken_up_within_half_a_second(sc
     assert room.pipeline.background.light.unevenness > 0.05
 
 
+@pytest.mark.parametrize("light", [0.7, 1.0, 1.6])
+def test_lens_that_was_covered_for_a_while_gives_whole_masks_again_also_in_other_light(scene, light):
+    room, person, rng = Room(scene), scene.person_mask(), np.random.default_rng(6)
+    black = {"cap": lambda image: np.clip(np.rint(rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8)}
+    for covered in (10, 20, 30):
+        for _ in range(10):
+            room.see(1.0, person)
+        for _ in range(covered):
+            room.see(1.0, person, **black)
+        masks = [room.see(light, person).image_mask for _ in range(10)]
+        assert iou(masks[-1], person) > 0.93
+
+
 def test_mains_flicker_of_two_percent_leaves_the_masks_clean(scene):
     room, rng = Room(scene), np.random.default_rng(4)
     for _ in range(60):

@@ -169,19 +169,21 @@ class LightEstimator:
                 if len(mine) >= FEW_IN_CELL:
                     at = cell // FIELD_ACROSS, cell % FIELD_ACROSS, c
                     ratio[at] = np.median(mine)
-                    spread[at] = np.median(np.abs(mine / ratio[at] - 1))
+                    spread[at] = np.median(np.abs(mine - ratio[at])) / max(ratio[at], 1 / MOST_FIELD)
         ratio = np.log(np.clip(ratio, 1 / MOST_FIELD, MOST_FIELD))
         v, u = np.meshgrid(np.linspace(-1, 1, FIELD_DOWN), np.linspace(-1, 1, FIELD_ACROSS), indexing="ij")
         basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
-        smooth = np.empty_like(ratio)
+        smooth = np.zeros_like(ratio)
         for c in range(field.shape[2]):
             y, known = np.nan_to_num(ratio[..., c].reshape(-1)), np.isfinite(ratio[..., c].reshape(-1)) * 1.0
+            if not known.any():  # a lens that was covered: all was foreground just before, the field stays
+                continue
             weight = known
             for _ in range(6):
                 A = (basis * weight[:, None]).T @ basis + 1e-3 * np.diag([0, 1, 1, 1, 1, 1])
                 surface = basis @ np.linalg.solve(A, (basis * weight[:, None]).T @ y)
                 off = np.abs(y - surface)
-                reach = max(3 * float(np.median(off[known > 0])) if known.any() else 0.0, FIELD_REACH)
+                reach = max(3 * float(np.median(off[known > 0])), FIELD_REACH)
                 weight = known / (1 + (off / reach) ** 2) ** 2
             smooth[..., c] = surface.reshape(FIELD_DOWN, FIELD_ACROSS)
         # nearer lamps light a place by more than a smooth surface says; what covers it would not keep its texture

@@ -24,6 +24,7 @@ from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
+from ..sources.frame_checks import grid_sample, is_black
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
 from .components import PeopleRule, keep_people
@@ -85,6 +86,7 @@ class SilhouettePipeline:
         adaptive = background_settings.rule == "adaptive"
         self._evidence = EvidenceFilter(camera.height) if adaptive else None
         self._untimed_ns = 0
+        self._dark_room = is_black(grid_sample(background.mean))
 
     @property
     def gain(self) -> float:
@@ -110,9 +112,12 @@ class SilhouettePipeline:
         self._check(image)
         self._untimed_ns += round(1e9 / UNTIMED_HZ)
         now_ns = self._untimed_ns if stamp_ns is None else stamp_ns
-        self.background.follow(image, now_ns)
-        box = self._find_foreground(image, now_ns)
-        self.background.note_foreground(self._locator.dense)
+        shows_scene = self._dark_room or not is_black(grid_sample(image))
+        if shows_scene:  # a covered lens says nothing of light and noise
+            self.background.follow(image, now_ns)
+        box = self._find_foreground(image, now_ns, shows_scene)
+        if shows_scene:
+            self.background.note_foreground(self._locator.dense)
         measured = self._certainty.is_due(now_ns)
         if box.empty:
             self._certainty.note_nothing()
@@ -145,12 +150,12 @@ class SilhouettePipeline:
         if self.moved is not None:
             self.moved.take_report(report)
 
-    def _find_foreground(self, image: Image, stamp_ns: int) -> Box:
+    def _find_foreground(self, image: Image, stamp_ns: int, shows_scene: bool) -> Box:
         """Measure every pixel's distance from the background; return a box around all that may be foreground."""
         distance, limit = self.background.distance(image, self._distance), self.background.threshold
         if self.moved is not None:
             light, everywhere = self.background.light.brightness, (slice(None), slice(None))
-            if self.moved.is_due(stamp_ns):
+            if shows_scene and self.moved.is_due(stamp_ns):
                 background, sigma = self.background.expected(everywhere), self.background.noise.sigma(TYPICAL_LEVEL)
                 foreground = np.asarray(cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
                 self.moved.update(image, foreground, background, stamp_ns, light, sigma)

@@ -74,8 +74,7 @@ class FrameChecks:
         return tuple(flag for flag, yes in found if yes)
 
     def _is_dark(self, sample: npt.NDArray[np.uint8]) -> bool:
-        black = int(np.count_nonzero(sample <= DARK_LEVEL))
-        return black >= DARK_SHARE * len(sample) and self._black_share < DARK_SHARE
+        return is_black(sample) and self._black_share < DARK_SHARE
 
     def _lights_changed(self, sample: npt.NDArray[np.uint8], gain: float) -> bool:
         """Whether most pixels changed by more than the limit: neither a person nor a shadow covers half the image."""
@@ -99,6 +98,11 @@ class FrameChecks:
         self._repeats += 1
         long_s = (stamp_ns - self._same_since_ns) * 1e-9
         return self._repeats >= MIN_REPEATS and 0 < self._settings.frozen_s <= long_s
+
+
+def is_black(sample: npt.NDArray[np.uint8]) -> bool:
+    """Return whether hardly any of these grey levels is brighter than DARK_LEVEL: the lens is covered, or the room dark."""
+    return int(np.count_nonzero(sample <= DARK_LEVEL)) >= DARK_SHARE * len(sample)
 
 
 def grid_sample(image: np.ndarray) -> np.ndarray:
