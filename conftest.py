@@ -47,6 +47,8 @@ _REAL_TIME = (
     "tests/test_real_footage.py",
     "tests/test_sagoma_up.py",
     "tests/test_setup_drill.py",
+    "tests/test_soak.py",
+    "tests/test_supervision_live.py",
     "src/camera_client/test/test_camera_aravis",
     "src/virtual_studio/test/test_gige_camera_aravis",
     "src/virtual_studio/test/test_gige_timing",

@@ -3,13 +3,21 @@
 import os
 import queue
 import signal
+import threading
+import time
 
 import pytest
+from std_msgs.msg import String
 from test_supervisor_graph import camera, tiny
 
+from sagoma_bringup.processes import processes_of
+from sagoma_ros.qos import LATCHED
 from sagoma_tools.graph.processes import abandoned, owned_shared_memory, shared_memory_files
 from sagoma_tools.graph.restarts import Death, RestartPolicy, Return, exit_reason
-from sagoma_tools.graph.supervisor import Supervisor, with_kept_backgrounds
+from sagoma_tools.graph.restored_state import BODY_TOPIC, LastBody, with_kept_backgrounds
+from sagoma_tools.graph.supervisor import Supervisor
+from stick_figure.body import Body
+from stick_figure.body_file import format_body, load_body
 
 SOON = RestartPolicy(first_s=0.1, longest_s=0.1, most=2)
 PATIENCE_S = 120.0
@@ -42,6 +50,33 @@ def test_live_cameras_keep_their_background_in_the_run_folder_unless_they_have_a
     graph = with_kept_backgrounds([tiny("hull_server"), camera("cam01"), given, footage], tmp_path)
     files = [spec.parameters.get("background_file") for spec in graph]
     assert files == [None, str(tmp_path / "cam01_background.npz"), "/somewhere/cam02.npz", None]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, None),  # finds whoever comes, and learns the sizes anew
+        ({"initial_pose.source": "auto"}, None),
+        ({"initial_pose.source": "t_pose"}, "restored_body.yaml"),
+        ({"initial_pose.source": "session", "body_file": "/somewhere/body.yaml"}, "/somewhere/body.yaml"),
+    ],
+)
+def test_tracker_that_would_wait_for_a_pose_gets_its_body_back(tmp_path, link, given, expected):
+    tracker = tiny("icp_tracker").with_parameters(given)
+    body, deadline_s = LastBody(link.node, tmp_path), time.monotonic() + PATIENCE_S
+    (process,) = processes_of([tracker])
+    assert body.restored(process) == {}  # none has been heard of
+    link.node.create_publisher(String, BODY_TOPIC, LATCHED).publish(String(data=format_body(Body.from_stature(1.8))))
+    while not body.text and time.monotonic() < deadline_s:
+        threading.Event().wait(0.01)
+    assert body.text
+    restored = body.restored(process).get("/icp_tracker")
+    if expected is None:
+        assert restored is None
+        return
+    assert restored == {"initial_pose.source": "auto", "body_file": str(tmp_path / expected)}
+    if "body_file" not in given:
+        assert load_body(restored["body_file"]).stature == pytest.approx(1.8, abs=1e-3)
 
 
 @pytest.fixture()

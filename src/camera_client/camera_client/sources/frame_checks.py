@@ -101,7 +101,7 @@ class FrameChecks:
 
 
 def is_black(sample: npt.NDArray[np.uint8]) -> bool:
-    """Return whether hardly any of these grey levels is brighter than DARK_LEVEL: the lens is covered, or the room dark."""
+    """Return whether hardly any of these grey levels is brighter than DARK_LEVEL: a covered lens, or a dark room."""
     return int(np.count_nonzero(sample <= DARK_LEVEL)) >= DARK_SHARE * len(sample)
 
 

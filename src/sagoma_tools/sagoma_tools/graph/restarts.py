@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from capture_rig.errors import InputError
 from sagoma_bringup.processes import ProcessSpec
 
 SETTLE_S = 1.0  # between two looks whether a restarted process is active: it takes seconds to start
@@ -201,7 +202,7 @@ class Restarter:
             if pending.due_s is not None and pending.due_s <= self._now_s():
                 try:
                     pending.pid, pending.due_s = self._start(pending.process), None
-                except OSError:  # no memory for a process, no room for its files: perhaps later
+                except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
                     pending.due_s = self._now_s() + self._policy.longest_s
 
     def _settle(self, pending: _Pending) -> None:

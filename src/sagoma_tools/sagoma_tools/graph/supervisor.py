@@ -28,6 +28,7 @@ from .errors import GraphError
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import Child, ExitStatus, Usage, busy_machine, node_command, remove_abandoned, stop_children
 from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
+from .restored_state import LastBody, reads_file, with_kept_backgrounds
 from .ros_link import RosLink, node_names
 
 GRACE_S = 8.0
@@ -73,8 +74,8 @@ class Supervisor:
         grace_s : how long a node may take to end after SIGINT before it is killed.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         restart : once the graph is active, processes that crash are started again and become active by themselves,
-            but for cameras that read files: their place in the footage is lost. Live cameras without a background_file
-            keep theirs in the run folder, so that they find it again. None: what has died stays dead.
+            but for cameras that read files: their place in the footage is lost. What they had learnt is restored
+            (`restored_state`). None: what has died stays dead.
         """
         self.run_folder = Path(run_folder)
         self.graph = with_common_epoch(graph, time.time_ns())
@@ -92,6 +93,7 @@ class Supervisor:
         self._states: dict[str, str] = {}
         self._link: RosLink | None = None
         self._restarter: Restarter | None = None
+        self._body: LastBody | None = None
         self._shared_memory: set[str] = set()
 
     def __enter__(self) -> Supervisor:
@@ -118,6 +120,7 @@ class Supervisor:
                 (self.run_folder / f"{process.label}.log").unlink(missing_ok=True)
                 self._spawn(process)
             if self._restart is not None:
+                self._body = LastBody(self._link.node, self.run_folder)
                 self._restarter = Restarter(self._restart, self._start_again, self._is_active, self._on_event)
         except BaseException:
             self.stop()
@@ -251,14 +254,18 @@ class Supervisor:
             return "the graph is not active"
         if child.returncode == 0:
             return "somebody asked it to end"
-        if any(_reads_file(node) for node in process.nodes):
+        if any(reads_file(node) for node in process.nodes):
             return "it reads footage, and its place in it is lost"
         return ""
 
     def _start_again(self, process: ProcessSpec) -> int:
         """Start a process whose nodes become active by themselves; returns its process id."""
         remove_abandoned(self._shared_memory)  # each crash leaves megabytes in /dev/shm
-        nodes = tuple(node.with_parameters({"autostart": True}) for node in process.nodes)
+        assert self._body is not None
+        restored = self._body.restored(process)
+        nodes = tuple(
+            node.with_parameters({"autostart": True, **restored.get(node.full_name, {})}) for node in process.nodes
+        )
         return self._spawn(replace(process, nodes=nodes)).pid
 
     def _is_active(self, process: ProcessSpec) -> bool:
@@ -346,20 +353,6 @@ def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpe
         return tuple(graph)
     epoch = {"footage.epoch_ns": epoch_ns}
     return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
-
-
-def with_kept_backgrounds(graph: Sequence[NodeSpec], folder: Path) -> tuple[NodeSpec, ...]:
-    """Return the graph, the live cameras that save their background nowhere saving it into ``folder``."""
-    return tuple(
-        spec.with_parameters({"background_file": str((folder / f"{spec.label}_background.npz").resolve())})
-        if spec.role is Role.CAMERA and not _reads_file(spec) and not spec.parameters.get("background_file")
-        else spec
-        for spec in graph
-    )
-
-
-def _reads_file(spec: NodeSpec) -> bool:
-    return spec.role is Role.CAMERA and spec.parameters.get("source") == "footage"
 
 
 def _chooses_epoch(camera: NodeSpec) -> bool:

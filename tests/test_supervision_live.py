@@ -1,0 +1,95 @@
+"""Crashes in the running graph, on simulated cameras: every kind of process comes back and the person is tracked again,
+without anybody's help."""
+
+import os
+import queue
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
+from sagoma_tools.evaluation.live_inputs import StudioInput
+from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
+from sagoma_tools.graph.restarts import Death, RestartPolicy, Return
+from sagoma_tools.graph.supervisor import Supervisor
+
+CAMERA_FPS = 5.0
+PATIENCE_S = 300.0
+JOINT_STATES = "/mocap/joint_states"
+CRASHES = {
+    ONE_PROCESS: {"/cam02/camera_client": signal.SIGKILL, "/hull_server": signal.SIGSEGV},
+    THREE_PROCESSES: {
+        "/hull_server": signal.SIGKILL,
+        "/icp_tracker": signal.SIGSEGV,
+        "/ekf_tracker": signal.SIGABRT,
+        "/cam01/camera_client": signal.SIGSEGV,
+    },
+}
+
+
+class Counted:
+    """Counts the messages of a topic."""
+
+    def __init__(self, node: Node, kind: type, topic: str) -> None:
+        self._came, self._total = threading.Condition(), 0
+        self._subscription = node.create_subscription(kind, topic, self._take, 10)
+
+    def wait_for_more(self, count: int) -> bool:
+        """True as soon as so many more have come, False after PATIENCE_S."""
+        with self._came:
+            wanted = self._total + count
+            return self._came.wait_for(lambda: self._total >= wanted, PATIENCE_S)
+
+    def _take(self, message: object) -> None:
+        with self._came:
+            self._total += 1
+            self._came.notify_all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
+def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in_session: Path, tmp_path: Path):
+    told: queue.Queue[Death | Return] = queue.Queue()
+    cancel = threading.Event()
+    with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS) as studio:
+        studio.open(cancel)
+        graph = studio.graph({"hull_server.deadline_s": 2.0, "hull_server.thin_out": False})
+        with Supervisor(
+            graph, tmp_path / "run", on_event=told.put, server=server, restart=RestartPolicy(first_s=0.1)
+        ) as supervisor:
+            supervisor.configure(tolerate_cameras=False)
+            supervisor.activate(tolerate_cameras=False)
+            studio.prepare(supervisor, cancel)
+            studio.studio.ask("room", state="occupied")
+            studio.studio.ask("hold")  # whoever moves at 5 Hz is too fast to be followed
+            joints = Counted(supervisor.node, JointState, JOINT_STATES)
+            assert joints.wait_for_more(1)
+            for name, number in CRASHES[server].items():
+                os.kill(supervisor.pids()[name], number)
+                death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
+                assert f"killed by {signal.Signals(number).name}" in death.reason
+                assert name in str(back)
+                assert joints.wait_for_more(5), f"nobody is tracked after {name} crashed"
+                assert_every_camera_is_seen(supervisor.diagnostics)
+
+
+def assert_every_camera_is_seen(diagnostics: DiagnosticsTable) -> None:
+    """The hull server comes to form whole frame sets: the camera's background was found again."""
+    began_s = time.monotonic()
+    before = whole_sets(diagnostics)
+
+    def more_are_whole() -> bool:
+        report = diagnostics.report("/hull_server")
+        return report is not None and report.heard_s > began_s and whole_sets(diagnostics) > before
+
+    assert diagnostics.wait_until(more_are_whole, PATIENCE_S)
+
+
+def whole_sets(diagnostics: DiagnosticsTable) -> int:
+    report = diagnostics.report("/hull_server")
+    return 0 if report is None else int(report.values.get("sets_complete", 0))
