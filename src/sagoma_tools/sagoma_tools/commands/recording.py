@@ -13,8 +13,17 @@ from capture_rig.rig import load_rig
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, parse_settings
 from ..command_help import INTERRUPTED
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
-from ..graph.topics import CLOCK_TOPIC, DIAGNOSTICS, OUTPUT_TOPICS, SILHOUETTE_SUFFIX, camera_topics, topics_of_others
+from ..graph.topics import (
+    CLOCK_TOPIC,
+    DIAGNOSTICS,
+    OUTPUT_TOPICS,
+    SILHOUETTE_SUFFIX,
+    Topic,
+    camera_topics,
+    topics_of_others,
+)
 from ..narrator import doing, until_stopped
+from ..recording.asked_topics import AskedTopics, matches_any
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder, read_configuration, rig_of_configuration
@@ -34,6 +43,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("bag", help="folder to make")
     parser.add_argument("--rig", help="rig YAML: record its cameras from the first frame on, and copy it into the bag")
     parser.add_argument("--no-diagnostics", action="store_true", help="leave /diagnostics out")
+    parser.add_argument("--all", action="store_true", help="record every topic of the graph, of whatever nodes")
+    help_asked = "record these alone, and what is below them (/tf /tf_static /humans /cam01), as they appear"
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help=help_asked)
     parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
     parser.set_defaults(run=record)
 
@@ -69,17 +81,28 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def record(args: argparse.Namespace) -> int:
     """Record until stopped; cameras that the rig does not name, and persons, are found as they appear."""
+    if args.all and args.topics:
+        raise InputError("--all and --topics contradict each other", where="arguments", remedy="Give one of them.")
     cameras = load_rig(args.rig).names if args.rig else ()
-    topics = [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, *topics_of_others()]
+    topics: list[Topic] = [
+        *(topic for camera in cameras for topic in camera_topics(camera)),
+        *OUTPUT_TOPICS,
+        *topics_of_others(),
+    ]
     with StopOnSignal() as stop, RosLink("sagoma_recorder") as link:
 
         def report_failure(error: InputError) -> None:
             print(f"sagoma: {error}", file=sys.stderr, flush=True)
             stop.set()
 
-        topics = topics if args.no_diagnostics else [*topics, DIAGNOSTICS]
-        recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
-        recorder.follow_graph()
+        if args.all or args.topics:
+            recorder = Recorder(link.node, args.bag, (), on_failure=report_failure)
+            wanted = (lambda name: True) if args.all else matches_any(args.topics)
+            recorder.follow(AskedTopics(link.node, wanted, report_unknown))
+        else:
+            topics = topics if args.no_diagnostics else [*topics, DIAGNOSTICS]
+            recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
+            recorder.follow_graph()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         until_stopped("recording")
         stop.wait(args.seconds)
@@ -91,6 +114,11 @@ def record(args: argparse.Namespace) -> int:
     finish_take(Path(args.bag))
     print_counts(counts)
     return 0 if recorder.failure is None else 1
+
+
+def report_unknown(topic: str, msgtype: str) -> None:
+    """Say that a topic is left out."""
+    print(f"sagoma: {topic} is not recorded: its type {msgtype} is not installed here", file=sys.stderr, flush=True)
 
 
 def replay(args: argparse.Namespace) -> int:

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionMode
-from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
+from rosbags.rosbag2.storage_mcap import Channel, McapWriter, PendingChunk, write_channel, write_string
 
 from capture_rig.files import sync_folder
 
@@ -45,6 +46,17 @@ class DurableMcap(McapWriter):
         self.bio: Any = WholeFile(str(self.path), "r+b")
         self.bio.seek(0, os.SEEK_END)
         self._ended_ns = 0
+
+    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
+        """Announce a channel, with the hash of its type as rosbag2 writes it (REP-2011), which rosbags leaves out."""
+        metadata = io.BytesIO()
+        for text in ("offered_qos_profiles", offered_qos_profiles, "topic_type_hash", connection.digest):
+            write_string(metadata, text)
+        encoding = getattr(connection.ext, "serialization_format", "cdr")
+        channel = Channel(connection.id, connection.msgtype, connection.topic, encoding, metadata.getvalue())
+        self.channels.append(channel)
+        self.channel_stats[connection.id] = 0
+        write_channel(self.chunk.bio, channel, self.schemas)
 
     def close_chunk(self) -> None:
         """Write the chunk that is pending. Raises OSError; the file then ends with the chunk before."""

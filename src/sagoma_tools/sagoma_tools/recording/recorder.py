@@ -33,6 +33,8 @@ from ..graph.topics import (
     persons_in,
     topics_of_others,
 )
+from .asked_topics import AskedTopics
+from .beginnings import Beginnings
 from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
@@ -69,6 +71,7 @@ class Recorder:
         self._on_failure = on_failure
         self._subscriptions: dict[str, Any] = {}
         self._discovery: Any = None
+        self._beginnings = Beginnings()
         for topic in topics:
             self.add(topic)
 
@@ -102,6 +105,18 @@ class Recorder:
         if self._discovery is None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self._discovery = self._node.create_timer(DISCOVERY_S, lambda: self._add_newcomers(first_id), clock=steady)
+
+    def follow(self, asked: AskedTopics) -> None:
+        """Record the topics that were asked for as they appear, looking every DISCOVERY_S."""
+
+        def look() -> None:
+            for topic in asked.new():
+                self.add(topic)
+
+        look()
+        if self._discovery is None:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._discovery = self._node.create_timer(DISCOVERY_S, look, clock=steady)
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -141,7 +156,8 @@ class Recorder:
             for subscription in self._subscriptions.values():
                 self._node.destroy_subscription(subscription)
             try:
-                self._writer.describe(provenance or {}, rig)
+                several = {"beginnings": self.beginnings} if self.beginnings > 1 else {}
+                self._writer.describe({**(provenance or {}), **several}, rig)
             finally:
                 self._writer.close()
                 self.failure = self.failure or self._writer.failure
@@ -169,11 +185,24 @@ class Recorder:
                     self.failure = error
                 if stamped and len(data) >= STAMPED_BYTES:
                     self._last_stamp_ns[topic.name] = header_stamp_ns(data)
+                    self._note_beginning(topic.name)
                 self._arrived.notify_all()
             if self.failure is not None:
                 self._on_failure(self.failure)
 
         return take
+
+    def _note_beginning(self, topic: str) -> None:
+        back_s = self._beginnings.take(topic, self._last_stamp_ns[topic])
+        if back_s is not None:
+            self._node.get_logger().warning(
+                f"stamps went back by {back_s:.3f} s: the recording holds a new beginning, its number {self.beginnings}"
+            )
+
+    @property
+    def beginnings(self) -> int:
+        """How often the stamps began anew, with the start."""
+        return self._beginnings.count
 
     def _on_match(self, topic: Topic) -> Callable[[Any], None]:
         def note(info: Any) -> None:
