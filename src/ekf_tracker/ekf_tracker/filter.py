@@ -28,6 +28,7 @@ from .measurement import GateDecision, InnovationGate, Measurement, Sizes, linea
 from .motion_model import MotionModel, Transition
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
+from .torso_bend import TorsoBend
 
 NS = 1e-9
 POINT_SD_FLOOR_M = 0.001
@@ -172,7 +173,7 @@ class Track:
     """
 
     def __init__(self, body: Body, settings: EkfSettings, stamp_ns: int, z: Measurement) -> None:
-        self.body, self.settings = body, settings
+        self.settings, self._trunk = settings, TorsoBend(settings.bend)
         self.repairs = 0
         self._motion = motion_model(settings)
         self._gate = InnovationGate(settings.gate_chi2, READMIT_AFTER_SETS)
@@ -182,7 +183,8 @@ class Track:
         self._angles: np.ndarray | None = None
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
-        self._estimate = first_estimate(body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
+        self.body = self._trunk.bent(body, stamp_ns, noise)
+        self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
         self._F, self._prior = np.eye(DIMENSION), self._estimate
         self._note_measured(z, z.visible)
 
@@ -228,6 +230,7 @@ class Track:
         None when the torso's points have contradicted the prediction for so long that the track has to start anew.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
+        self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
         distances, manoeuvre = self._explain_manoeuvres(noise)
         self._prior = self._estimate
         decision = self._gate.decide(distances, z.visible)

@@ -62,6 +62,9 @@ class EkfSettings:
     constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
     identity: IdentitySettings = field(default_factory=IdentitySettings)
     measurement_bias: MeasurementBiasSettings = field(default_factory=MeasurementBiasSettings)
+    bend: float = setting(
+        1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
+    )
     gate_chi2: float = setting(
         30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0
     )

@@ -16,7 +16,7 @@ ALL = np.ones(15, bool)
 NONE = np.zeros(15, bool)
 
 NO_BIAS = MeasurementBiasSettings(share=0.0, joints=0.0)
-WHITE = EkfSettings(measurement_bias=NO_BIAS)
+WHITE = EkfSettings(measurement_bias=NO_BIAS, bend=0.0)
 """For points whose errors are new in every set, as the simulated ones' are."""
 
 BENT_ANGLES = T_POSE_ANGLES.copy()

@@ -24,7 +24,7 @@ def run_with_biased_pose(body, seed, lasting, tau_s=0.5, sd=0.03, frames=240):
     points and the true poses.
     """
     rng, person = np.random.default_rng(seed), Person(body, seed, speed=0.7)
-    ekf, decay = ArticulatedEkf(body, EkfSettings(measurement_bias=lasting)), np.exp(-1 / (60 * tau_s))
+    ekf, decay = ArticulatedEkf(body, EkfSettings(measurement_bias=lasting, bend=0.0)), np.exp(-1 / (60 * tau_s))
     slots = np.full(24, 0.06)
     slots[:3] = 0.02
     stray, states, truth, poses = slots * rng.standard_normal(24), [], [], []
@@ -67,9 +67,9 @@ def test_joints_whose_errors_last_fit_their_covariance(body):
 
 def test_joints_that_lie_elsewhere_widen_the_covariance_and_leave_the_estimate(body, person):
     rng = [np.random.default_rng(3) for _ in range(2)]
-    joints = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, joints=1.0))
+    joints = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, joints=1.0), bend=0.0)
     lasting, _ = run(ArticulatedEkf(body, joints), person, 60, rng=rng[0])
-    fleeting, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS)), person, 60, rng=rng[1])
+    fleeting, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0)), person, 60, rng=rng[1])
     for a, b in zip(lasting, fleeting, strict=True):
         np.testing.assert_array_equal(a.points_world, b.points_world)
         np.testing.assert_array_equal(a.velocity, b.velocity)
@@ -79,15 +79,15 @@ def test_joints_that_lie_elsewhere_widen_the_covariance_and_leave_the_estimate(b
 
 @pytest.mark.parametrize("sets", [10, 200])
 def test_no_number_of_sets_brings_a_point_below_what_lasts(body, person, sets):
-    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.9, joints=0.0))
+    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.9, joints=0.0), bend=0.0)
     states, _ = run(ArticulatedEkf(body, settings), person, sets, noise=0.02)
     assert np.sqrt(np.linalg.eigvalsh(states[-1].point_covariance)[:, 0]).min() > 0.02 * np.sqrt(0.9)
 
 
 def test_a_joint_lies_elsewhere_along_the_axes_of_its_own_stick(body, person):
-    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, joints=2.0))
+    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, joints=2.0), bend=0.0)
     with_joints, _ = run(ArticulatedEkf(body, settings), person, 40)
-    without, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS)), person, 40)
+    without, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0)), person, 40)
     added = with_joints[-1].point_covariance - without[-1].point_covariance
     forward, left, up = with_joints[-1].pose.R_world_torso.T
     for axis, sd in zip((forward, left, up), JOINT_SD_M[HIP], strict=True):
@@ -99,7 +99,7 @@ def test_gain_follows_what_is_new_in_a_set_and_not_what_lasts(body):
     person = Person(body, 2, speed=3.0)
     errors = {}
     for share in (0.0, 0.95):
-        settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=share, joints=0.0))
+        settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=share, joints=0.0), bend=0.0)
         rng, ekf, found = np.random.default_rng(5), ArticulatedEkf(body, settings), []
         for k in range(90):
             measured = person.points(k / 60) + 0.002 * rng.standard_normal((15, 3))
@@ -122,7 +122,7 @@ def test_slots_that_no_point_bears_on_are_not_widened(body, person):
     visible[[HAND, POINT_NAMES.index("left_elbow")]] = False
     states, _ = run(ArticulatedEkf(body), person, 20, visible=lambda k: visible)
     fleeting, _ = run(
-        ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS)), person, 20, visible=lambda k: visible
+        ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0)), person, 20, visible=lambda k: visible
     )
     shoulder = [8, 12, 10, 14]
     np.testing.assert_allclose(

@@ -34,7 +34,7 @@ from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import POINT_NAMES, TORSO_POINTS
 
-IDENTITY = EkfSettings(motion_model="identity", measurement_bias=NO_BIAS)
+IDENTITY = EkfSettings(motion_model="identity", measurement_bias=NO_BIAS, bend=0.0)
 SETTLED = 30
 JOINT_SLOTS = [row[row >= 0] for row in SLOT_OF_JOINT_AXIS] + [[slot] for slot in HINGE_SLOT]
 HAND, ELBOW = POINT_NAMES.index("left_hand"), POINT_NAMES.index("left_elbow")
@@ -61,7 +61,7 @@ def test_constant_velocity_beats_the_identity_model_on_smooth_motion(body, speed
 def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(body, model):
     inside = []
     for seed in range(3):
-        settings = EkfSettings(motion_model=model, measurement_bias=NO_BIAS)
+        settings = EkfSettings(motion_model=model, measurement_bias=NO_BIAS, bend=0.0)
         states, truth = run(ArticulatedEkf(body, settings), Person(body, seed), 300)
         covariances = np.array([s.point_covariance for s in states[SETTLED:]])
         errors = np.array([s.points_world for s in states[SETTLED:]]) - truth[SETTLED:]
@@ -72,7 +72,9 @@ def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(bo
 def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body):
     """NEES over all 48 slots and NIS of the points, on motion drawn from the motion model itself."""
     gentle = DampedVelocitySettings(torso_rad_s2=15.0, ball_joints_rad_s2=15.0, hinges_rad_s2=8.0)
-    settings = EkfSettings(constant_velocity=gentle, gate_chi2=1e6, measurement_bias=NO_BIAS, limit_sd_rad=0.0)
+    settings = EkfSettings(
+        constant_velocity=gentle, gate_chi2=1e6, measurement_bias=NO_BIAS, bend=0.0, limit_sd_rad=0.0
+    )
     F, Q = dense_matrices(DampedVelocity((8.0, 15.0, 15.0, 8.0)).transition(1 / 60))
     Q_half = np.linalg.cholesky(Q)
     nees, nis = [], []
@@ -229,7 +231,7 @@ def test_gap_is_the_same_whether_sets_are_missing_or_empty(body, person):
 
 
 def test_body_out_of_sight_stops_being_extrapolated(body, person):
-    settings = EkfSettings(coast_s=0.1, measurement_bias=NO_BIAS)
+    settings = EkfSettings(coast_s=0.1, measurement_bias=NO_BIAS, bend=0.0)
     states, _ = run(ArticulatedEkf(body, settings), person, 80, visible=lambda k: ALL if k < 40 else NONE)
     points = np.array([s.points_world for s in states])
     moved_mm = 1e3 * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
@@ -255,7 +257,10 @@ def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(bod
         return NONE if 30 <= k < 110 else ALL
 
     states, truth = run(
-        ArticulatedEkf(body, EkfSettings(lost_after_s=1.0, measurement_bias=NO_BIAS)), person, 130, visible=visible
+        ArticulatedEkf(body, EkfSettings(lost_after_s=1.0, measurement_bias=NO_BIAS, bend=0.0)),
+        person,
+        130,
+        visible=visible,
     )
     assert states[29].tracking == Tracking.TRACKING
     assert states[30].tracking == Tracking.DOUBTFUL and "no visible point" in states[30].reason
@@ -304,7 +309,7 @@ def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_roun
     poses = straightening(body, 90, 0.75)
     assert poses[0].hinges[0] < -0.8 and poses[-1].hinges[0] > 0.8
     ekf = ArticulatedEkf(
-        body, EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS)
+        body, EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS, bend=0.0)
     )  # no shoulder turns that far, but the test wants to
     rng, errors = np.random.default_rng(2), []
     for k, pose in enumerate(poses):
@@ -321,7 +326,7 @@ def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_roun
 def test_covariance_stays_positive_definite_over_2000_sets_with_twists_nobody_sees(body):
     """Random motion, arms and legs straight half of the time, points coming and going."""
     rng = np.random.default_rng(9)
-    ekf = ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS))
+    ekf = ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0))
     person = Person(body, 4, speed=1.5)
     for k in range(2000):
         pose = person.pose(k / 60)

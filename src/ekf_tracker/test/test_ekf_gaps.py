@@ -42,7 +42,7 @@ def test_body_is_tracked_again_with_the_first_set_after_a_gap(body, missing, set
 
 @pytest.mark.parametrize(("missing", "limit_mm"), [(1, 25.0), (10, 200.0), (59, 500.0)])
 def test_estimate_coasts_within_bounds_and_claims_no_more_than_it_knows(body, missing, limit_mm):
-    settings, inside, errors, spreads = EkfSettings(measurement_bias=NO_BIAS), [], [], []
+    settings, inside, errors, spreads = EkfSettings(measurement_bias=NO_BIAS, bend=0.0), [], [], []
     for seed in range(4):
         states, truth = through_gap(body, seed, missing, True, settings)
         last, error = states[GAP_AT + missing - 1], states[GAP_AT + missing - 1].points_world

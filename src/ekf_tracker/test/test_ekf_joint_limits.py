@@ -15,8 +15,8 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 MARGIN = 0.15
-NO_LIMITS = EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS)
-TIGHT = EkfSettings(limit_sd_rad=0.05, measurement_bias=NO_BIAS)
+NO_LIMITS = EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS, bend=0.0)
+TIGHT = EkfSettings(limit_sd_rad=0.05, measurement_bias=NO_BIAS, bend=0.0)
 PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
 
 

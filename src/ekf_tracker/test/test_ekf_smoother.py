@@ -13,7 +13,7 @@ from mocap_packets.state import NoState
 from stick_figure.skeleton import POINT_NAMES
 
 NOISE, SETTLED = 0.01, 20
-WHITE = EkfSettings(measurement_bias=NO_BIAS)
+WHITE = EkfSettings(measurement_bias=NO_BIAS, bend=0.0)
 ARM = [POINT_NAMES.index("left_elbow"), POINT_NAMES.index("left_hand")]
 
 

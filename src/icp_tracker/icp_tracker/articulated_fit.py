@@ -118,6 +118,9 @@ class ContourSettings:
         unit="rad",
         low=0.0,
     )
+    bend: float = setting(
+        1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
+    )
 
 
 @dataclass(frozen=True)

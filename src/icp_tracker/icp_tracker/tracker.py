@@ -30,6 +30,7 @@ from .monitor.evidence import evidence_of
 from .monitor.track_monitor import Examination, TrackMonitor
 from .monitor.track_quality import widened_covariance
 from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
+from .refinement.trunk_bend import TrunkBend
 from .settings import IcpNodeSettings, TrackerSettings
 from .thesis.hierarchical_icp import fit_hierarchical
 
@@ -67,6 +68,7 @@ class IcpTracker:
     def reset(self) -> None:
         """Forget the pose and look for a first one again."""
         self._body: Body | None = None
+        self._trunk = TrunkBend(self._settings.articulated)
         self._pose: Pose | None = None
         self._refiner: BodyRefiner | None = None
         self._monitor.reset()
@@ -136,7 +138,7 @@ class IcpTracker:
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
-            fit = self._follow(self._body, self._pose, seen, prediction, learn)
+            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
         return replace(fit, dropped_points=dropped)
 
     def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
@@ -157,7 +159,10 @@ class IcpTracker:
         if found.better is not None or found.quality.state == LOST:
             self._own = OwnStart(seen.stamp_ns)
         self._pose = fit.pose
-        return self._judged(seen.stamp_ns, started_from, fit, found)
+        judged = self._judged(seen.stamp_ns, started_from, fit, found)
+        if found.better is None and found.quality.state == GOOD and self._body is not None:
+            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays)
+        return judged
 
     def _start(self, body: Body, own: Pose, stamp_ns: int, prediction: Prediction | None) -> tuple[Pose, str]:
         """Return the pose to start from, and whose it is: the filter's prediction, or the own of the set before."""
@@ -200,17 +205,21 @@ class IcpTracker:
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
         """Return the fit, done again with a better known body when there is one."""
-        body = None if self._refiner is None else self._refiner.step(stamp_ns, fit.pose, data.contour_rays)
+        body = (
+            None
+            if self._refiner is None
+            else self._refiner.step(stamp_ns, fit.pose, data.contour_rays, self._trunk.bend)
+        )
         if body is None:
             return fit
         self._body = body
-        return self._solve(body, fit.pose, data)
+        return self._solve(self._trunk.of(body), fit.pose, data)
 
     def _judged(self, stamp_ns: int, started_from: str, fit: FitResult, found: Examination) -> Fit:
         """Return the fit with what the monitor says of it."""
         assert self._body is not None
         quality = found.quality
-        hypothesis = None if found.hypothesis is None else forward(self._body, found.hypothesis)
+        hypothesis = None if found.hypothesis is None else forward(self._trunk.of(self._body), found.hypothesis)
         points = fit.reference_points_world
         covariance = widened_covariance(self._with_sizes(fit), quality, points, hypothesis, found.spread)
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
@@ -250,11 +259,12 @@ class IcpTracker:
         settings, body = self._settings, found.body
         if body is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
             return None
+        prior, bend = settings.articulated.prior, settings.articulated.contour.bend
         if found.estimate is None:
             if body.build.any():
                 return None
-            return BodyRefiner(known_sizes(body), settings.refinement, settings.articulated.prior, body)
-        return BodyRefiner(found.estimate, settings.refinement, settings.articulated.prior)
+            return BodyRefiner(known_sizes(body), settings.refinement, prior, body, bend)
+        return BodyRefiner(found.estimate, settings.refinement, prior, bend=bend)
 
 
 def make_tracker(settings: IcpNodeSettings, sight: Sight | None = None) -> IcpTracker:

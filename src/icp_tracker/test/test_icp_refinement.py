@@ -11,12 +11,12 @@ from icp_tracker.acquisition.initial_pose import InitialPose
 from icp_tracker.articulated_fit import PriorSettings
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
-from icp_tracker.refinement.shape import SIZE, ShapeModel, ShapePrior, body_of, contour_system
+from icp_tracker.refinement.shape import POSE, SIZE, ShapeModel, ShapePrior, body_of, contour_system
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.placed_figure import State, place
+from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 H = 1.75
@@ -56,7 +56,7 @@ def test_sizes_converge_to_the_body_that_made_the_rays_when_all_joints_bend():
     before, after = np.abs(estimate.sizes - truth[SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
     assert before.mean() > 0.008
     assert after.mean() < 0.5 * before.mean()  # the build is to be told from the same rays
-    assert after.max() < 0.015
+    assert after.max() < 0.022  # shoulders that may move leave the head and trunk less certain
 
 
 def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it():
@@ -74,7 +74,7 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
         return np.sqrt(split @ covariance @ split)
 
     assert sd(held.refined.estimate.covariance) > 0.75 * sd(estimate.covariance)
-    assert sd(moved.refined.estimate.covariance) < 0.5 * sd(estimate.covariance)
+    assert sd(moved.refined.estimate.covariance) < 0.55 * sd(estimate.covariance)
 
 
 @pytest.mark.slow
@@ -154,15 +154,16 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
     body, pose = body_of(truth), made.moving_pose(rng)
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng, each=6)
     values = ShapePrior.of(estimate, 1.0).mean
-    model, n = ShapeModel(values), 24 + len(values)
+    model, n = ShapeModel(values), POSE + len(values)
     H_, g = np.empty((n, n)), np.empty(n)
     wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
-    contour_system(contour_rays, place(State.of(pose), model.at(values)), model.derivatives, wide, H_, g)
+    contour_system(contour_rays, place(State.of(pose), model.at(values)), model.arrays, wide, H_, g)
 
     matches = matched(contour_rays, *capsules_at(values, pose))
 
     def cost(step):
-        return sum_of_squares(contour_rays, matches, *capsules_at(values + step[24:], pose.retract(step[:24])))
+        moved = capsules_at(values + step[POSE:], pose.retract(step[:24]), step[24:POSE])
+        return sum_of_squares(contour_rays, matches, *moved)
 
     for k in range(n):
         step = np.zeros(n)
@@ -171,9 +172,11 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
         assert -2.0 * g[k] == pytest.approx(slope, rel=2e-3, abs=1e-3 * np.abs(g).max())
 
 
-def capsules_at(values, pose):
+def capsules_at(values, pose, bend=None):
     body = body_of(values)
-    surface = BodySurface.of(body)
+    if bend is not None:
+        body = body.bent(bend)
+    surface = Figure.of(body).surface
     return *made.capsules_world(body, surface, pose), surface.radii
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,9 @@ _HIP_CENTRES_OVER_PELVIS = 0.72
 BUILD_NUMBERS = 14
 """How many numbers say how a body's surface differs from that of others of its lengths (`build.py`)."""
 
+BEND_NUMBERS = 6
+"""How many numbers say how the trunk is bent (`trunk_bend.py`)."""
+
 _LIMBS = ((1,), (2, 3), (4, 5), (6, 7), (8, 9))
 _STICK_POINTS = ((-1, -1), (2, 1), (3, 7), (4, 8), (5, 9), (6, 10), (7, 11), (8, 12), (9, 13), (10, 14))
 
@@ -40,6 +43,8 @@ class Body:
     shoulder_height_ratio   d_s: height of the shoulders above the torso's centre over half its length
     hip_width_ratio         d_H: distance of the hips over that of the shoulders
     build (BUILD_NUMBERS,)  how the surface differs from the average of these lengths, in units of how people differ
+    bend (BEND_NUMBERS,)    how the trunk is bent in one instant; see `trunk_bend`
+    unbent                  the same body at rest; None of a body that is
 
     Raises InputError when a size is not a positive finite number.
     """
@@ -49,6 +54,8 @@ class Body:
     shoulder_height_ratio: float = SHOULDER_HEIGHT_RATIO
     hip_width_ratio: float = HIP_WIDTH_RATIO
     build: Array = field(default_factory=lambda: np.zeros(BUILD_NUMBERS))
+    bend: Array = field(default_factory=lambda: np.zeros(BEND_NUMBERS))
+    unbent: Body | None = None
 
     def __post_init__(self) -> None:
         half_lengths = np.array(self.half_lengths, dtype=np.float64)
@@ -64,6 +71,16 @@ class Body:
         for name in ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio"):
             object.__setattr__(self, name, _check_size(name, getattr(self, name)))
 
+    @property
+    def straight(self) -> Body:
+        """The body with its trunk at rest: itself when it is."""
+        return self.unbent or self
+
+    def bent(self, bend: Array) -> Body:
+        """Return this body with its trunk bent so (BEND_NUMBERS,), rad and m."""
+        straight = self.straight
+        return replace(straight, bend=np.array(bend, dtype=np.float64), unbent=straight)
+
     @cached_property
     def lengths(self) -> Array:
         """(10,) full stick lengths, metres."""
@@ -78,6 +95,10 @@ class Body:
         origins[0], origins[1] = (0, 0, -h), (0, 0, h)
         origins[2], origins[3] = (0, w, shoulder), (0, -w, shoulder)
         origins[4], origins[5] = (0, hip, -h), (0, -hip, -h)
+        if self.unbent is not None:
+            from .trunk_bend import bend_derivatives
+
+            origins += bend_derivatives(self.unbent)[0] @ self.bend
         return origins
 
     @cached_property

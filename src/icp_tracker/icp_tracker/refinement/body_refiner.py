@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
-from stick_figure.body import Body
+from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.trunk_bend import REST_SD
 
 from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import PriorSettings
@@ -75,6 +76,8 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
 
 
 NS_PER_S = 1e9
+AT_REST = np.zeros(BEND_NUMBERS)
+STIFF = 1e-3  # over how far a trunk bends: one that does not
 GIVEN_SD_M = 0.001  # sizes that were given are kept
 LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
 
@@ -92,13 +95,21 @@ class BodyRefiner:
     """Collects poses and refines one body. Deterministic."""
 
     def __init__(
-        self, estimate: BodyEstimate, settings: RefinementSettings, pose_prior: PriorSettings, given: Body | None = None
+        self,
+        estimate: BodyEstimate,
+        settings: RefinementSettings,
+        pose_prior: PriorSettings,
+        given: Body | None = None,
+        bend: float = 1.0,
     ) -> None:
-        """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt."""
+        """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt.
+        ``bend`` : how far its trunk bends, over what is usual."""
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
         neck, limit = _information(pose_prior.neck_sd), _information(pose_prior.limit_sd)
-        self._pose_prior = PosePrior(pose_prior.information, neck, pose_prior.neck_pitch, limit)
+        self._pose_prior = PosePrior(
+            pose_prior.information, (max(bend, STIFF) * REST_SD) ** -2, neck, pose_prior.neck_pitch, limit
+        )
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
         self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean
@@ -117,8 +128,9 @@ class BodyRefiner:
         """Whether no more poses are kept and the sizes have settled."""
         return len(self._rays) >= self._settings.keyframes and self.settled
 
-    def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays) -> Body | None:
-        """Take a well fitted pose and its rays; return a body to go on with when its sizes have changed enough.
+    def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays, bend: np.ndarray = AT_REST) -> Body | None:
+        """Take a well fitted pose, its rays and the trunk's bend (6,) in it; return a body to go on with when its sizes
+        have changed enough.
 
         Once the sizes have settled, the work of a set is to see that its pose is not a new one.
         """
@@ -126,7 +138,7 @@ class BodyRefiner:
             return None
         if self._given_ns < 0:
             self._given_ns = stamp_ns
-        if not self._keep(pose, contour_rays):
+        if not self._keep(pose, contour_rays, bend):
             if not self._rays or self.settled:
                 return self._due(stamp_ns)
             self._linearise(self._looks % len(self._rays))
@@ -148,14 +160,14 @@ class BodyRefiner:
         estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
         return RefinedBody(estimate, self._values[BUILD], len(self._rays))
 
-    def _keep(self, pose: Pose, contour_rays: RayArrays) -> bool:
+    def _keep(self, pose: Pose, contour_rays: RayArrays, bend: np.ndarray) -> bool:
         """Keep the pose if it is a new one that the surface explains; return whether it is kept."""
         count = len(self._rays)
         if count >= self._settings.keyframes or not differs_from_all(
             self._kept, count, pose.arrays, self._settings.turn
         ):
             return False
-        put_keyframe(self._kept, count, pose.arrays, self._values)
+        put_keyframe(self._kept, count, pose.arrays, bend, self._values)
         self._rays.append(_evenly_spread(contour_rays, self._settings))
         if self._linearise(count) < self._settings.explained:
             self._rays.pop()

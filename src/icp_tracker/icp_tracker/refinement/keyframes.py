@@ -13,11 +13,13 @@ from numba import njit
 
 from capture_rig.small_matrices import solve_positive, solve_positive_columns
 from stick_figure import kernels
+from stick_figure.body import BEND_NUMBERS
 from stick_figure.joint_limits import add_joint_limits, add_neck_rest
+from stick_figure.least_squares.bend_factor import bent_figure
 from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
 from stick_figure.least_squares.placed_figure import State, place
 
-from .shape import UNKNOWNS, contour_system, figure_at
+from .shape import POSE, UNKNOWNS, contour_system, figure_at
 
 GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
 LARGEST_STEP = 0.3  # m, rad
@@ -29,13 +31,15 @@ class Keyframes(NamedTuple):
 
     information (K, U, U), target (K, U) : each one's part of normal equations for the shape's values themselves: (sum
     of information) values = sum of target; zero while the surface explains too few of its rays.
-    values (K, U), through (K, 24, U + 1) : where it was linearised, and how the pose follows the values from there.
+    bend (K, 6) : of the trunk, which is a keyframe's own as its pose is.
+    values (K, U), through (K, POSE, U + 1) : where it was linearised, and how the pose follows the values from there.
     """
 
     t0: np.ndarray
     R0: np.ndarray
     RJ: np.ndarray
     hinges: np.ndarray
+    bend: np.ndarray
     information: np.ndarray
     target: np.ndarray
     values: np.ndarray
@@ -44,25 +48,27 @@ class Keyframes(NamedTuple):
     @classmethod
     def of(cls, count: int) -> Keyframes:
         """Make room for so many."""
-        pose = (3,), (3, 3), (5, 3, 3), (4,)
-        equations = (UNKNOWNS, UNKNOWNS), (UNKNOWNS,), (UNKNOWNS,), (TANGENT, UNKNOWNS + 1)
+        pose = (3,), (3, 3), (5, 3, 3), (4,), (BEND_NUMBERS,)
+        equations = (UNKNOWNS, UNKNOWNS), (UNKNOWNS,), (UNKNOWNS,), (POSE, UNKNOWNS + 1)
         return cls(*(np.empty((count, *shape)) for shape in (*pose, *equations)))
 
 
 class PosePrior(NamedTuple):
-    """What holds a keyframe's pose where its rays do not: information (24,) of the tangent; of the neck's rest, at
-    ``neck_pitch`` rad, and of the joints' limits (1/rad^2, 0: off)."""
+    """What holds a keyframe's pose where its rays do not: information (24,) of the tangent and (6,) of the trunk's bend
+    about rest; of the neck's rest, at ``neck_pitch`` rad, and of the joints' limits (1/rad^2, 0: off)."""
 
     information: np.ndarray
+    bend: np.ndarray
     neck: float
     neck_pitch: float
     limit: float
 
 
 @njit(cache=True, nogil=True)
-def put_keyframe(kept, k, pose, values):
-    """Write a pose (t0, R0, RJ, hinges) to place k, to be linearised at ``values`` for the first time."""
+def put_keyframe(kept, k, pose, bend, values):
+    """Write a pose (t0, R0, RJ, hinges) and bend to place k, to be linearised at ``values`` for the first time."""
     kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k] = pose
+    kept.bend[k] = bend
     kept.values[k] = values
     kept.through[k] = 0.0
 
@@ -73,27 +79,31 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
 
     ``least`` : share of the rays that must be explained for it to count; returns the share that is.
     """
-    state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), TANGENT + UNKNOWNS, UNKNOWNS
-    _follow_shape(kept.through[k], kept.values[k] - values, state)
+    state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), POSE + UNKNOWNS, UNKNOWNS
+    bend = kept.bend[k]
+    _follow_shape(kept.through[k], kept.values[k] - values, state, bend)
     H, g = np.empty((n, n)), np.empty(n)
-    placed = place(state, figure_at(model, values))
-    explained = contour_system(rays, placed, model.derivatives, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
-    own, L, through = H[:TANGENT, :TANGENT].copy(), np.empty((TANGENT, TANGENT)), kept.through[k]
-    through[:, :unknowns], through[:, unknowns] = H[:TANGENT, TANGENT:], g[:TANGENT]
-    _add_pose_prior(state, prior, own, through[:, unknowns])
+    placed = place(state, bent_figure(figure_at(model, values), model.bends, bend))
+    explained = contour_system(rays, placed, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
+    own, L, through = H[:POSE, :POSE].copy(), np.empty((POSE, POSE)), kept.through[k]
+    through[:, :unknowns], through[:, unknowns] = H[:POSE, POSE:], g[:POSE]
+    _add_pose_prior(state, prior, own[:TANGENT, :TANGENT], through[:TANGENT, unknowns])
+    for s in range(BEND_NUMBERS):
+        own[TANGENT + s, TANGENT + s] += prior.bend[s]
+        through[TANGENT + s, unknowns] -= prior.bend[s] * bend[s]
     solve_positive_columns(own, L, through)
     kept.values[k] = values
     information, target = kept.information[k], kept.target[k]
     information[:], target[:] = 0.0, 0.0
     if explained >= least:
         for i in range(unknowns):
-            target[i] = g[TANGENT + i]
+            target[i] = g[POSE + i]
             for j in range(unknowns + 1):
                 eliminated = 0.0
-                for m in range(TANGENT):
-                    eliminated += H[TANGENT + i, m] * through[m, j]
+                for m in range(POSE):
+                    eliminated += H[POSE + i, m] * through[m, j]
                 if j < unknowns:
-                    information[i, j] = H[TANGENT + i, TANGENT + j] - eliminated
+                    information[i, j] = H[POSE + i, POSE + j] - eliminated
                     target[i] += information[i, j] * values[j]
                 else:
                     target[i] -= eliminated
@@ -101,14 +111,15 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
 
 
 @njit(cache=True)
-def _follow_shape(through, change, state):
-    """Move the pose as the last linearisation says, for a ``change`` (U,) of the shape's values."""
+def _follow_shape(through, change, state, bend):
+    """Move pose and bend as the last linearisation says, for a ``change`` (U,) of the shape's values."""
     step = through[:, -1].copy()
-    for k in range(TANGENT):
+    for k in range(POSE):
         for s in range(change.shape[0]):
             step[k] += through[k, s] * change[s]
     scale = min(1.0, LARGEST_STEP / max(np.abs(step).max(), LARGEST_STEP))
-    kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step, scale)
+    kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step[:TANGENT], scale)
+    bend += scale * step[TANGENT:]
 
 
 @njit(cache=True)

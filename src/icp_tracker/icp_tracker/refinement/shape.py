@@ -10,8 +10,9 @@ import numpy as np
 from numba import njit
 
 from capture_rig.kernel import kernel
-from stick_figure.body import BUILD_NUMBERS, Body
+from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
+from stick_figure.least_squares.bend_factor import BendDerivatives, bend_columns
 from stick_figure.least_squares.contour_factor import match_rays, sum_rays
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
@@ -30,6 +31,7 @@ from ..acquisition.body_sizes import SIZES, BodyEstimate, body_of_sizes
 UNKNOWNS = len(SIZES) + BUILD_NUMBERS
 SIZE = slice(0, len(SIZES))
 BUILD = slice(len(SIZES), UNKNOWNS)
+POSE = TANGENT + BEND_NUMBERS  # what a keyframe has of its own: its pose, and how its trunk is bent
 STEP = 1e-4  # of the differences that stand for derivatives, m and per unit
 
 
@@ -46,7 +48,7 @@ class ShapeDerivatives(NamedTuple):
 
 
 class ShapeArrays(NamedTuple):
-    """A figure about ``centre`` (UNKNOWNS,), and its derivatives.
+    """A figure about ``centre`` (UNKNOWNS,), and its derivatives; ``bends`` : as its trunk bends.
 
     stick (k,) : that each capsule is fixed to. capsules (k, 8), origins (10, 3), lengths (10,) : as in the
     derivatives.
@@ -58,6 +60,7 @@ class ShapeArrays(NamedTuple):
     origins: np.ndarray
     lengths: np.ndarray
     derivatives: ShapeDerivatives
+    bends: BendDerivatives
 
 
 class ShapeModel:
@@ -77,7 +80,9 @@ class ShapeModel:
         self.derivatives = ShapeDerivatives(
             *(np.ascontiguousarray(np.stack(part, axis=-1)) for part in zip(*columns, strict=True))
         )
-        self.arrays = ShapeArrays(centre, BodySurface.of(body_of(centre)).stick, *parts, self.derivatives)
+        self.arrays = ShapeArrays(
+            centre, BodySurface.of(body_of(centre)).stick, *parts, self.derivatives, BendDerivatives.of(body_of(centre))
+        )
 
     def at(self, values: np.ndarray) -> Figure:
         """Return the figure for other values."""
@@ -165,27 +170,34 @@ _SIGN = np.array(STICK_SIGN, dtype=np.float64)
 
 
 @njit(cache=True)
-def contour_system(rays, placed, derivatives, robust, H, g):
-    """Fill H (n, n) and g (n,), n = 24 + unknowns, such that H d = g lessens the distances; return the explained share.
+def contour_system(rays, placed, model, robust, H, g):
+    """Fill H (n, n) and g (n,), n = POSE + unknowns, such that H d = g lessens the distances.
+
+    Returns the share of the rays that is explained.
 
     ``robust`` = gate, slack, separation up to which a ray is explained, metres.
     """
     gate, slack, explained = robust
-    unknowns, match = H.shape[0] - TANGENT, match_rays(rays, placed, slack)
+    unknowns, match = H.shape[0] - POSE, match_rays(rays, placed, slack)
     sums = no_sums(placed.P.shape[0], WHOLE)
     sum_rays(rays, match, gate, sums)
-    starts = start_columns(placed.G, derivatives)
-    M, slots = np.empty((2 * WHOLE, CHAIN_COLUMNS + unknowns)), np.empty(CHAIN_COLUMNS + unknowns, np.int64)
-    work = np.empty((2 * WHOLE + 2, CHAIN_COLUMNS + unknowns))
+    starts = start_columns(placed.G, model.derivatives)
+    wide = CHAIN_COLUMNS + BEND_NUMBERS + unknowns
+    M, slots = np.empty((2 * WHOLE, wide)), np.empty(wide, np.int64)
+    work = np.empty((2 * WHOLE + 2, wide))
     H[:] = 0.0
     g[:] = 0.0
     for k in range(placed.P.shape[0]):
         n = pose_columns(k, placed, M, slots)
-        M[3, :n] = 0.0  # a pose changes no radius
+        bend_columns(k, placed, model.bends, M[:, n:], WHOLE)
+        for s in range(BEND_NUMBERS):
+            slots[n + s] = TANGENT + s
+        n += BEND_NUMBERS
+        M[3, :n] = 0.0  # neither pose nor bend changes a radius
         M[7, :n] = 0.0
         for s in range(unknowns):
-            slots[n + s] = TANGENT + s
-        shape_columns(k, placed, starts, derivatives, M[:, n:])
+            slots[n + s] = POSE + s
+        shape_columns(k, placed, starts, model.derivatives, M[:, n:])
         add_capsule(sums, k, M, slots, n + unknowns, work, H, g)
     mirror_upper(H)
     return np.sum(match.separation < explained) / max(match.separation.shape[0], 1)

@@ -16,6 +16,7 @@ from .. import kernels
 from ..body import Body
 from ..body_surface import BodySurface, nearest_capsule, place_capsules
 from ..pose import Pose
+from ..trunk_bend import bend_derivatives
 
 STICKS, POINTS = 10, 15
 
@@ -52,8 +53,14 @@ class Figure(NamedTuple):
     @staticmethod
     @lru_cache(maxsize=8)
     def of(body: Body) -> Figure:
-        """Return the arrays of a body, its surface that of its build."""
-        return Figure(body.lengths, body.stick_origins_torso, BodySurface.of(body))
+        """Return the arrays of a body, its surface that of its build, its trunk as it is bent."""
+        if body.unbent is None:
+            return Figure(body.lengths, body.stick_origins_torso, BodySurface.of(body))
+        rest, (_, starts, ends) = Figure.of(body.unbent), bend_derivatives(body.unbent)
+        surface = rest.surface._replace(
+            start=rest.surface.start + starts @ body.bend, end=rest.surface.end + ends @ body.bend
+        )
+        return Figure(rest.lengths, body.stick_origins_torso, surface)
 
 
 class PlacedFigure(NamedTuple):

@@ -1,0 +1,69 @@
+"""Follows how the trunk of a tracked body is bent, set after set.
+
+Each well explained fit moves the bend by one step (`bend_step`); the next one starts with it. What is known without
+rays is a Gaussian about rest and a random walk from set to set.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stick_figure.body import BEND_NUMBERS, Body
+from stick_figure.least_squares.bend_factor import BendDerivatives, bend_step
+from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.pose import Pose
+from stick_figure.trunk_bend import RATE_SD, REST_SD
+
+from ..articulated_fit import CONTOUR_GATE_M, CONTOUR_SLACK_M, ArticulatedSettings
+
+NS = 1e-9
+RAYS_OF_A_DATUM = 25.0
+"""Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200
+cells of the body's surface, three of which are one datum (`independent_rows`)."""
+LONGEST_S = 0.1  # between two sets; after longer gaps it stands still all the same
+FARTHEST_SD = 3.0
+
+
+class TrunkBend:
+    """The bend of one body, zero at first."""
+
+    def __init__(self, settings: ArticulatedSettings) -> None:
+        self._settings, self._bend, self._stamp_ns = settings, np.zeros(BEND_NUMBERS), -1
+        self._bent: Body | None = None
+
+    @property
+    def bend(self) -> np.ndarray:
+        """The bend (6,) now, rad and m."""
+        return self._bend
+
+    def of(self, body: Body) -> Body:
+        """Return a body as its trunk is bent now."""
+        if self._settings.contour.bend == 0.0 or not self._bend.any():
+            return body
+        if self._bent is None or self._bent.unbent is not body:
+            self._bent = body.bent(self._bend)
+        return self._bent
+
+    def look(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays) -> None:
+        """Move the bend to where the rays of a fitted set want it."""
+        scale, since_ns, self._stamp_ns = self._settings.contour.bend, self._stamp_ns, stamp_ns
+        if scale == 0.0 or len(rays.information) == 0 or since_ns < 0:
+            return
+        passed_s = min((stamp_ns - since_ns) * NS, LONGEST_S)
+        rest, walk = (
+            RAYS_OF_A_DATUM / (scale * REST_SD) ** 2,
+            RAYS_OF_A_DATUM / (scale * RATE_SD) ** 2 / max(passed_s, 1e-3),
+        )
+        step = bend_step(
+            rays,
+            State.of(pose),
+            Figure.of(self.of(body)),
+            BendDerivatives.of(body),
+            (CONTOUR_GATE_M, CONTOUR_SLACK_M),
+            self._settings.prior.information,
+            rest + walk,
+            -rest * self._bend,
+        )
+        farthest = FARTHEST_SD * scale * REST_SD
+        self._bend, self._bent = np.clip(self._bend + step, -farthest, farthest), None
