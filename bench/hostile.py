@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import struct
 import sys
 import tempfile
 import threading
@@ -31,7 +32,7 @@ from typing import Any
 from report import Table, parser
 
 import numpy as np
-from hostile_messages import Attack, attacks, requests
+from hostile_messages import Attack, attacks, requests, with_stamp
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
@@ -48,6 +49,8 @@ FPS, SECONDS = 4.0, 40.0  # of the footage, which is played again and again; a s
 ALIVE_ANSWERS, ALIVE_TIMEOUT_S = 5, 20.0
 LISTEN_S = 3.0  # for a valid message of each topic
 CALL_TIMEOUT_S = 2.0
+SOON_NS = 20_000_000  # attacks are later than the last set by so much: what is old is dropped unread
+NEAR_NS = 60_000_000_000
 NOT_OURS = ("/rosout", "/parameter_events", "/clock")
 COUNTERS = (
     *("bad", "dropped", "refused", "failed", "late", "backward", "ahead", "restart", "duplicate", "unknown", "large"),
@@ -83,12 +86,18 @@ class Target:
         self.supervisor, self.link = supervisor, link
         self._changed = threading.Condition()
         self._answers = 0
+        self.latest_ns = time.time_ns()
         kind = message_class(type_of(PREDICTION_TOPIC) or "")
         link.node.create_subscription(kind, PREDICTION_TOPIC, self._answered, 100, raw=True)
 
     def _answered(self, data: bytes) -> None:
         with self._changed:
             self._answers += 1
+            with suppress(struct.error):
+                sec, nanosec = struct.unpack_from("<iI", data, 4)
+                stamp_ns = sec * 1_000_000_000 + nanosec
+                if abs(stamp_ns - time.time_ns()) < NEAR_NS:  # none that an attack brought about
+                    self.latest_ns = stamp_ns
             self._changed.notify_all()
 
     def wait_for_answers(self, count: int = ALIVE_ANSWERS, timeout_s: float = ALIVE_TIMEOUT_S) -> float:
@@ -113,6 +122,18 @@ class Target:
         report = self.supervisor.diagnostics.report("/ekf_tracker")
         return report.message if report is not None else "?"
 
+    def wait_for_reports(self, timeout_s: float = ALIVE_TIMEOUT_S) -> None:
+        """Wait until every node has published its diagnostics twice: by then they tell what came before."""
+        diagnostics, names = self.supervisor.diagnostics, [node.full_name for node in self.supervisor.graph]
+        end_s = time.monotonic() + timeout_s
+        for _ in range(2):
+            since_s = time.monotonic()
+            while time.monotonic() < end_s:
+                reports = [diagnostics.report(name) for name in names]
+                if all(report is not None and report.heard_s > since_s for report in reports):
+                    break
+                time.sleep(0.05)
+
     def memory(self) -> dict[str, float]:
         """Return the resident MiB of each process."""
         return {label: used.resident_mib for label, used in self.supervisor.usage().items()}
@@ -120,7 +141,7 @@ class Target:
     def counters(self) -> Counter[str]:
         """Return every whole number in the nodes' diagnostics."""
         found: Counter[str] = Counter()
-        for name in self.supervisor.diagnostics.names():
+        for name in (node.full_name for node in self.supervisor.graph):
             report = self.supervisor.diagnostics.report(name)
             for key, text in (report.values if report is not None else {}).items():
                 if text.isascii() and text.isdigit() and len(text) < 16:
@@ -196,10 +217,11 @@ class Attacker:
         counters = target.counters()
         for topic, valid in self._valid.items():
             sent = 0
-            for _ in range(attack.repeat):
+            for number in range(attack.repeat):
                 began_s = time.monotonic()
                 try:
-                    message = attack.make(valid, self._rng)
+                    fresh = with_stamp(valid, target.latest_ns + (number + 1) * SOON_NS)
+                    message = attack.make(valid if fresh is None else fresh, self._rng)
                     if message is None:
                         break
                     self._publishers[topic].publish(message)
@@ -230,6 +252,7 @@ class Attacker:
     def _judge(self, effect: Effect, counters: Counter[str]) -> Effect:
         target = self._target
         effect.recovered_s = target.wait_for_answers()
+        target.wait_for_reports()
         target.wait_for_tracking(ALIVE_TIMEOUT_S)
         effect.state, effect.after, effect.died = target.state(), target.memory(), target.dead()
         risen = target.counters() - counters

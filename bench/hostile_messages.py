@@ -46,7 +46,7 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
     """Return every attack; ``now_ns`` is the clock that stamps follow."""
 
     def stamped(offset_s: float) -> Callable[[Any, Any], Any]:
-        return lambda valid, rng: _with_stamp(valid, max(now_ns() + round(offset_s * 1e9), 0))
+        return lambda valid, rng: with_stamp(valid, max(now_ns() + round(offset_s * 1e9), 0))
 
     return [
         Attack("no bytes", lambda valid, rng: b""),
@@ -56,6 +56,7 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
         Attack("flipped bytes", _flipped, repeat=20),
         Attack("lengths of 4 GiB", _lying),
         Attack("16 MiB of zeros", lambda valid, rng: b"\0\1\0\0" + bytes(16 * MIB), repeat=2),
+        Attack("16 MiB of zeros, again", lambda valid, rng: b"\0\1\0\0" + bytes(16 * MIB), repeat=4),
         Attack("stamp in 100 years", stamped(3.15e9)),
         Attack("stamp in 5 s", stamped(5.0)),
         Attack("stamp of 1970", stamped(-1e18)),
@@ -105,7 +106,7 @@ def _lying(valid: Any, rng: np.random.Generator) -> bytes:
 # --- of any message
 
 
-def _with_stamp(valid: Any, stamp_ns: int) -> Any:
+def with_stamp(valid: Any, stamp_ns: int) -> Any:
     if not hasattr(valid, "header"):
         return None
     made = copy.deepcopy(valid)
@@ -115,7 +116,7 @@ def _with_stamp(valid: Any, stamp_ns: int) -> Any:
 
 
 def _with_seconds(valid: Any, seconds: int) -> Any:
-    made = _with_stamp(valid, 0)
+    made = with_stamp(valid, 0)
     if made is not None:
         made.header.stamp.sec = seconds
     return made

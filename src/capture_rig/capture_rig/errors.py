@@ -1,5 +1,7 @@
 """The one error a user sees when something they gave us cannot be used."""
 
+MOST = 1000  # characters of a part of the message: what a broken file holds may be of any length
+
 
 class InputError(ValueError):
     """A file, key, topic or value given by the user cannot be used.
@@ -9,9 +11,9 @@ class InputError(ValueError):
     """
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
-        self.what, self.where, self.remedy = what, where, remedy
-        sentence = what if what.endswith((".", "!", "?")) else what + "."
-        super().__init__((f"{where}: " if where else "") + sentence + (f" {remedy}" if remedy else ""))
+        self.what, self.where, self.remedy = shortened(what, MOST), shortened(where, MOST), remedy
+        sentence = self.what if self.what.endswith((".", "!", "?")) else self.what + "."
+        super().__init__((f"{self.where}: " if where else "") + sentence + (f" {remedy}" if remedy else ""))
 
     def __reduce__(self) -> tuple:
         return _rebuild, (self.what, self.where, self.remedy)
@@ -19,3 +21,8 @@ class InputError(ValueError):
 
 def _rebuild(what: str, where: str, remedy: str) -> InputError:
     return InputError(what, where=where, remedy=remedy)
+
+
+def shortened(text: str, most: int = 300) -> str:
+    """``text``, its middle left out when it is longer than ``most`` characters."""
+    return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"

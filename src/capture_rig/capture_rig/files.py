@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import InputError
+from .errors import InputError, shortened
 
 MOST_TEXT_BYTES = 256 << 20  # an hour of reference points at 60 Hz has 150 MB
 _READABLE = 0o666  # less the user's umask, as any program's files
@@ -40,11 +40,6 @@ def describe_os_error(error: OSError, what: str, where: object = None, remedy: s
     place = where if where is not None else error.filename
     hint = remedy or _REMEDIES.get(error.errno or 0, "Check the path and the disk.")
     return InputError(f"{what} ({error.strerror or error})", where=shortened(str(place or "")), remedy=hint)
-
-
-def shortened(text: str, most: int = 300) -> str:
-    """``text``, its middle left out when it is longer than ``most`` characters."""
-    return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"
 
 
 def read_text(path: str | Path, remedy: str = "", most_bytes: int = MOST_TEXT_BYTES) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from .camera import CameraModel
-from .errors import InputError
+from .errors import InputError, shortened
 from .lens import COEFFICIENTS, Array
 from .rigid import nearest_rotation
 from .yaml_file import read_mapping, save_mapping
 
+CAMERA_NAME = re.compile("[A-Za-z][A-Za-z0-9_]{0,63}")  # as a part of a topic's name (ROS 2 design, topic names)
 UNITS = "metres, pixels; x_camera = R_camera_world x_world + t_camera_world; world z up; camera z forward, y down"
 CAMERA_KEYS = (
     "image_width",
@@ -63,6 +65,10 @@ def load_rig(path: str | Path) -> Rig:
     cameras = document.get("cameras")
     if not isinstance(cameras, Mapping) or not cameras:
         raise InputError("key 'cameras' is missing or empty", where=str(path), remedy="List each camera under it.")
+    for name in cameras:
+        if not CAMERA_NAME.fullmatch(str(name)):
+            remedy = "Topics are named after cameras: use letters, digits and _, a letter first."
+            raise InputError(f"'{shortened(str(name), 60)}' cannot be a camera's name", where=str(path), remedy=remedy)
     models = tuple(
         camera_from_mapping(str(name), cameras[name], f"{path}: cameras.{name}") for name in sorted(cameras, key=str)
     )

@@ -12,8 +12,8 @@ from typing import Any
 
 import yaml
 
-from .errors import InputError
-from .files import read_text, shortened, write_text
+from .errors import InputError, shortened
+from .files import read_text, write_text
 
 MOST_YAML_BYTES = 4 << 20  # the largest that the programs write, the report of a rig of 32 cameras, has some 200 KB
 MOST_DEPTH = 40  # the deepest that the programs write has 7

@@ -9,7 +9,6 @@ from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Int64MultiArray
 
@@ -24,11 +23,12 @@ from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import ABSENT, decode_silhouette, support_message
 from sagoma_ros.latency import TIMES_TOPIC, times_message
+from sagoma_ros.limits import check_mask_bytes
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
-from sagoma_ros.raw import read_compressed_image, same_but_for_stamp
+from sagoma_ros.raw import read_compressed_image, read_message, same_but_for_stamp
 from sagoma_ros.worker import Worker
 
 from .frames_ros import camera_frames
@@ -204,28 +204,42 @@ class HullNode(SagomaNode):
         if camera in self.refused:
             self.health.count("frames_refused")
             return
-        image, canvas = read_compressed_image(message), self._canvases[camera]
+        try:
+            image, canvas = read_compressed_image(message), self._canvases[camera]
+        except InputError as error:
+            self._refuse_image(error)
+            return
         if self.settings.reliable and image.format == ABSENT:
             self._dispatch(self._collector.note_absence(camera, image.stamp_ns, now_ns))
             return
         if not self._overload.admits(camera, image.stamp_ns, now_ns):
             return
         try:
+            check_mask_bytes(len(message), topic)
             mask = decode_silhouette(image, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
         except InputError as error:
-            self.health.count("bad_images")
-            self.health.set("last_bad_image", error)
-            self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
+            self._refuse_image(error)
             return
         self._dispatch(self._collector.add(camera, image.stamp_ns, mask, now_ns))
         self._poll_at_deadline(now_ns)
+
+    def _refuse_image(self, error: InputError) -> None:
+        self.health.count("bad_images")
+        self.health.set("last_bad_image", error)
+        self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
 
     def _on_camera_info(self, camera: str, topic: str, message: bytes) -> None:
         """Refuse a camera whose images are not made with the rig's calibration, until they are."""
         if same_but_for_stamp(message, self._judged_infos.get(camera)):
             return
+        try:
+            check_mask_bytes(len(message), topic)
+            mismatch = calibration_mismatch(read_message(message, CameraInfo), self._canvases[camera])
+        except InputError as damage:
+            self.health.count("bad_infos")
+            self.get_logger().warning(str(damage), throttle_duration_sec=LOG_EVERY_S)
+            return
         self._judged_infos[camera] = message
-        mismatch = calibration_mismatch(deserialize_message(message, CameraInfo), self._canvases[camera])
         if not mismatch:
             if self.refused.pop(camera, None):
                 self.get_logger().info(f"{topic}: agrees with the rig file again")

@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
+from .limits import oversize
 from .messages import to_ns
 from .qos import RESULT
 
@@ -159,6 +160,18 @@ class PacketSubscription(Generic[P]):
             self.follow(in_memory=True)
 
     def _on_message(self, message: Any) -> None:
+        excess = oversize(message)
+        if excess:
+            self._refuse(excess)
+            return
         header = getattr(message, "header", None)
         stamp_ns, frame_id = (to_ns(header.stamp), header.frame_id) if header is not None else (0, "")
         self._callback(Delivery(stamp_ns, frame_id, message=message))
+
+    def _refuse(self, excess: str) -> None:
+        """Count and tell what was too large to be taken."""
+        health = getattr(self._node, "health", None)
+        if health is not None:
+            health.count("large_messages")
+        text = f"{self._topic}: a message is refused: {excess}"
+        self._node.get_logger().warning(text, throttle_duration_sec=5.0)

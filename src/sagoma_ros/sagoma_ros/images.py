@@ -17,6 +17,7 @@ from mocap_packets import support
 from mocap_packets.support import ForegroundSupport
 
 from . import mask_png
+from .limits import check_pixels, compressed_size
 from .messages import to_ns, to_stamp
 from .raw import RawImage
 
@@ -185,7 +186,10 @@ def decode_image(message: Image | CompressedImage, where: str) -> np.ndarray:
 
 
 def _decode_compressed(message: CompressedImage, where: str) -> np.ndarray:
-    image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_ANYCOLOR)
+    size = compressed_size(bytes(message.data))
+    if size is not None:
+        check_pixels(*size, where)
+    image = None if size is None else cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_ANYCOLOR)
     if image is None:
         raise InputError(
             f"the image (format '{message.format}') cannot be decoded", where=where, remedy="Publish JPEG or PNG."

@@ -8,13 +8,17 @@ its stamp and data, the same every time.
 from __future__ import annotations
 
 import struct
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
 
+from capture_rig.errors import InputError
+
 from .messages import NS_PER_S, to_ns
+
+T = TypeVar("T")
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 _LEAD_IN = 4  # bytes before the first field; fields are aligned from here
@@ -33,12 +37,24 @@ class RawImage(NamedTuple):
 
 
 def read_compressed_image(message: bytes) -> RawImage:
-    """Read a serialised sensor_msgs/CompressedImage; by rclpy what is laid out otherwise than by us."""
+    """Read a serialised sensor_msgs/CompressedImage; by rclpy what is laid out otherwise than by us.
+
+    Raises InputError for bytes that are none.
+    """
     try:
         return _read(message)
     except (struct.error, ValueError):
-        image = deserialize_message(message, CompressedImage)
+        image = read_message(message, CompressedImage)
         return RawImage(to_ns(image.header.stamp), image.format, bytes(image.data))
+
+
+def read_message(message: bytes, kind: type[T]) -> T:
+    """Read a serialised message of any type. Raises InputError for bytes that are none."""
+    try:
+        return deserialize_message(message, kind)
+    except Exception as error:  # whatever the middleware raises
+        what = f"{len(message)} bytes are no {kind.__name__} ({error})"
+        raise InputError(what, remedy="The message is damaged; check the network and its publisher.") from None
 
 
 def same_but_for_stamp(message: bytes, other: bytes | None) -> bool:

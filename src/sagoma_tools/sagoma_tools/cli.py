@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from capture_rig.errors import InputError
+from capture_rig.errors import InputError, shortened
 from capture_rig.files import describe_os_error
 
 from .command_help import BAD_INPUT, FAILED, HELP, INTERRUPTED, NO_READER, CommandParser, describe
@@ -53,6 +53,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return NO_READER
     except OSError as error:  # a file or folder that cannot be used, wherever it was named
         return _refuse(describe_os_error(error, "cannot be used"), BAD_INPUT)
+    except Exception as error:
+        if not _is_bad_name(error):
+            raise
+        return _refuse(_bad_name(error), BAD_INPUT)
 
 
 def run(argv: list[str]) -> int:
@@ -92,6 +96,17 @@ def _drop_output() -> None:
 def _refuse(why: object, status: int) -> int:
     print(f"sagoma: {why}", file=sys.stderr)
     return status
+
+
+def _is_bad_name(error: Exception) -> bool:
+    """Is it rclpy's, about a topic, service, camera or node? By name: rclpy takes long to load, and may not be."""
+    return any(kind.__name__ == "NameValidationException" for kind in type(error).__mro__)
+
+
+def _bad_name(error: Exception) -> InputError:
+    what = shortened(" ".join(str(error).replace("^", "").split()))
+    remedy = "Names in ROS have letters, digits and _, parts divided by /, and no part begins with a digit."
+    return InputError(what, where="names", remedy=remedy)
 
 
 if __name__ == "__main__":

@@ -83,7 +83,7 @@ def _metres(number: str, scale: float) -> float:
 
 def _from_mapping(mapping: Mapping[str, Any], where: str) -> Board:
     kind = mapping.get("type")
-    if kind not in KEYS:
+    if not isinstance(kind, str) or kind not in KEYS:
         raise InputError(
             f"type = {kind!r} is not a type of board", where=where, remedy=f"Give one of {', '.join(KEYS)}."
         )

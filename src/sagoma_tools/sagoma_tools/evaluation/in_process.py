@@ -106,6 +106,10 @@ def segmented(
 
     They hear what the pipeline's hull server reports if each frame is carved before the next one is asked for.
     """
+    without = [name for name in session.rig.names if name not in session.backgrounds]
+    if without:
+        remedy = f"Add {without[0]}_background.mp4 or .png: the empty scene."
+        raise InputError(f"there is no background for {', '.join(without)}", where=str(session.folder), remedy=remedy)
     for frame, images in enumerate(images_of(session.videos, ended)):
         for name in [name for name in images if name not in pipeline.cameras]:
             background = read_background(session.backgrounds[name], images[name].shape, settings.background_model)

@@ -25,8 +25,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_typestore
 
-from capture_rig.errors import InputError
-from capture_rig.files import shortened
+from capture_rig.errors import InputError, shortened
 from capture_rig.yaml_file import read_mapping
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 

@@ -1,0 +1,283 @@
+"""Broken files of every kind, read by every reader and command: an error that says what, where and what to do.
+
+Seeded: the same files are broken the same way each time. The slow test breaks each some hundred times.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from file_fuzz import damage
+from sensor_msgs.msg import CompressedImage
+from take_bags import write_take
+
+from camera_client.background.model import BackgroundModel, Provenance, load_background
+from capture_rig.camera_info_file import read_camera_info, save_camera_info
+from capture_rig.errors import InputError
+from capture_rig.rig import load_rig, save_rig
+from capture_rig.session import load_session, load_truth
+from capture_rig.yaml_file import save_mapping
+from icp_tracker.acquisition.initial_pose import load_initial_pose, save_initial_pose
+from rig_calibration.boards.specification import read_board
+from sagoma_bringup.graph import build_graph, camera_from_file
+from sagoma_tools.calibration.clicking import OuterCorners, read_corners, save_corners
+from sagoma_tools.cli import main
+from sagoma_tools.recording.reader import read_messages, read_provenance
+from sagoma_tools.recording.writer import BagWriter
+from sagoma_tools.takes.folder import TakesFolder
+from stick_figure.body import Body
+from stick_figure.body_file import load_body, save_body
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from virtual_studio.motion_files.bvh import read_bvh
+from virtual_studio.rig import ring
+
+FEW, MANY = 12, 400
+BVH = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Chest
+  {
+    OFFSET 0 10 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 10 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.0333
+0 0 0 0 0 0 1 2 3
+1 0 0 0 0 0 4 5 6
+"""
+
+
+def write_truth(path: Path) -> None:
+    names = ("neck", "l_hip", "r_hip", "head_top", "l_shoulder", "r_shoulder", "l_elbow", "r_elbow", "l_knee", "r_knee")
+    points = [*names, "l_hand_tip", "r_hand_tip", "l_ankle", "r_ankle"]
+    rows = [",".join(["frame", *(f"{name}_{axis}" for name in points for axis in "xyz")])]
+    rows += [",".join([str(frame), *["0.5"] * (3 * len(points))]) for frame in range(3)]
+    path.write_text("\n".join(rows) + "\n")
+
+
+def write_background(path: Path) -> None:
+    grey = np.full((6, 8), 90, np.float32)
+    BackgroundModel(grey, grey / 30, Provenance("test", 10, 3.0)).save(path)
+
+
+CAMERA = {"/cam01/camera_client": {"ros__parameters": {"camera_name": "cam01", "aravis": {"address": "127.0.1.1"}}}}
+BOARD = {"type": "checkerboard", "columns": 8, "rows": 5, "square_m": 0.1}
+POSE = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), T_POSE_ANGLES)
+KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]] = {
+    "rig": ("rig.yaml", lambda path: save_rig(ring(2), path), load_rig),
+    "calibration": ("cam01.yaml", lambda path: save_camera_info(path, ring(1).cameras[0]), read_camera_info),
+    "body": ("body.yaml", lambda path: save_body(Body.from_stature(1.7), path), load_body),
+    "pose": ("pose.yaml", lambda path: save_initial_pose(POSE, path), load_initial_pose),
+    "board": ("board.yaml", lambda path: save_mapping(path, BOARD), lambda path: read_board(str(path))),
+    "corners": (
+        "corners.yaml",
+        lambda path: save_corners(path, {"cam01": OuterCorners(np.eye(4)[:, :2], 3)}),
+        read_corners,
+    ),
+    "camera parameters": ("cam01.yaml", lambda path: save_mapping(path, CAMERA), camera_from_file),
+    "truth": ("truth.csv", write_truth, load_truth),
+    "background": ("cam01.npz", write_background, load_background),
+    "motion": ("walk.bvh", lambda path: path.write_text(BVH), read_bvh),
+}
+
+
+def break_and_read(kind: str, folder: Path, times: int) -> int:
+    """Break a file of this kind so often; return how often that was noticed. Anything but an InputError is raised."""
+    name, write, read = KINDS[kind]
+    rng, refused = np.random.default_rng(len(kind)), 0
+    write(folder / name)
+    read(folder / name)
+    whole = (folder / name).read_bytes()
+    for _ in range(times):
+        (folder / name).write_bytes(whole)
+        damage(folder / name, rng)
+        try:
+            read(folder / name)
+        except InputError as error:
+            refused += 1
+            assert error.where and error.remedy and len(str(error)) < 3000, str(error)
+    return refused
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_broken_file_is_an_input_error(kind: str, tmp_path: Path) -> None:
+    assert break_and_read(kind, tmp_path, FEW) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_broken_in_many_ways_is_an_input_error(kind: str, tmp_path: Path) -> None:
+    assert break_and_read(kind, tmp_path, MANY) > MANY // 10
+
+
+# --- bags, by every command that reads them
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of 20 frames."""
+    return write_take(tmp_path_factory.mktemp("takes") / "walk", 20)
+
+
+def run(*words: object) -> tuple[int, str]:
+    """Run a command; its status and what it said on stderr."""
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        status = main([str(word) for word in words])
+    return status, said.getvalue()
+
+
+def commands(bag: Path, out: Path) -> tuple[tuple[object, ...], ...]:
+    return (
+        ("compare", bag, bag),
+        ("export", bag, "--format", "csv", "--output", out / "csv"),
+        ("smooth", bag, out / "smooth"),
+        ("recover", bag, out / "recovered"),
+        ("takes", "show", bag),
+        ("takes", "verify", bag),
+    )
+
+
+def break_bag(take: Path, folder: Path, times: int) -> None:
+    rng = np.random.default_rng(7)
+    names = ["walk.mcap", "walk.mcap", "metadata.yaml", "sagoma.yaml"]
+    for number in range(times):
+        bag, out = folder / f"{number}" / "walk", folder / f"{number}" / "out"
+        shutil.copytree(take, bag)
+        out.mkdir()
+        broken = bag / names[number % len(names)]
+        broken.write_bytes(damaged(broken, rng))
+        try:
+            for _ in read_messages(bag):
+                pass
+            read_provenance(bag)
+        except InputError as error:
+            assert error.where and error.remedy
+        status, said = run(*commands(bag, out)[number % 6])
+        assert status in (0, 1, 2) and "Traceback" not in said
+        assert status != 2 or said.startswith("sagoma: "), said
+        assert TakesFolder(bag.parent).takes()
+        shutil.rmtree(folder / f"{number}")
+
+
+def damaged(path: Path, rng: np.random.Generator) -> bytes:
+    damage(path, rng)
+    return path.read_bytes()
+
+
+def test_a_broken_bag_is_an_error_of_every_command(take: Path, tmp_path: Path) -> None:
+    break_bag(take, tmp_path, 12)
+
+
+@pytest.mark.slow
+def test_a_bag_broken_in_many_ways_is_an_error_of_every_command(take: Path, tmp_path: Path) -> None:
+    break_bag(take, tmp_path, 240)
+
+
+# --- found by trying
+
+
+def test_a_session_without_a_background_is_an_error_of_evaluate(built_in_session: Path, tmp_path: Path) -> None:
+    session = tmp_path / "session"
+    shutil.copytree(built_in_session, session)
+    next(session.glob("cam03_background.*")).unlink()
+    status, said = run("evaluate", session, "--plots", tmp_path / "out")
+    assert status == 2 and "there is no background for cam03" in said and "Add cam03_background" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda text: text.replace("plumb_bob", "[plumb_bob]"), "distortion_model = ['plumb_bob'] is not known"),
+        (lambda text: text.replace("cam01", "left camera"), "'left camera' cannot be a camera's name"),
+        (lambda text: "a: " + "[" * 1000 + "]" * 1000, "nested more than 40 deep"),
+        (lambda text: text.replace("cameras", "c\udcff"), "is not UTF-8 text (line"),
+    ],
+)
+def test_a_broken_rig_is_an_error(change: Callable[[str], str], says: str, tmp_path: Path) -> None:
+    save_rig(ring(2), tmp_path / "rig.yaml")
+    text = change((tmp_path / "rig.yaml").read_text())
+    (tmp_path / "rig.yaml").write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(InputError) as refused:
+        load_rig(tmp_path / "rig.yaml")
+    assert says in str(refused.value) and "rig.yaml" in str(refused.value)
+
+
+def test_a_huge_body_file_is_refused_unread(tmp_path: Path) -> None:
+    with (tmp_path / "body.yaml").open("wb") as file:
+        file.truncate(1 << 40)  # a hole: takes no room
+    with pytest.raises(InputError, match=r"body\.yaml: is larger than 0\.0625 MiB"):
+        load_body(tmp_path / "body.yaml")
+
+
+def test_a_parameter_file_that_is_not_utf8_is_an_error(tmp_path: Path) -> None:
+    save_rig(ring(1, False), tmp_path / "rig.yaml")
+    (tmp_path / "cam01.yaml").write_bytes(b"/cam01/camera_client:\n  ros__parameters: {a: \xff}\n")
+    with pytest.raises(InputError, match=r"cam01\.yaml: is not UTF-8 text \(line 2"):
+        build_graph(rig=tmp_path / "rig.yaml", cameras=tmp_path / "cam01.yaml")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("replay", "x" * 5000), "there is no such bag"),
+        (("evaluate", "x" * 5000), "is not a folder|File name too long"),
+        (("up", "--rig", "rig.yaml", "--set", "hull_server.voxel_size_m=[1"), "--set hull_server.voxel_size_m: is not"),
+        (("studio", "set", "gain=[1"), "sagoma studio: gain: is not valid YAML"),
+        (("studio", "set", "gain="), "sagoma"),
+        (("calibrate", "intrinsics", "--topic", "bad topic", "--board", "checkerboard:8x5:0.1"), "sagoma"),
+    ],
+)
+def test_broken_arguments_are_errors(words: tuple[str, ...], says: str, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_rig(ring(1, False), tmp_path / "rig.yaml")
+    status, said = run(*words)
+    assert status == 2 and said.startswith("sagoma: ") and "Traceback" not in said
+    assert any(part in said for part in says.split("|")), said
+
+
+def test_a_bag_with_a_topic_of_another_type_is_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/cam01/silhouette/compressed", "std_msgs/msg/String")
+        writer.write("/cam01/silhouette/compressed", 1, b"\0\1\0\0\1\0\0\0\0")
+    status, said = run("replay", tmp_path / "bag")
+    assert status == 2 and "holds messages of type std_msgs/msg/String, not sensor_msgs/msg/CompressedImage" in said
+
+
+def test_a_message_shorter_than_its_stamp_is_an_error_with_its_place(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/cam01/silhouette/compressed", "sensor_msgs/msg/CompressedImage")
+        writer.write("/cam01/silhouette/compressed", 1234, b"\0\1\0\0\1\0")
+    (message,) = read_messages(tmp_path / "bag")
+    for read in (lambda: message.stamp_ns, lambda: message.decode(CompressedImage)):
+        with pytest.raises(InputError, match=r"bag: /cam01/silhouette.*the message logged at 1234 ns.*sagoma recover"):
+            read()
+
+
+def test_a_session_whose_description_is_broken_is_an_error(built_in_session: Path, tmp_path: Path) -> None:
+    session = tmp_path / "session"
+    shutil.copytree(built_in_session, session)
+    rng = np.random.default_rng(3)
+    whole = (session / "session.yaml").read_bytes()
+    for _ in range(FEW):
+        (session / "session.yaml").write_bytes(whole)
+        damage(session / "session.yaml", rng)
+        with contextlib.suppress(InputError):
+            load_session(session)
+    (session / "session.yaml").write_bytes(b"fps: \xff")
+    with pytest.raises(InputError, match="is not UTF-8 text"):
+        load_session(session)
