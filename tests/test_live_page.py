@@ -1,74 +1,171 @@
-"""The live page in a real browser: a running graph is driven by its buttons, a take recorded and played."""
+"""The live page in a real browser: what the graph does is shown, its buttons drive it, a take is recorded and kept."""
 
 import re
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import NamedTuple
 
+import psutil
 import pytest
-from browser import browser
+from browser import Browser, browser
+from take_bags import write_take
 
 from sagoma_tools.recording.reader import bag_topics, read_messages
 from sagoma_tools.recording.recorded_motion import recorded_motions
+from sagoma_tools.takes.folder import TakesFolder
+from sagoma_tools.takes.summary_file import finish_take
 
 PATIENCE_S = 240.0
 PICTURES = Path("output/live_page")
 
 
-@pytest.fixture()
-def page(built_in_session: Path, tmp_path: Path):
-    """The address of the page of a graph that plays the session over and over."""
-    command = [sys.executable, "-m", "sagoma_tools.cli", "up", str(built_in_session), "--loop", "--rate", "0.5"]
-    command += ["--view", "--port", "0", "--takes", str(tmp_path / "takes"), "--run-folder", str(tmp_path / "run")]
+class RunningPage(NamedTuple):
+    """The page's address, the process of `sagoma up`, and the folder of its takes."""
+
+    address: str
+    process: subprocess.Popen
+    takes: Path
+
+
+def serve(arguments: list[str], patience_s: float):
+    """Run a command, and yield (the page's address, the process) once it has said where its page is."""
+    command = [sys.executable, "-m", "sagoma_tools.cli", *arguments, "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    watchdog = threading.Timer(2 * PATIENCE_S, process.kill)
+    watchdog = threading.Timer(patience_s, process.kill)
     watchdog.start()
     assert process.stdout is not None
     said = ""
-    for line in process.stdout:
-        said += line
-        if match := re.search(r"the page: (http\S+)", line):
-            threading.Thread(target=process.stdout.read, daemon=True).start()
-            yield match[1]
-            break
-    else:
-        pytest.fail(said)
-    watchdog.cancel()
-    process.terminate()
-    process.wait(PATIENCE_S)
+    try:
+        for line in process.stdout:
+            said += line
+            if match := re.search(r"the page: (http\S+)", line):
+                threading.Thread(target=process.stdout.read, daemon=True).start()
+                yield match[1], process
+                break
+        else:
+            pytest.fail(said)
+    finally:
+        watchdog.cancel()
+        process.terminate()
+        process.wait(patience_s)
+
+
+@pytest.fixture()
+def page(built_in_session: Path, tmp_path: Path):
+    """The page of a graph that plays the session over and over."""
+    graph = ["up", str(built_in_session), "--loop", "--rate", "0.2", "--run-folder", str(tmp_path / "run")]
+    for address, process in serve([*graph, "--view", "--takes", str(tmp_path / "takes")], 4 * PATIENCE_S):
+        yield RunningPage(address, process, tmp_path / "takes")
+
+
+@pytest.fixture()
+def page_of_a_take(tmp_path: Path):
+    """The page of a recorded take, without a graph."""
+    takes = tmp_path / "takes"
+    finish_take(write_take(takes / "drill", 100))
+    for address, process in serve(["view", str(takes / "drill")], PATIENCE_S):
+        yield RunningPage(address, process, takes)
 
 
 @pytest.mark.slow
-def test_the_graph_is_run_and_a_take_recorded_by_buttons(page, tmp_path):
+def test_a_take_is_played_and_kept_by_buttons(page_of_a_take):
     PICTURES.mkdir(parents=True, exist_ok=True)
-    with browser(1000, 800) as tab:
-        tab.open(page)
-        tab.wait_for_text("ekf_tracker")
-        tab.wait_for_text(": tracking")
+    with browser(1280, 860) as tab:
+        tab.open(page_of_a_take.address)
+        tab.wait_for_text("sets/s")
+        keep(tab, page_of_a_take.takes)
+
+
+@pytest.mark.slow
+def test_the_graph_is_run_and_a_take_recorded_by_buttons(page):
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    with browser(1280, 860) as tab:
+        tab.open(page.address)
+        tab.wait_for_text("tracking")
         tab.picture(PICTURES / "live.png")
+        drive_the_graph(tab)
+        record(tab, page.takes)
+        lose_a_camera(tab, page.process)
 
-        tab.press("suspend")
-        tab.wait_for_text("nodes are inactive")
-        tab.press("start")
-        tab.wait_for_text("nodes are active")
-        tab.press("reset")
-        tab.wait_for_text("icp_tracker: looking for the first pose again")
 
-        tab.write("name of the take", "drill")
-        tab.press("record")
-        tab.wait_for_text("recording drill")
-        recorded = tmp_path / "takes" / "drill"
-        tab.wait_for_text(": tracking")
-        tab.press("finish recording")
-        tab.wait_for_text("recorded drill")
-        assert "/mocap/joint_states" in bag_topics(recorded)
-        assert any(True for _ in read_messages(recorded, "/mocap/reference_points".__eq__))
-        assert "b0001" in recorded_motions(recorded)
+def drive_the_graph(tab: Browser) -> None:
+    """Suspend, start, reset."""
+    tab.press("suspend")
+    tab.wait_for_text("nodes are inactive")
+    tab.press("start")
+    tab.wait_for_text("nodes are active")
+    tab.press("reset")
+    tab.wait_for_text("icp_tracker: looking for the first pose again")
 
-        tab.press("Takes")
-        tab.wait_for_text("back to live")
-        tab.press("play")
-        tab.wait_for_text("% tracked")
-        tab.picture(PICTURES / "take.png")
-        tab.press("back to live")
+
+def record(tab: Browser, takes: Path) -> None:
+    """Record a take until somebody is tracked in it."""
+    tab.write("name of the take", "drill")
+    tab.press("record")
+    tab.wait_for_text("recording drill")
+    tab.wait_for_text("tracking: ")
+    tab.press("finish recording")
+    tab.wait_for_text("recorded drill")
+    assert "/mocap/joint_states" in bag_topics(takes / "drill")
+    assert any(True for _ in read_messages(takes / "drill", "/mocap/reference_points".__eq__))
+    assert "b0001" in recorded_motions(takes / "drill")
+    tab.press("Takes")
+    tab.wait_for_text("back to live")
+    tab.press("play")
+    tab.wait_for_text("playing drill")
+    tab.press("back to live")
+    kept = TakesFolder(takes).find("drill")
+    assert kept.summary is not None and "b0001" in kept.summary.persons and (kept.path / "rig.yaml").is_file()
+
+
+def keep(tab: Browser, takes: Path) -> None:
+    """Play it, go along it by the slider, rename, trim, export, delete and bring back."""
+    folder = TakesFolder(takes)
+    tab.press("play")
+    tab.wait_for_text("playing drill")
+    tab.wait_for_text("shoulder, degrees")
+    tab.press("pause")
+    tab.write("second", "0.1")
+    tab.wait_for_value("second", "0.1")
+    tab.press("play")
+    tab.picture(PICTURES / "take.png")
+    tab.write("new name", "part")
+    tab.press("trim")
+    tab.wait_for_text("made part")
+    assert folder.find("part").trimmed_from["take"] == "drill"
+    tab.press("export")
+    tab.wait_for_text("exported ")
+    (exported,) = takes.glob("*/export/*.bvh")
+    assert exported.read_bytes().startswith(b"HIERARCHY")
+    tab.write("new name", "../out")
+    tab.press("rename")
+    tab.wait_for_text("is no name for a take")
+    tab.write("new name", "kept")
+    tab.press("rename")
+    tab.wait_for_text(" is now kept")
+    left = {take.name for take in folder.takes()}
+    assert "kept" in left and len(left) == 2 and not (takes.parent / "out").exists()
+    tab.press("delete")
+    tab.wait_for_text("is in the bin")
+    assert len(folder.takes()) == 1 and len(folder.deleted()) == 1
+    tab.press("restore")
+    tab.wait_for_text(" is back")
+    assert {take.name for take in folder.takes()} == left
+
+
+def lose_a_camera(tab: Browser, process: subprocess.Popen) -> None:
+    """A camera client that hangs is said to be silent, since when, and what to do; it comes back."""
+    tab.press("Live")
+    client = next(
+        child for child in psutil.Process(process.pid).children(recursive=True) if "cam03" in " ".join(child.cmdline())
+    )
+    client.suspend()
+    try:
+        tab.wait_for_text("no word since")
+        tab.wait_for_text("start it again")
+        tab.picture(PICTURES / "lost.png")
+    finally:
+        client.resume()
+    tab.wait_for_no_text("no word since")

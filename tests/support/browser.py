@@ -20,6 +20,14 @@ from websockets.sync.client import connect
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 WAIT_S = 180.0
+FIELD = """
+    const words = %s;
+    const shown = [...document.querySelectorAll('label')].filter(l => l.getClientRects().length);
+    let box = shown.find(l => l.innerText.trim() === words);
+    while (box && !box.querySelector('input[type=text], input:not([type])')) box = box.parentElement;
+    const field = box.querySelector('input[type=text], input:not([type])');
+"""
+"""JavaScript: the text field that follows a label."""
 LISTENING = re.compile(r"DevTools listening on (ws://\S+)")
 
 
@@ -98,6 +106,14 @@ class Browser:
         """Until the page says so."""
         self.wait_for(f"document.body && document.body.innerText.includes({json.dumps(text)})")
 
+    def wait_for_no_text(self, text: str) -> None:
+        """Until the page does not say so any more."""
+        self.wait_for(f"document.body && !document.body.innerText.includes({json.dumps(text)})")
+
+    def wait_for_value(self, label: str, value: str) -> None:
+        """Until the text field that follows this label holds this."""
+        self.wait_for(f"(() => {{ {FIELD % json.dumps(label)} return field.value === {json.dumps(value)}; }})()")
+
     def press(self, words: str) -> None:
         """Click with the mouse on the button or tab of these words."""
         find = f"""(() => {{
@@ -114,15 +130,11 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=1)
 
     def write(self, label: str, text: str) -> None:
-        """Type into the text field that follows this label."""
-        script = f"""(() => {{
-            const label = [...document.querySelectorAll('label')].find(l => l.innerText.trim() === {json.dumps(label)});
-            let box = label;
-            while (box && !box.querySelector('input')) box = box.parentElement;
-            box.querySelector('input').focus();
-        }})()"""
-        self.run(script)
+        """Type into the text field that follows this label, in place of what is there."""
+        self.run(f"(() => {{ {FIELD % json.dumps(label)} field.focus(); field.select(); }})()")
         self.call("Input.insertText", text=text)
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
 
     def picture(self, path: Path) -> None:
         """What the page looks like, as a PNG."""

@@ -89,6 +89,8 @@ class TakesPanel:
         names = tuple(self._takes) or (NO_TAKES,)
         if tuple(self._choice.options) != names:
             self._choice.options = names
+            if not known and self._playback is not None:  # it began before there was a list
+                self._choose(self._playback.take.name)
         if known != self._takes:
             self._show_about()
 
@@ -103,8 +105,7 @@ class TakesPanel:
             return
         self._position.max = round(playback.seconds, 2)
         _set(self._to, round(playback.seconds, 2))
-        if playback.take.name in self._choice.options:
-            _set(self._choice, playback.take.name)
+        self._choose(playback.take.name)
         with self._plots:
             for title, times_s, series in playback.plots():
                 styles = [viser.uplot.Series(label="s")]
@@ -116,6 +117,10 @@ class TakesPanel:
         """Move the slider to where the take plays."""
         if abs(self._position.value - playback.position_s) > SLIDER_LAG_S:
             _set(self._position, round(playback.position_s, 2))
+
+    def _choose(self, name: str) -> None:
+        if name in self._choice.options:
+            _set(self._choice, name)
 
     def _if_chosen(self, act: Callable[[str], None]) -> None:
         if self.chosen:
