@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from functools import partial
+from collections.abc import Callable
 
 import viser
 
@@ -15,6 +15,7 @@ from .live import LiveGraph
 from .states import is_camera, label_of, states_html, trouble_of
 
 COUNTDOWN_S = 10
+RECORD, FINISH, RESET, LEARN, CANCEL = "record", "finish recording", "reset", "learn background", "cancel"
 
 
 class GraphPanel:
@@ -23,12 +24,10 @@ class GraphPanel:
     def __init__(self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, live: LiveGraph, control: Control, jobs: Jobs):
         self._gui, self._live = gui, live
         with tabs.add_tab("Live"):
-            self._states = gui.add_html("")
+            _recording_controls(gui, control, jobs)
+            _graph_buttons(gui, control, jobs)
             self._voxels = gui.add_checkbox("hull voxels", False)
-            with gui.add_folder("recording"):
-                _recording_controls(gui, control, jobs)
-            with gui.add_folder("graph"):
-                _graph_buttons(gui, control, jobs)
+            self._states = gui.add_html("")  # below: its length changes, and buttons must not move under the mouse
         with tabs.add_tab("Cameras"):
             self._pictures = gui.add_checkbox(
                 "pictures", False, hint="what each camera sees with its silhouette's outline, a few times a second"
@@ -71,21 +70,25 @@ def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
         "suspend": ("suspending", control.bring(State.INACTIVE, True)),
         "stop": ("stopping", control.bring(State.UNCONFIGURED, True)),
     }
-    group = gui.add_button_group("nodes", tuple(transitions))
-    on_click(group, lambda: jobs.request(*transitions[group.value]))
-    on_click(
-        gui.add_button("reset", hint="forget everybody, and look anew"),
-        partial(jobs.request, "resetting", control.reset),
-    )
+    nodes = gui.add_button_group("nodes", tuple(transitions))
+    on_click(nodes, lambda: jobs.request(*transitions[nodes.value]))
+    people = gui.add_button_group("persons", (RESET,), hint="forget everybody, and look anew")
+    on_click(people, lambda: jobs.request("resetting", control.reset))
     seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
-    learn, cancel = gui.add_button("learn background"), gui.add_button("cancel")
-    on_click(learn, lambda: jobs.request("learning", control.learn_background(int(seconds.value))))
-    on_click(cancel, jobs.cancel)
+    background = gui.add_button_group("background", (LEARN, CANCEL))
+    acts: dict[str, Callable[[], object]] = {
+        LEARN: lambda: jobs.request("learning", control.learn_background(int(seconds.value))),
+        CANCEL: jobs.cancel,
+    }
+    on_click(background, lambda: acts[background.value]())
 
 
 def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     """A name, record, finish."""
     name = gui.add_text("name of the take", "", hint="by date and time without one")
-    record, finish = gui.add_button("record", color="red"), gui.add_button("finish recording")
-    on_click(record, lambda: jobs.request("recording", control.start_recording(name.value)))
-    on_click(finish, lambda: jobs.request("finishing", control.stop_recording))
+    recording = gui.add_button_group("recording", (RECORD, FINISH))
+    acts: dict[str, Callable[[], object]] = {
+        RECORD: lambda: jobs.request("recording", control.start_recording(name.value)),
+        FINISH: lambda: jobs.request("finishing", control.stop_recording),
+    }
+    on_click(recording, lambda: acts[recording.value]())

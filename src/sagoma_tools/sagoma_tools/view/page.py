@@ -91,6 +91,7 @@ class Page:
         self._playback = None
         self._scene.show({})
         self._take_panel.show_playback(None)
+        self._jobs.say("")
 
     def close(self) -> None:
         """Close the page."""
