@@ -223,6 +223,8 @@ class IcpTracker:
         points = fit.reference_points_world
         covariance = widened_covariance(self._with_sizes(fit), quality, points, hypothesis, found.spread)
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
+        if found.unseen is not None:
+            visible = visible & ~found.unseen
         seen = _seen(stamp_ns, started_from, replace(fit, covariance=covariance, visible=visible))
         state = TRACKING if quality.state == GOOD else quality.state
         return replace(seen, state=state, reason=quality.reason, quality=quality, recovered=found.change)

@@ -11,7 +11,7 @@ from test_icp_contour_rays import grazing_rays
 
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
-from icp_tracker.monitor.evidence import LEFT_ARM, RIGHT_LEG, evidence_of
+from icp_tracker.monitor.evidence import LEFT_ARM, RIGHT_LEG, SLACK_M, evidence_of
 from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces, other_places, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
@@ -24,9 +24,11 @@ from icp_tracker.monitor.pose_library import (
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.monitor.track_quality import (
     ELSEWHERE_M,
+    Baseline,
     doubtful_limbs,
     judge_track,
     limb_spread,
+    unseen_points,
     widened_covariance,
     with_doubtful_limbs,
 )
@@ -35,12 +37,13 @@ from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, Tra
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.placed_figure import Figure
+from stick_figure.least_squares.contour_factor import match_rays
+from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, T_POSE_ANGLES
 
 FPS = 60.0
-LEFT_HAND = 11
+LEFT_HAND, RIGHT_FOOT = 11, 14
 NOISE_M = 0.004
 STANCE = {
     "left_shoulder_x": -0.7,
@@ -87,6 +90,13 @@ def _inside(body, pose, spacing=0.03):
         u = np.clip((grid - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
         solid |= np.linalg.norm(grid - p - u[:, None] * (q - p), axis=1) < r0 + u * (r1 - r0)
     return grid[solid]
+
+
+def usual(evidence):
+    """What is usual after one set with this evidence."""
+    baseline = Baseline()
+    baseline.add(evidence)
+    return baseline
 
 
 def walked(person, k):
@@ -148,7 +158,7 @@ def test_the_true_pose_explains_the_outlines_and_lies_in_the_hull(person):
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * evidence.rays
     assert not evidence.outside.any()
-    assert judge_track(evidence, 0.95).state == GOOD
+    assert judge_track(evidence, usual(evidence)).state == GOOD
 
 
 def test_an_arm_in_the_air_is_doubtful_and_named(person):
@@ -158,7 +168,7 @@ def test_an_arm_in_the_air_is_doubtful_and_named(person):
     others = [part for part in range(len(PART_NAMES)) if part != LEFT_ARM]
     assert evidence.outside[LEFT_ARM] >= 4
     assert not evidence.outside[others].any()
-    quality = judge_track(evidence, 0.95)
+    quality = judge_track(evidence, usual(evidence))
     assert quality.state == DOUBTFUL
     assert quality.parts[LEFT_ARM] == DOUBTFUL and quality.parts[RIGHT_LEG] == GOOD
     assert quality.reason.startswith("left arm: ") and "points outside the hull" in quality.reason
@@ -167,9 +177,25 @@ def test_an_arm_in_the_air_is_doubtful_and_named(person):
 def test_a_body_elsewhere_is_lost(person):
     data = data_of(person)
     beside = replace(person.pose, position_world=person.pose.position_world + np.array([0.6, 0.0, 0.0]))
-    quality = judge_track(evidence_of(Figure.of(person.body), beside, data), 0.95)
+    known = usual(evidence_of(Figure.of(person.body), person.pose, data))
+    quality = judge_track(evidence_of(Figure.of(person.body), beside, data), known)
     assert quality.state == LOST
-    assert "95 % is usual" in quality.reason
+    assert f"{100 * known.share:.0f} % is usual" in quality.reason
+
+
+def test_a_calf_for_which_no_ray_speaks_is_doubtful_and_not_published(person):
+    data, figure = data_of(person), Figure.of(person.body)
+    known = usual(evidence_of(figure, person.pose, data))
+    calf = LIMBS[3].lower
+    assert not unseen_points(known.unseen_sticks(evidence_of(figure, person.pose, data))).any()
+    placed = match_rays(data.contour_rays, place(State.of(person.pose), figure), SLACK_M)
+    kept = figure.surface.stick[placed.capsule] != calf
+    rays = data.contour_rays.chosen(kept, data.contour_rays.information[kept])
+    evidence = evidence_of(figure, person.pose, data._replace(contour_rays=rays))
+    quality = judge_track(evidence, known)
+    assert quality.parts == (GOOD, GOOD, GOOD, GOOD, DOUBTFUL)
+    assert "rays show its right calf" in quality.reason.replace("_", " ")
+    assert list(np.flatnonzero(unseen_points(known.unseen_sticks(evidence)))) == [RIGHT_FOOT]
 
 
 def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):

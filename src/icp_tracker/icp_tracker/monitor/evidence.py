@@ -37,7 +37,7 @@ SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the r
 SAMPLES = 3  # points along each stick that must lie in the hull
 OUTSIDE_SLACK_M, OUTSIDE_MOST_M = 0.045, 0.2  # spacing of the hull's samples; farther out is no worse
 RAYS_PER_OUTSIDE_M = 30.0  # a hand 0.1 m outside the hull weighs as much as three rays
-LOSS = 2.0  # a ray that another pose explains worse counts so much more than one that it explains better
+LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
 
 
@@ -46,9 +46,9 @@ class Evidence:
     """What speaks for and against a pose.
 
     costs (n,) : what each ray costs, 0 to 1; beyond : what points outside the hull and joints beyond their ranges cost,
-    in rays; volume : what centerline points and voxels cost that the pose does not explain, in rays. explained,
-    unexplained (5,) rays of each part of the body, in the order of PART_NAMES (an unexplained one counts for the part
-    it passes nearest).
+    in rays; volume : what centerline points and voxels cost that the pose does not explain, in rays. explained (10,)
+    rays of each stick; unexplained (5,) rays of each part of the body, in the order of PART_NAMES (an unexplained one
+    counts for the part it passes nearest).
     outside (5,) : points of the part's sticks that lie outside the hull, each part of a limb having six.
     """
 
@@ -94,16 +94,17 @@ def evidence_of(figure: Figure, pose: Pose, data: Data) -> Evidence:
 
 @njit(cache=True, nogil=True)
 def _weigh(figure, state, data):
-    """Return what each ray costs (n,); explained rays, unexplained rays and points outside of each part (5,); what the
-    latter cost, and what is unexplained of the hull; by how much (18,) rad angles are beyond their joints' ranges."""
+    """Return what each ray costs (n,); explained rays of each stick (10,); unexplained rays and points outside of each
+    part (5,); what the latter cost, and what is unexplained of the hull; by how much (18,) rad angles are beyond their
+    joints' ranges."""
     placed, rays = place(state, figure), data.contour_rays
     match, costs = match_rays(rays, placed, SLACK_M), np.empty(rays.information.shape[0])
-    explained, unexplained, outside = np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64)
+    explained, unexplained, outside = np.zeros(STICKS, np.int64), np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64)
     for i in range(costs.shape[0]):
-        separation, part = match.separation[i], PART_OF_STICK[placed.surface.stick[match.capsule[i]]]
+        separation, stick = match.separation[i], placed.surface.stick[match.capsule[i]]
         costs[i] = ray_cost(separation, GATE_M)
-        explained[part] += separation < EXPLAINED_M
-        unexplained[part] += separation > GATE_M
+        explained[stick] += separation < EXPLAINED_M
+        unexplained[PART_OF_STICK[stick]] += separation > GATE_M
     excess = np.empty(18)
     joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
     beyond = count_outside(placed, data.hull, outside)

@@ -43,6 +43,7 @@ from .track_quality import (
     doubtful_limbs,
     judge_track,
     limb_spread,
+    unseen_points,
     with_doubtful_limbs,
 )
 
@@ -86,6 +87,7 @@ class Examination:
     """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes.
 
     hypothesis : another pose that may be right. spread (15, 3, 3) m^2 : of where the points of doubtful limbs may be.
+    unseen (15,) bool : points for which nothing in the set speaks.
     """
 
     quality: TrackQuality
@@ -93,6 +95,7 @@ class Examination:
     change: str = ""
     hypothesis: Pose | None = None
     spread: np.ndarray | None = None
+    unseen: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,10 +147,10 @@ class TrackMonitor:
             return Examination(UNKNOWN)
         observed = ObservedSet(apart_s, body, data, settings)
         evidence = observed.evidence_of(pose)
-        quality = judge_track(evidence, self._baseline.share)
+        quality = judge_track(evidence, self._baseline)
         self._sets += 1
         if quality.state == GOOD:
-            self._baseline.add(evidence.share)
+            self._baseline.add(evidence)
             self._last_good = pose
         if not self._settings.search:
             return Examination(quality)
@@ -160,7 +163,8 @@ class TrackMonitor:
         found = self._decide(observed, pose, with_doubtful_limbs(quality, self._doubtful, self._places))
         if found.better is not None and self._places:
             self._keep_tracked(observed, pose, found.better)
-        return replace(found, spread=limb_spread(found.quality, self._places))
+        unseen = None if found.better is not None else unseen_points(self._baseline.unseen_sticks(evidence))
+        return replace(found, spread=limb_spread(found.quality, self._places), unseen=unseen)
 
     # --- the hypothesis ----------------------------------------------------------------------------------------------
 
@@ -181,7 +185,7 @@ class TrackMonitor:
             return Examination(quality)
         if self._has_lasted(hypothesis, observed, pose) or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
             self._hypothesis = None
-            known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline.share)
+            known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline)
             return Examination(known, hypothesis.pose, hypothesis.why)
         if hypothesis.seconds >= PATIENT_S or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
             self._hypothesis = None
