@@ -71,22 +71,23 @@ class Baseline:
         self.rays += (evidence.explained - self.rays) / self._sets
 
     def unseen_sticks(self, evidence: Evidence) -> np.ndarray:
-        """Return (10,) bool: sticks of limbs that hardly a ray speaks for, unlike before.
+        """Return (10,) bool: forearms and calves that hardly a ray speaks for, unlike before.
 
         Where their hull is missing (behind a thing in the room that one camera takes for background, a part that is
         taken for shadow) no place in it is right; nor is one that is found elsewhere in the hull.
         """
         few = evidence.explained < SEEN_SHARE * self.rays
-        return np.asarray(few & (self.rays > USUAL_RAYS) & (PART_OF_STICK != TRUNK))
+        few &= self.rays > USUAL_RAYS
+        lower = np.zeros(len(few), bool)
+        lower[[limb.lower for limb in LIMBS]] = True
+        return np.asarray(few & lower)
 
 
 def unseen_points(sticks: np.ndarray) -> np.ndarray:
-    """Return the reference points (15,) bool that only sticks (10,) which are not seen could place."""
+    """Return the reference points (15,) bool that only sticks (10,) which are not seen could place: hands and feet."""
     points = np.zeros(15, bool)
     for limb in LIMBS:
-        middle, end = PART_POINTS[limb.part][-2:]
-        points[end] = sticks[limb.lower]
-        points[middle] = sticks[limb.lower] and sticks[limb.upper]
+        points[PART_POINTS[limb.part][-1]] = sticks[limb.lower]
     return points
 
 
