@@ -177,7 +177,12 @@ class IcpTracker:
         return predicted, str(prediction.stamp_ns)
 
     def _predicted(self, stamp_ns: int, prediction: Prediction, pose: Pose) -> Pose:
-        """Return the filter's pose moved on to a stamp."""
+        """Return the filter's pose, its joints described within their ranges, moved on to a stamp.
+
+        The filter's own description goes on from set to set, with elbows that are bent a little the wrong way. A fit
+        that starts from there stays there.
+        """
+        pose = Pose.from_angles(pose.position_world, pose.R_world_torso, pose.angles())
         ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
         ahead_s = min(max(ahead_s, 0.0), self._settings.extrapolation_limit_s)
         return pose.retract(prediction.velocity * ahead_s)
