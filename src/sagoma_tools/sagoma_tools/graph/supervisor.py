@@ -21,7 +21,7 @@ from rclpy.node import Node
 from camera_client.sources.footage_source import EPOCH_STEP_NS
 from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
+from sagoma_bringup.processes import ONE_PROCESS, SERVER_EXECUTABLE, ProcessSpec, processes_of
 
 from .diagnostics_table import DiagnosticsTable
 from .errors import GraphError
@@ -41,6 +41,7 @@ THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
 CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
 RESTARTING = "restarting"
+ENCLAVES = "/sagoma"  # of the keystores of `sagoma security`
 
 
 class Supervisor:
@@ -211,7 +212,8 @@ class Supervisor:
         parameters = self.run_folder / f"{process.label}.yaml"
         save_mapping(parameters, process.parameter_document())
         executable = node_command(process.package, process.executable, process.module)
-        command = [*executable, "--ros-args", *process.name_arguments, "--params-file", str(parameters)]
+        command = [*executable, "--ros-args", *process.name_arguments, *enclave_arguments(process)]
+        command += ["--params-file", str(parameters)]
         log, env = self.run_folder / f"{process.label}.log", self._child_environment()
         child = Child(process.label, command, log, env, partial(self._report_exit, process))
         self._children |= dict.fromkeys((node.full_name for node in process.nodes), child)
@@ -353,6 +355,17 @@ def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpe
         return tuple(graph)
     epoch = {"footage.epoch_ns": epoch_ns}
     return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
+
+
+def enclave_arguments(process: ProcessSpec) -> list[str]:
+    """ROS arguments that give a process its certificate; none where security (SROS 2) is not switched on.
+
+    All of the server's nodes have the same certificate, whether they share a process or not.
+    """
+    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+        return []
+    is_camera = any(node.role is Role.CAMERA for node in process.nodes)
+    return ["--enclave", f"{ENCLAVES}/{process.label if is_camera else SERVER_EXECUTABLE}"]
 
 
 def _chooses_epoch(camera: NodeSpec) -> bool:

@@ -1,0 +1,1 @@
+"""SROS 2: certificates and permissions for the processes of the graph."""
