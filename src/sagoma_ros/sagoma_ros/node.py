@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import inspect
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, TypeVar
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -29,6 +30,8 @@ from .names import resolve_packages
 T = TypeVar("T")
 
 RCLError = rclpy_implementation.RCLError
+TAKES_EFFECT = "takes effect at the next configure: deactivate, cleanup, configure and activate the node"
+LARGEST, LARGEST_INT = 1e308, (1 << 63) - 1  # of a range that is open on one side
 FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made, possibly later than we look
 
 
@@ -51,6 +54,7 @@ class SagomaNode(LifecycleNode):
     Settings: ClassVar[type]
 
     def __init__(self, name: str, **options: Any) -> None:
+        self._in_use = False  # configured with the settings
         super().__init__(name, **options)
         declare_parameters(self, self.Settings)
         declare_parameters(self, AutostartSettings)
@@ -78,6 +82,7 @@ class SagomaNode(LifecycleNode):
             self.configure()
 
         result = self._attempt(configure, "configured, inactive")
+        self._in_use = result == TransitionCallbackReturn.SUCCESS
         if result != TransitionCallbackReturn.SUCCESS:
             self._attempt(self.cleanup, None)
         return result
@@ -99,6 +104,7 @@ class SagomaNode(LifecycleNode):
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._in_use = False
         return self._attempt(self.cleanup, "unconfigured")
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -111,6 +117,16 @@ class SagomaNode(LifecycleNode):
     def starts_itself(self) -> bool:
         """The parameter ``autostart``."""
         return read_declared(self, AutostartSettings).autostart
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """As of every node; while the node is configured, the result says when a change takes effect."""
+        result = super().set_parameters_atomically(parameter_list)
+        settings = {leaf.key for leaf in leaves(self.Settings)}
+        changed = ", ".join(parameter.name for parameter in parameter_list if parameter.name in settings)
+        if result.successful and changed and self._in_use:
+            result.reason = TAKES_EFFECT
+            self.get_logger().info(f"{changed}: {TAKES_EFFECT}")
+        return result
 
     def configured(self) -> bool:
         """Configure by oneself; False when that failed."""
@@ -198,9 +214,54 @@ def declare_parameters(node: Node, settings_class: type) -> None:
     present, warnings = resolve_renamed(settings_class, given)
     for warning in warnings:
         node.get_logger().warning(f"{_where(node)}: {warning}")
-    for leaf in leaves(settings_class):
-        node.declare_parameter(leaf.key, present.get(leaf.key, leaf.default), _descriptor(leaf))
+    known = {leaf.key: leaf for leaf in leaves(settings_class)}
+    for key, leaf in known.items():
+        value = _of_type(leaf, present.get(key, leaf.default))
+        node.declare_parameter(key, value, _descriptor(leaf), ignore_override=True)
+    node.add_pre_set_parameters_callback(lambda changes: [_change_of_type(known, change) for change in changes])
     node.add_on_set_parameters_callback(lambda changes: _check(node, settings_class, changes))
+    _describe_ranges(node, known)
+
+
+def _of_type(leaf: Leaf, value: Any) -> Any:
+    """Return the value; a whole number given for a parameter with decimals as such a one, so that it keeps its type."""
+    if leaf.type is float and type(value) is int:
+        return float(value)
+    if leaf.type == list[float] and isinstance(value, Sequence) and any(type(one) is int for one in value):
+        return [float(one) if type(one) is int else one for one in value]
+    return value
+
+
+def _change_of_type(known: Mapping[str, Leaf], change: Parameter) -> Parameter:
+    if change.name not in known:
+        return change
+    value = _of_type(known[change.name], change.value)
+    return change if value is change.value else Parameter(change.name, value=value)
+
+
+def _describe_ranges(node: Node, known: Mapping[str, Leaf]) -> None:
+    """Let the node tell ranges to whoever asks, as rqt does for its sliders.
+
+    rclpy does not get them: it would refuse values without saying what to do, and bad overrides with an exception.
+    """
+    described = node.describe_parameter
+
+    def describe(name: str) -> ParameterDescriptor:
+        found, leaf = described(name), known.get(name)
+        if leaf is None:
+            return found
+        found = copy(found)
+        found.dynamic_typing = False  # another type is refused, by our own check
+        low, high = leaf.metadata.get("low"), leaf.metadata.get("high")
+        if leaf.type is float and (low, high) != (None, None):
+            least, most = (-LARGEST if low is None else float(low)), (LARGEST if high is None else float(high))
+            found.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
+        elif leaf.type is int and (low, high) != (None, None):
+            first, last = (-LARGEST_INT if low is None else int(low)), (LARGEST_INT if high is None else int(high))
+            found.integer_range = [IntegerRange(from_value=first, to_value=last, step=1)]
+        return found
+
+    node.describe_parameter = describe  # type: ignore[method-assign]
 
 
 def read_parameters(node: Node, settings_class: type[T]) -> T:

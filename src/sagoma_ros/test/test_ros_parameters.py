@@ -161,6 +161,24 @@ def test_parameters_are_described_with_unit_and_range(ros: Spinner) -> None:
     assert backend.additional_constraints == "one of auto, cpu, gl"
 
 
+def test_ranges_are_described_for_sliders_and_types_are_fixed(ros: Spinner) -> None:
+    voxel, cameras, low = make_node(ros).describe_parameters(["voxel_m", "cameras", "low"])
+    assert [(r.from_value, r.to_value) for r in voxel.floating_point_range] == [(0.002, 0.2)]
+    assert [(r.from_value, r.to_value, r.step) for r in cameras.integer_range] == [(1, 64, 1)]
+    assert not (voxel.dynamic_typing or low.floating_point_range or voxel.integer_range)
+
+
+def test_whole_numbers_given_for_decimals_keep_the_parameters_type(ros: Spinner) -> None:
+    node = make_node(ros, {"blob.min_area_m2": 1, "low": [1, 2]})
+    double = Parameter.Type.DOUBLE
+    assert node.get_parameter("blob.min_area_m2").type_ == double
+    assert node.get_parameter("low").type_ == Parameter.Type.DOUBLE_ARRAY
+    assert node.set_parameters_atomically([Parameter("blob.min_area_m2", value=0)]).successful
+    assert (node.get_parameter("blob.min_area_m2").type_, node.get_parameter("blob.min_area_m2").value) == (double, 0.0)
+    refused = node.set_parameters_atomically([Parameter("cameras", value=4.0)])
+    assert not refused.successful and "cameras = 4.0 is not of type int" in refused.reason
+
+
 OLD_FILE = """
 /studio/hull_server:
   ros__parameters:
