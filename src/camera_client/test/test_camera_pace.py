@@ -155,3 +155,15 @@ def test_given_epoch_is_taken_as_it_is_even_from_the_past():
 def test_epoch_far_ahead_is_refused():
     with pytest.raises(InputError, match=r"epoch_ns = .* ahead of the system clock"):
         choose_epoch_ns(EPOCH_NS * 1000, EPOCH_NS)
+
+
+@pytest.mark.parametrize("rate", [0.25, 0.5, 1.0, 2.0, 8.0])
+def test_stamps_run_at_the_rate_of_playing_from_the_epoch_on(rate):
+    """One relation for every frame: stamp = epoch + rate * (time of leaving - epoch)."""
+    clock = Clock(EPOCH_NS)
+    pace = WallClockPace(25.0, rate, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 0)
+    for frame in range(100):
+        assert pace.wait(frame, 10.0)
+        since_epoch_ns = footage_stamp_ns(EPOCH_NS, frame, 25.0) - EPOCH_NS
+        assert since_epoch_ns == pytest.approx(rate * (clock.now_ns() - EPOCH_NS), abs=1000)

@@ -40,6 +40,7 @@ from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up
 
 CLOUDS_KEPT = 8
+TOLD_EVERY_S = 1.0  # a reason why nobody is found yet: people read, and reasons may change with every set
 T = TypeVar("T", Centerline, VoxelSamples, ContourRays)
 
 
@@ -57,6 +58,7 @@ class IcpNode(SagomaNode):
         self._lock = threading.Lock()  # tracker and stamps: worker against ~/reset
         self._order = StampOrder()
         self._told: dict[int, str] = {}
+        self._told_s: dict[int, float] = {}  # when, by the steady clock
         self._published: dict[int, Body] = {}
         self._silence: SilenceWatch | None = None
 
@@ -264,8 +266,10 @@ class IcpNode(SagomaNode):
         who = "" if fit.person == FIRST_PERSON else f"person {fit.person}: "
         # while looking for a first pose every new reason tells the person what to do; later ones hold changing figures
         told = _state_of(fit) if fit.state == ACQUIRING else fit.state
-        if told != self._told.get(fit.person):
-            self._told[fit.person] = told
+        now_s = time.monotonic()
+        too_soon = fit.state == ACQUIRING and now_s - self._told_s.get(fit.person, -TOLD_EVERY_S) < TOLD_EVERY_S
+        if told != self._told.get(fit.person) and not too_soon:
+            self._told[fit.person], self._told_s[fit.person] = told, now_s
             self.get_logger().info(f"{who}{_state_of(fit)}")
         if fit.recovered:
             self.health.count("recoveries")

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
 from icp_tracker.icp_node import IcpNode, fit_message
-from icp_tracker.tracker import IcpTracker
+from icp_tracker.tracker import IcpTracker, fits_nothing
 from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
 from mocap_packets.people import Predictions, parse_bodies
 from mocap_packets.state import Prediction
@@ -377,3 +377,20 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
         expected = tracker.step(HullProducts(stamp(k), read_packet(message, Centerline, "test")))
         assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
         assert fit_message((expected,), "articulated") == node.fits[-1]
+
+
+def test_reason_of_an_acquisition_is_logged_when_it_changes_and_at_most_once_a_second(bench, monkeypatch, capfd):
+    clock = SimpleNamespace(now_s=100.0)
+    monkeypatch.setattr("icp_tracker.icp_node.time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    node = bench().node
+    for k in range(60):  # three seconds of sets, whose reasons change with each, then stay
+        clock.now_s = 100.0 + 0.05 * k
+        node._tell(fits_nothing(stamp(k), f"arm {k} cm too low" if k < 50 else "stand still"))
+    lines = [line for line in capfd.readouterr().err.splitlines() if "acquiring" in line]
+    assert [line.rpartition("acquiring: ")[2] for line in lines] == [
+        *("arm 0 cm too low", "arm 20 cm too low", "arm 40 cm too low")
+    ]
+    clock.now_s += 1.0
+    node._tell(fits_nothing(stamp(60), "stand still"))
+    node._tell(fits_nothing(stamp(61), "stand still"))
+    assert capfd.readouterr().err.count("stand still") == 1
