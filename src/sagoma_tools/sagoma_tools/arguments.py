@@ -80,6 +80,11 @@ def parse_settings(texts: list[str]) -> dict[str, Any]:
     return settings
 
 
+def next_steps(take: str | Path) -> str:
+    """Say what one does with a recording."""
+    return f"look at it: sagoma view {take}    in other programs: sagoma export {take}"
+
+
 def new_run_folder(given: str | None, kind: str) -> Path:
     """Return the folder for logs and parameter files: as given, or output/KIND-DATE-TIME."""
     return Path(given) if given else Path("output") / f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"

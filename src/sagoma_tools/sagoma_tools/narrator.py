@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any, TextIO
 
 SILENT_S = 3.0  # longer than that people wonder whether it hangs (Nielsen: attention is lost after 1 to 10 s)
+STEP_S = 1.0  # a step that has only just begun is perhaps over before it is read
 LOG_EVERY_S = 10.0
 REFRESH_S = 0.25
 FALLBACK_COLUMNS = 80
@@ -106,7 +107,7 @@ class Narrator:
         """Show the line when there was silence for long enough."""
         with self._lock:
             now_s = self._now_s()
-            if now_s - self._heard_s < SILENT_S:
+            if now_s - self._heard_s < SILENT_S or now_s - self._began_s < STEP_S:
                 return
             if self._stderr.isatty():
                 columns = columns_of(self._stderr)

@@ -16,7 +16,7 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-from ..arguments import add_settings_argument, add_start_argument, parse_settings
+from ..arguments import add_settings_argument, add_start_argument, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInput
@@ -77,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
     for path in draw(live, output, outcome) if outcome else ():
         console.print(f"picture: {path}")
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
+    console.print(next_steps(live.bag))
     trouble = unsound(live.sets, live.answered, len(live.track), live.hz_held)
     if args.rate is None:
         console.print(rate_line(fps, live.hz_held, live.others, os.getloadavg()[0]), style="bold")

@@ -20,7 +20,7 @@ from rich.live import Live
 from capture_rig.errors import InputError
 from virtual_studio.gige import command as studio
 
-from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder
+from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
 from ..console import command_console
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit
@@ -97,6 +97,7 @@ def up(args: argparse.Namespace) -> int:
             counts = recorder.close()
             finish_take(Path(args.record))
             console.print(f"recorded {sum(counts.values())} messages on {len(counts)} topics in {args.record}")
+            console.print(next_steps(args.record))
         supervisor.stop()
     incomplete = recorder is not None and recorder.recorder.failure is not None
     return print_exit_statuses(console, supervisor) or int(incomplete)

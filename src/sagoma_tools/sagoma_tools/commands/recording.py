@@ -10,7 +10,7 @@ from pathlib import Path
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 
-from ..arguments import add_server_argument, add_settings_argument, new_run_folder, parse_settings
+from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
 from ..graph.topics import (
@@ -113,6 +113,8 @@ def record(args: argparse.Namespace) -> int:
         )
     finish_take(Path(args.bag))
     print_counts(counts)
+    if any(counts.values()):
+        print(next_steps(args.bag))
     return 0 if recorder.failure is None else 1
 
 
