@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_rig.rig import Rig, load_rig
 from capture_rig.sight import Sight
-from mocap_packets.fit import GOOD, LOST, Fit, Solution
+from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
 from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
@@ -325,4 +325,5 @@ def _not_seen(
     """Return the answer to a set without a fit: the unmoved prediction, if any, about which nothing is known."""
     points = np.zeros((15, 3)) if body is None or pose is None else forward(body, pose)
     nothing = (points, unknown_covariance(), np.zeros(15, dtype=bool))
-    return Fit(seen.stamp_ns, state, started_from, reason, 0, *nothing, pose, None)
+    quality = TrackQuality(LOST, reason, (LOST,) * len(PART_NAMES), 0.0) if state == LOST else UNKNOWN
+    return Fit(seen.stamp_ns, state, started_from, reason, 0, *nothing, pose, None, quality)

@@ -358,6 +358,7 @@ def test_who_left_is_lost_and_found_again_elsewhere(person):
     tracker.step(HullProducts.of_points(stamp(0), line, 0.03, voxels, contour_rays=rays))
     empty = tracker.step(HullProducts.of_points(stamp(1), np.empty((0, 3))))
     assert empty.state == LOST and empty.reason.startswith("nobody in the volume") and not empty.visible.any()
+    assert set(empty.quality.parts) == {LOST} and empty.reference_points.doubtful.all()
     R, t = Rotation.from_rotvec([0.0, 0.0, 2.2]).as_matrix(), np.array([-1.1, 0.7, 0.0])
     truth, found = forward(person.body, moved(person.pose, R, t)), []
     for k in range(60, 120):
