@@ -177,7 +177,7 @@ def print_sum_rule(counters: Rows) -> dict[str, Any]:
     """Print, over all lives of each node, the largest difference between what went in and what came out."""
     table = Table("node:<22 | rule:<58 | lives:>5d | largest:>8.0f | last:>6.0f | verdict:<9", markdown=True)
     figures: dict[str, Any] = {}
-    cameras = len({name for name in counters["node"] if "camera_client" in name})
+    cameras = len({name for name in counters["node"] if CAMERA in name}) or np.nan
     for rule in RULES:
         for node in sorted({name for name in counters["node"] if rule.node in name}):
             of = counters["node"] == node
@@ -201,12 +201,13 @@ class SumRule:
     into: tuple[str, ...]
     out: tuple[str, ...]
 
-    def residual(self, rows: Rows, cameras: int) -> np.ndarray:
+    def residual(self, rows: Rows, cameras: float) -> np.ndarray:
         """Return (N,) what went in less what came out; NaN where the counters are not known."""
         closed = rows["sets_complete"] + rows["sets_incomplete"]
         known = rows | {"in_sets": cameras * closed - rows["frames_missing"]}
         into = sum(known[key] for key in self.into)
-        return np.asarray(into - sum(np.nan_to_num(known[key]) for key in self.out))
+        out = sum(known[key] if key == "in_sets" else np.nan_to_num(known[key]) for key in self.out)
+        return np.asarray(into - out)
 
 
 _REFUSED = ("frames_late", "frames_duplicate", "frames_backwards", "frames_ahead")
