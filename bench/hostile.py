@@ -10,7 +10,7 @@ memory      MiB of all processes before and after, and the largest growth of one
 counted     counters of the nodes' diagnostics that have risen: where the attack was noticed
 died        processes that ended
 
-    python bench/hostile.py [--only TEXT] [--quick] [--domain 167] [--markdown]
+    python bench/hostile.py [--only TEXT] [--domain 167] [--markdown]
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from report import Table, parser
 
 import numpy as np
 from hostile_messages import Attack, attacks, requests, with_stamp
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
@@ -48,7 +49,7 @@ from virtual_studio.rig import ring
 FPS, SECONDS = 4.0, 40.0  # of the footage, which is played again and again; a slow rate, for busy machines
 ALIVE_ANSWERS, ALIVE_TIMEOUT_S = 5, 20.0
 LISTEN_S = 3.0  # for a valid message of each topic
-CALL_TIMEOUT_S = 2.0
+CALL_TIMEOUT_S, DISCOVERY_TIMEOUT_S = 2.0, 5.0
 SOON_NS = 20_000_000  # attacks are later than the last set by so much: what is old is dropped unread
 NEAR_NS = 60_000_000_000
 NOT_OURS = ("/rosout", "/parameter_events", "/clock")
@@ -205,16 +206,12 @@ class Attacker:
             t: k for t, k in _types(target.link).items() if t not in NOT_OURS and "/transition_event" not in t
         }
         self._valid = valid_messages(target.link, self.topics)
-        qos = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node = target.link.node
-        self._publishers = {t: node.create_publisher(type(self._valid[t]), t, qos) for t in self.topics}
-        target.wait_for_answers(2)
 
     def send(self, attack: Attack) -> Effect:
         """Send it on every topic that it applies to, and see what it does."""
         target = self._target
         effect = Effect(attack.name, before=target.memory())
-        counters = target.counters()
+        counters, publishers = target.counters(), self._open()
         for topic, valid in self._valid.items():
             sent = 0
             for number in range(attack.repeat):
@@ -224,14 +221,29 @@ class Attacker:
                     message = attack.make(valid if fresh is None else fresh, self._rng)
                     if message is None:
                         break
-                    self._publishers[topic].publish(message)
+                    publishers[topic].publish(message)
                 except (AssertionError, OverflowError, UnicodeEncodeError):
                     break  # the message type itself refuses such a value
                 sent += 1
                 time.sleep(max(1.0 / attack.per_second - (time.monotonic() - began_s), 0.0))
             effect.sent += sent
             effect.topics += sent > 0
-        return self._judge(effect, counters)
+        effect = self._judge(effect, counters)
+        for publisher in publishers.values():
+            target.link.node.destroy_publisher(publisher)
+        return effect
+
+    def _open(self) -> dict[str, Publisher]:
+        """Return a new publisher a topic, known to its subscribers: after bytes that are none the middleware takes
+        nothing more from a publisher."""
+        node, qos = self._target.link.node, QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        made = {topic: node.create_publisher(type(self._valid[topic]), topic, qos) for topic in self.topics}
+        end_s = time.monotonic() + DISCOVERY_TIMEOUT_S
+        while time.monotonic() < end_s:
+            if all(p.get_subscription_count() >= node.count_subscribers(topic) for topic, p in made.items()):
+                break
+            time.sleep(0.05)
+        return made
 
     def call(self) -> Effect:
         """Send hostile requests to every service."""
@@ -282,7 +294,7 @@ def show(effects: Iterator[Effect], markdown: bool) -> bool:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the drill; 0 when the graph lived through all of it."""
-    made = parser(__doc__, "the attacks that were most telling, in one process")
+    made = parser(__doc__)
     made.add_argument("--only", default="", help="attacks whose name holds this text")
     made.add_argument("--domain", type=int, default=int(os.environ.get("ROS_DOMAIN_ID", "0")) + 100)
     made.add_argument("--server", default=THREE_PROCESSES)
