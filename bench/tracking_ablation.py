@@ -37,6 +37,7 @@ CHANGES: dict[str, dict[str, object]] = {
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
     "ours without refined sizes": {"icp_tracker.refinement.keyframes": 0},
     "ours, build of the average": {"icp_tracker.refinement.build_sd": 1e-6},
+    "ours, a rigid trunk": {SOLVE + "contour.bend": 0.0, "ekf_tracker.filter.bend": 0.0},
     "ours, hands and feet stiff": {SOLVE + "contour.turn_sd": 0.0},
     "ours, loose prior": {
         SOLVE + "prior.position_sd_m": 1.0,
@@ -110,7 +111,7 @@ def cell(scores: Scores | None) -> str:
     """A cell of the table."""
     if scores is None:
         return "no body"
-    return f"{scores.mean_mm:.0f} / {scores.over_200mm:.2f} / {scores.inside_95:.2f}"
+    return f"{scores.mean_mm:.1f} / {scores.over_200mm:.2f} / {scores.inside_95:.2f}"
 
 
 if __name__ == "__main__":
