@@ -18,7 +18,7 @@ The deviations are round numbers from what is known of landmarks that are locate
 
 They were rounded while looking at ``bench/covariance_coverage.py`` on the studio's and the three rendered sessions, the
 real one with four cameras and the first of the mesh people: none of these is a proof of them. For rendered people,
-whose joints are those of the surfaces that the figure's was learnt from, they are too large; for real ones they are not.
+whose joints are those of the surfaces that the figure's was learnt from, they are too large; for the real one not.
 """
 
 from __future__ import annotations
