@@ -19,7 +19,6 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
@@ -44,7 +43,8 @@ class RosLink:
         )
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self._closing = Future(executor=self._executor)
+        self._closing = threading.Event()
+        self._wake = self.node.create_guard_condition(lambda: None)
         self.error: Exception | None = None
         self._thread = threading.Thread(target=self._spin, name=f"{name} spin", daemon=True)
         self._thread.start()
@@ -53,7 +53,8 @@ class RosLink:
         """Stop spinning and leave the graph; may be called twice. Raises what a callback had raised, if one had."""
         if not self.context.ok():
             return
-        self._closing.set_result(None)  # wakes the executor
+        self._closing.set()
+        self._wake.trigger()
         self._thread.join(SPIN_END_S)
         self._executor.shutdown(timeout_sec=SPIN_END_S)
         self.node.destroy_node()
@@ -69,9 +70,9 @@ class RosLink:
 
     def _spin(self) -> None:
         try:
-            while not self._closing.done():
-                try:
-                    self._executor.spin_until_future_complete(self._closing)
+            while self.context.ok() and not self._closing.is_set():
+                try:  # rclpy's spin_until_future_complete would keep 265 bytes of each message
+                    self._executor.spin_once()
                 except InvalidHandle:  # another thread destroyed an entity just as rclpy was about to wait for it
                     continue
         except ExternalShutdownException:
