@@ -75,6 +75,11 @@ class LimbPlaces:
         apart: np.ndarray = np.linalg.norm(self.ends - self.tracked, axis=2).max(axis=1, initial=0.0)
         return apart
 
+    def within(self, margin: float) -> LimbPoses:
+        """Return the poses of the places that explain no less than so many rays more than the tracked one."""
+        good = self.margins >= margin
+        return LimbPoses(self.poses.R[good], self.poses.flexion[good])
+
     def best_pose(self, pose: Pose, limb: Limb) -> Pose | None:
         """Return the pose with the limb at its best other place, if that may explain more than the tracked one."""
         if len(self.margins) == 0 or self.margins[0] < LEAST_MARGIN:

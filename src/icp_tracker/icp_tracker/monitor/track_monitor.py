@@ -70,6 +70,7 @@ MARGIN_SETS = 3  # sets that a hypothesis is compared in at least: one may be to
 PATIENT_S = 0.5  # after which a hypothesis without the margin is dropped
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS, at every look one: arms are lost more often than legs
+FOLLOWED_MARGIN = -30.0  # rays: a place farther behind is left to its limb's next turn (within four sets)
 TURNED_EVERY = 16  # looks from one at the whole body turned round to the next
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 NS_PER_S = 1e9
@@ -206,15 +207,15 @@ class TrackMonitor:
         """Rate other places of the limbs: those that are known, and a part of the library of the limbs in turn."""
         turns = [LIMB_TURNS[turn % len(LIMB_TURNS)] for turn in range(looks, self._turns)]
         for number, limb in enumerate(LIMBS):
-            known = self._places.get(number)
-            if number not in turns and (known is None or len(known.margins) == 0):
+            places = self._places.pop(number, None)
+            known = NO_POSES if places is None else places.within(FOLLOWED_MARGIN)
+            if number not in turns and len(known.flexion) == 0:
                 continue
             library = NO_POSES
             if number in turns:
                 self._limb_looks[number] += 1
                 library = limb_poses(limb).part(self._limb_looks[number], limb.parts)
-            poses = NO_POSES if known is None else known.poses
-            self._places[number] = other_places(Figure.of(observed.body), pose, limb, observed.data, library, poses)
+            self._places[number] = other_places(Figure.of(observed.body), pose, limb, observed.data, library, known)
 
     def _keep_tracked(self, observed: ObservedSet, pose: Pose, better: Pose) -> None:
         """After a change-over, go on looking at the places that were left: a change may be a mistake."""
