@@ -10,6 +10,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from silhouette_bag import EPOCH_NS, write_silhouette_bag
 
 from capture_rig.errors import InputError
@@ -19,7 +20,6 @@ from hull_server.hull_node import HullNode
 from icp_tracker.icp_node import IcpNode
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, server_graph
 from sagoma_ros.process import autostart, make_executor
-from sagoma_ros.qos import RESULT
 from sagoma_tools.commands.recording import check_replay, replay_timed
 from sagoma_tools.evaluation.in_process import exact_silhouettes
 from sagoma_tools.graph.ros_link import RosLink
@@ -28,6 +28,7 @@ SOURCES = Path(__file__).parents[1] / "src"
 PATIENCE_S = 60.0  # only ever reached by a failing test
 ROUNDS = 3
 FPS = 30.0
+EVERYTHING = QoSProfile(depth=1000)  # reliable; three nodes write one log, and this thread also does their work
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ class Server:
             ("/rosout", Log, self._on_log),
             ("/diagnostics", DiagnosticArray, self._on_diagnostics),
         ):
-            self.ear.create_subscription(message, topic, take, RESULT)
+            self.ear.create_subscription(message, topic, take, EVERYTHING)
         self.executor = make_executor(context)
         for node in (*self.nodes, self.ear):
             self.executor.add_node(node)

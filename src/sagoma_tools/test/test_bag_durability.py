@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
@@ -34,6 +35,7 @@ while True:
     time.sleep(0.005)
 """
 RECORDED = b"\0\1\0\0" + bytes(100)
+LARGE = 1 << 16  # bytes of a message that the headers and the index of a file do not reach
 
 
 @pytest.fixture
@@ -93,13 +95,13 @@ def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_pat
     monkeypatch.setattr(os, "fsync", remember)
     writer = BagWriter(tmp_path / "bag")
     writer.add_topic(TOPIC, TEXT)
-    writer.write(TOPIC, 1, RECORDED)
-    before = on_disk[-1]
+    large = b"\0\1\0\0" + np.random.default_rng(0).bytes(LARGE)
+    writer.write(TOPIC, 1, large)
     with synced:  # nobody asks for it: the bag syncs by itself
-        assert synced.wait_for(lambda: on_disk[-1] > before, 60.0)
+        assert synced.wait_for(lambda: on_disk[-1] > LARGE, 60.0)
     writer.write(TOPIC, 2, RECORDED)  # has not been synced when the power goes
     shutil.copytree(tmp_path / "bag", tmp_path / "cut", ignore=shutil.ignore_patterns(".*"))
-    os.truncate(tmp_path / "cut" / "bag.mcap", on_disk[1 + next(i for i, n in enumerate(on_disk[1:]) if n > before)])
+    os.truncate(tmp_path / "cut" / "bag.mcap", next(size for size in on_disk if size > LARGE))
     writer.close()
     recover_bag(tmp_path / "cut", tmp_path / "mended")
     assert 1 in [message.log_ns for message in read_messages(tmp_path / "mended")]
