@@ -28,7 +28,6 @@ from capture_rig.rig import load_rig
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.health import HOST
-from sagoma_ros.heap import release_free_memory, return_large_blocks
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
 from sagoma_ros.names import graph_topic
@@ -59,6 +58,7 @@ from .diagnostics import (
     source_values,
 )
 from .frame_source import Frame, FrameSource
+from .heap import release_free_memory, return_large_blocks
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes
 from .sources.grab_loop import GrabLoop, GrabState

@@ -23,6 +23,8 @@ from mocap_packets.fit import FIRST_PERSON
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 
+from .urdf import Vector, add_joint
+
 HRI_JOINT_NAMES = (
     "waist",
     "r_head",
@@ -141,8 +143,6 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 # --- The URDF of a tracked person for REP-155: names as in ROS4HRI's `human_description`, measured sizes.
 
-Vector = tuple[float, float, float]
-
 
 @dataclass(frozen=True)
 class UrdfJoint:
@@ -161,13 +161,8 @@ def human_urdf(body: Body, body_id: str) -> str:
     ElementTree.SubElement(robot, "link", name=f"body_{body_id}")
     for joint in human_joints(body):
         ElementTree.SubElement(robot, "link", name=f"{joint.child}_{body_id}")
-        kind = "fixed" if joint.axis is None else "continuous"
-        element = ElementTree.SubElement(robot, "joint", name=f"{joint.name}_{body_id}", type=kind)
-        ElementTree.SubElement(element, "parent", link=f"{joint.parent}_{body_id}")
-        ElementTree.SubElement(element, "child", link=f"{joint.child}_{body_id}")
-        ElementTree.SubElement(element, "origin", xyz=_text(joint.origin), rpy="0 0 0")
-        if joint.axis is not None:
-            ElementTree.SubElement(element, "axis", xyz=_text(joint.axis))
+        links = f"{joint.parent}_{body_id}", f"{joint.child}_{body_id}"
+        add_joint(robot, f"{joint.name}_{body_id}", links, joint.origin, joint.axis)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode")
 
@@ -195,7 +190,3 @@ def human_joints(body: Body) -> Iterator[UrdfJoint]:
         yield UrdfJoint(f"{name}_r_hip", f"{name}_p_hip", f"{name}_hip", axis=(0, -1, 0))
         yield UrdfJoint(f"{name}_knee", f"{name}_hip", f"{name}_knee", (0.0, 0.0, -thigh), (0, -1, 0))
         yield UrdfJoint(f"{name}_ankle", f"{name}_knee", f"{name}_ankle", (0.0, 0.0, -calf))
-
-
-def _text(vector: Vector) -> str:
-    return " ".join(f"{value:.9g}" for value in vector)

@@ -97,15 +97,23 @@ def body_urdf(body: Body, body_id: str) -> str:
             ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), shape, sizes)
             ElementTree.SubElement(visual, "material", name="skin")
     for joint in joints:
-        kind = "fixed" if joint.axis is None else "continuous"
-        element = ElementTree.SubElement(robot, "joint", name=joint.name, type=kind)
-        ElementTree.SubElement(element, "parent", link=link_name(body_id, joint.parent))
-        ElementTree.SubElement(element, "child", link=link_name(body_id, joint.child))
-        ElementTree.SubElement(element, "origin", xyz=_text(joint.origin), rpy="0 0 0")
-        if joint.axis is not None:
-            ElementTree.SubElement(element, "axis", xyz=" ".join(str(int(k == joint.axis)) for k in range(3)))
+        axis = None if joint.axis is None else _vector(np.eye(3)[joint.axis])
+        links = link_name(body_id, joint.parent), link_name(body_id, joint.child)
+        add_joint(robot, joint.name, links, joint.origin, axis)
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def add_joint(
+    robot: ElementTree.Element, name: str, links: tuple[str, str], origin: Vector, axis: Vector | None
+) -> None:
+    """Add a joint from the first of the ``links`` to the second, at ``origin`` (m) of the first; no axis: fixed."""
+    element = ElementTree.SubElement(robot, "joint", name=name, type="fixed" if axis is None else "continuous")
+    ElementTree.SubElement(element, "parent", link=links[0])
+    ElementTree.SubElement(element, "child", link=links[1])
+    ElementTree.SubElement(element, "origin", xyz=_text(origin), rpy="0 0 0")
+    if axis is not None:
+        ElementTree.SubElement(element, "axis", xyz=_text(axis))
 
 
 def same_sizes(body: Body, other: Body | None) -> bool:

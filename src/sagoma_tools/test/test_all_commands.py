@@ -63,34 +63,31 @@ def test_an_unknown_option_is_named_with_where_to_look(name, capsys):
     assert f"See `sagoma {name} --help`" in said
 
 
-@pytest.mark.parametrize("name", EVERY)
-def test_ctrl_c_ends_a_command_without_a_traceback(name, capsys, monkeypatch):
-    def interrupted(args):
-        raise KeyboardInterrupt
+def every_command_raises(error, monkeypatch):
+    """Have every command end with an exception instead of its work."""
 
-    def interruptible(modules):
+    def run(args):
+        raise error
+
+    def failing(modules):
         parser = build_parser(modules)
         for _, leaf, _ in commands_of(parser):
-            leaf.set_defaults(run=interrupted)
+            leaf.set_defaults(run=run)
         return parser
 
-    monkeypatch.setattr(cli, "build_parser", interruptible)
+    monkeypatch.setattr(cli, "build_parser", failing)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_ctrl_c_ends_a_command_without_a_traceback(name, capsys, monkeypatch):
+    every_command_raises(KeyboardInterrupt, monkeypatch)
     assert main(shlex.split(HELP[name].examples[0])) == INTERRUPTED
     assert capsys.readouterr().err == "sagoma: interrupted\n"
 
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_reader_that_goes_away_ends_a_command_without_a_traceback(name, monkeypatch, capsys):
-    def talking(args):
-        raise BrokenPipeError
-
-    def to_nobody(modules):
-        parser = build_parser(modules)
-        for _, leaf, _ in commands_of(parser):
-            leaf.set_defaults(run=talking)
-        return parser
-
-    monkeypatch.setattr(cli, "build_parser", to_nobody)
+    every_command_raises(BrokenPipeError, monkeypatch)
     monkeypatch.setattr(cli, "_drop_output", lambda: None)
     assert main(shlex.split(HELP[name].examples[0])) == NO_READER
     assert capsys.readouterr().err == ""
