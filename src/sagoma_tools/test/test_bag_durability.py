@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
@@ -21,6 +22,11 @@ from sagoma_tools.recording.durable import RESERVE_BYTES, DurableWriter
 from sagoma_tools.recording.reader import open_bag, read_messages, read_provenance
 from sagoma_tools.recording.recovery import recover_bag
 from sagoma_tools.recording.writer import SYNC_S, BagWriter
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 TOPIC, TEXT = "/icp/body", "std_msgs/msg/String"
 WRITER_TO_KILL = """
@@ -185,3 +191,60 @@ def test_messages_of_a_bag_have_a_checksum(tmp_path: Path) -> None:
     read = [message.log_ns for message in read_messages(tmp_path / "mended")]
     assert recovery.damaged_chunks == 1 and "1 damaged chunks" in str(recovery)
     assert 17 not in read and len(read) >= 25 and read == sorted(read)
+
+
+COMPRESSORS = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "": bytes}
+
+
+def write_compressed(bag: Path, compression: str, messages: list[bytes]) -> Path:
+    """Write a bag with chunks of four messages each as `ros2 bag record` compresses them, and no end."""
+    writer = BagWriter(bag)
+    mcap = writer._writer.mcap
+    mcap.compression, mcap.compressor = compression, COMPRESSORS.get(compression, bytes)
+    writer.add_topic(TOPIC, TEXT)
+    for number, message in enumerate(messages):
+        writer.write(TOPIC, number, message)
+        if number % 4 == 3:
+            mcap.close_pending_chunk()
+    writer._stop.set()
+    return mcap.path
+
+
+@pytest.mark.parametrize("compression", COMPRESSORS)
+def test_of_a_bag_cut_in_a_compressed_chunk_at_most_that_chunk_is_lost(tmp_path: Path, compression: str) -> None:
+    draw = np.random.default_rng(0)
+    messages = [b"\0\1\0\0" + draw.bytes(1 << 16) + bytes(1 << 16) for _ in range(12)]
+    mcap = write_compressed(tmp_path / "bag", compression, messages)
+    os.truncate(mcap, mcap.stat().st_size - (1 << 16))
+    with pytest.raises(InputError, match="sagoma recover"):
+        list(read_messages(tmp_path / "bag"))
+    recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
+    read = [message.data for message in read_messages(tmp_path / "mended")]
+    assert read == messages[: len(read)] and recovery.damaged_chunks == 0
+    assert 8 < len(read) < 12  # the two whole chunks, and the blocks before the break
+
+
+@pytest.mark.parametrize("compression", COMPRESSORS)
+def test_a_damaged_compressed_chunk_costs_its_messages_alone(tmp_path: Path, compression: str) -> None:
+    draw = np.random.default_rng(0)
+    messages = [b"\0\1\0\0" + draw.bytes(1 << 16) for _ in range(12)]
+    mcap = write_compressed(tmp_path / "bag", compression, messages)
+    content = bytearray(mcap.read_bytes())
+    place = content.index(messages[5][1000:1020])  # random bytes: no compression changes them
+    content[place : place + 4] = bytes(4)
+    mcap.write_bytes(content)
+    recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
+    assert recovery.damaged_chunks == 1
+    assert [m.data for m in read_messages(tmp_path / "mended")] == messages[:4] + messages[8:]
+
+
+def test_a_chunk_that_claims_a_terabyte_or_an_unknown_compression_is_no_trap(tmp_path: Path) -> None:
+    mcap = write_compressed(tmp_path / "bag", "zstd", [RECORDED] * 4)
+    content = bytearray(mcap.read_bytes())
+    place = content.index(b"\4\0\0\0zstd")
+    content[place - 12 : place - 4] = (1 << 40).to_bytes(8, "little")  # its uncompressed size
+    mcap.write_bytes(content)
+    assert recover_bag(tmp_path / "bag", tmp_path / "mended").damaged_chunks == 1
+    mcap = write_compressed(tmp_path / "other", "brotli", [RECORDED] * 4)
+    with pytest.raises(InputError, match=r"compressed \('brotli'\).*mcap recover"):
+        recover_bag(tmp_path / "other", tmp_path / "never")

@@ -2,19 +2,23 @@
 
 Such a bag has no index, or a wrong one: its mcap file is read record by record and copied into a new bag, up to where
 it breaks off (mcap.dev/spec: one byte opcode, 64-bit length, body; chunks hold records). A chunk whose checksum does
-not fit its bytes is left out; which of its messages are damaged cannot be told.
+not fit its bytes is left out; which of its messages are damaged cannot be told. Chunks may be compressed (zstd,
+lz4), as by `ros2 bag record --storage-preset-profile zstd_fast`: of one that breaks off, the blocks before the break
+are read.
 """
 
 from __future__ import annotations
 
 import os
 import struct
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from zlib import crc32
 
+from lz4.frame import LZ4FrameDecompressor
 from rosbags.typesys import TypesysError
 
 from capture_rig.errors import InputError
@@ -23,10 +27,17 @@ from capture_rig.files import copy_file
 from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, read_messages
 from .writer import BagWriter
 
+if sys.version_info >= (3, 14):
+    from compression.zstd import ZstdDecompressor
+else:
+    from backports.zstd import ZstdDecompressor
+
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
 CHUNK_HEAD_BYTES = 8 + 8 + 8 + 4  # start, end, uncompressed size, checksum
+MOST_CHUNK_BYTES = 1 << 28  # uncompressed: rosbag2 closes a chunk at a MiB, behind one message that may be larger
 MESSAGE_HEAD_BYTES = 2 + 4 + 8 + 8  # channel, sequence, time logged, time sent
+DECOMPRESSORS: dict[str, Any] = {"zstd": ZstdDecompressor, "lz4": LZ4FrameDecompressor}
 
 Record = tuple[int, memoryview]
 
@@ -130,19 +141,35 @@ def _chunk_records(body: memoryview, whole: bool, where: str, recovery: Recovery
     except (struct.error, UnicodeDecodeError):
         recovery.damaged_chunks += 1
         return
-    if compression:
-        remedy = "Use the mcap command line's `mcap recover` for this bag."
-        raise InputError(f"its chunks are compressed ({compression!r})", where=where, remedy=remedy)
     position += 8  # the length of what follows
-    if whole and checksum and (len(body) - position != size or crc32(body[position:]) != checksum):
+    records = _decompressed(body[position:], compression, size, where)
+    if whole and (len(records) != size or (checksum and crc32(records) != checksum)):
         recovery.damaged_chunks += 1
         return
-    while position + 9 <= len(body):
-        opcode, length = struct.unpack_from("<BQ", body, position)
-        if position + 9 + length > len(body):
+    position = 0
+    while position + 9 <= len(records):
+        opcode, length = struct.unpack_from("<BQ", records, position)
+        if position + 9 + length > len(records):
             return
-        yield opcode, body[position + 9 : position + 9 + length]
+        yield opcode, records[position + 9 : position + 9 + length]
         position += 9 + length
+
+
+def _decompressed(data: memoryview, compression: str, size: int, where: str) -> memoryview:
+    """Return what a chunk's bytes hold: where they break off, the whole blocks before; nothing where they are damaged.
+
+    ``size`` : what the chunk claims to hold, and the most that is taken out of it. Raises InputError for a compression
+    that mcap does not know.
+    """
+    if not compression:
+        return data
+    if compression not in DECOMPRESSORS:
+        remedy = "Use the mcap command line's `mcap recover` for this bag."
+        raise InputError(f"its chunks are compressed ({compression!r})", where=where, remedy=remedy)
+    try:
+        return memoryview(DECOMPRESSORS[compression]().decompress(bytes(data), min(size, MOST_CHUNK_BYTES)))
+    except Exception:  # zstd has an error of its own, lz4 raises RuntimeError
+        return memoryview(b"")
 
 
 def _text(body: memoryview, position: int) -> tuple[str, int]:
