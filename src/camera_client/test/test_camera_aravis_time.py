@@ -8,7 +8,7 @@ import pytest
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
-from camera_client.sources.aravis_device import AravisFeatures
+from camera_client.sources.aravis_features import AravisFeatures
 from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
 from virtual_studio.gige import EventLoop, PatternScene, TriggerWire

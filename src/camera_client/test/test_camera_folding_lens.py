@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from camera_client.background.model import BackgroundLearner
-from camera_client.movement.alignment import PictureAlignment, choose_points
+from camera_client.movement.alignment import PictureAlignment
+from camera_client.movement.edge_points import choose_edge_points
 from camera_client.silhouettes.masks import Box, BoxUndistorter
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels
@@ -93,5 +94,5 @@ def test_turn_of_a_camera_with_a_folding_lens_is_measured(turn_deg):
 def test_places_to_compare_have_rays():
     mean = background().mean.copy()
     mean[rayless()] = np.random.default_rng(3).uniform(0, 255, rayless().sum())  # edges in the folded corners
-    for points in choose_points(camera(), mean, NOISE):
+    for points in choose_edge_points(camera(), mean, NOISE):
         assert np.isfinite(points.rays).all() and np.isfinite(points.slope).all()

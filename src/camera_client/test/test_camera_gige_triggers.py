@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from camera_client.gige.triggers import MOST_PENDING, ActionSender, TriggerSchedule, TriggerThread
-from camera_client.sources.aravis_device import first_of_run
+from camera_client.sources.aravis_stream import first_of_run
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, CommandPacket, Status
 from virtual_studio.gige import free_addresses
 

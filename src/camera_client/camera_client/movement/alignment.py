@@ -11,9 +11,8 @@ camera has not moved (here 0.01 to 0.04 px), on recorded and rendered sessions.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -22,8 +21,7 @@ import numpy.typing as npt
 from capture_rig import lens
 from capture_rig.camera import CameraModel
 
-Array = npt.NDArray[np.float64]
-Picture = npt.NDArray[np.float32]
+from .edge_points import Array, EdgePoints, Picture, choose_edge_points, contrast_pyramid
 
 MOST_STEPS, LAST_STEPS, CONVERGED_RAD = 8, 3, 2e-5
 ROBUST_SIGMAS = 3.0  # standard deviations of the noise, or of the typical residual ...
@@ -36,7 +34,7 @@ BY_CHANCE = 0.5  # a place that agrees as often as this with turns that are wron
 WRONG_TURNS_RAD = np.radians([(a, b, c) for a in (-5, 0, 4) for b in (-4, 0, 5) for c in (-2, 1) if a or b])
 SINGULAR = 1e-9
 
-Weights = Callable[[Array, "Points"], npt.NDArray]
+Weights = Callable[[Array, "EdgePoints"], npt.NDArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +60,8 @@ class PictureAlignment:
     def __init__(self, camera: CameraModel, mean: npt.NDArray[np.float32], sigma: float) -> None:
         """``mean`` (H, W[, 3]) : the reference, grey levels. ``sigma`` : noise of a frame's pixel, grey levels."""
         self._K, self._D, self._reach = camera.K, camera.D, lens.reach_radius(camera.D)
-        self._levels = choose_points(camera, mean, sigma)
-        self._chance = self._agree_by_chance(pictures(mean)[0])
+        self._levels = choose_edge_points(camera, mean, sigma)
+        self._chance = self._agree_by_chance(contrast_pyramid(mean)[0])
 
     @property
     def has_enough_edges(self) -> bool:
@@ -80,7 +78,7 @@ class PictureAlignment:
         """
         if not self.has_enough_edges:
             return None
-        views = pictures(image)
+        views = contrast_pyramid(image)
         best = self._refine(views, self._levels[:1], np.zeros(3) if start_rad is None else start_rad)
         if search and (best is None or best.agreeing < WELL_KNOWN):
             for guess_rad in coarse_guesses(self._levels[-1], views[-1], float(self._K[0, 0])):
@@ -100,7 +98,7 @@ class PictureAlignment:
         self._levels[0] = points.subset(share < BY_CHANCE)
         return float(np.mean(share[share < BY_CHANCE])) if (share < BY_CHANCE).any() else 1.0
 
-    def _refine(self, views: Sequence[Picture], levels: Sequence[Points], start_rad: Array) -> Alignment | None:
+    def _refine(self, views: Sequence[Picture], levels: Sequence[EdgePoints], start_rad: Array) -> Alignment | None:
         """Gauss-Newton from the coarsest of the ``levels`` to the finest, at last with the places alone that agree."""
         R: Array | None = rotation_matrix(start_rad)
         for points, view in reversed(list(zip(levels, views, strict=False))):
@@ -108,7 +106,7 @@ class PictureAlignment:
         R = None if R is None else self._iterate(views[0], levels[0], R, LAST_STEPS, _agree)
         return None if R is None else self._measure(views[0], R)
 
-    def _iterate(self, view: Picture, points: Points, R: Array, steps: int, weights: Weights) -> Array | None:
+    def _iterate(self, view: Picture, points: EdgePoints, R: Array, steps: int, weights: Weights) -> Array | None:
         """Steps until the turn R moves no more."""
         for _ in range(steps):
             step = self._step(view, points, R, weights)
@@ -119,7 +117,7 @@ class PictureAlignment:
                 break
         return R
 
-    def _step(self, view: Picture, points: Points, R: Array, weights: Weights) -> Array | None:
+    def _step(self, view: Picture, points: EdgePoints, R: Array, weights: Weights) -> Array | None:
         residual, seen = self._residual(view, points, R)
         weighted = points.slope * (weights(residual, points) * seen)[:, None]
         H = weighted.T @ points.slope
@@ -127,7 +125,7 @@ class PictureAlignment:
             return None
         return np.linalg.solve(H, residual @ weighted)
 
-    def _residual(self, view: Picture, points: Points, R: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def _residual(self, view: Picture, points: EdgePoints, R: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """(n,) how much more contrast the view has where the turn R puts each place, and which places are in view."""
         rays = points.rays @ R.T
         ideal = rays[:, :2] / np.maximum(rays[:, 2:], 1e-3)
@@ -159,11 +157,11 @@ class PictureAlignment:
         return max(0.0, float((share - self._chance) / (1 - self._chance)))
 
 
-def _agree(residual: Array, points: Points) -> npt.NDArray[np.bool_]:
+def _agree(residual: Array, points: EdgePoints) -> npt.NDArray[np.bool_]:
     return np.abs(residual) < np.maximum(AGREES_NOISE * points.noise, AGREES_PX * points.steepness)
 
 
-def _weights(residual: Array, points: Points) -> Array:
+def _weights(residual: Array, points: EdgePoints) -> Array:
     """Geman and McClure: quadratic within a few standard deviations, no influence of what lies far beyond."""
     typical = max(float(np.quantile(np.abs(residual), SCALE_QUANTILE)) / SCALE_QUANTILE_SIGMAS, points.noise)
     x = residual / (ROBUST_SIGMAS * typical)
@@ -175,139 +173,6 @@ def _invertible(H: Array) -> bool:
     return bool(values[0] > SINGULAR * values[-1] > 0)
 
 
-# --- places to compare: strong edges, spread over the picture
-
-WORK_AREA_PX = 320 * 240  # pictures are compared at about this size: a tenth of its pixel is 0.02 degrees
-LEVELS = 3  # each half as large as the one before
-CELLS_ACROSS = 16  # the strongest places of every cell are taken, so that they are spread over the picture
-POINTS_IN_CELL = 6
-SURROUNDINGS = 1 / 6  # of the picture's longer side: brightness is taken relative to the mean of so much around
-DARK_LEVEL = 8.0  # grey levels; keeps noise in black places small
-SMOOTHED = 0.375  # what a smoothing by (1 2 1) / 4, across and down, leaves of the noise
-LEAST_NOISE = 0.4  # grey levels at working size: codecs smooth noise away, and what they leave is no signal
-CLEAR_OF_NOISE = 4.0  # an edge rises by so many standard deviations of the noise a pixel
-FLAT = 0.012  # an edge that rises by less than this share of the brightness a pixel is none
-TINY_TURN_RAD = 1e-4
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """The n places that are compared at one level of the pyramid.
-
-    rays (n, 3) : directions in the camera's frame, of length 1. value (n,) : the reference's contrast there.
-    steepness (n,) : how much that changes in a pixel of this level at most. slope (n, 3) : how much it changes for a
-    turn of the camera, 1 / rad. cell (n,) : which part of the picture. noise : standard deviation of a frame's
-    contrast. scale, offset : u_image = scale u_level + offset.
-    """
-
-    rays: Array
-    value: Array
-    steepness: Array
-    slope: Array
-    cell: npt.NDArray[np.int64]
-    noise: float
-    scale: float
-
-    @property
-    def offset(self) -> float:
-        return (self.scale - 1) / 2
-
-    def subset(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.int64]) -> Points:
-        """Some of the places: a mask, or their numbers."""
-        parts = {name: getattr(self, name)[chosen] for name in ("rays", "value", "steepness", "slope", "cell")}
-        return replace(self, **parts)
-
-
-def pictures(image: npt.NDArray, levels: int = LEVELS) -> list[Picture]:
-    """Local contrast of an image (H, W[, 3]) at the working size and at each half of it, the finest first.
-
-    Contrast is the difference to the mean of the surroundings as a share of it: lamps, flicker and wide shadows, which
-    dim a place and its surroundings alike, leave it as it is.
-    """
-    factor = work_factor(image.shape)
-    height, width = (n // (factor << levels) * (factor << levels) or n // factor * factor for n in image.shape[:2])
-    green = image if image.ndim == 2 else cv2.extractChannel(image, 1)
-    size = width // factor, height // factor
-    grey = cv2.resize(green[:height, :width], size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    found = [_contrast(grey)]
-    for level in range(1, levels):
-        half = cv2.resize(grey, (size[0] >> level, size[1] >> level), interpolation=cv2.INTER_AREA)
-        found.append(_contrast(half.astype(np.float32)))
-    return found
-
-
-def work_factor(shape: tuple[int, ...]) -> int:
-    """Return how many pixels of the image, across and down, make one of the working size."""
-    return max(1, round(math.sqrt(shape[0] * shape[1] / WORK_AREA_PX)))
-
-
-def _contrast(grey: Picture) -> Picture:
-    side = 2 * round(SURROUNDINGS * max(grey.shape) / 2) + 1
-    around = cv2.blur(grey, (side, side), borderType=cv2.BORDER_REFLECT) + DARK_LEVEL
-    smooth = cv2.GaussianBlur(grey, (3, 3), 0)
-    return np.asarray((smooth - around + DARK_LEVEL) / around, np.float32)
-
-
-def choose_points(camera: CameraModel, mean: npt.NDArray[np.float32], sigma: float) -> list[Points]:
-    """Return the places to compare at each level, finest first; few or none where the picture has no edges.
-
-    ``mean`` (H, W[, 3]) : the reference picture, grey levels. ``sigma`` : noise of a pixel of a frame, grey levels.
-    """
-    camera = replace(camera, T_camera_world=np.eye(4))  # its world is its own frame
-    factor = work_factor(mean.shape)
-    green = mean if mean.ndim == 2 else mean[..., 1]
-    brightness = float(np.median(green)) + DARK_LEVEL
-    found = []
-    for level, picture in enumerate(pictures(mean)):
-        scale = factor << level
-        noise = max(SMOOTHED * sigma / scale, LEAST_NOISE / (1 << level)) / brightness
-        found.append(_choose(camera, picture, float(scale), noise))
-    return found
-
-
-def _choose(camera: CameraModel, picture: Picture, scale: float, noise: float) -> Points:
-    gradient = np.stack([cv2.Scharr(picture, cv2.CV_32F, *d) / 32 for d in ((1, 0), (0, 1))], axis=-1)
-    steepness = np.hypot(gradient[..., 0], gradient[..., 1])
-    row, column, cell = _strongest(steepness, max(CLEAR_OF_NOISE * noise, FLAT))
-    pixels = scale * np.column_stack([column, row]) + (scale - 1) / 2
-    rays = camera.rays_world(pixels)
-    moves = np.stack(
-        [
-            (camera.project(rays + np.cross(axis, rays)) - pixels) / TINY_TURN_RAD / scale
-            for axis in TINY_TURN_RAD * np.eye(3)
-        ],
-        axis=-1,
-    )
-    slope = np.einsum("nk,nkj->nj", gradient[row, column], moves)
-    found = Points(
-        rays=rays,
-        value=picture[row, column].astype(float),
-        steepness=steepness[row, column].astype(float),
-        slope=slope,
-        cell=cell,
-        noise=noise,
-        scale=scale,
-    )
-    return found.subset(np.isfinite(slope).all(axis=1))
-
-
-def _strongest(steepness: Picture, least: float) -> tuple[npt.NDArray[np.int64], ...]:
-    """Row, column and cell (n,) of the steepest places of every cell, but for those that are not steeper than
-    ``least``, or next to a steeper one."""
-    width = steepness.shape[1]
-    side = max(width // CELLS_ACROSS, 4)
-    peak = (steepness >= cv2.dilate(steepness, np.ones((3, 3), np.uint8))) & (steepness > least)
-    peak[[0, 1, -2, -1]] = False
-    peak[:, [0, 1, -2, -1]] = False
-    row, column = np.nonzero(peak)
-    cell = row // side * (-(-width // side)) + column // side
-    order = np.lexsort((-steepness[row, column], cell))
-    row, column, cell = row[order], column[order], cell[order]
-    first = np.searchsorted(cell, cell)  # where each cell begins
-    taken = np.arange(len(cell)) - first < POINTS_IN_CELL
-    return row[taken], column[taken], cell[taken]
-
-
 # --- search: every shift and roll on a coarse grid
 
 SHIFTS = 10  # pixels of the coarsest level, to each side: one is about a degree
@@ -317,7 +182,7 @@ WORST = 2.0  # residuals, in steepnesses of an edge, from which a place counts a
 GUESSES = 3
 
 
-def coarse_guesses(points: Points, view: Picture, focal_px: float) -> list[Array]:
+def coarse_guesses(points: EdgePoints, view: Picture, focal_px: float) -> list[Array]:
     """Return the rotation vectors (3,), radians, in the camera's frame, with the best fits on the coarsest level.
 
     To each place the picture is compared where a roll about the middle, and a shift by whole pixels, put it.
@@ -335,7 +200,7 @@ def coarse_guesses(points: Points, view: Picture, focal_px: float) -> list[Array
     return found
 
 
-def _costs(points: Points, view: Picture, place: Array, shifts: np.ndarray) -> Array:
+def _costs(points: EdgePoints, view: Picture, place: Array, shifts: np.ndarray) -> Array:
     """Return (down, right) mean residual after each shift, in steepnesses, bounded; out of view counts as the worst."""
     column, row = np.rint(place).astype(np.int64).T
     columns, rows = column[None, None] + shifts[None, :, None], row[None, None] + shifts[:, None, None]

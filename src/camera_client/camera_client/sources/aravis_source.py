@@ -25,7 +25,8 @@ from ..gige.features import DeviceRefusal, DeviceSilence, Features
 from ..gige.pixel_formats import image_shape
 from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
 from ..settings import AravisSettings
-from .aravis_device import AravisFeatures, AravisStream, is_silence
+from .aravis_features import AravisFeatures, is_silence
+from .aravis_stream import AravisStream
 
 INSTALL = "Install it: sudo apt install python3-gi gir1.2-aravis-0.8 (in a venv made with --system-site-packages)."
 TRIGGER_COUNTERS = ("triggers", "triggers_missed", "triggers_refused")

@@ -1,10 +1,8 @@
-"""One camera through Aravis: its features and registers, and its stream. GObject types and errors end here."""
+"""The stream of a camera through Aravis: its packets and socket, its buffers, and what becomes of every frame."""
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,133 +15,11 @@ from ..frame_source import FrameStatistics, Image
 from ..gige.camera_clock import SECOND
 from ..gige.camera_setup import CameraSetup
 from ..gige.discovery import enlarge_receive_buffer
-from ..gige.features import DeviceRefusal, DeviceSilence, Kind, Value, spellings
+from ..gige.features import spellings
 from ..gige.pixel_formats import image_bytes, to_image
 from ..settings import AravisSettings
 
-ERROR_DOMAIN = "arv-device-error-quark"
-
-
-class AravisFeatures:
-    """FeatureAccess and RegisterAccess of an Aravis.Device; ``Aravis`` and ``GLib`` are the modules.
-
-    Bounds and increments that a device does not describe are None.
-    """
-
-    def __init__(self, device: Any, Aravis: Any, GLib: Any) -> None:
-        self._device, self._Aravis, self._GLib = device, Aravis, GLib
-        self._kinds: dict[str, Kind | None] = {}
-        self._types = (
-            (Aravis.GcCommand, Kind.COMMAND),
-            (Aravis.GcBoolean, Kind.BOOLEAN),
-            (Aravis.GcEnumeration, Kind.ENUMERATION),
-            (Aravis.GcFloat, Kind.FLOAT),
-            (Aravis.GcInteger, Kind.INTEGER),
-            (Aravis.GcString, Kind.STRING),
-        )
-
-    def kind(self, name: str) -> Kind | None:
-        if name not in self._kinds:
-            node = self._device.get_feature(name)
-            self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
-        if self._kinds[name] is None:
-            return None
-        with self._errors():
-            return self._kinds[name] if self._device.is_feature_available(name) else None
-
-    def read(self, name: str) -> Value:
-        d, kind = self._device, self.kind(name)
-        readers: dict[Kind | None, Callable[[str], Value]] = {
-            Kind.BOOLEAN: d.get_boolean_feature_value,
-            Kind.INTEGER: d.get_integer_feature_value,
-            Kind.FLOAT: d.get_float_feature_value,
-            Kind.ENUMERATION: d.get_string_feature_value,
-            Kind.STRING: d.get_string_feature_value,
-        }
-        if kind not in readers:
-            raise DeviceRefusal(f"{name} cannot be read")
-        with self._errors():
-            return readers[kind](name)
-
-    def code(self, name: str) -> int:
-        """Return the number behind an enumeration's entry."""
-        with self._errors():
-            return self._device.get_integer_feature_value(name)
-
-    def write(self, name: str, value: Value) -> None:
-        d, kind = self._device, self.kind(name)
-        writers: dict[Kind | None, Callable[[str, Any], None]] = {
-            Kind.BOOLEAN: d.set_boolean_feature_value,
-            Kind.INTEGER: d.set_integer_feature_value,
-            Kind.FLOAT: d.set_float_feature_value,
-            Kind.ENUMERATION: d.set_string_feature_value,
-            Kind.STRING: d.set_string_feature_value,
-        }
-        if kind not in writers:
-            raise DeviceRefusal(f"{name} cannot be written")
-        with self._errors():
-            writers[kind](name, value)
-
-    def execute(self, name: str) -> None:
-        with self._errors():
-            self._device.execute_command(name)
-
-    def limits(self, name: str) -> tuple[float, float] | None:
-        d, kind = self._device, self.kind(name)
-        bounds: Any = {Kind.INTEGER: d.get_integer_feature_bounds, Kind.FLOAT: d.get_float_feature_bounds}.get(
-            kind or Kind.COMMAND
-        )
-        return None if bounds is None else self._described(lambda: tuple(bounds(name)))
-
-    def step(self, name: str) -> float | None:
-        d, kind = self._device, self.kind(name)
-        step: Any = {Kind.INTEGER: d.get_integer_feature_increment, Kind.FLOAT: d.get_float_feature_increment}.get(
-            kind or Kind.COMMAND
-        )
-        value = None if step is None else self._described(lambda: step(name))
-        return value if value is not None and 0 < value < 1e12 else None  # Aravis gives the least double for "none"
-
-    def choices(self, name: str) -> tuple[str, ...]:
-        with self._errors():
-            return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
-
-    def read_register(self, address: int) -> int:
-        with self._errors():
-            return self._device.read_register(address) & 0xFFFFFFFF
-
-    def write_register(self, address: int, value: int) -> None:
-        with self._errors():
-            self._device.write_register(address, value)
-
-    def _described(self, ask: Callable[[], Any]) -> Any:
-        """Return what ``ask`` gives; None where the device's description has no such thing."""
-        try:
-            with self._errors():
-                return ask()
-        except DeviceRefusal:
-            return None
-
-    @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        try:
-            yield
-        except self._GLib.Error as error:
-            if is_silence(error, self._Aravis):
-                raise DeviceSilence(error.message) from None
-            raise DeviceRefusal(error.message) from None
-
-
-def is_silence(error: Any, Aravis: Any) -> bool:
-    """True for a GLib.Error that says that the device did not answer."""
-    silent = (Aravis.DeviceError.TIMEOUT, Aravis.DeviceError.NOT_CONNECTED)
-    return error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}
-
-
-# --- the stream: its socket, its buffers, and what becomes of every frame
-
 FIRST_ID = 1  # GigE Vision: block ids begin at 1, 0 is reserved
-
-
 COUNTER_PERIOD_S = 0.25
 US_TO_NS = 1000
 RESEND_SHARE = 1.0  # of a frame's packets may be asked for again
