@@ -15,7 +15,8 @@ from capture_rig.verdict import GOOD, Finding
 from .background.watch import age_h, concerns, other_setting
 from .camera_chain import CameraChain, FrameResult
 from .condition_findings import condition_findings, worst_first
-from .frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics
+from .connection import Connection, ConnectionState
+from .frame_source import Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
 from .sources.frame_checks import LIGHTS, REMEDIES
 from .sources.grab_loop import GrabState

@@ -9,12 +9,13 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from enum import Enum
 from types import TracebackType
 
 import numpy as np
 
 from capture_rig.errors import InputError
+
+from .connection import Connection
 
 Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
@@ -211,53 +212,3 @@ class FrameStatistics:
         if step < -WRAP_16_BIT // 2:
             return step + WRAP_16_BIT
         return step - WRAP_16_BIT if step > WRAP_16_BIT // 2 else step  # a repetition from before the wrap
-
-
-# --- the connection to a live camera
-
-
-class ConnectionState(Enum):
-    """Where the connection to the device stands."""
-
-    CLOSED = "closed"
-    CONNECTED = "connected"
-    STREAMING = "streaming"
-    CONNECTING = "connecting"
-    WAITING = "waiting"
-    STALLED = "stalled"
-    CONTROL_LOST = "control lost"
-
-    @property
-    def away(self) -> bool:
-        """Nothing comes, and it should."""
-        return self not in (ConnectionState.CLOSED, ConnectionState.CONNECTED, ConnectionState.STREAMING)
-
-
-@dataclass(frozen=True)
-class Outage:
-    """One outage that is over: seconds from its last frame to the alarm, and to the first frame after it.
-
-    ``restart_s`` runs from the start of the attempt that succeeded to that frame.
-    """
-
-    noticed_s: float
-    length_s: float
-    restart_s: float
-
-
-@dataclass(frozen=True)
-class Connection:
-    """The connection at one instant, for a report.
-
-    ``reason`` says why nothing comes; ``refused`` that waiting will not help (the settings do not fit the device);
-    ``next_try_s`` until the next attempt. ``down_s`` is how long nothing has come by now, ``downtime_s`` the sum since
-    the source was made.
-    """
-
-    state: ConnectionState
-    reason: str = ""
-    refused: bool = False
-    next_try_s: float = 0.0
-    down_s: float = 0.0
-    downtime_s: float = 0.0
-    last_outage: Outage | None = None

@@ -15,14 +15,14 @@ from typing import TypeVar
 
 from capture_rig.errors import InputError
 
-from ..frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics, Outage, SourceUnavailable
+from ..connection import Connection, ConnectionState, Downtime, RetryPause
+from ..frame_source import Frame, FrameSource, FrameStatistics, SourceUnavailable
 from ..settings import SupervisionSettings
 
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
 START_S = 2.0  # a living camera starts within this
 STOP_S = 0.5  # ... stops within this
 RELEASE_S = 1.0  # ... and gives its resources back within this
-FIRST_RETRY_S = 0.25  # the pause after the first attempt that failed; it doubles
 ROUNDING_S = 1e-3
 
 T = TypeVar("T")
@@ -64,8 +64,7 @@ class SupervisedSource(FrameSource):
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
-        self._retry_s, self._longest_retry_s = 0.0, settings.longest_retry_s
-        self._downtime = Downtime()
+        self._retry_pause, self._downtime = RetryPause(settings.longest_retry_s), Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
         self._shape: tuple[int, ...] = ()
@@ -132,7 +131,7 @@ class SupervisedSource(FrameSource):
         self.stop()
         self._release()
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
-        self._retry_s = 0.0
+        self._retry_pause.reset()
         wait(self._closing, RELEASE_S)
         self._closing = [call for call in self._closing if not call.done()]
 
@@ -192,7 +191,7 @@ class SupervisedSource(FrameSource):
         now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
             self._arrived, self._heard_s, self._delivering, self._silent_s = arrived, now_s, True, 0.0
-            self._retry_s = 0.0
+            self._retry_pause.reset()
         else:  # time in which this process did not get to run is no silence of the camera
             self._silent_s += min(now_s - began_s, wait_s)
         if frame is not None:
@@ -211,7 +210,7 @@ class SupervisedSource(FrameSource):
         now_s = self._clock()
         self._downtime.begin(self._heard_s, now_s)
         self._state, self._reason, self._refused = state, reason, False
-        self._next_try_s = now_s + (0.0 if self._delivering else self._next_retry_s())
+        self._next_try_s = now_s + (0.0 if self._delivering else self._retry_pause.next_s())
 
     def _release(self, after: Future | None = None) -> None:
         """Close the present connection on a thread of its own (once ``after`` is over) and keep its counts."""
@@ -310,14 +309,8 @@ class SupervisedSource(FrameSource):
         now_s = self._clock()
         if self._running:
             self._downtime.begin(self._heard_s, now_s)
-        self._next_try_s = now_s + (self._next_retry_s(slowest=refused))
+        self._next_try_s = now_s + self._retry_pause.next_s(slowest=refused)
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
-
-    def _next_retry_s(self, slowest: bool = False) -> float:
-        """Return the pause before the next attempt: twice the last one, or the longest from now on."""
-        doubled_s = 2 * self._retry_s or FIRST_RETRY_S
-        self._retry_s = self._longest_retry_s if slowest else min(doubled_s, self._longest_retry_s)
-        return self._retry_s
 
 
 # --- calls that may block for seconds
@@ -351,37 +344,3 @@ def _closer_of(attempt: Future[FrameSource]) -> Callable[[], None]:
             attempt.result().close()
 
     return close
-
-
-# --- time without frames
-
-
-class Downtime:
-    """Adds up the time in which frames should have come and did not. All times in seconds of one monotonic clock."""
-
-    def __init__(self) -> None:
-        self._sum_s = 0.0
-        self._since_s: float | None = None
-        self._noticed_s = 0.0
-        self.last: Outage | None = None
-
-    def begin(self, since_s: float, now_s: float) -> None:
-        """Nothing has come since ``since_s``, as is noticed now. An outage that goes on stays one."""
-        if self._since_s is None:
-            self._since_s, self._noticed_s = since_s, now_s
-
-    def end(self, now_s: float, attempted_s: float | None = None) -> None:
-        """A frame came, on a connection that was attempted at ``attempted_s``; None: the source was stopped."""
-        if self._since_s is None:
-            return
-        if attempted_s is not None:
-            self.last = Outage(self._noticed_s - self._since_s, now_s - self._since_s, now_s - attempted_s)
-        self._sum_s, self._since_s = self.sum_s(now_s), None
-
-    def present_s(self, now_s: float) -> float:
-        """Return how long the present outage has lasted; 0 when there is none."""
-        return 0.0 if self._since_s is None else now_s - self._since_s
-
-    def sum_s(self, now_s: float) -> float:
-        """Return the whole downtime, the present outage included."""
-        return self._sum_s + self.present_s(now_s)
