@@ -42,21 +42,9 @@ from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
 from .background.verdict import describe_background
 from .camera_chain import CameraChain, FrameResult
+from .camera_report_ros import CameraReport
 from .camera_topics_ros import SILHOUETTE_TOPIC, CameraTopics, camera_from_message
-from .condition_findings import KEY as FINDINGS_KEY
-from .condition_findings import findings_text
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .diagnostics import (
-    CameraState,
-    Level,
-    RecentStatistics,
-    assess,
-    background_findings,
-    background_mismatch,
-    background_values,
-    frame_values,
-    source_values,
-)
 from .frame_source import Frame, FrameSource
 from .heap import release_free_memory, return_large_blocks
 from .settings import CameraClientSettings
@@ -66,7 +54,7 @@ from .sources.grab_loop import GrabLoop, GrabState
 T = TypeVar("T")
 
 REPORT_PERIOD_S = 0.5
-LEARNING_PATIENCE_S = 10.0  # a training goes on when the camera comes back sooner
+TRAINING_GRACE_S = 10.0  # a training goes on when the camera comes back sooner
 SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
@@ -99,7 +87,6 @@ class CameraNode(SagomaNode):
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
-        self._said = ""
         self._peers: list[str] = []  # the silhouettes of all cameras that footage waits for
         # these live as long as the node, so that every request is answered; learning in a callback group of its own,
         # because its answer takes seconds and must not hold up the timer and the acknowledgements
@@ -123,7 +110,7 @@ class CameraNode(SagomaNode):
         if not self.source.shape:
             self.chain.check_background_file()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # it reports while simulated time stands still, too
-        self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._report, clock=steady))
+        self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._on_report, clock=steady))
         self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
         if settings.source != "footage" or settings.footage.rate > 0:
             rules = self.create_subscription(
@@ -144,7 +131,8 @@ class CameraNode(SagomaNode):
     def activate(self) -> None:
         assert self.source is not None
         live = self.settings.source != "footage"
-        self._matched_s, self._said, self._recent = None, "", RecentStatistics()
+        self._matched_s = None
+        self._report = CameraReport(self.health, self.get_logger(), self.settings)
         self._hand_over = self._publish  # of footage, every frame is sent before the next one is read
         if live:
             lost, failed = partial(self.health.count, "frames_unpublished"), self._on_error
@@ -353,54 +341,17 @@ class CameraNode(SagomaNode):
         height, width = shape[:2] or (info.height, info.width)
         return unplaced_camera(self._calibration.name, width, height)
 
-    # --- diagnostics ---------------------------------------------------------------------------------------------
-
-    def _report(self) -> None:
+    def _on_report(self) -> None:
         source, loop, chain = self.source, self.loop, self.chain
         if loop is None or source is None or chain is None:
             return
-        connection, last = source.connection, self._last
         self.health.set(PROGRESS_KEY, self.trainer.progress)
-        values = source_values(source) | (frame_values(*last) if last else {}) | background_values(chain, time.time())
-        for key, value in values.items():
-            self.health.set(key, value)
-        findings = background_findings(chain, source, self.settings, time.time())
-        self.health.set(FINDINGS_KEY, findings_text(findings))
-        recent = self._recent.update(time.monotonic(), source.statistics)
-        state = CameraState(
-            loop.state,
-            loop.frames,
-            loop.reason,
-            connection,
-            recent,
-            calibrated=chain.camera is not None,
-            placed=self._calibration.placed,
-            has_background=chain.background is not None,
-            mismatch=background_mismatch(chain, source),
-            refused=chain.refused,
-            findings=findings,
-        )
-        self._say(*assess(state.with_result(last[1]) if last else state))
+        self._report.update(chain, source, loop, self._last, placed=self._calibration.placed)
+        connection = source.connection
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
             self.trainer.cancel(f"{loop.state.value} {loop.reason}".strip())
-        elif connection is not None and connection.state.away and connection.down_s > LEARNING_PATIENCE_S:
+        elif connection is not None and connection.state.away and connection.down_s > TRAINING_GRACE_S:
             self.trainer.cancel(f"the camera went away ({connection.reason})")
-
-    def _say(self, level: Level, text: str) -> None:
-        """Set the level and line of the diagnostics; log when the kind of trouble changes."""
-        self.health.status(bytes([level]), text)
-        if level is Level.ERROR:
-            self.health.set("last_error", text)
-        kind = "".join(letter for letter in text.partition(":")[0] if not letter.isdigit())
-        if kind == self._said:
-            return
-        self._said = kind
-        if level is Level.OK:
-            self.get_logger().info(text)
-        elif level is Level.WARN:
-            self.get_logger().warning(text)
-        else:
-            self.get_logger().error(text)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.moved_things import APPLY_AFTER_S, OUTSIDE_STILL_S, STILL_S, MovedThings
+from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
+from camera_client.background.support_history import APPLY_AFTER_S, CanvasCells
 from camera_client.background.taken_away import is_calm_inside, was_taken_away
 from capture_rig.camera import CameraModel
 from mocap_packets.support import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
@@ -74,7 +75,7 @@ class Room:
         difference = difference if difference.ndim == 2 else difference.max(axis=2)
         foreground = np.where(difference > 4 * NOISE, np.uint8(255), np.uint8(0))
         self.moved.update(image, foreground, np.rint(self.background).astype(np.uint8), stamp_ns)
-        self.moved.forgive(image, foreground)
+        self.moved.clear_absorbed(image, foreground)
         if says is not None:
             cells = np.full((HEIGHT // CELL_PX, WIDTH // CELL_PX), says, np.uint8)
             self.waiting.append((stamp_ns, ForegroundSupport(stamp_ns, "cam01", CELL_PX, cells)))
@@ -283,7 +284,7 @@ def test_clock_set_back_does_no_harm():
 
 def test_reports_on_the_canvas_lie_on_the_same_blocks_of_a_distorted_image():
     lens = camera((-0.25, 0.06, 0.0, 0.0, 0.0))
-    view, moved = lens.undistorted_view(), MovedThings(lens, NOISE)
+    view = lens.undistorted_view()
     image = np.full((HEIGHT, WIDTH), 120, np.uint8)
     shown = np.zeros_like(image)
     shown[16:56, 8:56] = 255  # in a corner, where the lens bends most
@@ -294,8 +295,9 @@ def test_reports_on_the_canvas_lie_on_the_same_blocks_of_a_distorted_image():
     filled = padded.reshape(height, CELL_PX, width, CELL_PX).mean(axis=(1, 3)) > 127
     cells = np.where(filled, np.uint8(NOBODY), np.uint8(UNJUDGED))
     report = ForegroundSupport.of_canvas(0, "cam01", cells, view.camera.width)
-    blocks = moved._cells.levels(report) == NOBODY
-    assert set(LEVELS) >= set(np.unique(moved._cells.levels(report)))
+    levels = CanvasCells(lens, BLOCK_PX).levels(report)
+    assert set(LEVELS) >= set(np.unique(levels))
+    blocks = levels == NOBODY
     expected = shown.reshape(HEIGHT // 8, 8, WIDTH // 8, 8).mean(axis=(1, 3)) > 127
     assert (blocks & expected).sum() >= 0.9 * expected.sum()
     assert (blocks & ~cv2.dilate(expected.astype(np.uint8), np.ones((3, 3))).astype(bool)).sum() == 0

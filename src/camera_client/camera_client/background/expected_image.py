@@ -76,11 +76,11 @@ class ExpectedImage:
             squared_distance(*flat, out.reshape(-1))
         else:
             squared_distance_of_colours(*flat, correlation, out.reshape(-1))
-        self._forgive_bounds(image, light, out.reshape(-1))
+        self._clear_clipped(image, light, out.reshape(-1))
         return out
 
-    def _forgive_bounds(self, image: Image, light: Light, out: Mask) -> None:
-        """Take white and black background for bounds: what was white may be any brighter, whatever the light is now."""
+    def _clear_clipped(self, image: Image, light: Light, out: Mask) -> None:
+        """Write 0 where the learned level was clipped: what was white may now be brighter, what was black darker."""
         pixels, gain = image.reshape(-1, self.shape[2]), light.brightness
         if len(self._white) and gain < 1:
             out[self._white[pixels[self._white].min(axis=1) >= WHITE * gain]] = 0

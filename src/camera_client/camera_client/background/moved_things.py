@@ -10,7 +10,6 @@ Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stam
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -19,12 +18,12 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
-from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.support import ForegroundSupport
 
 from ..frame_source import Image, Mask
+from .support_history import Blocks, SupportHistory, counted
 from .taken_away import is_calm_inside, was_taken_away
 
-APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep
 SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
@@ -39,13 +38,11 @@ WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands mo
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
 MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
 GIVE_BACK_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
-SILENT_S = 2.0  # without a report for so long, nothing is known of the others
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
 ENDLESS_S = 5.0  # it is called so for so long
+COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
-Seconds = npt.NDArray[np.float32]
-Blocks = npt.NDArray[np.bool_]
 Pictures = tuple[Image, Mask, Image]  # of a frame: the camera's, what differs from the background's, the background's
 
 
@@ -71,7 +68,7 @@ class MovedThings:
 
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32]) -> None:
         """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all."""
-        self._cells = _CanvasCells(camera)
+        self._others = SupportHistory(camera, BLOCK_PX, COUNTED_S)
         self._shape = (camera.height, camera.width)
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
@@ -82,23 +79,21 @@ class MovedThings:
         self.likely: Mask | None = None
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.given_back = 0
-        self._reports: deque[ForegroundSupport] = deque()
         self._restart()
 
     def _restart(self) -> None:
         """Forget all times, for instance when a clock was set back; what was absorbed stays."""
-        blocks = self._cells.blocks
+        self._others.restart()
+        blocks = self._others.blocks
         self._throttle = StampThrottle(SAMPLE_S)
         self._running: npt.NDArray[np.float32] | None = None
-        self._last_ns = self._report_ns = 0
-        self._still_s, self._shown_s, self._unseen_s = (np.zeros(blocks, np.float32) for _ in range(3))
-        self._body_s, self._outside_s = (np.zeros(blocks, np.float32) for _ in range(2))
+        self._last_ns = 0
+        self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._since_ns = np.where(self._blocks_of(self.replaced) > 0, np.int64(1), np.int64(0))
         self._endless_ns: int | None = None
         self.restless = 0.0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
-        self._sees_body = np.zeros(blocks, bool)  # the latest report
         self._note_change()
         self._samples = 0
 
@@ -139,10 +134,10 @@ class MovedThings:
         return sorted(found, key=lambda place: -place.share)
 
     def take_report(self, report: ForegroundSupport) -> None:
-        """Take what the others see, for frames from APPLY_AFTER_S after its stamp on. From any thread."""
-        self._reports.append(report)
+        """Take what the others see, for frames some time after its stamp (:mod:`.support_history`). From any thread."""
+        self._others.add(report)
 
-    def forgive(self, image: Image, values: Mask, brightness: float = 1.0) -> None:
+    def clear_absorbed(self, image: Image, values: Mask, brightness: float = 1.0) -> None:
         """Write 0 into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
 
         brightness : how many times brighter than when the background was learned the scene is now.
@@ -176,47 +171,31 @@ class MovedThings:
             self._noise = sigma
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
         if stamp_ns < self._last_ns:
-            self._reports.clear()
+            self._others.forget_reports()
             self._restart()
         self._last_ns = stamp_ns
         step_s = self._throttle.step_s(stamp_ns)
         if step_s <= 0.0:
             return
-        self._apply_reports(stamp_ns)
+        self._others.update(stamp_ns)
         # which blocks show anything, and for how long they kept still
-        strange = foreground.copy()
-        self.forgive(image, strange, brightness)
-        shown = self._blocks_of(strange) >= BLOCK_SHARE
-        self._shown_s = _counted(self._shown_s, shown, step_s)
+        unexplained = foreground.copy()
+        self.clear_absorbed(image, unexplained, brightness)
+        shown = self._blocks_of(unexplained) >= BLOCK_SHARE
+        self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
         self._follow(image, step_s)
         # what looks as it was learned is given back
         if self._box is not None:
             self._give_back(self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
-        doubted = shown & (np.minimum(self._still_s, self._unseen_s) >= LIKELY_S)
+        doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= LIKELY_S)
         self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
-        self._absorb(shown, (image, strange, background), stamp_ns)
-        nobody = (self._unseen_s >= STILL_S) & (self._outside_s <= 0) & (self._body_s <= 0)
+        self._absorb(shown, (image, unexplained, background), stamp_ns)
+        nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
         self.restless = float((shown & nobody & (self._shown_s >= TAKEN_AWAY_S)).mean())
 
-    # --- what the others see, and what keeps still
-
-    def _apply_reports(self, stamp_ns: int) -> None:
-        due_ns = stamp_ns - round(APPLY_AFTER_S / NS)
-        while self._reports and self._reports[0].stamp_ns <= due_ns:
-            report = self._reports.popleft()
-            step_s = min(max((report.stamp_ns - self._report_ns) * NS, 0.0), 0.5)
-            self._report_ns = report.stamp_ns
-            levels = self._cells.levels(report)
-            self._unseen_s = _counted(self._unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s)
-            self._outside_s = _counted(self._outside_s, levels == OUTSIDE, step_s)
-            self._body_s = _counted(self._body_s, levels == BODY, step_s)
-            self._sees_body = levels == BODY
-        if due_ns - self._report_ns > SILENT_S / NS:
-            for seconds in (self._unseen_s, self._outside_s, self._body_s):
-                seconds[:] = 0.0
-            self._sees_body = np.zeros_like(self._gone)
+    # --- what keeps still
 
     def _follow(self, image: Image, step_s: float) -> None:
         """Follow the picture by a running mean, and begin anew in blocks that changed by more than noise."""
@@ -238,7 +217,7 @@ class MovedThings:
 
     def _absorb(self, shown: Blocks, pictures: Pictures, stamp_ns: int) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
-        body, unseen, calm = shown & (self._body_s > 0), *self._is_unseen(shown)
+        body, unseen, calm = shown & (self._others.body_s > 0), *self._is_unseen(shown)
         if unseen.any():
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
@@ -255,9 +234,9 @@ class MovedThings:
 
     def _is_unseen(self, shown: Blocks) -> tuple[Blocks, Blocks]:
         """Return the blocks whose foreground nobody else has seen for long enough, and all those that kept still."""
-        rest_s = np.where(self._outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
+        rest_s = np.where(self._others.outside_s > 0, np.float32(OUTSIDE_STILL_S), np.float32(STILL_S))
         calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
-        return calm & (self._unseen_s >= STILL_S), calm
+        return calm & (self._others.unseen_s >= STILL_S), calm
 
     def _was_taken_away(self, blob: Blocks, pictures: Pictures) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
@@ -268,13 +247,13 @@ class MovedThings:
         own = np.where(near, foreground, np.uint8(0))
         if not was_taken_away(own, foreground, image, background, self._noise):
             return False
-        nobody = (self._unseen_s[blob] >= TAKEN_AWAY_S).mean() >= WHOLE
+        nobody = (self._others.unseen_s[blob] >= TAKEN_AWAY_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
     def _take_over(self, blob: Blocks, stamp_ns: int) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._body_s <= 0))
+        blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._others.body_s <= 0))
         if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
             self._endless_ns = stamp_ns
             return
@@ -287,19 +266,19 @@ class MovedThings:
 
     # --- giving back
 
-    def _give_back(self, unlike_learned: Blocks, strange: Blocks, step_s: float) -> None:
+    def _give_back(self, unlike_learned: Blocks, unexplained: Blocks, step_s: float) -> None:
         """Forget what was absorbed where the picture is as learned again, or where the others see a body in it.
 
-        unlike_learned : blocks that differ from what was learned. strange : those that differ from what was absorbed,
-        too.
+        unlike_learned : blocks that differ from what was learned. unexplained : those that also differ from what was
+        absorbed.
         """
         absorbed = self._since_ns > 0
-        matched = absorbed & unlike_learned & ~strange
+        matched = absorbed & unlike_learned & ~unexplained
         self._learned_s = np.where(absorbed & ~unlike_learned, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
         beside = cv2.dilate((absorbed & unlike_learned).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         back = absorbed & (self._learned_s >= GIVE_BACK_S) & ~beside
-        self._denied_s = _counted(self._denied_s, matched & self._sees_body & ~self._gone, step_s)
+        self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():
             self._since_ns[back], self._gone[back] = 0, False
@@ -321,7 +300,7 @@ class MovedThings:
 
     def _blocks_of(self, mask: Mask) -> npt.NDArray[np.uint8]:
         """Return the mean (0 to 255) of each block of a mask (H, W)."""
-        height, width = (BLOCK_PX * n for n in self._cells.blocks)
+        height, width = (BLOCK_PX * n for n in self._others.blocks)
         if mask.shape != (height, width):
             mask = cv2.copyMakeBorder(mask, 0, height - mask.shape[0], 0, width - mask.shape[1], cv2.BORDER_REPLICATE)
         for _ in range(3):  # halves: several times faster than at once
@@ -333,38 +312,12 @@ class MovedThings:
         return blocks.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)[: self._shape[0], : self._shape[1]]
 
 
-class _CanvasCells:
-    """Where the image's blocks lie on the undistorted canvas, of which the reports speak."""
-
-    def __init__(self, camera: CameraModel) -> None:
-        self.blocks = (-(-camera.height // BLOCK_PX), -(-camera.width // BLOCK_PX))
-        canvas = camera.undistorted_view().camera
-        rows, columns = np.indices(self.blocks).reshape(2, -1) * BLOCK_PX + (BLOCK_PX - 1) / 2
-        points = camera.ideal_points(np.stack([columns, rows], axis=1)) * canvas.K.diagonal()[:2] + canvas.K[:2, 2]
-        inside = np.all((points >= -0.5) & (points < [canvas.width - 0.5, canvas.height - 0.5]), axis=1)
-        self._inside = inside.reshape(self.blocks)  # False beyond the lens's reach, too
-        self._pixels = np.rint(np.where(inside[:, None], points, 0.0)).astype(np.intp).reshape(*self.blocks, 2)
-
-    def levels(self, report: ForegroundSupport) -> npt.NDArray[np.uint8]:
-        """Return the report's level of each block of the image; UNJUDGED where the canvas does not show it."""
-        cells = self._pixels // report.cell_px
-        last = np.array(report.cells.shape[::-1]) - 1
-        columns, rows = np.moveaxis(np.minimum(cells, last), 2, 0)
-        return np.where(self._inside, report.cells[rows, columns], np.uint8(UNJUDGED))
-
-
 def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
     """Return the connected blobs of ``blocks`` that hold any ``of_interest``, the largest first, MOST_BLOBS at most."""
     count, labels = cv2.connectedComponents(blocks.astype(np.uint8), connectivity=8)
     sizes, wanted = (np.bincount(labels[kind], minlength=count) for kind in (blocks, blocks & of_interest))
     order = sorted((label for label in range(1, count) if wanted[label]), key=lambda label: -sizes[label])
     return [labels == label for label in order[:MOST_BLOBS]]
-
-
-def _counted(seconds: Seconds, holds: Blocks, step_s: float) -> Seconds:
-    """Count the seconds for which something holds up, to a little more than STILL_S, and the others down."""
-    step = np.where(holds, np.float32(step_s), np.float32(-step_s))
-    return np.clip(seconds + step, 0.0, STILL_S + SAMPLE_S).astype(np.float32)
 
 
 def _noise_limit(sigma: npt.NDArray[np.float32]) -> Mask:

@@ -159,7 +159,7 @@ class SilhouettePipeline:
                 background, sigma = self.background.expected(everywhere), self.background.noise.sigma(TYPICAL_LEVEL)
                 foreground = np.asarray(cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
                 self.moved.update(image, foreground, background, stamp_ns, light, sigma)
-            self.moved.forgive(image, distance, light)
+            self.moved.clear_absorbed(image, distance, light)
         cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY_INV, dst=self._locator.buffer)
         dense = self._locator.box()
         if dense.empty:
