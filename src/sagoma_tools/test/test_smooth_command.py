@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
-from mocap_packets.fit import ReferencePoints
-from sagoma_ros.packets import packet_cloud
+from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from mocap_packets.people import PeoplePoints, format_bodies
+from sagoma_ros.packets import people_cloud
 from sagoma_tools.cli import main
-from sagoma_tools.evaluation.track import track_from_bag
+from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.recording.reader import bag_topics, read_messages
 from sagoma_tools.recording.smoothing import SMOOTHED
 from sagoma_tools.recording.writer import BagWriter
@@ -32,38 +32,65 @@ def points_of(body, k):
     return forward(body, Pose.from_angles(np.array([0.01 * k, 0.0, 1.0]), np.eye(3), angles))
 
 
+OTHER, ASIDE_M = 2, np.array([0.0, 1.5, 0.0])
+OTHERS_SETS, AWAY = range(10, 50), range(20, 30)  # comes later, is away for a while, and leaves before the end
+TOGETHER = f"/mocap/bodies/b{OTHER:04d}"
+
+
 @pytest.fixture
 def bag(tmp_path):
-    """Fits of a walker whose elbows bend, with noise; six sets in which nothing is seen."""
+    """Fits of a walker whose elbows bend, with noise; six sets in which nothing is seen. A smaller one comes later."""
     body, rng, folder = Body.from_stature(1.75), np.random.default_rng(4), tmp_path / "take"
+    smaller = Body.from_stature(1.55)
     with BagWriter(folder) as writer:
         writer.add_topic("/icp/body", "std_msgs/msg/String")
+        writer.add_topic("/icp/bodies", "std_msgs/msg/String")
         writer.add_topic("/icp/reference_points", "sensor_msgs/msg/PointCloud2")
+        writer.add_topic(f"{TOGETHER}/reference_points", "sensor_msgs/msg/PointCloud2")
+        bodies = String(data=format_bodies({OTHER: smaller}))
+        writer.write("/icp/bodies", stamp_ns(OTHERS_SETS.start), serialize_message(bodies))
         writer.write("/icp/body", FIRST_NS, serialize_message(String(data=format_body(body))))
         for k in range(SETS):
-            measured = points_of(body, k) + NOISE_M * rng.standard_normal((15, 3))
-            points = ReferencePoints(measured, np.tile(NOISE_M**2 * np.eye(3), (15, 1, 1)), np.full(15, k not in GAP))
-            cloud: PointCloud2 = packet_cloud(points, stamp_ns(k), "map")
-            writer.write("/icp/reference_points", stamp_ns(k), serialize_message(cloud))
-    return folder, np.array([points_of(body, k) for k in range(SETS)])
+            people = {FIRST_PERSON: (points_of(body, k), k not in GAP)}
+            if k in OTHERS_SETS and k not in AWAY:
+                people[OTHER] = (points_of(smaller, k) + ASIDE_M, True)
+            fitted = PeoplePoints({person: fit_of(*seen, rng) for person, seen in people.items()})
+            writer.write(
+                "/icp/reference_points", stamp_ns(k), serialize_message(people_cloud(fitted, stamp_ns(k), "map"))
+            )
+    return folder, *(np.array([points_of(one, k) for k in range(SETS)]) for one in (body, smaller))
+
+
+def fit_of(points_world, seen, rng):
+    measured = points_world + NOISE_M * rng.standard_normal((15, 3))
+    return ReferencePoints(measured, np.tile(NOISE_M**2 * np.eye(3), (15, 1, 1)), np.full(15, seen))
+
+
+def frame_of(ns):
+    return round((ns - FIRST_NS) * FPS / 1e9)
 
 
 def test_take_is_smoothed_into_a_new_bag_with_a_state_at_every_set(bag, capsys):
-    folder, truth = bag
+    folder, truth, truth_other = bag
     rigid = ["ekf_tracker.filter.measurement_bias.share=0.0", "ekf_tracker.filter.bend=0.0"]  # as the points are made
     assert main(["smooth", str(folder), "--set", rigid[0], "--set", rigid[1]]) == 0
     assert f"smoothed {SETS} of {SETS} frame sets" in capsys.readouterr().out
     smoothed = folder.with_name("take_smoothed")
-    assert set(SMOOTHED) | {"/icp/body", "/icp/reference_points"} == set(bag_topics(smoothed))
+    made = {f"{prefix}/{what}" for prefix in ("/mocap", TOGETHER) for what in SMOOTHED}
+    assert made | {"/icp/body", "/icp/bodies", "/icp/reference_points"} == set(bag_topics(smoothed))
     assert sum(message.topic == "/mocap/joint_covariance" for message in read_messages(smoothed)) == SETS
-    track = track_from_bag(smoothed, lambda ns: round((ns - FIRST_NS) * FPS / 1e9))
-    errors = np.linalg.norm(track.points_world - truth, axis=2)
+    tracks = tracks_from_bag(smoothed, frame_of)
+    errors = np.linalg.norm(tracks[1].points_world - truth, axis=2)
     assert errors.mean() < 0.5 * NOISE_M * np.sqrt(8 / np.pi)  # mean length of the noise
     assert errors[GAP.start : GAP.stop].max() < 0.05
+    other = tracks[OTHER]
+    assert other.frames.tolist() == [k for k in OTHERS_SETS if k not in AWAY]
+    errors = np.linalg.norm(other.points_world - truth_other[other.frames] - ASIDE_M, axis=2)
+    assert errors.mean() < 0.6 * NOISE_M * np.sqrt(8 / np.pi)
 
 
 def test_no_bag_is_replaced_and_one_without_fits_is_refused(bag, tmp_path, capsys):
-    folder, _ = bag
+    folder, *_ = bag
     assert main(["smooth", str(folder), str(folder)]) == 2
     assert "exists already" in capsys.readouterr().err
     with BagWriter(tmp_path / "other") as writer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings
@@ -28,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     doing(f"smoothing {args.bag}")
     take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
     finish_take(Path(target))
-    print(f"smoothed {take.states} of {take.sets} frame sets into {target}")
+    others = [f"{sets} of person {person}" for person, sets in sorted(take.states.items()) if person != FIRST_PERSON]
+    print(f"smoothed {', '.join([f'{take.states[FIRST_PERSON]} of {take.sets} frame sets', *others])} into {target}")
     print(f"compare: sagoma evaluate {args.bag}; sagoma evaluate {target}")
     return 0

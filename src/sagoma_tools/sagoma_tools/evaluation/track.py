@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,16 +12,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
-from ekf_tracker.rep155 import body_id_of
-from icp_tracker.settings import MOST_PERSONS
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
-from ..graph.topics import persons_in
-from ..recording.reader import bag_topics, read_messages, read_provenance
-from ..recording.recorder import first_body_id
+from ..recording.reader import bag_persons, read_messages
 
 FIRST_PREFIX = "/mocap"
 POINTS, ANGLES, STATE = "reference_points", "joint_states", "state"
@@ -114,14 +110,11 @@ def tracks_from_bag(
         tracks = {FIRST_PERSON: _read_track(bag, frame_of_stamp, FIRST_PREFIX)}
     else:
         tracks = {FIRST_PERSON: track_from_bag(bag, frame_of_stamp)}
-    nodes = read_provenance(bag).get("graph", {}).values()
-    first_id = first_body_id(node for node in nodes if isinstance(node, Mapping))
-    others = [body_id for body_id in persons_in(bag_topics(bag)) if body_id != first_id]
-    number_of = {body_id_of(first_id, person): person for person in range(2, MOST_PERSONS + 1)}
-    for place, body_id in enumerate(others, MOST_PERSONS + 1):
-        track = _read_track(bag, frame_of_stamp, f"{FIRST_PREFIX}/bodies/{body_id}")
-        if len(track):
-            tracks[number_of.get(body_id, place)] = track
+    for body_id, person in bag_persons(bag).items():
+        if person != FIRST_PERSON and len(
+            track := _read_track(bag, frame_of_stamp, f"{FIRST_PREFIX}/bodies/{body_id}")
+        ):
+            tracks[person] = track
     return dict(sorted(tracks.items()))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -120,6 +120,11 @@ def topics_of_others(first_id: str = FIRST_BODY_ID) -> tuple[Topic, ...]:
     """Return the topics of everybody who may come, but of the first person: those are a copy of /mocap/..."""
     others = [body_id_of(first_id, person) for person in range(2, MOST_PERSONS + 1)]
     return tuple(topic for body_id in others for topic in person_topics(body_id))
+
+
+def first_body_id(parameters: Iterable[Mapping[str, Any]]) -> str:
+    """Return the id of the first person by the nodes' parameters."""
+    return next((str(given["body_id"]) for given in parameters if "body_id" in given), FIRST_BODY_ID)
 
 
 def persons_in(topic_names: Iterable[str]) -> tuple[str, ...]:

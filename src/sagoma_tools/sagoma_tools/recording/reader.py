@@ -27,6 +27,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from capture_rig.errors import InputError, shortened
 from capture_rig.yaml_file import read_mapping
+from ekf_tracker.rep155 import body_id_of
+from icp_tracker.settings import MOST_PERSONS
+from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 
 from ..graph.topics import (
@@ -36,6 +39,7 @@ from ..graph.topics import (
     SILHOUETTE_SUFFIX,
     camera_topics,
     cameras_in,
+    first_body_id,
     person_topics,
     persons_in,
     readable_types,
@@ -196,6 +200,20 @@ def read_provenance(bag: str | Path) -> Mapping[str, Any]:
     """What made the bag (``sagoma.yaml``): software, graph, session, session clock; empty where the file is absent."""
     sidecar = Path(bag) / SIDECAR_PROVENANCE
     return read_mapping(sidecar, "Delete it, or restore what sagoma recorded.") if sidecar.is_file() else {}
+
+
+def bag_persons(bag: str | Path) -> dict[str, int]:
+    """Return the ids of the bodies that have topics of their own in a bag -> the persons' numbers, in their order.
+
+    Ids that do not follow from the first person's, as recorded, are numbered after all that do.
+    """
+    nodes = read_provenance(bag).get("graph", {}).values()
+    first_id = first_body_id(node for node in nodes if isinstance(node, Mapping))
+    number_of = {body_id_of(first_id, person): person for person in range(FIRST_PERSON, MOST_PERSONS + 1)}
+    named = persons_in(bag_topics(bag))
+    others = [body_id for body_id in named if body_id not in number_of]
+    numbers = {body_id: number for body_id, number in number_of.items() if body_id in named}
+    return numbers | {body_id: number for number, body_id in enumerate(others, MOST_PERSONS + 1)}
 
 
 def bag_cameras(bag: str | Path) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ from ..graph.topics import (
     Topic,
     camera_topics,
     cameras_in,
+    first_body_id,
     message_class,
     person_topics,
     persons_in,
@@ -287,11 +288,6 @@ def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
 def server_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
     """Return the topics that the server publishes, and may publish once there are several persons."""
     return [*OUTPUT_TOPICS, *topics_of_others(first_body_id(node.parameters for node in graph))]
-
-
-def first_body_id(parameters: Iterable[Mapping[str, Any]]) -> str:
-    """Return the id of the first person by the nodes' parameters."""
-    return next((str(given["body_id"]) for given in parameters if "body_id" in given), FIRST_BODY_ID)
 
 
 def graph_document(graph: Sequence[NodeSpec]) -> dict[str, Any]:

@@ -1,8 +1,10 @@
-"""Smooths the first person of a recorded take into a new bag with the same topics."""
+"""Smooths everybody's motion in a recorded take into a new bag with the same topics."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,96 +18,140 @@ from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, check_stamps, smooth
 from ekf_tracker.state import POSE
 from ekf_tracker.state_ros import rotations_message, torso_message
-from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from mocap_packets.people import parse_bodies
 from mocap_packets.state import BodyState
 from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_cloud, read_people_points
 from stick_figure.body import Body
 from stick_figure.body_file import parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
-from ..graph.topics import OUTPUT_TOPICS
-from .reader import SIDECAR_RIG, bag_topics, read_messages, read_provenance
+from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS
+from .reader import SIDECAR_RIG, bag_persons, bag_topics, read_messages, read_provenance
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter, require_new
 
-FITTED, BODY = "/icp/reference_points", "/icp/body"
-SMOOTHED = (
-    "/mocap/joint_states",
-    "/mocap/torso",
-    "/mocap/joint_covariance",
-    "/mocap/joint_rotations",
-    "/mocap/reference_points",
-)
+FITTED, BODY, BODIES = "/icp/reference_points", "/icp/body", "/icp/bodies"
+OF_FIRST, OF_EVERYBODY = "/mocap", "/mocap/bodies"
+SMOOTHED = ("joint_states", "torso", "joint_covariance", "joint_rotations", "reference_points")
+"""What is smoothed of each person, in the order of `_messages_of`."""
 LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
 
 
 class SmoothedTake(NamedTuple):
-    """What was smoothed: frame sets with a state, and all of them; messages of the new bag by topic."""
+    """What was smoothed: frame sets with a state of each person, by number, and all sets; messages of the new bag."""
 
-    states: int
+    states: dict[int, int]
     sets: int
     counts: dict[str, int]
 
 
+@dataclass(frozen=True, eq=False)
+class FittedTake:
+    """The fits of a take. runs : of each person, by number, the runs of frame sets without a set that lacks the person;
+    frames : the name of each set's frame, by its stamp."""
+
+    runs: dict[int, list[list[Set]]] = field(default_factory=dict)
+    frames: dict[int, str] = field(default_factory=dict)
+
+
 def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> SmoothedTake:
-    """Write ``target``: the bag with the first person's motion smoothed. InputError for a bag without fits."""
+    """Write ``target``: the bag with everybody's motion smoothed. InputError for a bag without fits."""
     require_new(target)
-    sets = read_sets(bag)
-    if not sets:
+    take = read_fits(bag)
+    if not take.frames:
         remedy = "Record /icp/reference_points and /icp/body: `sagoma record` does."
         raise InputError(f"holds no {FITTED}, from which a take is smoothed", where=str(bag), remedy=remedy)
-    check_stamps([one.stamp_ns for one, _ in sets], str(bag))
-    frame_of = {one.stamp_ns: frame_id for one, frame_id in sets}
-    states = {s.stamp_ns: s for s in smooth((one for one, _ in sets), settings) if isinstance(s, BodyState)}
+    states = {person: _states(runs, settings) for person, runs in take.runs.items()}
     kinds = bag_topics(bag)
+    topics = _smoothed_topics(bag, states)
+    named = {topic: OF_A_PERSON[topic.rpartition("/")[2]] for topics_of in topics.values() for topic in topics_of}
     with BagWriter(target) as writer:
-        for topic, kind in {**kinds, **{name: _kind(name) for name in SMOOTHED}}.items():
+        for topic, kind in {**kinds, **named}.items():
             writer.add_topic(topic, kind, OFFERED_LATCHED if topic in LATCHED else OFFERED)
         for message in read_messages(bag):
-            if message.topic not in SMOOTHED:
+            if message.topic not in named:
                 writer.write(message.topic, message.log_ns, message.data)
-            if message.topic == FITTED and message.stamp_ns in states:
-                _write(writer, message.log_ns, states[message.stamp_ns], frame_of[message.stamp_ns])
+            if message.topic != FITTED:
+                continue
+            for person, of_person in states.items():
+                if (state := of_person.get(message.stamp_ns)) is not None:
+                    _write(writer, topics[person], message.log_ns, state, take.frames[message.stamp_ns])
         rig = Path(bag) / SIDECAR_RIG
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)})
         if rig.is_file():
             copy_file(rig, writer.folder / SIDECAR_RIG)
-    return SmoothedTake(len(states), len(sets), writer.counts)
+    counts = {person: len(of_person) for person, of_person in states.items()}
+    return SmoothedTake(counts, len(take.frames), writer.counts)
 
 
-def read_sets(bag: str | Path) -> list[tuple[Set, str]]:
-    """Return the first person's fits in bag order, each with the body that was followed then, and its frame's name.
+def read_fits(bag: str | Path) -> FittedTake:
+    """Return everybody's fits in bag order, each with the body that was followed then. InputError for falling stamps.
 
     A body is published with the set that it was measured or refined with, before or just after its points; the first
     one serves the sets before it as well.
     """
-    bodies, fits = list[tuple[int, Body]](), list[tuple[int, PointCloud2]]()
-    for message in read_messages(bag, {FITTED, BODY}.__contains__):
-        if message.topic == BODY:
-            text = message.decode(String).data
-            bodies.append((message.log_ns, parse_body(text, f"{bag}: {BODY}")))
-        else:
-            fits.append((message.log_ns, message.decode(PointCloud2)))
-    logged, sets = [log_ns for log_ns, _ in bodies], list[tuple[Set, str]]()
-    for log_ns, cloud in fits:
-        points = read_people_points(cloud, f"{bag}: {FITTED}").of[FIRST_PERSON]
-        body = bodies[max(bisect_right(logged, log_ns) - 1, 0)][1] if bodies else None
+    bodies, clouds = dict[int, list[tuple[int, Body]]](), list[tuple[int, PointCloud2]]()
+    for message in read_messages(bag, {FITTED, BODY, BODIES}.__contains__):
+        if message.topic == FITTED:
+            clouds.append((message.log_ns, message.decode(PointCloud2)))
+            continue
+        text, where = message.decode(String).data, f"{bag}: {message.topic}"
+        others = parse_bodies(text, where) if message.topic == BODIES else {FIRST_PERSON: parse_body(text, where)}
+        for person, body in others.items():
+            bodies.setdefault(person, []).append((message.log_ns, body))
+    take, before = FittedTake(), dict[int, ReferencePoints]()
+    for log_ns, cloud in clouds:
         stamp_ns = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
-        sets.append((Set(stamp_ns, points, body), cloud.header.frame_id))
-    return sets
+        people = dict(read_people_points(cloud, f"{bag}: {FITTED}").of)
+        take.frames[stamp_ns] = cloud.header.frame_id
+        for person, points in people.items():
+            runs = take.runs.setdefault(person, [])
+            if person not in before:
+                runs.append([])
+            runs[-1].append(Set(stamp_ns, points, _body_at(log_ns, bodies.get(person, []))))
+        before = people
+    for runs in take.runs.values():
+        check_stamps([one.stamp_ns for run in runs for one in run], str(bag))
+    return take
 
 
-def _write(writer: BagWriter, log_ns: int, state: BodyState, frame_id: str) -> None:
-    messages: tuple[Any, ...] = (
+def _body_at(log_ns: int, bodies: list[tuple[int, Body]]) -> Body | None:
+    """Return the body that was the last one at a time of the bag, else the first; None without any."""
+    last = bisect_right([logged_ns for logged_ns, _ in bodies], log_ns) - 1
+    return bodies[max(last, 0)][1] if bodies else None
+
+
+def _states(runs: list[list[Set]], settings: EkfSettings | None) -> dict[int, BodyState]:
+    """Return the smoothed states of one person's runs by stamp; each run has a filter of its own, as it had live."""
+    answers = [answer for run in runs for answer in smooth(run, settings)]
+    return {answer.stamp_ns: answer for answer in answers if isinstance(answer, BodyState)}
+
+
+def _smoothed_topics(bag: str | Path, persons: Iterable[int]) -> dict[int, tuple[str, ...]]:
+    """Return the topics that are written of each person: those under /mocap of the first one, and those under
+    /mocap/bodies of everybody who has some there."""
+    prefixes = {person: [OF_FIRST] if person == FIRST_PERSON else [] for person in persons}
+    for body_id, person in bag_persons(bag).items():
+        if person in prefixes:
+            prefixes[person].append(f"{OF_EVERYBODY}/{body_id}")
+    return {
+        person: tuple(f"{prefix}/{what}" for prefix in own for what in SMOOTHED) for person, own in prefixes.items()
+    }
+
+
+def _write(writer: BagWriter, topics: tuple[str, ...], log_ns: int, state: BodyState, frame_id: str) -> None:
+    """Write one person's state on each of the topics, which are those of `SMOOTHED` under each prefix."""
+    messages = [serialize_message(message) for message in _messages_of(state, frame_id)]
+    for number, topic in enumerate(topics):
+        writer.write(topic, log_ns, messages[number % len(messages)])
+
+
+def _messages_of(state: BodyState, frame_id: str) -> tuple[Any, ...]:
+    return (
         joint_state_message(ANGLE_NAMES, state.angles, state.rates, state.stamp_ns, frame_id),
         torso_message(state, frame_id),
         covariance_cloud(TANGENT_NAMES, state.covariance[POSE, POSE], state.stamp_ns, frame_id),
         rotations_message(state, frame_id),
         packet_cloud(state.reference_points, state.stamp_ns, frame_id),
     )
-    for topic, message in zip(SMOOTHED, messages, strict=True):
-        writer.write(topic, log_ns, serialize_message(message))
-
-
-def _kind(name: str) -> str:
-    return next(topic.msgtype for topic in OUTPUT_TOPICS if topic.name == name)
