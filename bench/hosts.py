@@ -5,6 +5,7 @@
     python bench/hosts.py --profile none           # ROS's own DDS settings, or another file than config/dds/fastdds.xml
     python bench/hosts.py --peers                  # a network without multicast; the server's address is given
     python bench/hosts.py --only "loss 5 %"        # conditions whose name begins so (any number of times)
+    python bench/hosts.py --clients                # real camera clients, the whole server, at 10 Hz (hosts_clients.py)
 
 Needs Linux namespaces and no rights beside: nothing leaves them (namespaces.py). Real: the hull server, DDS, the
 silhouettes (the studio's person, as messages of a camera client). For the camera clients, of which five at 60 Hz are
@@ -17,24 +18,23 @@ stamps; the exposures are at the same instants. The last line is JSON.
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from report import Table, execute, finish, parser
 
-import numpy as np
+import hosts_clients
 import psutil
 from hosts_camera import READY, write_clip
+from hosts_witness import Row, Witness
 from namespaces import Condition, World, inside, is_inside, why_not
 from scenes import studio_clip
 
@@ -44,7 +44,6 @@ CAMERAS, HZ, CLIP_S = 4, 60.0, 2.0
 SECONDS, QUICK_S, SETTLE_S = 8.0, 4.0, 1.5
 START_S, RECOVER_S, LOOK_S = 90.0, 30.0, 0.02
 CUT_S, ABSENT_S, WAY_S = 3.0, 6.0, 0.5
-WHOLE_IN_A_ROW = 6  # frame sets that are complete again after a fault: a tenth of a second
 VOXEL_M = 0.08
 SERVER, DOMAIN, OTHER_DOMAIN = "server", "7", "8"
 JUMBO = 9000
@@ -52,72 +51,6 @@ BENCH = Path(__file__).resolve().parent
 PROFILE = BENCH.parent / "config" / "dds" / "fastdds.xml"
 NO_PROFILE = "none"
 QUICK = ("plain", "loss 5 %", "a host vanishes")
-
-
-@dataclass(frozen=True)
-class Row:
-    """Figures of a condition. complete : share of the exposures that became a set of all cameras; formed : of any.
-
-    noticed_s : until the graph no longer knows the camera; recovered_s : from the fault's end until sets are whole.
-    hull_cpu, sender_cpu : cores that the hull server and one camera host's sender used.
-    """
-
-    name: str
-    complete: float
-    formed: float
-    p50_ms: float
-    p95_ms: float
-    spread_ms: float
-    noticed_s: float | None = None
-    recovered_s: float | None = None
-    hull_cpu: float | None = None
-    sender_cpu: float | None = None
-
-
-class Witness:
-    """What the listener on the server has told so far."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.sets: list[dict[str, Any]] = []
-        self.known: list[dict[str, Any]] = []
-        self.said: list[dict[str, Any]] = []
-        threading.Thread(target=self._read, args=(process.stdout,), daemon=True).start()
-
-    def _read(self, lines: Any) -> None:
-        for line in lines:
-            told = json.loads(line)
-            (self.sets if "stamp_ns" in told else self.known if "known" in told else self.said).append(told)
-
-    def figures(self, name: str, begin_ns: int, seconds: float, hz: float, **times: float | None) -> Row:
-        """Return the figures of the exposures in ``seconds`` from ``begin_ns`` on."""
-        sets = [each for each in list(self.sets) if begin_ns <= each["stamp_ns"] < begin_ns + seconds * 1e9]
-        ages = [each["received_ms"] for each in sets] or [float("nan")]
-        exposed = seconds * hz
-        return Row(
-            name,
-            sum(not each["missing"] for each in sets) / exposed,
-            len(sets) / exposed,
-            float(np.percentile(ages, 50)),
-            float(np.percentile(ages, 95)),
-            max((each["spread_ms"] for each in sets), default=float("nan")),
-            **times,
-        )
-
-    def whole_since(self, since_s: float) -> float | None:
-        """Return when sets became whole, and stayed so for a moment, after ``since_s``; None when they have not."""
-        row = 0
-        for each in list(self.sets):
-            row = row + 1 if each["at_s"] >= since_s and not each["missing"] else 0
-            if row == 1:
-                first_s = each["at_s"]
-            if row == WHOLE_IN_A_ROW:
-                return first_s
-        return None
-
-    def lost_since(self, camera: str, since_s: float) -> float | None:
-        """Return when the graph no longer knew this camera."""
-        gone = (told["at_s"] for told in list(self.known) if told["at_s"] >= since_s and camera not in told["known"])
-        return next(gone, None)
 
 
 class Drill:
@@ -303,10 +236,10 @@ CONDITIONS: dict[str, Callable[[Drill, str], list[Row]]] = {
 }
 
 
-def trials(arguments: Any) -> dict[str, Callable[[Drill, str], list[Row]]]:
+def chosen(arguments: Any, conditions: Iterable[str]) -> list[str]:
     """Return the conditions that were asked for."""
     asked = arguments.only or (QUICK if arguments.quick else [""])
-    return {name: trial for name, trial in CONDITIONS.items() if any(name.startswith(word) for word in asked)}
+    return [name for name in conditions if any(name.startswith(word) for word in asked)]
 
 
 @contextmanager
@@ -327,6 +260,8 @@ def running(arguments: Any) -> Iterator[Drill]:
 
 def main(arguments: Any) -> dict[str, Any]:
     """Run the conditions one after the other."""
+    if arguments.clients:
+        return hosts_clients.main(arguments, chosen(arguments, hosts_clients.CONDITIONS))
     table = Table(
         "condition:<28 | complete:>9.1% | formed:>8.1% | p50 ms:>8.1f | p95 ms:>8.1f | spread ms:>9.1f "
         "| noticed s:>9.1f | recovered s:>11.1f | hull cpu:>8.2f | sender cpu:>10.2f",
@@ -334,8 +269,8 @@ def main(arguments: Any) -> dict[str, Any]:
     )
     rows: list[Row] = []
     with running(arguments) as drill:
-        for name, trial in trials(arguments).items():
-            for row in trial(drill, name):
+        for name in chosen(arguments, CONDITIONS):
+            for row in CONDITIONS[name](drill, name):
                 rows.append(row)
                 table.row(*asdict(row).values())
     return {"rows": [asdict(row) for row in rows]}
@@ -357,7 +292,10 @@ def arguments_of(words: Sequence[str]) -> Any:
     """Parse the command line."""
     given = parser(__doc__, quick=f"{', '.join(QUICK)} alone, short")
     given.add_argument("--cameras", type=int, default=CAMERAS, help="camera hosts (default: %(default)s)")
-    given.add_argument("--hz", type=float, default=HZ, help="exposures a second (default: %(default)g)")
+    given.add_argument("--clients", action="store_true", help="real camera clients and the whole server")
+    given.add_argument(
+        "--hz", type=float, help=f"exposures a second (default: {HZ:g}; with --clients {hosts_clients.CLIENT_HZ:g})"
+    )
     given.add_argument("--seconds", type=float, help="of every condition (default: 8; with --quick 4)")
     given.add_argument("--only", action="append", default=[], metavar="NAME", help="conditions that begin so")
     given.add_argument("--profile", default=str(PROFILE), metavar="XML", help=f"of Fast DDS, or '{NO_PROFILE}'")
@@ -367,6 +305,7 @@ def arguments_of(words: Sequence[str]) -> Any:
     given.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     arguments = given.parse_args(words)
     arguments.seconds = arguments.seconds or (QUICK_S if arguments.quick else SECONDS)
+    arguments.hz = arguments.hz or (hosts_clients.CLIENT_HZ if arguments.clients else HZ)
     return arguments
 
 

@@ -4,7 +4,8 @@
 
 Lines of JSON on standard output, each with ``at_s``, the machine's monotonic clock: {"stamp_ns", "missing",
 "spread_ms", "received_ms"} for a frame set (received: from the earliest stamp until the set was closed), {"known":
-[CAMERA ...]} when cameras' publishers were found or lost, {"says"} when the hull server's message changed.
+[CAMERA ...]} when cameras' publishers were found or lost, {"says"} when the hull server's message changed; of a whole
+graph also {"stamp_ns", "age_ms"} for every answer of the filter, {"stamp_ns", "points"} (15 x 3, m) of a tracked body.
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
 from sagoma_ros.messages import to_ns
+from sagoma_ros.packets import read_reference_points
 from sagoma_ros.qos import RESULT
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import DIAGNOSTICS_TOPIC, LOSSLESS, camera_topics
+from sagoma_tools.graph.topics import DIAGNOSTICS_TOPIC, LOSSLESS, PREDICTION_TOPIC, camera_topics
 
 LOOK_S = 0.05
+POINTS_TOPIC = "/mocap/reference_points"
 
 
 def tell(**what: Any) -> None:
@@ -35,6 +39,18 @@ def on_frame_set(message: DiagnosticArray) -> None:
     values = {pair.key: pair.value for pair in message.status[0].values}
     times = {key: float(values[key]) for key in ("spread_ms", "received_ms")}
     tell(stamp_ns=to_ns(message.header.stamp), missing=[name for name in values["missing"].split(",") if name], **times)
+
+
+def on_answer(message: MultiDOFJointState) -> None:
+    """Print the filter's answer to an exposure."""
+    stamp_ns = to_ns(message.header.stamp)
+    tell(stamp_ns=stamp_ns, age_ms=1e-6 * (time.time_ns() - stamp_ns))
+
+
+def on_points(message: PointCloud2) -> None:
+    """Print a tracked body."""
+    points_world = read_reference_points(message, POINTS_TOPIC).points_world
+    tell(stamp_ns=to_ns(message.header.stamp), points=points_world.round(4).tolist())
 
 
 class Message:
@@ -57,6 +73,8 @@ def main() -> None:
     known: list[str] = []
     with RosLink("hosts_listener") as link:
         link.node.create_subscription(DiagnosticArray, "/hull/frame_set", on_frame_set, LOSSLESS)
+        link.node.create_subscription(MultiDOFJointState, PREDICTION_TOPIC, on_answer, LOSSLESS)
+        link.node.create_subscription(PointCloud2, POINTS_TOPIC, on_points, LOSSLESS)
         link.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, Message().take, RESULT)
         while not threading.Event().wait(LOOK_S):
             found = [camera for camera, topic in topics.items() if link.node.count_publishers(topic)]

@@ -22,7 +22,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -127,13 +127,27 @@ class Host:
         self.processes.append(process)
         return process
 
-    def kill(self) -> None:
-        """End every process here at once, as a power cut does."""
-        for process in self.processes:
-            process.kill()
-        for process in self.processes:
-            process.wait()
-        self.processes.clear()
+    def kill(self, spare: Collection[int] = ()) -> None:
+        """End every process here at once, as a power cut does, their children too; but for the pids ``spare``."""
+        kept = {self.anchor.pid, *spare}
+        while found := [pid for pid in self._pids() if pid not in kept]:
+            for pid in found:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            for process in self.processes:
+                if process.pid not in kept:
+                    process.wait()
+            time.sleep(POLL_S)
+        self.processes = [process for process in self.processes if process.pid in kept]
+
+    def _pids(self) -> list[int]:
+        """Every living process in this host's network namespace."""
+        mine, found = os.readlink(f"/proc/{self.anchor.pid}/ns/net"), []
+        for entry in Path("/proc").iterdir():
+            with contextlib.suppress(OSError):  # it has ended, or is about to
+                if entry.name.isdigit() and os.readlink(entry / "ns/net") == mine:
+                    found.append(int(entry.name))
+        return found
 
 
 class Cable:

@@ -76,18 +76,36 @@ def test_nothing_is_left_of_a_drill_that_was_killed(needs_namespaces):
     assert not left_behind()
 
 
+def inside_with_support(script, *words):
+    """Lines that a script of tests/support prints in namespaces of its own; it ends well."""
+    search = [ROOT / "bench", ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
+    path = os.pathsep.join([*map(str, search), *filter(None, [os.environ.get("PYTHONPATH")])])
+    with inside([str(ROOT / "tests/support" / script), *words], {"PYTHONPATH": path}) as process:
+        lines = process.stdout.read().splitlines()
+    assert process.returncode == 0
+    return lines
+
+
+@pytest.mark.slow
+def test_footage_on_several_hosts_is_in_step_though_one_starts_late_and_refused_without_a_beginning(
+    needs_namespaces, tmp_path
+):
+    alone, together = map(json.loads, inside_with_support("hosts_footage.py", str(tmp_path)))
+    assert alone["status"] == 2 and "--start-at" in alone["says"]
+    assert together["early"] and all("cam03" in missing for missing in together["early"])
+    whole = [not missing for missing in together["missing"]]
+    assert len(whole) == 30 and sum(whole) >= 24  # a busy machine may lose some
+    assert max(together["spread_ms"]) == 0.0  # the same frame of the footage from all hosts
+
+
 @pytest.fixture(scope="module")
 def said(needs_namespaces, tmp_path_factory):
     """Of each fault, the codes of what the doctor found, by subject; and all its words."""
     folder = str(tmp_path_factory.mktemp("faults"))
-    search = [ROOT / "bench", ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
-    path = os.pathsep.join([*map(str, search), *filter(None, [os.environ.get("PYTHONPATH")])])
     found = {}
-    with inside([str(ROOT / "tests/support/hosts_faults.py"), folder, *FAULTS], {"PYTHONPATH": path}) as process:
-        for line in process.stdout:
-            fault, _, listed = line.partition("\t")
-            found[fault] = [(f["subject"], f["code"], f["what"], f["remedy"]) for f in json.loads(listed)["findings"]]
-    assert process.returncode == 0
+    for line in inside_with_support("hosts_faults.py", folder, *FAULTS):
+        fault, _, listed = line.partition("\t")
+        found[fault] = [(f["subject"], f["code"], f["what"], f["remedy"]) for f in json.loads(listed)["findings"]]
     return found
 
 

@@ -25,6 +25,11 @@ class FootageSettings:
     epoch_ns: int = setting(
         0, "Stamp of frame 0, the same for all cameras; 0: the next whole 5 s of the system clock", unit="ns", low=0
     )
+    keep_up: bool = setting(
+        False,
+        "Leave out frames whose time has passed: cameras of several machines with one epoch_ns stay in step, however "
+        "late one begins",
+    )
     loop: bool = setting(False, "Begin again after the last frame; stamps go on counting")
     window: int = setting(3, "At rate 0: frames under way before an acknowledgement is awaited", low=1, high=1000)
     pace_topic: str = setting(

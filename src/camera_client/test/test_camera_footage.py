@@ -13,7 +13,7 @@ from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import BackgroundSettings, FootageSettings
 from camera_client.sources.footage_reader import VideoReader, open_footage
-from camera_client.sources.footage_source import READ_AHEAD, FootageSource, Pace
+from camera_client.sources.footage_source import READ_AHEAD, FootageSource, Pace, WallClockPace
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 
@@ -334,3 +334,23 @@ def test_background_from_a_clip_in_any_codec_is_the_mean_picture_to_a_few_levels
     assert np.abs(model.mean - np.mean(images, axis=0)).mean() < 3.0
     coloured = read_background(path, (*still.shape, 3), BackgroundSettings())
     assert coloured.shape == (*still.shape, 3)
+
+
+def test_frames_whose_time_has_passed_are_left_out_and_counted(tmp_path):
+    fps, late_frames = 50.0, 20
+    path = tmp_path / "square.avi"
+    write_clip(path, [np.full((48, 64, 3), level, np.uint8) for level in range(10, 50)], fps=fps)
+    now_ns = EPOCH_NS + round(1e9 * late_frames / fps)
+
+    def pace(fps):
+        return WallClockPace(fps, 1.0, lambda: now_ns, lambda seconds: None, keep_up=True)
+
+    source = FootageSource(FootageSettings(path=str(path), epoch_ns=EPOCH_NS), pace=pace, now_ns=lambda: now_ns)
+    source.connect()
+    source.start()
+    (frame,) = read(source, 1)
+    left_out = source.counters["left_out"]
+    assert 0 < left_out < late_frames  # those of the last quarter of a second still join their sets
+    assert frame.frame_id == left_out and frame.stamp_ns == footage_stamp_ns(EPOCH_NS, left_out, fps)
+    assert source.statistics.counts()["lost"] == 0
+    source.close()

@@ -167,3 +167,32 @@ def test_stamps_run_at_the_rate_of_playing_from_the_epoch_on(rate):
         assert pace.wait(frame, 10.0)
         since_epoch_ns = footage_stamp_ns(EPOCH_NS, frame, 25.0) - EPOCH_NS
         assert since_epoch_ns == pytest.approx(rate * (clock.now_ns() - EPOCH_NS), abs=1000)
+
+
+def test_late_start_that_keeps_up_leaves_out_what_has_passed_and_is_in_step():
+    clock = Clock(EPOCH_NS + 30_000 * MS)
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep, keep_up=True)
+    pace.begin(EPOCH_NS, 0)
+    missed = next(frame for frame in range(3000) if not pace.has_missed(frame))
+    assert missed == 1500 - 12  # a quarter of a second is caught up with
+    assert departures_ms(pace, clock, 14, first=missed)[-2:] == pytest.approx([30_000, 30_020], abs=1e-3)
+
+
+def test_two_machines_that_start_and_pause_at_different_moments_show_the_same_frame():
+    first, second = Clock(EPOCH_NS - 700 * MS), Clock(EPOCH_NS + 7_000 * MS)
+    showing = []
+    for clock, pauses_s in ((first, 40.0), (second, 11.0)):
+        pace = WallClockPace(25.0, 1.0, clock.now_ns, clock.sleep, keep_up=True)
+        pace.begin(EPOCH_NS, 0)
+        clock.sleep(pauses_s)
+        pace.begin(EPOCH_NS, 1)
+        clock.ns = EPOCH_NS + 60_000 * MS
+        showing.append(next(frame for frame in range(1, 9000) if not pace.has_missed(frame)))
+    assert showing[0] == showing[1]
+
+
+def test_nothing_is_left_out_unless_it_is_asked_for():
+    clock = Clock(EPOCH_NS + 30_000 * MS)
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
+    pace.begin(EPOCH_NS, 0)
+    assert not pace.has_missed(0)

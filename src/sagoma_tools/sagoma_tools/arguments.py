@@ -14,6 +14,7 @@ from sagoma_bringup.first_pose import AUTO_START, STARTS, start_settings
 from sagoma_bringup.graph import NodeSpec, apply_settings, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
+from .start_at import in_step, start_instant_ns
 from .takes.folder import TAKES, TakesFolder
 
 
@@ -26,6 +27,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", metavar="PART", help="run only this part: server, cameras, or one camera's name")
     parser.add_argument("--rate", type=float, default=1.0, help="playing speed of footage; 0: as fast as the graph can")
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
+    help_start_at = "when footage begins, the same on every machine that plays a part of it: 14:30:05, or with a date"
+    parser.add_argument("--start-at", metavar="TIME", help=f"{help_start_at}; this machine's time zone, or Z for UTC")
     parser.add_argument("--body", help="body YAML for the trackers")
     add_start_argument(parser)
     add_settings_argument(parser)
@@ -55,6 +58,10 @@ def add_server_argument(parser: argparse.ArgumentParser) -> None:
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
     """Return the graph that the arguments describe."""
     session = None if args.session is None else load_session(args.session)
+    start_at_ns = None if args.start_at is None else start_instant_ns(args.start_at, time.time_ns())
+    if session is None and start_at_ns is not None:
+        remedy = "Leave it out: live cameras need none."
+        raise InputError("only footage has a beginning", where="--start-at", remedy=remedy)
     graph = build_graph(
         session=args.session,
         rig=args.rig,
@@ -64,6 +71,8 @@ def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
         loop=args.loop,
         body=args.body,
     )
+    if session is not None:
+        graph = in_step(graph, len(session.rig.names), start_at_ns, args.rate)
     if any(node.label == "icp_tracker" for node in graph):
         graph = apply_settings(graph, start_settings(session, args.start))
     return apply_settings(graph, parse_settings(args.settings))

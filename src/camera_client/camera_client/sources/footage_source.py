@@ -27,7 +27,9 @@ class FootageSource(FrameSource):
     With rate r > 0, delivery is stretched or squeezed by the wall clock (frame k leaves at epoch + (k / fps) / r);
     with rate 0 frame k leaves when consumers have acknowledged frame k - window. Stopping pauses; starting goes on
     with the next frame, and begins anew after the end (with a fresh epoch when ``epoch_ns`` is 0, otherwise with
-    frame numbers, and so stamps, that go on counting). Clocks are injected for tests.
+    frame numbers, and so stamps, that go on counting). With ``keep_up`` frames whose time has passed are left out, at
+    the beginning as after a pause, so that all cameras of one epoch show the same moment. Clocks are injected for
+    tests.
     """
 
     def __init__(
@@ -89,6 +91,10 @@ class FootageSource(FrameSource):
         if item is _SKIP:
             self.count("undecodable")
             self.statistics.add(self._frame, complete=False)
+            self._pass_frame()
+            return None
+        if self._pace.has_missed(self._frame):
+            self.count("left_out")
             self._pass_frame()
             return None
         if not self._pace.wait(self._frame, max(deadline_s - time.monotonic(), 0.0)):
@@ -153,7 +159,7 @@ class FootageSource(FrameSource):
     def _pace_of_settings(self, fps: float) -> Pace:
         s = self._settings
         if s.rate > 0:
-            return WallClockPace(fps, s.rate)
+            return WallClockPace(fps, s.rate, keep_up=s.keep_up)
         return AcknowledgedPace(fps, s.window, s.pace_timeout_s)
 
 
@@ -215,6 +221,7 @@ class _Decoder:
 
 EPOCH_STEP_NS = 5_000_000_000
 LATE_START_NS = 1_000_000_000
+KEPT_UP_NS = 250_000_000  # a frame this late still joins its set: half of what the hull server waits for footage
 MAX_EPOCH_AHEAD_NS = 3600 * 1_000_000_000
 
 
@@ -227,6 +234,10 @@ class Pace(ABC):
     @abstractmethod
     def wait(self, frame: int, timeout_s: float) -> bool:
         """Wait until frame k is due; False when that did not happen within ``timeout_s``."""
+
+    def has_missed(self, frame: int) -> bool:
+        """Whether frame k is too late to be of use, and is to be left out."""
+        return False
 
     def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027
         """Everything up to ``stamp_ns`` is worked off."""
@@ -241,7 +252,7 @@ class WallClockPace(Pace):
     """Frame k leaves at ``epoch + (k / fps) / rate`` of the system clock.
 
     A start more than a second after that (a late start, or the resumption after a pause) goes on from now instead of
-    hurrying through what was missed.
+    hurrying through what was missed; with ``keep_up`` what was missed is left out.
     """
 
     def __init__(
@@ -250,21 +261,27 @@ class WallClockPace(Pace):
         rate: float,
         now_ns: Callable[[], int] = time.time_ns,
         sleep: Callable[[float], None] = time.sleep,
+        keep_up: bool = False,
     ) -> None:
-        self._fps, self._rate, self._now_ns, self._sleep = fps, rate, now_ns, sleep
+        self._fps, self._rate, self._now_ns, self._sleep, self._keep_up = fps, rate, now_ns, sleep, keep_up
         self._first_frame, self._anchor_ns = 0, 0
 
     def begin(self, epoch_ns: int, frame: int) -> None:
         now, due = self._now_ns(), epoch_ns + round(frame * 1e9 / (self._fps * self._rate))
         self._first_frame = frame
-        self._anchor_ns = due if due >= now - LATE_START_NS else now
+        self._anchor_ns = due if self._keep_up or due >= now - LATE_START_NS else now
+
+    def has_missed(self, frame: int) -> bool:
+        return self._keep_up and self._due_ns(frame) < self._now_ns() - KEPT_UP_NS
 
     def wait(self, frame: int, timeout_s: float) -> bool:
-        due = self._anchor_ns + round((frame - self._first_frame) * 1e9 / (self._fps * self._rate))
-        left_s = (due - self._now_ns()) / 1e9
+        left_s = (self._due_ns(frame) - self._now_ns()) / 1e9
         if left_s > 0:
             self._sleep(min(left_s, timeout_s))
         return left_s <= timeout_s
+
+    def _due_ns(self, frame: int) -> int:
+        return self._anchor_ns + round((frame - self._first_frame) * 1e9 / (self._fps * self._rate))
 
 
 class AcknowledgedPace(Pace):
