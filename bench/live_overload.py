@@ -21,7 +21,6 @@ FIRST_HZ, STEP = 45.0, 1.1
 SETTLE_S, TRY_S = 1.5, 2.5
 HELD_SHARE, HELD_P95_MS = 0.99, 100.0  # answered, and within this, at a rate that is held
 OVERLOAD_S, LOW_S = 15.0, 6.0
-RECOVERED_S = 2.0  # from then on all sets of the lower rate are answered
 
 
 @dataclass(frozen=True)

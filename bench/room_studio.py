@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from room_clips import EMPTY_STRIDE, STRIDE, RoomClip
 from scenes import STATURE_M, STUDIO_FPS
@@ -102,19 +101,3 @@ def studio_clip(look: Look, seconds: float) -> RoomClip:
     empty = {name: studio.empty_frames(name, round(BACKGROUND_S * STUDIO_FPS / EMPTY_STRIDE)) for name in names}
     take, truth = ({name: np.array(frames) for name, frames in part.items()} for part in (films, masks))
     return RoomClip(str(look), studio.rig, fps, empty, take, truth)
-
-
-def contact_sheet(clip: RoomClip, frame: int) -> np.ndarray:
-    """Return one instant of the scored cameras to look at: empty room, picture with the exact outline, difference."""
-    strips = []
-    for camera in clip.scored_cameras:
-        empty, picture = clip.empty[camera], clip.take[camera][frame]
-        mean = empty[:10].astype(np.float32).mean(axis=0)
-        difference = (128 + 3 * (picture - mean)).clip(0, 255).astype(np.uint8)
-        panels = [
-            cv2.cvtColor(p, cv2.COLOR_GRAY2BGR) if p.ndim == 2 else p.copy() for p in (empty[0], picture, difference)
-        ]
-        outlines, _ = cv2.findContours(clip.truth[camera][frame], cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(panels[1], outlines, -1, (0, 255, 0), 1)
-        strips.append(np.hstack(panels))
-    return np.vstack(strips)

@@ -37,7 +37,6 @@ def holds(box, mask):
 def test_box_grows_to_multiples_within_the_image():
     assert Box(10, 20, 30, 40).grown(3, (100, 100), 8) == Box(0, 16, 40, 48)
     assert Box(2, 2, 98, 99).grown(3, (100, 100)) == Box(0, 0, 100, 100)
-    assert Box(1, 2, 3, 4).moved_into(Box(10, 20, 30, 40)) == Box(11, 22, 13, 24)
     assert Box(11, 22, 13, 24).relative_to(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
 
 

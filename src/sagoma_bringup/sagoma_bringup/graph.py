@@ -122,12 +122,6 @@ def build_graph(
     return apply_settings(select(graph, only), settings or {})
 
 
-def in_namespace(graph: Sequence[NodeSpec], namespace: str) -> list[NodeSpec]:
-    """Return the same nodes below a namespace ("studio"), so that several graphs can run side by side."""
-    above = namespace.strip("/")
-    return [replace(node, namespace=f"/{above}{node.namespace}".rstrip("/") or "/") for node in graph]
-
-
 def session_graph(
     session: Session, *, rate: float = 1.0, epoch_ns: int = 0, loop: bool = False, body: str | Path | None = None
 ) -> list[NodeSpec]:

@@ -186,7 +186,7 @@ def test_largest_sends_hold_whole_packets_only():
     assert all(size <= 65507 and size % 8972 == 0 for size in sizes[:-1])
 
 
-def teststretches_are_the_runs_of_true_values():
+def test_stretches_are_the_runs_of_true_values():
     assert stretches(np.array([True, True, False, True, False, False, True])) == [(0, 2), (3, 4), (6, 7)]
     assert stretches(np.array([False, False])) == []
     assert stretches(np.array([True, True])) == [(0, 2)]

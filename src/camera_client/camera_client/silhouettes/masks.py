@@ -66,10 +66,6 @@ class Box(NamedTuple):
         """Return the same box, counted from the corner of ``outer``."""
         return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)
 
-    def moved_into(self, outer: Box) -> Box:
-        """Return the inverse of :meth:`relative_to`: this box is counted from the corner of ``outer``."""
-        return Box(self.top + outer.top, self.left + outer.left, self.bottom + outer.top, self.right + outer.left)
-
 
 class ForegroundLocator:
     """Finds, fast, a box that holds everything in an image that may be a part of a person.

@@ -22,7 +22,6 @@ from stick_figure.body import Body
 
 from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
-from ..refinement.body_refiner import RefinedBody
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, sight_of
 from .identity import ALIKE, IdentityCheck, Verdict, sizes_apart
@@ -96,10 +95,6 @@ class PeopleTracker:
     def body_of(self, person: int) -> Body | None:
         """Return a person's body; None for one who is not known."""
         return self._persons[person].tracker.body if person in self._persons else None
-
-    def refined_body_of(self, person: int) -> RefinedBody | None:
-        """Return how well the sizes of a measured body are known; None for a body whose sizes were given."""
-        return self._persons[person].tracker.refined_body if person in self._persons else None
 
     @property
     def needs_voxels(self) -> bool:

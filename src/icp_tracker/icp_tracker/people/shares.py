@@ -65,10 +65,6 @@ class Shares:
         together = {other for persons in self.shared.values() if person in persons for other in persons}
         return tuple(sorted(together - {person}))
 
-    def with_part(self, person: int, part: int) -> Shares:
-        """Return the same with a part that was nobody's."""
-        return Shares({**self.parts, person: (part,)}, self.shared)
-
 
 def find_shares(seen: HullProducts, bodies: Sequence[int], expected: Sequence[Expected]) -> Shares:
     """Find the parts of each person who is expected in the hull."""

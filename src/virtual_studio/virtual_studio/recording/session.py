@@ -217,10 +217,6 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
             progress(frame + 1, len(motion.poses))
 
 
-def _cameras_in(standing: Capsules | None, rig: Rig, pool: ThreadPoolExecutor) -> list[VirtualCamera]:
-    return list(pool.map(lambda camera: VirtualCamera(camera, standing=standing), rig.cameras))
-
-
 def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:
     with VideoFile(folder, camera.camera, FOOTAGE, fps, "_background") as video:
         for frame in range(max(round(BACKGROUND_S * fps), 1)):
