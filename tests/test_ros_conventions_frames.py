@@ -117,7 +117,7 @@ class Taken:
 
     def __init__(self, node, kind, topic, qos):
         self.topic, self.qos = topic, qos
-        self.heard, self.closed = True, False
+        self.is_wanted, self.closed = True, False
         PUBLISHERS.append(self)
         self.messages = []
 
@@ -142,7 +142,7 @@ def taken(monkeypatch):
     """What goes to /tf and /tf_static: the publishers, in the order in which they were made."""
     PUBLISHERS.clear()
     monkeypatch.setattr(frames, "TFMessage", TFMessage)
-    monkeypatch.setattr(frames, "HeardPublisher", Taken)
+    monkeypatch.setattr(frames, "LazyPublisher", Taken)
     return PUBLISHERS
 
 

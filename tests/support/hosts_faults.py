@@ -22,7 +22,7 @@ LEAD_S = {"clock 2 s": 2.0, "clock 40 ms": 0.04}
 LIFE_S = "600"
 ANSWERS = """
 import sys, threading
-from sagoma_tools.doctor.machine.way_probe import answer
+from sagoma_tools.doctor.machine.link_probe import answer
 clock = lambda now_ns: now_ns + round(1e9 * float(sys.argv[1]))
 answer(threading.Event(), clock_ns=clock, begun=lambda: print("ready", flush=True))
 """

@@ -8,8 +8,8 @@ from camera_client.background.adaptive import AdaptiveBackground
 from camera_client.background.model import BackgroundLearner
 from camera_client.background.noise import assumed_noise
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
+from camera_client.silhouettes.codec_errors import FINE_GRAIN, codec_error_sigma
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from camera_client.silhouettes.spill import FINE_GRAIN, codec_spill
 from virtual_studio.rig import ring
 
 HEIGHT, WIDTH, NOISE, QUALITY, FPS = 480, 640, 2.0, 30, 30.0
@@ -48,18 +48,18 @@ def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(co
             assert (background.noise.grain > FINE_GRAIN) == codec, (frame, background.noise.grain)
 
 
-def test_spill_reaches_a_block_far_and_is_there_with_codecs_only():
+def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
     expected = np.full((60, 80), 100, np.float32)
     image = expected.astype(np.uint8)
     image[:, 60:] = 200
-    assert codec_spill(image, expected, assumed_noise(2.0, 1)) is None
-    spill = codec_spill(image, expected, assumed_noise(2.0, 1)._replace(grain=0.6))
-    assert (spill[:, 52:] > 2).all() and (spill[:, :52] == 0).all()
+    assert codec_error_sigma(image, expected, assumed_noise(2.0, 1)) is None
+    codec_sigma = codec_error_sigma(image, expected, assumed_noise(2.0, 1)._replace(grain=0.6))
+    assert (codec_sigma[:, 52:] > 2).all() and (codec_sigma[:, :52] == 0).all()
 
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_blocks_beside_a_person_are_no_person(colour):
-    """A tall ellipse through JPEG is found whole and hardly wider: by 0.13 and 0.23 of its area without the spill."""
+    """A tall ellipse through JPEG is found whole and hardly wider: 0.13 and 0.23 of its area if they are ignored."""
     camera, rng = ring(2).cameras[0], np.random.default_rng(6)
     light, learner = room(colour, rng), BackgroundLearner()
     for _ in range(30):

@@ -19,8 +19,8 @@ from mocap_packets.fit import FIRST_PERSON, NOTHING_SEEN, ReferencePoints
 from mocap_packets.people import PeoplePoints, Predictions, parse_bodies
 from mocap_packets.stamp_order import Order, StampOrder
 from mocap_packets.state import BodyState, NoState, Tracking
-from sagoma_ros.exchange import Delivery, PacketPublisher, PacketSubscription
 from sagoma_ros.health import ERROR, OK, WARN
+from sagoma_ros.intra_process import Delivery, PacketPublisher, PacketSubscription
 from sagoma_ros.joint_motion import predictions_message
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import Text, read_people_points

@@ -12,8 +12,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from mocap_packets.state import BodyState
-from sagoma_ros.exchange import HeardPublisher
 from sagoma_ros.frames import FramePublisher, frame
+from sagoma_ros.intra_process import LazyPublisher
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message
 from sagoma_ros.qos import LATCHED
@@ -69,7 +69,7 @@ class HumansPublisher:
     def __init__(self, node: Node, first_id: str, frame_id: str) -> None:
         self._node, self._frame_id = node, frame_id
         self._bodies = {first_id: _BodyTopics(node, first_id)}
-        self._tracked = HeardPublisher(node, IdsList, "/humans/bodies/tracked") if IdsList else None
+        self._tracked = LazyPublisher(node, IdsList, "/humans/bodies/tracked") if IdsList else None
         self._frames = FramePublisher(node)
 
     def update(self, tracked: Tracked, stamp_ns: int) -> None:
@@ -111,8 +111,8 @@ class _BodyTopics:
         self._names = [f"{name}_{body_id}" for name in HRI_JOINT_NAMES]
         self._angles: np.ndarray | None = None
         self._body: Body | None = None
-        self._joints = HeardPublisher(node, JointState, f"/humans/bodies/{body_id}/joint_states")
-        self._urdf = HeardPublisher(node, String, f"/humans/bodies/{body_id}/urdf", LATCHED)
+        self._joints = LazyPublisher(node, JointState, f"/humans/bodies/{body_id}/joint_states")
+        self._urdf = LazyPublisher(node, String, f"/humans/bodies/{body_id}/urdf", LATCHED)
 
     def present(self, state: BodyState, body: Body) -> None:
         if body is not self._body:

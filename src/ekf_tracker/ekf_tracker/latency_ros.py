@@ -9,8 +9,8 @@ from rclpy.clock import Clock, ClockType
 from std_msgs.msg import Int64MultiArray
 
 from capture_rig.errors import InputError
-from mocap_packets.latency import HullTimes, LatencyBook, SetLatency
-from sagoma_ros.exchange import Delivery, HeardPublisher, PacketSubscription
+from mocap_packets.latency import HullTimes, LatencyMatcher, SetLatency
+from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketSubscription
 from sagoma_ros.latency import LATENCY_TOPIC, TIMES_TOPIC, latency_message, read_times
 from sagoma_ros.node import SagomaNode
 
@@ -21,8 +21,8 @@ class LatencyReport:
     """Publishes one message a frame set; asks the hull server for its times only while somebody listens."""
 
     def __init__(self, node: SagomaNode) -> None:
-        self._node, self._book, self._lock = node, LatencyBook(), threading.Lock()
-        self._publisher = HeardPublisher(node, DiagnosticArray, LATENCY_TOPIC)
+        self._node, self._book, self._lock = node, LatencyMatcher(), threading.Lock()
+        self._publisher = LazyPublisher(node, DiagnosticArray, LATENCY_TOPIC)
         self._times: PacketSubscription[HullTimes] | None = None
         self._timer = node.create_timer(LOOK_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -49,7 +49,7 @@ class LatencyReport:
         self._publisher.close()
 
     def _look(self) -> None:
-        self._follow(self._publisher.heard)
+        self._follow(self._publisher.is_wanted)
 
     def _follow(self, heard: bool) -> None:
         if heard and self._times is None:

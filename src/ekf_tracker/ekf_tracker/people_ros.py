@@ -19,7 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState, Tracking
-from sagoma_ros.exchange import HeardPublisher
+from sagoma_ros.intra_process import LazyPublisher
 from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_cloud
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.body import Body
@@ -54,7 +54,7 @@ def is_tracked(answer: Answer) -> bool:
 class Skeleton:
     """One person's markers on one or two topics: replaced at a bounded rate, red once when lost, deleted when gone."""
 
-    def __init__(self, publishers: tuple[HeardPublisher, ...], style: SkeletonStyle, rate_hz: float) -> None:
+    def __init__(self, publishers: tuple[LazyPublisher, ...], style: SkeletonStyle, rate_hz: float) -> None:
         self._publishers, self._style = publishers, style
         self._period_ns = round(NS_PER_S / rate_hz) if rate_hz else 0
         self._next_ns = 0
@@ -67,7 +67,7 @@ class Skeleton:
         if was_lost if self._lost else state.stamp_ns < self._next_ns:
             return
         self._next_ns = state.stamp_ns + self._period_ns
-        heard = [publisher for publisher in self._publishers if publisher.heard]
+        heard = [publisher for publisher in self._publishers if publisher.is_wanted]
         if heard:
             self._shown = skeleton_markers(state, body, self._style)
             self._publish(heard, self._shown)
@@ -94,13 +94,13 @@ class PersonTopics:
         body_id: str,
         settings: EkfNodeSettings,
         style: SkeletonStyle,
-        all_skeletons: tuple[HeardPublisher, ...] = (),
+        all_skeletons: tuple[LazyPublisher, ...] = (),
     ) -> None:
         """``all_skeletons`` : the publisher of everybody's markers, where these are to be among them."""
-        opened: list[HeardPublisher] = []
+        opened: list[LazyPublisher] = []
 
-        def publisher(kind: type, topic: str, qos: QoSProfile = RESULT) -> HeardPublisher:
-            opened.append(HeardPublisher(node, kind, f"{prefix}/{topic}", qos))
+        def publisher(kind: type, topic: str, qos: QoSProfile = RESULT) -> LazyPublisher:
+            opened.append(LazyPublisher(node, kind, f"{prefix}/{topic}", qos))
             return opened[-1]
 
         self._opened, self._frame, self._name = opened, settings.frame_id, node.get_fully_qualified_name()
@@ -176,8 +176,8 @@ class PeopleTopics:
         self._node, self._settings, self._on_closed = node, settings, on_closed
         plain = SkeletonStyle(settings.frame_id, settings.skeleton_covariance)
         self._first = PersonTopics(node, "mocap", self.id_of(FIRST_PERSON), settings, plain)
-        self._all_skeletons = HeardPublisher(node, MarkerArray, "mocap/skeletons")
-        self._names = HeardPublisher(node, String, "mocap/point_names", LATCHED)
+        self._all_skeletons = LazyPublisher(node, MarkerArray, "mocap/skeletons")
+        self._names = LazyPublisher(node, String, "mocap/point_names", LATCHED)
         self._names.publish(lambda: String(data=",".join(POINT_NAMES)))
         self._persons: dict[int, PersonTopics] = {}
 

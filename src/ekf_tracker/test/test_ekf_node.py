@@ -69,7 +69,7 @@ def test_prediction_is_published_after_everything_else(bench, body_file, person,
     b = bench(body_file=body_file, publish_humans=True).start()
     joints = "/humans/bodies/b0001/joint_states"
     b.listen(JointState, joints)
-    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._humans._bodies["b0001"]._joints.heard)
+    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._humans._bodies["b0001"]._joints.is_wanted)
     order, publish = [], Publisher.publish
 
     def recorded(publisher, message):

@@ -18,10 +18,10 @@ from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from mocap_packets.latency import HullTimes
 from sagoma_ros import mask_png
-from sagoma_ros.exchange import HeardPublisher, PacketPublisher
 from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import ABSENT, decode_silhouette, support_message
+from sagoma_ros.intra_process import LazyPublisher, PacketPublisher
 from sagoma_ros.latency import TIMES_TOPIC, times_message
 from sagoma_ros.limits import check_mask_bytes
 from sagoma_ros.node import SagomaNode
@@ -173,9 +173,9 @@ class HullNode(SagomaNode):
         self._centerline = PacketPublisher[Centerline](self, PointCloud2, "hull/centerline", packet_cloud)
         self._voxels = PacketPublisher[VoxelSamples](self, PointCloud2, "hull/voxels", packet_cloud)
         self._times = PacketPublisher[HullTimes](self, Int64MultiArray, TIMES_TOPIC, times_message)
-        self._frame_set = HeardPublisher(self, DiagnosticArray, "hull/frame_set")
+        self._frame_set = LazyPublisher(self, DiagnosticArray, "hull/frame_set")
         self._supports = {
-            camera: HeardPublisher(self, Image, f"{camera}/silhouette/support") for camera in self._canvases
+            camera: LazyPublisher(self, Image, f"{camera}/silhouette/support") for camera in self._canvases
         }
         self._closing += [self._contour_rays.close, self._centerline.close, self._voxels.close, self._frame_set.close]
         self._closing += [self._times.close, *(publisher.close for publisher in self._supports.values())]

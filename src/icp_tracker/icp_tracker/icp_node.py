@@ -21,8 +21,8 @@ from mocap_packets.fit import FIRST_PERSON, PART_NAMES, Fit
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, Centerline, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.people import PeoplePoints, Predictions, format_bodies
 from mocap_packets.stamp_order import Order, StampOrder
-from sagoma_ros.exchange import Delivery, HeardPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.health import OK, WARN
+from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.joint_motion import read_predictions
 from sagoma_ros.messages import key_values, to_stamp
 from sagoma_ros.node import SagomaNode
@@ -54,7 +54,7 @@ class IcpNode(SagomaNode):
         self._tracker: PeopleTracker | None = None
         self._worker: Worker[Delivery[Centerline]] | None = None
         self._subscriptions_held: list[PacketSubscription] = []
-        self._publishers_held: list[PacketPublisher | HeardPublisher] = []
+        self._publishers_held: list[PacketPublisher | LazyPublisher] = []
         self._lock = threading.Lock()  # tracker and stamps: worker against ~/reset
         self._order = StampOrder()
         self._told: dict[int, str] = {}
@@ -69,7 +69,7 @@ class IcpNode(SagomaNode):
         self._tracker = make_people_tracker(settings)
         warm_up(settings)
         self._points_publisher = PacketPublisher[PeoplePoints](self, PointCloud2, "icp/reference_points", people_cloud)
-        self._fit_publisher = HeardPublisher(self, DiagnosticArray, "icp/fit")
+        self._fit_publisher = LazyPublisher(self, DiagnosticArray, "icp/fit")
         self._body_publisher = PacketPublisher[Text](self, String, "icp/body", Text.to_message, LATCHED)
         self._bodies_publisher = PacketPublisher[Text](self, String, "icp/bodies", Text.to_message, LATCHED)
         self._publishers_held = [

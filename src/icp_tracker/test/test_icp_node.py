@@ -59,7 +59,7 @@ class IcpProbe(NodeProbe):
         outgoing = (self.centerlines, self.voxels, self.predictions)
         self.until(lambda: all(p.get_subscription_count() for p in outgoing))
         self.until(lambda: all(self.peer.count_publishers(topic) for topic in self.heard))
-        self.until(lambda: all(p.heard for p in self.node._publishers_held[:2]))
+        self.until(lambda: all(p.is_wanted for p in self.node._publishers_held[:2]))
         return self
 
     def answer(self, message):

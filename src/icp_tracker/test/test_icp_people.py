@@ -7,9 +7,9 @@ import pytest
 
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
+from icp_tracker.people.association import Expected, associate_parts, associate_rows, is_ghost
 from icp_tracker.people.identity import IdentityCheck, Verdict
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
-from icp_tracker.people.shares import Expected, find_shares, is_ghost, share_rows
 from icp_tracker.settings import IcpNodeSettings
 from icp_tracker.tracker import make_tracker, sight_of
 from mocap_packets.frame_set import FrameSet
@@ -164,15 +164,15 @@ def expected_close():
 def test_part_of_two_persons_who_touch_belongs_to_both(hulls):
     seen = hulls["close"]
     (part,) = seen.numbers()
-    shares = find_shares(seen, [part], expected_close())
-    assert shares.shared == {part: (1, 2)}
-    assert shares.sharers(1) == (2,)
+    association = associate_parts(seen, [part], expected_close())
+    assert association.shared == {part: (1, 2)}
+    assert association.sharers(1) == (2,)
 
 
 def test_rows_of_persons_who_touch_are_shared_out_by_who_explains_them(hulls):
     seen = hulls["close"]
     expected = expected_close()
-    rows = share_rows(seen, find_shares(seen, seen.numbers(), expected), expected)
+    rows = associate_rows(seen, associate_parts(seen, seen.numbers(), expected), expected)
     for person, side in ((1, -1.0), (2, 1.0)):  # they stand on either side of x = 0, 0.36 m apart
         own = rows[person]
         assert len(own.contour_rays) > 0.3 * len(seen.contour_rays)
@@ -186,7 +186,7 @@ def test_ray_that_nobody_explains_is_left_to_both(hulls):
     rays = seen.contour_rays
     lost = replace(rays, points_world=rays.points_world + np.array([0.0, 0.6, 0.0]))  # as far from either
     seen = replace(seen, contour_rays=lost)
-    rows = share_rows(seen, find_shares(seen, seen.numbers(), expected_close()), expected_close())
+    rows = associate_rows(seen, associate_parts(seen, seen.numbers(), expected_close()), expected_close())
     kept = {person: len(own.contour_rays) for person, own in rows.items()}
     assert kept[1] + kept[2] > 1.4 * len(rays)
 

@@ -38,7 +38,7 @@ class SetLatency:
         return {point: (getattr(self, f"{point}_ns") - self.stamp_ns) / 1e6 for point in POINTS}
 
 
-class LatencyBook:
+class LatencyMatcher:
     """Joins what the hull server says of a set with what the filter knows, whichever comes first."""
 
     def __init__(self) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from rclpy.node import Node
 
-from .exchange import HeardPublisher
+from .intra_process import LazyPublisher
 from .messages import to_stamp
 from .qos import LATCHED, TF
 
@@ -25,10 +25,10 @@ class FramePublisher:
     """Publishes frames that move (/tf) or stay (``static``: /tf_static); nothing where there is no tf2_msgs."""
 
     def __init__(self, node: Node, static: bool = False) -> None:
-        self._publisher: HeardPublisher | None = None
+        self._publisher: LazyPublisher | None = None
         if TFMessage is not None:
             topic, qos = ("/tf_static", LATCHED) if static else ("/tf", TF)
-            self._publisher = HeardPublisher(node, TFMessage, topic, qos)
+            self._publisher = LazyPublisher(node, TFMessage, topic, qos)
 
     def publish(self, make: Callable[[], Transforms]) -> None:
         """Publish what ``make`` returns, if somebody listens."""

@@ -56,7 +56,7 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         nodes.extend(factory() for factory in factories)
         for node in nodes:
-            node.on_active = spare_the_collector
+            node.on_active = freeze_garbage_collector
         if autostart(nodes):
             _spin(nodes, ending)
         else:
@@ -82,8 +82,8 @@ def autostart(nodes: Sequence[SagomaNode]) -> bool:
     return all(node.configured() for node in starting) and all(node.activated() for node in reversed(starting))
 
 
-def spare_the_collector() -> None:
-    """Free what is garbage now, and let later garbage collections leave alone what is in use.
+def freeze_garbage_collector() -> None:
+    """Collect garbage now, and keep what is in use out of later collections (``gc.freeze``).
 
     Modules and compiled kernels are some 400 000 objects: a full collection through them takes 0.15 s and more, while
     frame sets wait.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 
-from sagoma_ros.process import spare_the_collector
+from sagoma_ros.process import freeze_garbage_collector
 
 
 class Ring:
@@ -18,7 +18,7 @@ class Ring:
 def test_garbage_is_freed_and_what_is_in_use_is_left_alone() -> None:
     kept, garbage = Ring(), weakref.ref(Ring())
     try:
-        spare_the_collector()
+        freeze_garbage_collector()
         assert garbage() is None
         assert gc.get_freeze_count() > 0 and not any(each is kept for each in gc.get_objects())
     finally:
@@ -29,11 +29,11 @@ def test_what_was_spared_is_freed_the_next_time_when_nobody_holds_it_any_more() 
     held = [Ring()]
     once = weakref.ref(held[0])
     try:
-        spare_the_collector()
+        freeze_garbage_collector()
         held.clear()
         gc.collect()
         assert once() is not None
-        spare_the_collector()
+        freeze_garbage_collector()
         assert once() is None
     finally:
         gc.unfreeze()

@@ -14,7 +14,7 @@ from capture_rig.files import describe_os_error
 from .command_help import BAD_INPUT, FAILED, HELP, INTERRUPTED, NO_READER, CommandParser, describe
 from .graph.errors import GraphError
 from .graph.network_settings import add_peers_argument, use_peers
-from .narrator import Narrator
+from .progress_line import ProgressLine
 
 COMMANDS = {
     "demo": ("demo",),
@@ -68,7 +68,7 @@ def run(argv: list[str]) -> int:
         leaf.error(f"unknown {' '.join(unknown)}")
     if (peers := vars(args).pop("peers", None)) is not None:
         use_peers(peers)
-    with Narrator(f"sagoma {command}", endless=HELP[command].endless):
+    with ProgressLine(f"sagoma {command}", endless=HELP[command].endless):
         return args.run(args)
 
 

@@ -7,7 +7,7 @@ import pytest
 from rich.table import Table
 
 from sagoma_tools.console import CommandConsole, command_console
-from sagoma_tools.narrator import LOG_EVERY_S, SILENT_S, Narrator, doing, until_stopped
+from sagoma_tools.progress_line import LOG_EVERY_S, SILENT_S, ProgressLine, doing, until_stopped
 
 ESCAPE = "\x1b"
 PATH = "/a/path/that/is/longer/than/any/terminal/that/is/forty/columns/wide/overlay.png"
@@ -22,29 +22,29 @@ class Screen(io.StringIO):
 
 @pytest.fixture()
 def told(monkeypatch):
-    """``told(stream)``: a narrator on a clock of the test, and that clock; it speaks when it is told to."""
+    """``told(stream)``: a progress line on a clock of the test, and that clock; it speaks when it is told to."""
 
     def make(stream, **options):
         clock = [100.0]
-        monkeypatch.setattr("sagoma_tools.narrator.REFRESH_S", 1e6)  # the thread sleeps
+        monkeypatch.setattr("sagoma_tools.progress_line.REFRESH_S", 1e6)  # the thread sleeps
         monkeypatch.setattr(sys, "stdout", io.StringIO())
         monkeypatch.setattr(sys, "stderr", stream)
-        return Narrator("sagoma evaluate", now_s=lambda: clock[0], **options), clock
+        return ProgressLine("sagoma evaluate", now_s=lambda: clock[0], **options), clock
 
     return make
 
 
 def test_silence_of_three_seconds_is_broken_on_a_terminal_and_the_next_output_takes_the_line_away(told, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
-    narrator, clock = told(Screen())
-    with narrator:
+    line, clock = told(Screen())
+    with line:
         done = doing("tracking frames", 400)
         done(100)
         clock[0] += SILENT_S - 0.1
-        narrator.speak()
+        line.speak()
         assert sys.stderr.getvalue() == ""
         clock[0] += 0.2
-        narrator.speak()
+        line.speak()
         assert sys.stderr.getvalue() == f"\r{ESCAPE}[Ktracking frames: 100 of 400 (25 %), 3 s"
         print("a result")
         assert sys.stderr.getvalue().endswith(f"\r{ESCAPE}[K")
@@ -53,39 +53,39 @@ def test_silence_of_three_seconds_is_broken_on_a_terminal_and_the_next_output_ta
 
 def test_the_line_on_a_terminal_is_never_wider_than_it(told, monkeypatch):
     monkeypatch.setenv("COLUMNS", "20")
-    narrator, clock = told(Screen())
-    with narrator:
+    line, clock = told(Screen())
+    with line:
         doing("reading a bag with a very long name")
         clock[0] += SILENT_S
-        narrator.speak()
+        line.speak()
         assert sys.stderr.getvalue() == f"\r{ESCAPE}[Kreading a bag with "
 
 
 def test_a_log_gets_a_plain_line_every_ten_seconds(told):
-    narrator, clock = told(io.StringIO())
-    with narrator:
+    line, clock = told(io.StringIO())
+    with line:
         clock[0] += SILENT_S
-        narrator.speak()
+        line.speak()
         doing("reading the bag")
         for _ in range(int(2 * LOG_EVERY_S)):
             clock[0] += 1.0
-            narrator.speak()
+            line.speak()
         said = sys.stderr.getvalue()
     assert said.splitlines() == ["sagoma evaluate ... 3 s", "reading the bag ... 10 s", "reading the bag ... 20 s"]
     assert ESCAPE not in said and "\r" not in said
 
 
 def test_a_log_of_what_runs_until_it_is_stopped_stays_quiet(told):
-    narrator, clock = told(io.StringIO(), endless=True)
-    with narrator:
+    line, clock = told(io.StringIO(), endless=True)
+    with line:
         clock[0] += 100.0
-        narrator.speak()
+        line.speak()
         doing("starting 8 nodes")
         clock[0] += SILENT_S
-        narrator.speak()
+        line.speak()
         until_stopped("running")
         clock[0] += 100.0
-        narrator.speak()
+        line.speak()
         assert sys.stderr.getvalue() == "starting 8 nodes ... 3 s\n"
 
 

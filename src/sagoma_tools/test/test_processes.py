@@ -12,7 +12,7 @@ from sagoma_tools.graph.processes import (
     STALLED_S,
     Child,
     Exit,
-    StartPatience,
+    StartDeadline,
     busy_machine,
     node_command,
     stop_children,
@@ -94,18 +94,18 @@ def wait_for_text(child, text):
 
 def test_a_process_that_starts_slowly_is_waited_for_and_one_that_hangs_is_named():
     now_s, used_s = 0.0, 0.0
-    patience = StartPatience(lambda: used_s, lambda: now_s)
+    deadline = StartDeadline(lambda: used_s, lambda: now_s)
     while now_s < 600.0:  # a hundredth of a processor, on a machine of load 200
         now_s, used_s = now_s + 10.0, used_s + 0.1
-        assert patience.spent() == ""
+        assert deadline.exceeded() == ""
     now_s += STALLED_S + 1.0
-    assert patience.spent() == "it hangs after 661 s, 6.0 s of them on the processor"
+    assert deadline.exceeded() == "it hangs after 661 s, 6.0 s of them on the processor"
     used_s, now_s = 7.0, LONGEST_START_S + 1.0
-    assert "was not ready after 901 s" in patience.spent()
+    assert "was not ready after 901 s" in deadline.exceeded()
 
 
 def test_a_process_that_has_ended_is_waited_for_no_longer():
-    assert StartPatience(lambda: None).spent() == "it has ended"
+    assert StartDeadline(lambda: None).exceeded() == "it has ended"
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])

@@ -47,13 +47,13 @@ class EvidenceFilter:
         image: Mask,
         expected: npt.NDArray[np.float32],
         noise: Noise,
-        spill: npt.NDArray[np.float32] | None = None,
+        codec_sigma: npt.NDArray[np.float32] | None = None,
         spans: Spans | None = None,
     ) -> Mask:
         """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
 
         distance (h, w) uint8 : SCALE z^2. image, expected (h, w[, 3]) : the part of the frame, and of the background.
-        spill (h, w) : standard deviation of a codec's errors, None without one. spans : what of each row and column is
+        codec_sigma (h, w) : of a codec's errors, grey levels; None without one. spans : what of each row and column is
         looked at, all without.
         """
         height, width = distance.shape
@@ -64,7 +64,8 @@ class EvidenceFilter:
         rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
         evidence: np.ndarray = np.zeros((height, width), np.float32)
         across, down = np.zeros((2, height, width), np.uint8)
-        weigh_pixels(distance, most, rest, np.zeros((0, 0), np.float32) if spill is None else spill, rows, evidence)
+        errors = np.zeros((0, 0), np.float32) if codec_sigma is None else codec_sigma
+        weigh_pixels(distance, most, rest, errors, rows, evidence)
         steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), rows, across, down)
         # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
@@ -95,12 +96,12 @@ def least_squared_distance(sigma: float, correlation: float, channels: int) -> f
 
 
 @njit(**OPTIONS)
-def weigh_pixels(distance, most, rest, spill, rows, evidence):  # type: ignore[no-untyped-def]
+def weigh_pixels(distance, most, rest, codec_sigma, rows, evidence):  # type: ignore[no-untyped-def]
     """Write each pixel's own ``evidence`` (h, w) float32, z^2 / 2, with a codec's errors added to the noise's variance.
 
     distance (h, w) uint8 : SCALE z^2 by the noise alone, of which no more than ``most`` counts. rest (h, w C) float32 :
-    image minus background, of which the channel counts that differs most. spill (h, w) float32 : standard deviation of
-    the errors in each channel, or (0, 0). rows (h, 2) : spans; the rest stays.
+    image minus background, of which the channel counts that differs most. codec_sigma (h, w) float32 : of those
+    errors in each channel, or (0, 0). rows (h, 2) : spans; the rest stays.
     """
     height, width = distance.shape
     channels = rest.shape[1] // width
@@ -114,9 +115,10 @@ def weigh_pixels(distance, most, rest, spill, rows, evidence):  # type: ignore[n
         to, own = evidence[y][first:end], distance[y, first:end]
         for x in range(len(to)):
             to[x] = np.float32(min(np.int64(own[x]), most)) * scale
-        if spill.size == 0:
+        if codec_sigma.size == 0:
             continue
-        row, error, most_changed = rest[y][channels * first : channels * end], spill[y][first:end], change[first:end]
+        row, error = rest[y][channels * first : channels * end], codec_sigma[y][first:end]
+        most_changed = change[first:end]
         if channels == 1:
             for x in range(len(to)):
                 most_changed[x] = abs(row[x])
@@ -124,8 +126,8 @@ def weigh_pixels(distance, most, rest, spill, rows, evidence):  # type: ignore[n
             for x in range(len(to)):
                 most_changed[x] = max(max(abs(row[3 * x]), abs(row[3 * x + 1])), abs(row[3 * x + 2]))
         for x in range(len(to)):
-            by_spill = most_changed[x] * most_changed[x] * half
-            to[x] = to[x] * by_spill / max(by_spill + to[x] * error[x] * error[x], np.float32(1e-6))
+            by_codec = most_changed[x] * most_changed[x] * half
+            to[x] = to[x] * by_codec / max(by_codec + to[x] * error[x] * error[x], np.float32(1e-6))
 
 
 @njit(**OPTIONS)

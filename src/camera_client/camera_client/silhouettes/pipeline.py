@@ -27,11 +27,11 @@ from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
+from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
 from .evidence import EvidenceFilter
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, majority_count, trim_outline
 from .shadows import Scene, make_shadow_test
-from .spill import codec_spill
 
 EMPTY, FULL = "empty", "full"
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
@@ -124,7 +124,7 @@ class SilhouettePipeline:
             return self._silhouette(stamp_ns, np.zeros((0, 0), np.uint8), box)
         expected = self.background.expected(box.slices)
         part, noise = image[box.slices], self.background.noise
-        scene = Scene(part, expected, noise, box.slices, codec_spill(part, expected, noise))
+        scene = Scene(part, expected, noise, box.slices, codec_error_sigma(part, expected, noise))
         raw = self._decide(scene)
         shadow = self._shadow.shadow(scene, raw)
         kept = person = self._keep_person(cv2.subtract(raw, shadow), box)
@@ -173,7 +173,7 @@ class SilhouettePipeline:
             mask = cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
             return majority(mask, self._settings.median_px)
         spans = self._locator.spans(scene.at, REACH_BLOCKS)
-        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.spill, spans)
+        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.codec_sigma, spans)
 
     def _keep_person(self, mask: Mask, box: Box) -> Mask:
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)

@@ -26,11 +26,11 @@ class DarkenedRule(NamedTuple):
 
 
 @njit(**OPTIONS)
-def find_darkened(image, expected, mask, noise, spill2, darkest, rule):  # type: ignore[no-untyped-def]
+def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule):  # type: ignore[no-untyped-def]
     """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
 
     image (2 h, 2 w, 3) uint8, expected (2 h, 2 w, 3) float32; mask (h, w) uint8 : not 0 at what is looked at. An odd
-    side is continued. noise (2, 3) : read and slope, as of :class:`..background.noise.Noise`; spill2 (h, w) float32 :
+    side is continued. noise (2, 3) : read and slope, as of :class:`..background.noise.Noise`; codec_variance (h, w) :
     variance beyond it, or (0, 0). darkest (h, w) float32 : share of the brightness that is left at least.
     """
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
@@ -40,7 +40,7 @@ def find_darkened(image, expected, mask, noise, spill2, darkest, rule):  # type:
         for j in range(mask.shape[1]):
             if mask[i, j] == 0:
                 continue
-            more = spill2[i, j] if spill2.size else F32(0)
+            more = codec_variance[i, j] if codec_variance.size else F32(0)
             power = shared = 0.0
             for c in range(3):
                 y, v, z, w = 2 * i, 2 * j, min(2 * i + 1, bottom), min(2 * j + 1, right)

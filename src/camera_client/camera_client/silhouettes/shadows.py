@@ -19,10 +19,10 @@ from capture_rig.rig import Volume
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
+from .codec_errors import COLOUR_SHARE
 from .evidence import typical_level
 from .masks import Box
 from .shadow_kernels import DarkenedRule, find_darkened, find_rims, shadow_sums
-from .spill import COLOUR_SHARE
 
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
@@ -49,22 +49,22 @@ class Scene(NamedTuple):
     """A part of a frame, and what the background looks like there now.
 
     image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
-    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends. spill (h, w)
-    float32 : standard deviation of a codec's errors, None without one.
+    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
+    codec_sigma (h, w) float32 : standard deviation of a codec's errors, None without one.
     """
 
     image: Image
     expected: npt.NDArray[np.float32]
     noise: Noise
     at: tuple[slice, slice]
-    spill: npt.NDArray[np.float32] | None = None
+    codec_sigma: npt.NDArray[np.float32] | None = None
 
     def part(self, box: Box) -> Scene:
         """Return a part of it; ``box`` counts from its own corner."""
         top, left = self.at[0].start, self.at[1].start
         at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
-        spill = None if self.spill is None else self.spill[box.slices]
-        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, spill)
+        codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
+        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
 
 
 class ShadowTest(Protocol):
@@ -253,10 +253,10 @@ class ColourShadow:
         top, left = scene.at[0].start // 2, scene.at[1].start // 2
         darkest = self._darkest[top : top + half.shape[0], left : left + half.shape[1]]
         noise = np.stack([scene.noise.read, scene.noise.slope]) * HALVED_NOISE
-        spill2 = np.zeros((0, 0), np.float32)
-        if scene.spill is not None:
-            spill2 = np.square(np.float32(COLOUR_SHARE) * halve(scene.spill))
-        found = find_darkened(scene.image, scene.expected, half, noise, spill2, darkest, self._rule)
+        codec_variance = np.zeros((0, 0), np.float32)
+        if scene.codec_sigma is not None:
+            codec_variance = np.square(np.float32(COLOUR_SHARE) * halve(scene.codec_sigma))
+        found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest, self._rule)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         found = cv2.bitwise_and(found, self._texture_persists(scene, found))
         return cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)

@@ -10,7 +10,7 @@ from sensor_msgs.msg import MultiDOFJointState
 
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.state import Prediction
-from sagoma_ros.exchange import Delivery, PacketSubscription
+from sagoma_ros.intra_process import Delivery, PacketSubscription
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.processor_use import ProcessorUse
 from sagoma_ros.qos import LATCHED

@@ -26,7 +26,7 @@ from .body_parts import evidence_of_feet, evidence_of_head
 from .body_sizes import LimbGirths
 from .initial_pose import InitialPose
 from .t_pose_measures import TPoseSettings
-from .upright import FEWEST_VOXELS, PoseRejected, Upright, reasons_of_bodies, stand_known
+from .upright import FEWEST_VOXELS, PoseRejected, Upright, measure_upright_of_stature, reasons_of_bodies
 
 NEAR_M = 0.06  # body and hull surface this near to each other agree
 FAR_M = 0.15  # farther is no worse
@@ -128,7 +128,7 @@ class KnownBodySource:
         voxels = seen.voxels
         if len(voxels) < FEWEST_VOXELS:
             raise PoseRejected("no hull" if len(voxels) == 0 else "the hull is too small")
-        upright, crown = stand_known(voxels.points_world, self._body.stature, CROUCH, self._sight)
+        upright, crown = measure_upright_of_stature(voxels.points_world, self._body.stature, CROUCH, self._sight)
         start = self._best_start(upright, crown, voxels)
         fits = [self._fitted(seen, voxels, upright, pose) for pose in (start, _turned_round(start))]
         other, best = sorted(fits, key=lambda fitted: fitted.facing)

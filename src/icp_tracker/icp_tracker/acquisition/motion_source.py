@@ -1,4 +1,4 @@
-"""The first pose of somebody who just comes in: several explanations of the hull, followed until one is clearly best.
+"""The first pose of somebody who just comes in: several hypotheses are tracked until one is clearly the best.
 
 A body of average proportions, as tall as the hull, is fitted from natural postures at every heading. The best fits are
 followed from set to set; each costs what outlines, hull and joint limits say against it (``monitor/evidence.py``). What
@@ -36,10 +36,10 @@ NS_PER_S = 1e9
 NO_HULL = "no hull"
 FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
 FREE_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
-HYPOTHESES = 5  # explanations that are followed
+HYPOTHESES = 5  # hypotheses that are followed
 SAME_M = 0.12  # poses whose points are so near to each other are one
 GAP_S = 0.3  # after a longer pause the look begins anew
-LOOK_EVERY_S = 0.25  # how often other explanations are looked for
+LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
 PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
 BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
 FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
@@ -66,9 +66,12 @@ class MotionSettings:
 
 
 @dataclass(eq=False)
-class Explanation:
-    """A pose that is followed: ``cost`` and ``share`` sums over ``sets`` of what speaks against it, of all rays, and of
-    the rays it explains; ``way`` m, walked forwards (negative: backwards)."""
+class PoseHypothesis:
+    """A pose that is tracked over ``sets`` frame sets.
+
+    cost : what speaks against it, as a share of the rays; share : of the rays that it explains; both summed over the
+    sets. feet : log-likelihood ratio of its heading from the feet. way : m, walked forwards (negative: backwards).
+    """
 
     pose: Pose
     cost: float = 0.0
@@ -79,18 +82,19 @@ class Explanation:
 
     @property
     def mean_cost(self) -> float:
-        """Of a set, as a share of its rays; with what its way of walking and its feet cost."""
+        """Cost of a set on average, as a share of its rays; with what its direction of walking and its feet cost."""
         walking = WALKING_SHARE * float(np.clip(self.way / STEP_M, -1.0, 1.0))
         feet = FEET_SHARE * float(np.tanh(self.feet / max(self.sets, 1) / FEET_EVIDENCE))
         return self.cost / max(self.sets, 1) - walking - feet
 
     @property
     def mean_share(self) -> float:
+        """Share of the rays that it explains, on average."""
         return self.share / max(self.sets, 1)
 
 
 class MotionSource:
-    """A first pose of one body in any upright posture, once one explanation of some sets in a row is clearly best."""
+    """A first pose of one body in any upright posture, once one hypothesis of some sets in a row is clearly best."""
 
     def __init__(
         self,
@@ -110,13 +114,13 @@ class MotionSource:
 
     def reset(self) -> None:
         """Forget what was watched."""
-        self._followed: list[Explanation] = []
+        self._followed: list[PoseHypothesis] = []
         self._heights: list[float] = []
         self._began_ns = self._last_ns = self._looked_ns = self._cut_ns = 0
         self._estimate: BodyEstimate | None = None
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
-        """Return the pose of the best explanation once it is clear, or why it is not."""
+        """Return the pose of the best hypothesis once it is clear, or why it is not."""
         voxels = seen.voxels.points_world
         if len(voxels) < FEWEST_VOXELS or len(seen.contour_rays) == 0:
             self.reset()
@@ -164,7 +168,7 @@ class MotionSource:
             self._estimate = sizes_of_stature(stature, sd)
         return self._estimate.body
 
-    # --- the explanations
+    # --- the hypotheses
 
     def _look(self, body: Body, data: Data, stance: Stance) -> None:
         """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
@@ -183,13 +187,13 @@ class MotionSource:
         around = [minimise(body, pose, data, free)[0] for pose in others]
         for pose in [fitted[0], *around, *fitted[1:]]:
             if self._is_new(body, pose):
-                self._followed.append(Explanation(pose))
+                self._followed.append(PoseHypothesis(pose))
                 _compare(self._followed[-1], evidence_of(figure, pose, data))
         self._keep_the_best()
 
     def _keep_the_best(self) -> None:
-        """Keep as many explanations as can be followed, the best first, one that faces elsewhere among them."""
-        self._followed.sort(key=lambda explanation: explanation.mean_cost)
+        """Keep as many hypotheses as can be followed, the best first, one that faces elsewhere among them."""
+        self._followed.sort(key=lambda hypothesis: hypothesis.mean_cost)
         best, rest = self._followed[0], self._followed[HYPOTHESES:]
         elsewhere = [other for other in rest if _faces_elsewhere(best.pose, other.pose)]
         del self._followed[HYPOTHESES:]
@@ -200,28 +204,28 @@ class MotionSource:
         return all(_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
 
     def _follow(self, body: Body, data: Data) -> None:
-        """Fit every explanation to this set too; those that have become one with a better one are dropped."""
+        """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
         figure, followed = Figure.of(body), self._followed
-        for explanation in followed:
-            before = explanation.pose
-            explanation.pose = minimise(body, before, data, self._fit_settings)[0]
-            moved = explanation.pose.position_world - before.position_world
-            explanation.way += float(moved[:2] @ before.R_world_torso[:2, 0])
-            _compare(explanation, evidence_of(figure, explanation.pose, data))
+        for hypothesis in followed:
+            before = hypothesis.pose
+            hypothesis.pose = minimise(body, before, data, self._fit_settings)[0]
+            moved = hypothesis.pose.position_world - before.position_world
+            hypothesis.way += float(moved[:2] @ before.R_world_torso[:2, 0])
+            _compare(hypothesis, evidence_of(figure, hypothesis.pose, data))
         self._followed = []
-        for explanation in sorted(followed, key=lambda e: e.mean_cost):
-            if self._is_new(body, explanation.pose):
-                self._followed.append(explanation)
+        for hypothesis in sorted(followed, key=lambda e: e.mean_cost):
+            if self._is_new(body, hypothesis.pose):
+                self._followed.append(hypothesis)
 
     def _add_feet(self, body: Body, voxels: np.ndarray, stance: Stance, pitch: float, cut: tuple[str, ...]) -> None:
-        """Add what the toes say of each explanation's heading, where the feet are seen."""
+        """Add what the toes say of each hypothesis's heading, where the feet are seen."""
         if FEET in cut:
             return
         low = voxels[voxels[:, 2] < stance.floor_world + 0.1 * stance.stature]
-        for explanation in self._followed:
-            ahead = explanation.pose.R_world_torso[:2, 0] / np.linalg.norm(explanation.pose.R_world_torso[:2, 0])
+        for hypothesis in self._followed:
+            ahead = hypothesis.pose.R_world_torso[:2, 0] / np.linalg.norm(hypothesis.pose.R_world_torso[:2, 0])
             axes = np.array([ahead, [-ahead[1], ahead[0]]])
-            feet = forward(body, explanation.pose)[[LEFT_FOOT, RIGHT_FOOT]]
+            feet = forward(body, hypothesis.pose)[[LEFT_FOOT, RIGHT_FOOT]]
             standing = [
                 axes @ (foot[:2] - stance.place_world)
                 for foot in feet
@@ -229,12 +233,12 @@ class MotionSource:
             ]
             local = np.column_stack([(low[:, :2] - stance.place_world) @ axes.T, low[:, 2] - stance.floor_world])
             own = Upright(local, stance.place_world, ahead, stance.floor_world, stance.stature, pitch)
-            explanation.feet += evidence_of_feet(own, standing)
+            hypothesis.feet += evidence_of_feet(own, standing)
 
     # --- the decision
 
     def _answer(self, stamp_ns: int, body: Body, stance: Stance, cut: tuple[str, ...]) -> InitialPose:
-        """Return the best explanation if it has been watched, explains enough, and none that faces elsewhere rivals."""
+        """Return the best hypothesis if it has been watched, explains enough, and none that faces elsewhere rivals."""
         settings, rivals = self._settings, self._followed
         best = rivals[0]
         rivals_sets = max(other.sets for other in rivals)
@@ -263,11 +267,11 @@ class MotionSource:
         return InitialPose(best.pose, body, "", estimate)
 
 
-def _compare(explanation: Explanation, evidence: Evidence) -> None:
+def _compare(hypothesis: PoseHypothesis, evidence: Evidence) -> None:
     rays = max(evidence.rays, 1)
-    explanation.cost += evidence.cost / rays
-    explanation.share += evidence.share
-    explanation.sets += 1
+    hypothesis.cost += evidence.cost / rays
+    hypothesis.share += evidence.share
+    hypothesis.sets += 1
 
 
 def _apart_m(body: Body, pose: Pose, other: Pose) -> float:

@@ -10,7 +10,7 @@ from capture_rig.settings import setting
 from capture_rig.sight import Sight
 
 from .body_parts import Arm, Legs, facing, find_arms, find_legs
-from .upright import FEWEST_OF_A_PART, FEWEST_VOXELS, PoseRejected, Upright, reject_leaning, stand
+from .upright import FEWEST_OF_A_PART, FEWEST_VOXELS, PoseRejected, Upright, measure_upright, reject_leaning
 
 LEVEL, LOWERED = "level", "lowered"
 LOWERED_BY = np.pi / 4
@@ -85,7 +85,7 @@ def measure_t_pose(
     if len(voxels_world) < FEWEST_VOXELS:
         raise PoseRejected(f"the hull is too small: {len(voxels_world)} voxels, {FEWEST_VOXELS} needed")
     voxels_world = np.asarray(voxels_world, dtype=np.float64)
-    body = stand(voxels_world, settings.stature_low_m, settings.stature_high_m, sight)
+    body = measure_upright(voxels_world, settings.stature_low_m, settings.stature_high_m, sight)
     legs = find_legs(body)
     reject_leaning(body)
     arms = find_arms(body)

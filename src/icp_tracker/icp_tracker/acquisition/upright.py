@@ -71,7 +71,9 @@ class Upright:
         return replace(self, local=self.local * [-1.0, -1.0, 1.0], forward_world=-self.forward_world)
 
 
-def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, sight: Sight | None) -> Upright:
+def measure_upright(
+    voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, sight: Sight | None
+) -> Upright:
     """Find floor, stature and the axis of the arms on hull voxels (m, 3) of one body, z up.
 
     Raises PoseRejected when the rig does not show all of it, or it is no single upright body.
@@ -90,10 +92,10 @@ def stand(voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float,
     return body
 
 
-def stand_known(
+def measure_upright_of_stature(
     voxels_world: np.ndarray, stature_m: float, crouch: float, sight: Sight | None
 ) -> tuple[Upright, float]:
-    """Do the same for a body of known stature, whose hands may be above its head; return also its crown's height.
+    """Find the axis of the arms of a body of known stature, whose hands may be above its head, and its crown's height.
 
     Raises PoseRejected when the rig does not show all of it, or the crown is lower than ``crouch`` of the stature.
     """

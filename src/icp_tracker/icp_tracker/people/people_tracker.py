@@ -1,9 +1,9 @@
 """From one frame set's hull to a fit of every person in it.
 
-Every person has an :class:`~icp_tracker.tracker.IcpTracker`. The hull is shared out to the persons who are expected in
-it (``shares.py``); a part that nobody explains belongs to somebody who comes back, or to a newcomer, whose acquisition
-sees this part alone. Who was not told apart from another for a while is recognised by size (``identity.py``). One
-person alone is followed as the tracker of one body follows it, to the last bit.
+Every person has an :class:`~icp_tracker.tracker.IcpTracker`, which fits the rows of the hull that data association
+gives it (``association.py``). A part that nobody explains belongs to somebody who comes back, or to a newcomer, whose
+acquisition sees this part alone. Who was not told apart from another for a while is recognised by size
+(``identity.py``). One person alone is followed as the tracker of one body follows it, to the last bit.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, sight_of
+from .association import Association, Expected, associate_parts, associate_rows, is_ghost
 from .identity import ALIKE, IdentityCheck, Verdict, sizes_apart
-from .shares import Expected, Shares, find_shares, is_ghost, share_rows
 
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
@@ -117,15 +117,15 @@ class PeopleTracker:
             return (self._step_alone(seen, predictions.get(FIRST_PERSON)),)
         seen, dropped = seen.finite()
         expected = self._expected(seen.stamp_ns, predictions)
-        shares = find_shares(seen, parts, expected)
-        there = [one for one in expected if one.person in shares.parts]
-        free = [part for part in parts if part not in shares.claimed and not is_ghost(seen, part, there)]
-        back = self._give_back(seen, shares, free)
-        fits = self._follow(seen, share_rows(seen, shares, there), back, shares, predictions)
+        association = associate_parts(seen, parts, expected)
+        there = [one for one in expected if one.person in association.parts]
+        free = [part for part in parts if part not in association.claimed and not is_ghost(seen, part, there)]
+        back = self._give_back(seen, association, free)
+        fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
         self._part_doubles(fits)
-        self._note_meetings(seen.stamp_ns, shares)
-        fits = self._tell_apart(seen.stamp_ns, shares, fits)
+        self._note_meetings(seen.stamp_ns, association)
+        fits = self._tell_apart(seen.stamp_ns, association, fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
     def _step_alone(self, seen: HullProducts, prediction: Prediction | None) -> Fit:
@@ -151,9 +151,9 @@ class PeopleTracker:
                 expected.append(Expected(number, body, pose))
         return expected
 
-    def _give_back(self, seen: HullProducts, shares: Shares, free: Sequence[int]) -> dict[int, int]:
+    def _give_back(self, seen: HullProducts, association: Association, free: Sequence[int]) -> dict[int, int]:
         """Return for each person whom the hull does not show where they were expected the part to be looked for in."""
-        missed = {number: p for number, p in sorted(self._persons.items()) if number not in shares.parts}
+        missed = {number: p for number, p in sorted(self._persons.items()) if number not in association.parts}
         back: dict[int, int] = {}
         for part in sorted(free, key=lambda part: (-_size_of(seen, part), part)):  # ghosts are small
             apart = {
@@ -172,7 +172,7 @@ class PeopleTracker:
         seen: HullProducts,
         rows: Mapping[int, HullProducts],
         back: Mapping[int, int],
-        shares: Shares,
+        association: Association,
         predictions: Mapping[int, Prediction],
     ) -> dict[int, Fit]:
         """Fit everybody to their rows, and those who are away to what may be theirs."""
@@ -185,7 +185,7 @@ class PeopleTracker:
             gone = number != FIRST_PERSON and seen.stamp_ns - person.seen_ns >= GONE_AFTER_S * NS_PER_S
             if gone and number not in rows and number not in back:
                 continue
-            learn = not person.away and not shares.sharers(number)
+            learn = not person.away and not association.sharers(number)
             learn &= not any(check.concerns(number) for check in self._checks)
             fit = person.tracker.step(own, predictions.get(number), learn)
             if number in rows:
@@ -288,9 +288,9 @@ class PeopleTracker:
 
     # --- who is who --------------------------------------------------------------------------------------------------
 
-    def _note_meetings(self, stamp_ns: int, shares: Shares) -> None:
+    def _note_meetings(self, stamp_ns: int, association: Association) -> None:
         """Note who shares a part of the hull; some time after they have parted they are compared."""
-        for persons in shares.shared.values():
+        for persons in association.shared.values():
             for pair in combinations(persons, 2):
                 meeting = self._meetings.setdefault(pair, _Meeting(stamp_ns, stamp_ns))
                 meeting.until_ns = stamp_ns
@@ -300,7 +300,7 @@ class PeopleTracker:
                 if meeting.until_ns - meeting.began_ns >= TOGETHER_S * NS_PER_S:
                     self._checks.append(IdentityCheck(*pair))
 
-    def _tell_apart(self, stamp_ns: int, shares: Shares, fits: dict[int, Fit]) -> dict[int, Fit]:
+    def _tell_apart(self, stamp_ns: int, association: Association, fits: dict[int, Fit]) -> dict[int, Fit]:
         """Compare the sizes of those who may have been taken for each other; exchange them where that fits better."""
         for check in list(self._checks):
             first, second = check.first, check.second
@@ -309,7 +309,7 @@ class PeopleTracker:
             away = self._persons[second].away
             if first not in fits or self._persons[first].away or not (away or second in fits):
                 continue
-            if second in shares.sharers(first):
+            if second in association.sharers(first):
                 continue
             verdict = check.look(self._persons[first].tracker, self._persons[second].tracker, away)
             if verdict == Verdict.OPEN:

@@ -109,10 +109,12 @@ def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
     if not found:
         raise InputError("no footage is given", remedy=HELP)
     frames = _frame_indices({name: files for name, (_, files) in found.items()})
-    return {name: CameraFootage(name, tuple(found[name][1]), frames[name]) for name in sorted(found, key=natural)}
+    return {
+        name: CameraFootage(name, tuple(found[name][1]), frames[name]) for name in sorted(found, key=natural_sort_key)
+    }
 
 
-def natural(text: str) -> tuple[tuple[int, int | str], ...]:
+def natural_sort_key(text: str) -> tuple[tuple[int, int | str], ...]:
     """Sorting key: numbers in the text count as numbers."""
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"(\d+)", text) if part)
 
@@ -134,7 +136,7 @@ def _files_of_one(path: Path, source: str) -> list[Path]:
     """Return the files of NAME=PATH: one video, or stills."""
     if path.is_dir() or _is_pattern(path):
         candidates = path.parent.glob(path.name) if _is_pattern(path) else path.iterdir()
-        files = sorted((file for file in candidates if _kind(file)), key=lambda file: natural(file.name))
+        files = sorted((file for file in candidates if _kind(file)), key=lambda file: natural_sort_key(file.name))
     else:
         files = [_existing(path, source)]
     return _video_or_stills(files, source)
@@ -148,7 +150,7 @@ def _entries(path: Path, source: str) -> list[Path]:
     usable = [entry for entry in inside if _kind(entry) or (entry.is_dir() and _stills_in(entry))]
     if not usable:
         raise InputError("holds no video and no still", where=source, remedy=HELP)
-    return sorted(usable, key=lambda entry: natural(entry.name))
+    return sorted(usable, key=lambda entry: natural_sort_key(entry.name))
 
 
 def _camera_name(entry: Path) -> str:
@@ -194,7 +196,9 @@ def _existing(path: Path, source: str) -> Path:
 
 
 def _stills_in(folder: Path) -> list[Path]:
-    return sorted((file for file in folder.iterdir() if _kind(file) == "still"), key=lambda file: natural(file.name))
+    return sorted(
+        (file for file in folder.iterdir() if _kind(file) == "still"), key=lambda file: natural_sort_key(file.name)
+    )
 
 
 def _is_pattern(path: Path) -> bool:

@@ -24,7 +24,7 @@ from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..graph.ros_link import StopOnSignal
-from ..narrator import doing
+from ..progress_line import doing
 from ..takes.summary_file import finish_take
 
 CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out

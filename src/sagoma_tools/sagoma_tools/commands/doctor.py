@@ -14,11 +14,11 @@ from ..doctor.camera import examine
 from ..doctor.findings import Finding, exit_status, show, summary
 from ..doctor.graph.graph_checks import LIVE_S, examine_graph
 from ..doctor.machine.collect import examine_machine
+from ..doctor.machine.link_probe import PORT, answer
 from ..doctor.machine.network import examine_hosts
-from ..doctor.machine.way_probe import PORT, answer
 from ..doctor.rig_checks import examine_rig
 from ..graph.ros_link import StopOnSignal
-from ..narrator import until_stopped
+from ..progress_line import until_stopped
 
 DESCRIPTION = (
     "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "

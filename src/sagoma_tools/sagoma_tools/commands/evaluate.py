@@ -25,7 +25,7 @@ from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
 from ..evaluation.track import Track, tracks_from_bag
 from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
-from ..narrator import doing
+from ..progress_line import doing
 from ..recording.session_clock import clock_of_bag, is_bag, session_of_bag
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")

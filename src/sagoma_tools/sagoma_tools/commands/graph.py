@@ -27,7 +27,7 @@ from ..graph.processes import Exit
 from ..graph.restarts import Death, RestartPolicy, Return
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
-from ..narrator import doing, until_stopped
+from ..progress_line import doing, until_stopped
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.summary_file import finish_take

@@ -22,7 +22,7 @@ from ..graph.topics import (
     camera_topics,
     topics_of_others,
 )
-from ..narrator import doing, until_stopped
+from ..progress_line import doing, until_stopped
 from ..recording.asked_topics import AskedTopics, matches_any
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages

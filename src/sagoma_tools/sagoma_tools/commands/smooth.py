@@ -9,7 +9,7 @@ from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
 
 from ..arguments import add_settings_argument, parse_settings
-from ..narrator import doing
+from ..progress_line import doing
 from ..recording.smoothing import smooth_bag
 from ..takes.summary_file import finish_take
 

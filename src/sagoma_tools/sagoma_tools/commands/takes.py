@@ -16,7 +16,7 @@ from capture_rig.errors import InputError
 
 from ..arguments import add_takes_argument, chosen_take
 from ..console import command_console
-from ..narrator import doing
+from ..progress_line import doing
 from ..takes.exporting import EXPORTS
 from ..takes.folder import TAKES, TakesFolder
 from ..takes.measure import digests

@@ -12,7 +12,7 @@ from capture_rig.rig import Rig, load_rig
 from ..arguments import add_takes_argument, bag_of
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.ros_link import RosLink, StopOnSignal
-from ..narrator import until_stopped
+from ..progress_line import until_stopped
 from ..takes.folder import TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard

@@ -22,7 +22,7 @@ from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.control import ask
 
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import Child, StartPatience, Usage, busy_machine, stop_children
+from ..graph.processes import Child, StartDeadline, Usage, busy_machine, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
@@ -79,12 +79,12 @@ class StudioProcess:
         log = self.folder / "studio.log"
         log.unlink(missing_ok=True)
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
-        patience = StartPatience(self._cpu_s)  # a long session is decoded into memory first
+        deadline = StartDeadline(self._cpu_s)  # a long session is decoded into memory first
         while self._child.log_tail(1) != "ready":
             interrupted = cancel is not None and cancel.is_set()
             if ended.wait(START_POLL_S) or interrupted:
                 why, remedy = "it was interrupted" if interrupted else "it has ended", "Correct what its log names."
-            elif why := patience.spent():
+            elif why := deadline.exceeded():
                 remedy = f"See what its log says last; {busy_machine() or 'the machine is not busy'}."
             else:
                 continue

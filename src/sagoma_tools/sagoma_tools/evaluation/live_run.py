@@ -23,7 +23,7 @@ from sagoma_ros.images import decode_silhouette
 from ..graph.processes import Usage
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
-from ..narrator import doing
+from ..progress_line import doing
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps

@@ -33,8 +33,8 @@ def busy_machine() -> str:
     return f"the machine is busy (load {load:.1f} on {processors} processors): end other programs and try again"
 
 
-class StartPatience:
-    """Waits for a process that starts as long as it is at work, however slowly a busy machine lets it.
+class StartDeadline:
+    """Deadline for a process to start: as long as it is at work, however slowly a busy machine lets it.
 
     It is given up when it has not used the processor for STALLED_S, or after LONGEST_START_S: it hangs.
     """
@@ -45,8 +45,8 @@ class StartPatience:
         self._began_s = self._at_work_s = now_s()
         self._used_s = 0.0
 
-    def spent(self) -> str:
-        """Say why it is waited for no longer; empty while it is."""
+    def exceeded(self) -> str:
+        """Say why the process is waited for no longer; empty while it is."""
         used_s, now_s = self._cpu_s(), self._now_s()
         if used_s is None:
             return "it has ended"

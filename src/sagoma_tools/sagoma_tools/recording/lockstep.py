@@ -18,7 +18,7 @@ from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX, camera_topics
-from ..narrator import doing
+from ..progress_line import doing
 from .reader import SIDECAR_RIG, bag_cameras, bag_topics, frame_tolerance_ns, input_topics, read_frame_sets
 from .recorder import GraphRecorder, server_topics
 from .replayer import Answers, InputPublishers, LockstepReport, play_lockstep

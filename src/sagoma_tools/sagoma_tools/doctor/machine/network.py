@@ -21,7 +21,7 @@ import psutil
 from ..collect import collect_interface, read_number
 from ..facts import InterfaceFacts, NetworkFacts
 from ..findings import Finding, error, graded, note, ok, on, warning
-from .way_probe import PINGS, Way, measure_way
+from .link_probe import PINGS, LinkFacts, measure_link
 
 WMEM_MAX = Path("/proc/sys/net/core/wmem_max")
 UDP_SOCKETS = Path("/proc/net/udp")
@@ -129,7 +129,7 @@ def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
         reach = collect_reach(address)
         yield from on(f"machine {address}", check_reach(reach))
         if reach.answers:
-            yield from on(f"machine {address}", check_way(measure_way(address)))
+            yield from on(f"machine {address}", check_link(measure_link(address)))
 
 
 def collect_reach(address: str) -> ReachFacts:
@@ -165,29 +165,29 @@ def check_reach(facts: ReachFacts) -> Iterator[Finding]:
         yield note("way.local", f"{facts.address} is this machine")
 
 
-def check_way(way: Way | None) -> Iterator[Finding]:
-    """Check the other machine's clock, what gets lost on the way there and back, and the bandwidth."""
-    if way is None:
+def check_link(link: LinkFacts | None) -> Iterator[Finding]:
+    """Check the other machine's clock, the packets lost there and back, and the bandwidth."""
+    if link is None:
         text = "its clock, losses and bandwidth were not measured: nothing answers there"
         yield note("way.unmeasured", text, "Run there, meanwhile: sagoma doctor --answer")
         return
-    off, known = abs(way.offset_s), f"+- {1e3 * way.error_s:.1f} ms"
+    off, known = abs(link.offset_s), f"+- {1e3 * link.error_s:.1f} ms"
     size = f"{off:.2f} s" if off >= 1 else f"{1e3 * off:.1f} ms"
-    text = f"its clock is {size} {'ahead of' if way.offset_s > 0 else 'behind'} this machine's ({known})"
-    certain_s = off - way.error_s
+    text = f"its clock is {size} {'ahead of' if link.offset_s > 0 else 'behind'} this machine's ({known})"
+    certain_s = off - link.error_s
     yield graded(
         "clock",
         text,
         (certain_s > CLOCK_ERROR_S, error, "off", CLOCKS),
         (certain_s > CLOCK_WARNING_S, warning, "imprecise", CLOCKS),
     )
-    text = f"{100 * way.loss:.1f} % of {PINGS} small packets did not come back"
-    yield graded("packets", text, (way.loss > LOSS_LIMIT, warning, "lost", LOSSES))
-    if way.rate_mbit is None:
+    text = f"{100 * link.loss:.1f} % of {PINGS} small packets did not come back"
+    yield graded("packets", text, (link.loss > LOSS_LIMIT, warning, "lost", LOSSES))
+    if link.rate_mbit is None:
         yield warning("bandwidth.unknown", "too few packets of a burst arrive to measure the bandwidth", LOSSES)
     else:
-        text = f"{_rate(way.rate_mbit)} get there"
-        yield graded("bandwidth", text, (way.rate_mbit < SLOW_MBIT, warning, "slow", SLOW))
+        text = f"{_rate(link.rate_mbit)} get there"
+        yield graded("bandwidth", text, (link.rate_mbit < SLOW_MBIT, warning, "slow", SLOW))
 
 
 def _rate(mbit: float) -> str:

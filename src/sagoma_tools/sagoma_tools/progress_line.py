@@ -1,4 +1,4 @@
-"""Says what a command does and how far it is, once it has been silent for three seconds.
+"""The progress line of a command: what it does and how far it is, once it has been silent for three seconds.
 
 On a terminal it is one line on stderr, which the next output replaces; elsewhere a plain line every ten seconds, so
 that a log shows where the time went. Commands name their steps with :func:`doing`; a step without a name is the
@@ -21,7 +21,7 @@ REFRESH_S = 0.25
 FALLBACK_COLUMNS = 80
 CLEAR = "\r\x1b[K"
 
-_speaking: Narrator | None = None
+_running: ProgressLine | None = None
 
 
 def doing(what: str, total: int | None = None) -> Callable[..., None]:
@@ -30,19 +30,19 @@ def doing(what: str, total: int | None = None) -> Callable[..., None]:
     It may be told the total as well, where that is known only later. Without a command around (a library's user, a
     test) both do nothing.
     """
-    narrator = _speaking
-    if narrator is None:
+    line = _running
+    if line is None:
         return lambda done, total=None: None
-    return narrator.begin(what, total)
+    return line.begin(what, total)
 
 
 def until_stopped(what: str) -> None:
     """Name the present step, which lasts until somebody stops it: in a log it is said once, by whoever calls this."""
-    if _speaking is not None:
-        _speaking.begin(what, None, endless=True)
+    if _running is not None:
+        _running.begin(what, None, endless=True)
 
 
-class Narrator:
+class ProgressLine:
     """Watches stdout and stderr while a command runs; a context manager.
 
     endless : until a step is named, it is one that lasts until it is stopped.
@@ -55,22 +55,22 @@ class Narrator:
         self._what, self._done, self._total = command, None, None  # type: tuple[str, int | None, int | None]
         self._began_s = self._heard_s = self._logged_s = now_s()
         self._shown = False
-        self._thread = threading.Thread(target=self._run, name="narrator", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="progress line", daemon=True)
 
-    def __enter__(self) -> Narrator:
-        global _speaking
-        self._outer, self._stdout, self._stderr = _speaking, sys.stdout, sys.stderr
+    def __enter__(self) -> ProgressLine:
+        global _running
+        self._outer, self._stdout, self._stderr = _running, sys.stdout, sys.stderr
         sys.stdout, sys.stderr = _Heard(self._stdout, self), _Heard(self._stderr, self)  # type: ignore[assignment]
-        _speaking = self
+        _running = self
         self._thread.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        global _speaking
+        global _running
         self._over.set()
         self._thread.join()
         self.heard()
-        _speaking = self._outer
+        _running = self._outer
         sys.stdout, sys.stderr = self._stdout, self._stderr
 
     def begin(self, what: str, total: int | None, *, endless: bool = False) -> Callable[..., None]:
@@ -127,17 +127,17 @@ class Narrator:
 
 
 class _Heard:
-    """A stream that tells the narrator whenever something is written."""
+    """A stream that tells the progress line whenever something is written."""
 
-    def __init__(self, stream: TextIO, narrator: Narrator) -> None:
-        self._stream, self._narrator = stream, narrator
+    def __init__(self, stream: TextIO, line: ProgressLine) -> None:
+        self._stream, self._line = stream, line
 
     def write(self, text: str) -> int:
-        self._narrator.heard()
+        self._line.heard()
         return self._stream.write(text)
 
     def writelines(self, lines: Any) -> None:
-        self._narrator.heard()
+        self._line.heard()
         self._stream.writelines(lines)
 
     def __getattr__(self, name: str) -> Any:

@@ -26,8 +26,8 @@ from .qos import RESULT
 P = TypeVar("P")
 
 
-class HeardPublisher:
-    """Publishes what somebody listens to: a message that nobody takes is never made."""
+class LazyPublisher:
+    """Makes and publishes a message only when somebody subscribes to it."""
 
     def __init__(self, node: Node, kind: type, topic: str, qos: QoSProfile = RESULT) -> None:
         self._node, self.topic = node, topic
@@ -35,13 +35,13 @@ class HeardPublisher:
         self._kept = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL  # later listeners get the last message
 
     @property
-    def heard(self) -> bool:
-        """Is there a listener outside, or may one come that the last message is kept for?"""
+    def is_wanted(self) -> bool:
+        """Whether there is a subscriber, or may come one that the last message is kept for."""
         return self._kept or self._publisher.get_subscription_count() > 0
 
     def publish(self, make: Callable[..., Any], *arguments: Any) -> None:
-        """Publish ``make(*arguments)`` if it is :attr:`heard`."""
-        if self.heard:
+        """Publish ``make(*arguments)`` if :attr:`is_wanted`."""
+        if self.is_wanted:
             self._publisher.publish(make(*arguments))
 
     def close(self) -> None:
@@ -92,16 +92,16 @@ class PacketPublisher(Generic[P]):
         self, node: Node, kind: type, topic: str, to_message: Callable[[P, int, str], Any], qos: QoSProfile = RESULT
     ) -> None:
         """``to_message(packet, stamp_ns, frame_id)`` makes a message of type ``kind``."""
-        self._outside, self._to_message = HeardPublisher(node, kind, topic, qos), to_message
+        self._outside, self._to_message = LazyPublisher(node, kind, topic, qos), to_message
         self._keeps = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self._channel = _channel(node, topic)
         with _CHANGING:
             self._channel.joined(+1)
 
     @property
-    def heard(self) -> bool:
-        """Is there a listener outside this process?"""
-        return self._outside.heard
+    def is_wanted(self) -> bool:
+        """Whether there is a subscriber outside this process."""
+        return self._outside.is_wanted
 
     def publish(self, packet: P, stamp_ns: int, frame_id: str) -> None:
         """Send a packet to everybody: first to this process's own, on this thread."""

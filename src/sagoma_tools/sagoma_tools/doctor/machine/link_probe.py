@@ -1,6 +1,6 @@
-"""Measures the way to another machine with a program at its other end: clock, loss and bandwidth.
+"""Measures the link to another machine with a program at its other end: clock, loss and bandwidth.
 
-There, `sagoma doctor --answer` serves; here :func:`measure_way` asks, and sends to nobody else. The clock's offset is
+There, `sagoma doctor --answer` serves; here :func:`measure_link` asks, and sends to nobody else. The clock's offset is
 that of the exchange with the shortest round trip (NTP: RFC 5905, 8); its error is at most half of that. Bandwidth is
 the rate at which a train of packets sent at once arrives (packet dispersion: Dovrolis et al., IEEE/ACM Trans. Netw.
 12(6), 2004), its first quarter left out, for which a switch or a shaper may have room; of several trains the fastest,
@@ -32,8 +32,8 @@ TRIES = 5
 
 
 @dataclass(frozen=True)
-class Way:
-    """What was measured of the way to a machine.
+class LinkFacts:
+    """What was measured of the link to a machine.
 
     offset_s : its clock minus ours, to +- error_s; loss : share of the packets that did not come back.
     rate_mbit : bandwidth from here to there; None when too few packets of the trains arrived.
@@ -45,8 +45,8 @@ class Way:
     rate_mbit: float | None
 
 
-def measure_way(address: str, port: int = PORT) -> Way | None:
-    """Measure the way to a machine; None when nothing answers there."""
+def measure_link(address: str, port: int = PORT) -> LinkFacts | None:
+    """Measure the link to a machine; None when nothing answers there."""
     with _socket() as link:
         link.connect((address, port))
         if not _is_answered(link):
@@ -54,7 +54,7 @@ def measure_way(address: str, port: int = PORT) -> Way | None:
         exchanges = _ping(link)
         rates = [rate for train in range(TRAINS) if (rate := _send_train(link, train)) is not None]
     trip_ns, offset_ns = min(exchanges.values(), default=(0, 0))
-    return Way(1e-9 * offset_ns, 0.5e-9 * trip_ns, 1 - len(exchanges) / PINGS, max(rates, default=None))
+    return LinkFacts(1e-9 * offset_ns, 0.5e-9 * trip_ns, 1 - len(exchanges) / PINGS, max(rates, default=None))
 
 
 def answer(

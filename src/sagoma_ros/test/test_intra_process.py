@@ -14,7 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from mocap_packets.hull import Centerline
-from sagoma_ros.exchange import Delivery, HeardPublisher, PacketPublisher, PacketSubscription
+from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.packets import Text, packet_cloud, read_packet
 from sagoma_ros.qos import LATCHED, RESULT
 
@@ -61,13 +61,13 @@ def test_packet_reaches_a_node_of_the_same_process_at_once_as_it_is(ros: Spinner
     taken = follow(make(ros, "taker"), closing)
     publisher.publish(LINE, STAMP_NS, "map")
     assert [(d.packet, d.message, d.stamp_ns, d.frame_id) for d in taken] == [(LINE, None, STAMP_NS, "map")]
-    assert not publisher.heard  # no message was made: nobody outside listens
+    assert not publisher.is_wanted  # no message was made: nobody outside listens
 
 
 def test_packet_reaches_another_process_as_a_message(ros: Spinner, outside: Spinner, closing: ExitStack) -> None:
     publisher = lines(make(ros, "sender"), closing)
     taken = follow(make(outside, "taker"), closing)
-    ros.until(lambda: publisher.heard)
+    ros.until(lambda: publisher.is_wanted)
     publisher.publish(LINE, STAMP_NS, "map")
     outside.until(lambda: taken)
     (delivery,) = taken
@@ -81,14 +81,14 @@ def test_whoever_follows_a_publisher_that_closes_listens_to_the_wire_from_then_o
 ) -> None:
     here = PacketPublisher[Centerline](make(ros, "sender"), PointCloud2, "line", packet_cloud)
     taken, there = follow(make(ros, "taker"), closing), lines(make(outside, "sender"), closing)
-    assert not there.heard
+    assert not there.is_wanted
     here.close()
-    ros.until(lambda: there.heard)
+    ros.until(lambda: there.is_wanted)
     there.publish(LINE, STAMP_NS, "map")
     ros.until(lambda: taken)
     assert taken[0].message is not None
     lines(make(ros, "other_sender"), closing)
-    ros.until(lambda: not there.heard)
+    ros.until(lambda: not there.is_wanted)
 
 
 def test_last_packet_of_a_latched_topic_is_kept_for_later_followers(ros: Spinner, closing: ExitStack) -> None:
@@ -103,7 +103,7 @@ def test_last_packet_of_a_latched_topic_is_kept_for_later_followers(ros: Spinner
 
 
 def test_message_that_nobody_takes_is_not_made(ros: Spinner, outside: Spinner) -> None:
-    publisher = HeardPublisher(make(ros, "sender"), String, "text")
+    publisher = LazyPublisher(make(ros, "sender"), String, "text")
     made: list[str] = []
 
     def message(text: str) -> String:
@@ -113,14 +113,14 @@ def test_message_that_nobody_takes_is_not_made(ros: Spinner, outside: Spinner) -
     publisher.publish(message, "unheard")
     heard: list[String] = []
     make(outside, "listener").create_subscription(String, "text", heard.append, RESULT)
-    ros.until(lambda: publisher.heard)
+    ros.until(lambda: publisher.is_wanted)
     publisher.publish(message, "heard")
     outside.until(lambda: heard)
     assert made == ["heard"] == [heard[0].data]
 
 
 def test_message_of_a_latched_topic_is_made_before_anybody_listens(ros: Spinner, outside: Spinner) -> None:
-    publisher = HeardPublisher(make(ros, "sender"), String, "text", LATCHED)
+    publisher = LazyPublisher(make(ros, "sender"), String, "text", LATCHED)
     publisher.publish(lambda: String(data="kept"))
     heard: list[String] = []
     make(outside, "listener").create_subscription(String, "text", heard.append, LATCHED)

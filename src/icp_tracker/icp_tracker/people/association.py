@@ -1,4 +1,4 @@
-"""Whose is what of the hull: parts that do not touch by who is expected in them, and shared ones row by row.
+"""Data association: which parts of the hull, and which rows of parts that persons share, belong to whom.
 
 A person's figure, placed where it is expected, explains the points inside it and near its surface, and the contour rays
 that graze it. A part of the hull belongs to everybody of whom it holds a good deal. Persons who touch share a part:
@@ -49,24 +49,27 @@ class Expected(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Shares:
-    """The parts of one hull, by their numbers, of each person who has any; persons of each part that has several."""
+class Association:
+    """Which parts of one hull belong to whom.
+
+    parts : the numbers of the parts of each person who has any. shared : the persons of each part that has several.
+    """
 
     parts: Mapping[int, tuple[int, ...]]
     shared: Mapping[int, tuple[int, ...]]
 
     @property
     def claimed(self) -> frozenset[int]:
-        """Parts that are somebody's."""
+        """The parts that belong to somebody."""
         return frozenset(part for parts in self.parts.values() for part in parts)
 
     def sharers(self, person: int) -> tuple[int, ...]:
-        """Everybody else with whom a person shares a part."""
+        """Return everybody else with whom a person shares a part."""
         together = {other for persons in self.shared.values() if person in persons for other in persons}
         return tuple(sorted(together - {person}))
 
 
-def find_shares(seen: HullProducts, bodies: Sequence[int], expected: Sequence[Expected]) -> Shares:
+def associate_parts(seen: HullProducts, bodies: Sequence[int], expected: Sequence[Expected]) -> Association:
     """Find the parts of each person who is expected in the hull."""
     packet = seen.voxels if len(seen.voxels) else seen.centerline
     every = max(len(packet) // SAMPLES, 1)
@@ -80,21 +83,23 @@ def find_shares(seen: HullProducts, bodies: Sequence[int], expected: Sequence[Ex
         if own.any():
             parts[one.person] = tuple(part for part, is_own in zip(bodies, own, strict=True) if is_own)
     holders = {part: tuple(sorted(p for p, own in parts.items() if part in own)) for part in bodies}
-    return Shares(parts, {part: persons for part, persons in holders.items() if len(persons) > 1})
+    return Association(parts, {part: persons for part, persons in holders.items() if len(persons) > 1})
 
 
-def share_rows(seen: HullProducts, shares: Shares, expected: Sequence[Expected]) -> dict[int, HullProducts]:
+def associate_rows(
+    seen: HullProducts, association: Association, expected: Sequence[Expected]
+) -> dict[int, HullProducts]:
     """Return every person's rows, numbered as one body's.
 
     All voxels of a shared part stay samples of the hull, in which sticks have to lie; those that another person
     explains are no surface of this one.
     """
-    together = [one for one in expected if shares.sharers(one.person)]
+    together = [one for one in expected if association.sharers(one.person)]
     distances = {one.person: _Distances.of(seen, one.placed) for one in together}
     rows = {}
-    for person, parts in shares.parts.items():
+    for person, parts in association.parts.items():
         own = _rows_of(seen, parts)
-        if sharers := shares.sharers(person):
+        if sharers := association.sharers(person):
             others = [distances[other].of_rows(own) for other in sharers]
             own = _of_person(own, distances[person].of_rows(own), others)
         rows[person] = own.products
