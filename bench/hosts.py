@@ -62,6 +62,7 @@ class Drill:
         self._environment = {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder), "OPENBLAS_NUM_THREADS": "1"}
         if arguments.profile != NO_PROFILE:
             self._environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(arguments.profile).resolve())
+            self._environment["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
         if arguments.peers:
             peers = ";".join(host.address for host in world.hosts.values())
             self._environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": peers}

@@ -29,6 +29,7 @@ from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.health import HOST
 from sagoma_ros.images import read_support
+from sagoma_ros.memory import release_free_memory
 from sagoma_ros.messages import to_ns
 from sagoma_ros.names import graph_topic
 from sagoma_ros.node import SagomaNode
@@ -46,7 +47,6 @@ from .camera_report_ros import CameraReport
 from .camera_topics_ros import SILHOUETTE_TOPIC, CameraTopics, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
 from .frame_source import Frame, FrameSource
-from .heap import release_free_memory, return_large_blocks
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes
 from .sources.grab_loop import GrabLoop, GrabState
@@ -356,7 +356,6 @@ class CameraNode(SagomaNode):
 
 def main(args: list[str] | None = None) -> None:
     """Entry point of the executable camera_client."""
-    return_large_blocks()
     sys.exit(run_node(CameraNode, args))
 
 

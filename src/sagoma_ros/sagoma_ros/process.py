@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from capture_rig.errors import InputError
 
+from .memory import bound_memory
 from .node import SagomaNode
 
 try:  # is told what has come, where the other asks every entity of every node for each message
@@ -47,6 +48,7 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
     active before the one that sends to it. Returns the exit status: 0 after a signal, 1 when autostart failed, 2 when a
     node could not be made at all.
     """
+    bound_memory()
     ending = _Ending()
     status = 0
     nodes: list[SagomaNode] = []

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from capture_rig.errors import InputError
+from sagoma_ros.memory import QOS_FROM_PROFILE
 from sagoma_tools.graph.network_settings import PROFILE_VARIABLE, profile_file, use_peers
 
 LOAD = "from sagoma_tools.graph.ros_link import RosLink\nwith RosLink('loader'): print('loaded')"
@@ -19,6 +20,7 @@ def test_peers_are_asked_by_unicast_with_our_profile():
         "ROS_STATIC_PEERS": "192.168.1.7;192.168.1.8",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         PROFILE_VARIABLE: str(profile_file()),
+        QOS_FROM_PROFILE: "1",
     }
 
 

@@ -13,6 +13,7 @@ from collections.abc import MutableMapping
 from pathlib import Path
 
 from capture_rig.errors import InputError
+from sagoma_ros.memory import QOS_FROM_PROFILE
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PEERS_VARIABLE, RANGE_VARIABLE = "ROS_STATIC_PEERS", "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -37,6 +38,7 @@ def use_peers(text: str, environment: MutableMapping[str, str] = os.environ) -> 
     environment[RANGE_VARIABLE] = ALONE
     if not environment.get(PROFILE_VARIABLE):
         environment[PROFILE_VARIABLE] = str(profile_file())
+        environment[QOS_FROM_PROFILE] = "1"  # its memory policies are taken with this alone
 
 
 def profile_file() -> Path:

@@ -1,0 +1,107 @@
+"""A node's process gives back what large messages took: the middleware's buffers, and large blocks of malloc's."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from sagoma_ros.memory import MALLOC_VARIABLES, PROFILE, PROFILE_VARIABLES, QOS_FROM_PROFILE, bound_memory
+
+MIB = 1 << 20
+LARGE, BURST = 8, 12  # MiB of a message, and messages that wait at once
+FOR_SEVERAL_MACHINES = Path(__file__).parents[3] / "config" / "dds" / "fastdds.xml"
+NODE_AFTER_LARGE_MESSAGES = f"""
+import ctypes, gc, sys, time
+import rclpy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import ByteMultiArray
+from sagoma_ros.memory import bound_memory
+
+if sys.argv[1] == "bounded":
+    bound_memory()
+
+
+class Mallinfo(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_size_t) for name in "arena b c d hblkhd f g uordblks i j".split()]
+
+
+libc = ctypes.CDLL(None)
+libc.mallinfo2.restype = Mallinfo
+
+
+def held():
+    gc.collect()
+    info = libc.mallinfo2()
+    return info.arena + info.hblkhd
+
+
+rclpy.init()
+node = rclpy.create_node("taker")
+taken = []
+qos = QoSProfile(depth={BURST})
+node.create_subscription(ByteMultiArray, "large", lambda data: taken.append(len(data)), qos, raw=True)
+publisher = node.create_publisher(ByteMultiArray, "large", qos)
+executor = rclpy.executors.SingleThreadedExecutor()
+executor.add_node(node)
+
+
+def burst(mib):
+    message, before = b"\\0\\1\\0\\0" + bytes(mib << 20), len(taken)
+    for _ in range({BURST}):
+        publisher.publish(message)
+    end_s = time.monotonic() + 60.0
+    while len(taken) < before + {BURST} and time.monotonic() < end_s:
+        executor.spin_once(timeout_sec=1.0)
+
+
+while not publisher.get_subscription_count():
+    executor.spin_once(timeout_sec=0.1)
+burst(0)
+before = held()
+burst({LARGE})
+print(len(taken), held() - before)
+"""
+
+
+def bytes_kept(how: str) -> int:
+    """Return what a process keeps of a burst of large messages that it has taken."""
+    environment = {
+        name: value for name, value in os.environ.items() if name not in (*PROFILE_VARIABLES, QOS_FROM_PROFILE)
+    }
+    command = [sys.executable, "-c", NODE_AFTER_LARGE_MESSAGES, how]
+    told = subprocess.run(command, capture_output=True, text=True, env=environment, check=True, timeout=120.0).stdout
+    taken, kept = map(int, told.split())
+    assert taken == 2 * BURST
+    return kept
+
+
+def test_what_large_messages_took_is_given_back() -> None:
+    assert bytes_kept("as ROS has it") > BURST // 2 * LARGE * MIB  # the test can fail
+    assert bytes_kept("bounded") < 2 * LARGE * MIB
+
+
+def test_a_profile_of_the_user_is_left_alone() -> None:
+    for name in (*PROFILE_VARIABLES, QOS_FROM_PROFILE):
+        environment = {name: "mine", MALLOC_VARIABLES[0]: "65536"}
+        bound_memory(environment)
+        assert environment == {name: "mine", MALLOC_VARIABLES[0]: "65536"}
+    environment = {MALLOC_VARIABLES[0]: "65536"}
+    bound_memory(environment)
+    assert environment[PROFILE_VARIABLES[0]] == str(PROFILE) and environment[QOS_FROM_PROFILE] == "1"
+
+
+@pytest.mark.parametrize("profile", [PROFILE, FOR_SEVERAL_MACHINES], ids=["one machine", "several"])
+def test_profiles_free_what_was_taken_and_leave_discovery_as_ros_has_it(profile: Path) -> None:
+    space = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
+    root = ElementTree.parse(profile).getroot()
+    for end in ("data_writer", "data_reader"):
+        (found,) = root.iter(space + end)
+        assert found.get("is_default_profile") == "true"
+        assert found.findtext(space + "historyMemoryPolicy") == "DYNAMIC"
+        assert found.findtext(f"{space}qos/{space}data_sharing/{space}kind") == "OFF"
+    (builtin,) = root.iter(space + "builtin")
+    for end in ("reader", "writer"):
+        assert builtin.findtext(f"{space}{end}HistoryMemoryPolicy") == "PREALLOCATED_WITH_REALLOC"
