@@ -111,11 +111,9 @@ def tracks_from_bag(
     else:
         tracks = {FIRST_PERSON: track_from_bag(bag, frame_of_stamp)}
     for body_id, person in bag_persons(bag).items():
-        if person != FIRST_PERSON and len(
-            track := _read_track(bag, frame_of_stamp, f"{FIRST_PREFIX}/bodies/{body_id}")
-        ):
-            tracks[person] = track
-    return dict(sorted(tracks.items()))
+        if person != FIRST_PERSON:
+            tracks[person] = _read_track(bag, frame_of_stamp, f"{FIRST_PREFIX}/bodies/{body_id}")
+    return {person: track for person, track in sorted(tracks.items()) if person == FIRST_PERSON or len(track)}
 
 
 def _read_track(bag: str | Path, frame_of_stamp: Callable[[int], int], prefix: str) -> Track:
