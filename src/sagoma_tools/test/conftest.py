@@ -1,3 +1,4 @@
+import math
 import os
 from pathlib import Path
 
@@ -20,6 +21,12 @@ def _graphs_settle_soon(monkeypatch):
     """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
     monkeypatch.setattr("sagoma_tools.graph.ros_link.SETTLED_S", 0.2)
     monkeypatch.setattr("sagoma_tools.calibration.rig_live.SETTLE_S", 0.4)
+
+
+@pytest.fixture(autouse=True)
+def _commands_take_no_time(monkeypatch):
+    """No command says what it is at, however busy the machine: what stands on stderr is what was wrong."""
+    monkeypatch.setattr("sagoma_tools.progress_line.SILENT_S", math.inf)
 
 
 @pytest.fixture()

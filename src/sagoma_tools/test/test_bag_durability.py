@@ -93,7 +93,7 @@ def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_pat
 
     def remember(descriptor: int) -> None:
         fsync(descriptor)
-        if os.readlink(f"/proc/self/fd/{descriptor}").endswith(".mcap"):
+        if os.readlink(f"/proc/self/fd/{descriptor}") == str(tmp_path / "bag" / "bag.mcap"):
             with synced:
                 on_disk.append(os.fstat(descriptor).st_size)
                 synced.notify_all()

@@ -26,6 +26,7 @@ def told(monkeypatch):
 
     def make(stream, **options):
         clock = [100.0]
+        monkeypatch.setattr("sagoma_tools.progress_line.SILENT_S", SILENT_S)
         monkeypatch.setattr("sagoma_tools.progress_line.REFRESH_S", 1e6)  # the thread sleeps
         monkeypatch.setattr(sys, "stdout", io.StringIO())
         monkeypatch.setattr(sys, "stderr", stream)
