@@ -39,7 +39,7 @@ class FrameResult:
 
 @dataclass(frozen=True, eq=False)
 class _Stages:
-    """Everything that is replaced as one, between two frames."""
+    """The stages in use, which are replaced as one between two frames."""
 
     camera: CameraModel | None
     checks: FrameChecks
@@ -94,7 +94,7 @@ class CameraChain:
         return Condition() if watch is None else watch.found
 
     def use_background(self, model: BackgroundModel | None) -> None:
-        """From the next frame on. Raises InputError when it does not fit the camera's image size."""
+        """Use a background from the next frame on; InputError when it does not fit the camera's image size."""
         self._stages = self._made(self.camera, model)
         self.refused = None
 
@@ -107,18 +107,18 @@ class CameraChain:
         return reason
 
     def use_learned_background(self, model: BackgroundModel) -> BackgroundModel:
-        """A background that was learned just now, from the next frame on; returns it as it should be saved: with how
-        far the camera has turned since its calibration. Raises InputError as :meth:`use_background` does."""
+        """Use a background that was learned just now, from the next frame on; return it as it should be saved: with
+        how far the camera has turned since its calibration. Raises InputError as :meth:`use_background` does."""
         related = model if self.camera is None else carry_turn_over(model, self.background, self.camera)
         self.use_background(related)
         return related
 
     def use_camera(self, camera: CameraModel) -> None:
-        """Another calibration of the same camera, from the next frame on."""
+        """Use another calibration of the same camera from the next frame on."""
         self._stages = self._made(camera, self.background)
 
     def use_shape(self, shape: tuple[int, ...]) -> bool:
-        """Images will have this shape: take the background that the settings name, unless one of it is in use.
+        """Take the background that the settings name for images of this shape, unless one of that shape is in use.
 
         True when the background was replaced. Raises InputError when the file cannot be read or does not fit.
         """
@@ -153,7 +153,7 @@ class CameraChain:
             self.pipeline.take_support(report)
 
     def run(self, frame: Frame) -> FrameResult:
-        """Raises InputError for a frame of another size or type."""
+        """Process one frame. Raises InputError for one of another size or type."""
         tools = self._stages
         canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
         silhouette, gain = None, 1.0

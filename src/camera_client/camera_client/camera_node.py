@@ -336,7 +336,7 @@ class CameraNode(SagomaNode):
         return response
 
     def _blank(self, info: CameraInfo) -> CameraModel:
-        """This camera before its intrinsics are known; of the source's size, or of any size while it is away."""
+        """Return this camera before its intrinsics are known: of the source's size, or of any size while it is away."""
         shape = self.source.shape if self.source is not None else ()
         height, width = shape[:2] or (info.height, info.width)
         return unplaced_camera(self._calibration.name, width, height)

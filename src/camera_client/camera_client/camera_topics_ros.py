@@ -30,7 +30,7 @@ SILHOUETTE_TOPIC = "silhouette/compressed"
 
 
 def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
-    """``camera`` with the intrinsics of ``info``; its pose stays. Raises InputError naming the field and the value."""
+    """Return ``camera`` with the intrinsics of ``info``. Raises InputError naming the field and the value."""
     K, R = np.reshape(info.k, (3, 3)), np.reshape(info.r, (3, 3))
     if not R.any():  # zero where the sender did not fill it in
         R = np.eye(3)
@@ -75,18 +75,18 @@ class CameraTopics:
         return self._previews is not None and self._previews.get_subscription_count() > 0
 
     def publish_image(self, frame: Frame) -> None:
-        """The frame as it came, with ``publish_raw``, or while there is a subscriber that calibrates the camera."""
+        """Publish the frame as it came, with ``publish_raw`` or while somebody subscribes to calibrate the camera."""
         if self._raws is not None and (self._raw_always or self._raw_has_listener):
             self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
 
     def publish_uncalibrated(self, frame: Frame) -> None:
-        """The camera_info of a frame whose lens is unknown: K[0] = 0 says so (REP-104)."""
+        """Publish the camera_info of a frame whose lens is unknown: K[0] = 0 says so (REP-104)."""
         info = CameraInfo(height=frame.image.shape[0], width=frame.image.shape[1])
         info.header.stamp, info.header.frame_id = to_stamp(frame.stamp_ns), self._frame_id
         self._infos.publish(info)
 
     def publish_silhouette(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
-        """The silhouette and its camera_info under one stamp; now and then a preview, while somebody looks."""
+        """Publish the silhouette and its camera_info under one stamp; now and then a preview, while somebody looks."""
         assert seen.canvas is not None
         self._infos.publish(self._info_of(seen.canvas).at(frame.stamp_ns))
         self._silhouettes.publish(self._writer.write(frame.stamp_ns, mask_png.encode(silhouette.mask)))
@@ -98,11 +98,11 @@ class CameraTopics:
             self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
 
     def _info_of(self, canvas: CameraModel) -> StampedMessage:
-        """Made once a canvas: setting its arrays, and serialising them, costs more than all else."""
+        """Return its camera_info, made once a canvas: setting and serialising its arrays costs more than all else."""
         if self._info is None or self._info[0] is not canvas:
             self._info = (canvas, StampedMessage(camera_info_message(canvas, 0, self._frame_id)))
         return self._info[1]
 
     def publish_background(self, model: BackgroundModel) -> None:
-        """The mean of the background in use."""
+        """Publish the mean of the background in use."""
         self._means.publish(image_message(np.rint(model.mean).astype(np.uint8), 0, self._frame_id))

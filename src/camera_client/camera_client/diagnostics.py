@@ -29,7 +29,7 @@ UNPLACED = "the camera's place is unknown: shadows stay in the silhouettes; give
 
 
 class Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """Level of a status, as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -73,7 +73,7 @@ class CameraState:
 
 
 def assess(state: CameraState) -> tuple[Level, str]:
-    """Level and text of what the camera is doing: the worst trouble alone, with its remedy where there is one."""
+    """Return level and text of what the camera is doing: the worst trouble alone, with its remedy if there is one."""
     if state.grab is GrabState.FAILED:
         return Level.ERROR, state.failure
     if state.grab is not GrabState.RUNNING:
@@ -126,7 +126,7 @@ def connection_values(connection: Connection) -> dict[str, object]:
 
 
 def source_values(source: FrameSource) -> dict[str, object]:
-    """All figures of a source: details, counters, connection, frames. What a live one counts is there from zero."""
+    """Return all figures of a source: details, counters, connection, frames; what a live one counts is there from 0."""
     connection = source.connection
     counted: dict[str, object] = {**source.counters}
     if connection is not None:

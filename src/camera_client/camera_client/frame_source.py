@@ -26,11 +26,11 @@ class SourceUnavailable(InputError):
 
 
 class EndOfFootage(Exception):
-    """The footage has no further frame. Live cameras never raise it."""
+    """Raised where the footage has no further frame. Live cameras never raise it."""
 
 
 class UndecodableFrame(Exception):
-    """One frame of the footage cannot be decoded; the next one may be fine."""
+    """Raised where one frame of the footage cannot be decoded; the next one may be fine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class FrameSource(ABC):
         return None
 
     def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027 (a live source has nothing to do)
-        """Consumers have worked off every frame up to ``stamp_ns``; only paced footage listens."""
+        """Take note that consumers have processed every frame up to ``stamp_ns``; only paced footage listens."""
 
     def __enter__(self) -> FrameSource:
         self.connect()
@@ -162,7 +162,7 @@ class FrameStatistics:
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False, compare=False)
 
     def restart(self, first_id: int | None = None) -> None:
-        """A new run of ids begins: at ``first_id`` where the device says so (GVSP: 1), else wherever it begins."""
+        """Begin a new run of ids, at ``first_id`` where the device says so (GVSP: 1), else wherever it begins."""
         self._last = None if first_id is None else first_id - 1
 
     def add(self, frame_id: int, complete: bool = True) -> int:

@@ -190,7 +190,7 @@ class FloorShadowSettings:
 
 @dataclass(frozen=True)
 class SilhouetteSettings:
-    """From a frame to a clean silhouette. Lengths are shares of the image height, areas of its square."""
+    """How a frame becomes a clean silhouette. Lengths are shares of the image height, areas of its square."""
 
     median_px: int = setting(5, "Side of the median filter", unit="px", choices=(1, 3, 5, 7))
     shadow: str = setting(
@@ -287,7 +287,7 @@ class CameraMovedSettings:
 
 @dataclass(frozen=True)
 class CameraClientSettings:
-    """Everything one camera client needs."""
+    """All settings of one camera client."""
 
     renamed: ClassVar[Mapping[str, str]] = {"silhouette.rim": "silhouette.outline_contrast"}
     removed: ClassVar[Mapping[str, str]] = {

@@ -27,7 +27,7 @@ _REMEDY = "Give a camera_info YAML, as camera_calibration writes it, or leave ca
 
 
 def load_camera_info(path: str | Path, camera: CameraModel) -> CameraModel:
-    """``camera`` with the intrinsics of the camera_info YAML at ``path``; its pose stays.
+    """Return ``camera`` with the intrinsics of the camera_info YAML at ``path``; its pose stays.
 
     Raises InputError with file, key, value and remedy: no such file, another camera's name or image size, a matrix
     that is none.
@@ -82,7 +82,7 @@ def _with_document(camera: CameraModel, document: Mapping[str, Any], where: str)
 def with_intrinsics(
     camera: CameraModel, width: Any, height: Any, K: Any, distortion_model: Any, D: Any, R: Any, where: str
 ) -> CameraModel:
-    """``camera`` with other intrinsics, checked as a rig file's are; ``R`` is the rectification, which must be none.
+    """Return ``camera`` with other intrinsics, checked as a rig file's are; ``R`` : the rectification, must be none.
 
     ``K``, ``R`` are 3 x 3 nested lists, ``D`` a list. Raises InputError naming ``where``.
     """

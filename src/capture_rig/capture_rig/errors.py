@@ -24,5 +24,5 @@ def _rebuild(what: str, where: str, remedy: str) -> InputError:
 
 
 def shortened(text: str, most: int = 300) -> str:
-    """``text``, its middle left out when it is longer than ``most`` characters."""
+    """Return ``text``, its middle left out when it is longer than ``most`` characters."""
     return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"

@@ -1,4 +1,4 @@
-"""How functions that only compute on arrays are compiled."""
+"""Compiles functions that only compute on arrays (numba), cached and without the interpreter lock."""
 
 from __future__ import annotations
 

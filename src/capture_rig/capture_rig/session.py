@@ -181,7 +181,7 @@ class Session:
 
     @property
     def truths(self) -> tuple[Truth, ...]:
-        """Those of everybody, the first person's first; empty without any."""
+        """The truths of all persons, the first person's first; empty without any."""
         return () if self.truth is None else (self.truth, *self.other_truths)
 
 

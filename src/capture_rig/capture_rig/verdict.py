@@ -1,4 +1,4 @@
-"""Is something that was just learned or calibrated good enough to work with, and if not, what to do about it."""
+"""Verdicts on what was just learned or calibrated: good, usable or redo, with findings and remedies."""
 
 from __future__ import annotations
 

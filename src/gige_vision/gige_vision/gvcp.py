@@ -105,7 +105,7 @@ class CommandPacket:
 
     @classmethod
     def decode(cls, data: bytes) -> CommandPacket:
-        """Raises MalformedPacket."""
+        """Decode a packet. Raises MalformedPacket."""
         if len(data) < _HEADER.size:
             raise MalformedPacket(f"{len(data)} bytes are no GVCP command")
         key, flags, command, length, request_id = _HEADER.unpack_from(data)
@@ -130,7 +130,7 @@ class AcknowledgePacket:
 
     @classmethod
     def decode(cls, data: bytes) -> AcknowledgePacket:
-        """Raises MalformedPacket."""
+        """Decode a packet. Raises MalformedPacket."""
         if len(data) < _ANSWER.size:
             raise MalformedPacket(f"{len(data)} bytes are no GVCP acknowledge")
         status, acknowledge, length, request_id = _ANSWER.unpack_from(data)
@@ -157,36 +157,36 @@ _ACTION, _TIME = struct.Struct(">III"), struct.Struct(">Q")
 
 
 def encode_words(values: Iterable[int]) -> bytes:
-    """32-bit words: the payload of READREG (addresses) and of its acknowledge (values)."""
+    """Encode 32-bit words: the payload of READREG (addresses) and of its acknowledge (values)."""
     return b"".join(_WORD.pack(value) for value in values)
 
 
 def decode_words(payload: bytes) -> tuple[int, ...]:
-    """Raises MalformedPacket unless the payload is one or more whole words."""
+    """Decode 32-bit words. Raises MalformedPacket unless the payload is one or more whole words."""
     if not payload or len(payload) % 4:
         raise MalformedPacket(f"{len(payload)} bytes are not a row of 32-bit words")
     return tuple(word for (word,) in _WORD.iter_unpack(payload))
 
 
 def encode_writes(writes: Iterable[tuple[int, int]]) -> bytes:
-    """Payload of WRITEREG: pairs of address and value."""
+    """Encode the payload of WRITEREG: pairs of address and value."""
     return b"".join(_PAIR.pack(address, value) for address, value in writes)
 
 
 def decode_writes(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Raises MalformedPacket unless the payload is one or more whole pairs."""
+    """Decode pairs of address and value. Raises MalformedPacket unless the payload is one or more whole pairs."""
     if not payload or len(payload) % 8:
         raise MalformedPacket(f"{len(payload)} bytes are not pairs of address and value")
     return tuple(_PAIR.iter_unpack(payload))
 
 
 def encode_memory_read(address: int, count: int) -> bytes:
-    """Payload of READMEM: the address and the number of bytes."""
+    """Encode the payload of READMEM: the address and the number of bytes."""
     return struct.pack(">IHH", address, 0, count)
 
 
 def decode_memory_read(payload: bytes) -> tuple[int, int]:
-    """Address and number of bytes. Raises MalformedPacket."""
+    """Decode address and number of bytes. Raises MalformedPacket."""
     if len(payload) < 8:
         raise MalformedPacket(f"{len(payload)} bytes are no READMEM")
     address, _, count = struct.unpack_from(">IHH", payload)
@@ -194,12 +194,12 @@ def decode_memory_read(payload: bytes) -> tuple[int, int]:
 
 
 def encode_memory(address: int, data: bytes) -> bytes:
-    """Payload of WRITEMEM and of READMEM's acknowledge: the address and the bytes."""
+    """Encode the payload of WRITEMEM and of READMEM's acknowledge: the address and the bytes."""
     return _WORD.pack(address) + data
 
 
 def decode_memory(payload: bytes) -> tuple[int, bytes]:
-    """Address and bytes. Raises MalformedPacket."""
+    """Decode address and bytes. Raises MalformedPacket."""
     if len(payload) < 4:
         raise MalformedPacket(f"{len(payload)} bytes hold no address")
     return _WORD.unpack_from(payload)[0], payload[4:]
@@ -224,7 +224,7 @@ class ResendRequest:
 
     @classmethod
     def decode(cls, packet: CommandPacket) -> ResendRequest:
-        """Raises MalformedPacket."""
+        """Decode a packet. Raises MalformedPacket."""
         extended = bool(packet.flags & EXTENDED_IDS)
         layout = _RESEND_EXTENDED if extended else _RESEND
         if len(packet.payload) < layout.size:
@@ -256,7 +256,7 @@ class Action:
 
     @classmethod
     def decode(cls, packet: CommandPacket) -> Action:
-        """Raises MalformedPacket."""
+        """Decode a packet. Raises MalformedPacket."""
         scheduled = bool(packet.flags & SCHEDULED)
         if len(packet.payload) < _ACTION.size + (_TIME.size if scheduled else 0):
             raise MalformedPacket(f"{len(packet.payload)} bytes are no ACTION")
@@ -311,7 +311,7 @@ class DeviceRecord:
 
     @classmethod
     def decode(cls, record: bytes) -> DeviceRecord:
-        """Raises MalformedPacket when the record is too short or its texts are not UTF-8."""
+        """Decode the record. Raises MalformedPacket when it is too short or its texts are not UTF-8."""
         if len(record) < bootstrap.DISCOVERY_SIZE:
             raise MalformedPacket(f"{len(record)} bytes are no discovery record")
         texts = {name: decode_text(record[offset : offset + size]) for name, (offset, size) in _TEXTS.items()}

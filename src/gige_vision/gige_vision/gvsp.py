@@ -113,7 +113,7 @@ class ImageLeader:
 
     @classmethod
     def decode(cls, body: bytes) -> ImageLeader:
-        """Raises MalformedPacket."""
+        """Decode the packet's body. Raises MalformedPacket."""
         if len(body) < _LEADER.size:
             raise MalformedPacket(f"{len(body)} bytes are no image leader")
         _, payload, timestamp, *fields = _LEADER.unpack_from(body)
@@ -135,7 +135,7 @@ class ImageTrailer:
 
     @classmethod
     def decode(cls, body: bytes) -> ImageTrailer:
-        """Raises MalformedPacket."""
+        """Decode the packet's body. Raises MalformedPacket."""
         if len(body) < _TRAILER.size:
             raise MalformedPacket(f"{len(body)} bytes are no image trailer")
         _, payload, first = _TRAILER.unpack_from(body)

@@ -44,7 +44,7 @@ FOLLOW_SETS = 7  # ... but so many sets at least: the filter believes a jump aft
 
 @dataclass(frozen=True)
 class OwnStart:
-    """Since when fits start from the tracker's own pose, and for how many sets they have."""
+    """Counts the sets since which fits start from the tracker's own pose, not from the filter's prediction."""
 
     since_ns: int
     sets: int = 0

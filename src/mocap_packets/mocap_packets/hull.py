@@ -115,7 +115,7 @@ class VoxelSamples:
         return cls(np.ascontiguousarray(points[finite]), np.asarray(surface, dtype=np.bool_)[finite])
 
     def surface_points(self, count: int) -> np.ndarray:
-        """At most ``count`` samples (m, 3) of the surface, evenly spread over the rows; the same ones every time."""
+        """Return at most ``count`` samples (m, 3) of the surface, evenly spread over the rows; always the same ones."""
         return _thinned(self.points_world, count, np.flatnonzero(self.surface))
 
     def hull_points(self, count: int) -> np.ndarray:
@@ -171,7 +171,7 @@ class ContourRays:
         return len(self.sigma)
 
     def thinned(self, count: int) -> ContourRays:
-        """At most ``count`` rays, evenly spread over the rows (which follow the outlines); the same ones every time."""
+        """Return at most ``count`` rays, evenly spread over the rows, which follow the outlines; always the same."""
         if len(self) <= count:
             return self
         return self.chosen(np.arange(count) * len(self) // count)

@@ -1,4 +1,4 @@
-"""Where a frame set's time goes, at five points: exposure, received, hull published, fitted, joint state published."""
+"""Latency of a frame set at five points: exposure, received, hull published, fitted, joint state published."""
 
 from __future__ import annotations
 

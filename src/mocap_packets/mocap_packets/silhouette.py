@@ -34,5 +34,5 @@ class Silhouette:
 
     @property
     def person(self) -> Mask:
-        """``mask`` with 0 or 255 only: candidates are taken for shadow."""
+        """The binary mask, 0 or 255: candidates are taken for shadow."""
         return np.where(self.mask > SHADOW_CANDIDATE, np.uint8(FOREGROUND), np.uint8(BACKGROUND))

@@ -67,7 +67,7 @@ class NodeHealth:
         self._source = source
 
     def tick(self, stamp_ns: int | None = None) -> None:
-        """One result was delivered; with its capture stamp, its age is taken as latency."""
+        """Count one result as delivered; with its capture stamp, its age is taken as latency."""
         age_ns = None if stamp_ns is None else self._now_ns() - stamp_ns
         with self._lock:
             self._ticks += 1

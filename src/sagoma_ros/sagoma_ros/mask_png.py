@@ -214,7 +214,7 @@ def paint_runs(value, count, cells_of_byte, cells):  # type: ignore[no-untyped-d
 
 @njit(**OPTIONS)
 def paint_rows(rows, cells_of_byte, cells):  # type: ignore[no-untyped-def]
-    """As :func:`paint_runs`, from the rows (h, 1 + row_bytes) uint8 themselves."""
+    """Paint as :func:`paint_runs`, from the rows (h, 1 + row_bytes) uint8 themselves."""
     for y in range(len(rows)):
         if rows[y, 0] != 0:
             return False

@@ -119,7 +119,7 @@ class SagomaNode(LifecycleNode):
         return read_declared(self, AutostartSettings).autostart
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """As of every node; while the node is configured, the result says when a change takes effect."""
+        """Set parameters as every node does; while it is configured, the result says when a change takes effect."""
         result = super().set_parameters_atomically(parameter_list)
         settings = {leaf.key for leaf in leaves(self.Settings)}
         changed = ", ".join(parameter.name for parameter in parameter_list if parameter.name in settings)
@@ -147,7 +147,7 @@ class SagomaNode(LifecycleNode):
         self.health.status(ERROR, repr(error))
 
     def create_service(self, *args: Any, **options: Any) -> Service:
-        """As of every node; the callback may be a coroutine function under any executor."""
+        """Create a service as every node does; the callback may be a coroutine function under any executor."""
         service = super().create_service(*args, **options)
         if inspect.iscoroutinefunction(service.callback):
             send = partial(self._respond, service.send_response)  # EventsExecutor awaits no callback
@@ -275,7 +275,7 @@ def read_parameters(node: Node, settings_class: type[T]) -> T:
 
 
 def read_declared(node: Node, settings_class: type[T]) -> T:
-    """As :func:`read_parameters`, but parameters that ``settings_class`` does not know are none of its business."""
+    """Return the same as :func:`read_parameters`; parameters that ``settings_class`` does not know are ignored."""
     return build_settings(settings_class, _declared(node, settings_class), _where(node))
 
 

@@ -56,7 +56,7 @@ def read_packet(cloud: PointCloud2, kind: type[T], where: str) -> T:
 
 
 def read_finite(cloud: PointCloud2, kind: type[T], where: str) -> tuple[T, int]:
-    """As :func:`read_packet`, without the rows that hold numbers that are not finite, and how many were dropped."""
+    """Return the same as :func:`read_packet` without rows that are not finite, and how many were dropped."""
     finite, dropped = only_finite(cloud, kind.LAYOUT.names or ())
     return read_packet(finite, kind, where), dropped
 

@@ -58,7 +58,7 @@ def read_message(message: bytes, kind: type[T]) -> T:
 
 
 def same_but_for_stamp(message: bytes, other: bytes | None) -> bool:
-    """Are two serialised messages that start with a header equal, whenever they were stamped?"""
+    """Whether two serialised messages that start with a header are equal but for their stamps."""
     return other is not None and message[AFTER_STAMP:] == other[AFTER_STAMP:]
 
 

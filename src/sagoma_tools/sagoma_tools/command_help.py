@@ -25,7 +25,7 @@ ENDED = "ended by Ctrl-C, SIGTERM or --seconds, in order"
 
 @dataclass(frozen=True)
 class CommandHelp:
-    """Of one command.
+    """Help of one command.
 
     statuses : exit statuses that mean something of their own here.
     endless : it runs until Ctrl-C, which is its ordinary end.
@@ -113,7 +113,7 @@ class CommandParser(argparse.ArgumentParser):
     """A parser whose help begins with what the command does, and whose errors say where the options are listed."""
 
     def format_help(self) -> str:
-        """As of argparse, the description first."""
+        """Format the help as argparse does, the description first."""
         formatter = self._get_formatter()
         formatter.add_text(self.description)
         formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)

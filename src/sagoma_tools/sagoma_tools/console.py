@@ -22,7 +22,7 @@ class CommandConsole(Console):
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """As of rich, but without markup and highlighting, unless asked for: paths hold brackets, too."""
+        """Print as rich does, but without markup and highlighting unless asked for: paths hold brackets, too."""
         if len(objects) == 1 and isinstance(objects[0], str | Text):
             markup, highlight = options.pop("markup", False), options.pop("highlight", False)
             text = objects[0]

@@ -74,7 +74,7 @@ class ProgressLine:
         sys.stdout, sys.stderr = self._stdout, self._stderr
 
     def begin(self, what: str, total: int | None, *, endless: bool = False) -> Callable[..., None]:
-        """As :func:`doing` and :func:`until_stopped`."""
+        """Begin a step, as :func:`doing` and :func:`until_stopped` do."""
         with self._lock:
             self._endless = endless
             self._what, self._done, self._total, self._began_s = what, None, total, self._now_s()
@@ -86,7 +86,7 @@ class ProgressLine:
         return tell
 
     def heard(self) -> None:
-        """Somebody else is about to write: take the line away."""
+        """Take the line away: somebody else is about to write."""
         with self._lock:
             self._heard_s = self._now_s()
             if self._shown:

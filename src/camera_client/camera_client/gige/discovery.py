@@ -267,7 +267,7 @@ class Interface:
 
 
 def interfaces() -> tuple[Interface, ...]:
-    """This machine's interfaces that have an IPv4 address."""
+    """Return this machine's interfaces that have an IPv4 address."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         for _, name in socket.if_nameindex():

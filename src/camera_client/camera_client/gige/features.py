@@ -283,5 +283,5 @@ _FAMILY = {name: family for family in ALIASES for name in family}
 
 
 def spellings(name: str) -> tuple[str, ...]:
-    """``name`` itself, then the other names of the same feature."""
+    """Return all names of a feature: ``name`` itself, then those of other generations."""
     return (name, *(other for other in _FAMILY.get(name, ()) if other != name))

@@ -107,7 +107,7 @@ class PictureAlignment:
         return None if R is None else self._measure(views[0], R)
 
     def _iterate(self, view: Picture, points: EdgePoints, R: Array, steps: int, weights: Weights) -> Array | None:
-        """Steps until the turn R moves no more."""
+        """Take steps until the turn R moves no more."""
         for _ in range(steps):
             step = self._step(view, points, R, weights)
             if step is None:

@@ -60,12 +60,12 @@ class Movement:
 
     @property
     def turned_deg(self) -> float:
-        """By how much the picture is turned about its middle, clockwise where positive."""
+        """Roll: how far the picture is turned about its middle, clockwise where positive."""
         return float(np.degrees(self.turn_rad[2]))
 
     @property
     def swing_deg(self) -> float:
-        """By how much the camera looks to another side, or up or down."""
+        """Pan and tilt together: how far the optical axis is turned."""
         return float(np.degrees(np.hypot(*self.turn_rad[:2])))
 
     def describe(self, camera: str) -> str:
@@ -192,7 +192,7 @@ def turn_when_learned(about: Provenance, camera: CameraModel) -> Array:
 
 
 def carry_turn_over(model: BackgroundModel, before: BackgroundModel | None, camera: CameraModel) -> BackgroundModel:
-    """``model``, and how far the camera had turned when it was learned, as the background ``before`` it shows."""
+    """Return ``model`` with how far the camera had turned when it was learned, by the background ``before`` it."""
     place, turn_rad = pose_checksum(camera), np.zeros(3)
     if before is not None and before.shape == model.shape and before.provenance.calibration in ("", place):
         turn_rad = turn_when_learned(before.provenance, camera)

@@ -53,7 +53,7 @@ class Box(NamedTuple):
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """To index an image with."""
+        """The box as slices that index an image."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     def grown(self, by_px: int, shape: tuple[int, ...], multiple: int = 1) -> Box:
@@ -166,7 +166,7 @@ _DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_DISC_PX, _DISC
 
 
 def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float) -> Mask:
-    """``person`` (h, w) without pixels of its outline that are mostly background.
+    """Return ``person`` (h, w) without pixels of its outline that are mostly background.
 
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
     that notices a few grey levels calls all of it foreground, and people become a pixel wider all around. So a pixel
@@ -217,7 +217,7 @@ class BoxUndistorter:
         self._low, self._high = _canvas_of_cells(nearest, view.image_shape)
 
     def undistort(self, mask: Mask, box: Box) -> Mask:
-        """``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
+        """Map ``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
         canvas = np.zeros(self._place.shape, np.uint8)
         look_up(mask, *box, self._place, self._low, self._high, canvas)
         return canvas

@@ -53,7 +53,7 @@ class FootageReader(ABC):
         return convert_channels(first, self._channels).shape
 
     def _first_images(self) -> list[Image]:
-        """One image, or as many as tell whether there is colour."""
+        """Return one image, or as many as tell whether there is colour."""
         found: list[Image] = []
         while len(found) < (PROBED if self._channels == "auto" else 1):
             try:

@@ -240,7 +240,7 @@ class Pace(ABC):
         return False
 
     def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027
-        """Everything up to ``stamp_ns`` is worked off."""
+        """Take note that every frame up to ``stamp_ns`` is processed."""
 
     @property
     def timeouts(self) -> int:

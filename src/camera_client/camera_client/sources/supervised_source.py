@@ -231,7 +231,7 @@ class SupervisedSource(FrameSource):
     # --- while it does not ---------------------------------------------------------------------------------------
 
     def _reconnect(self, timeout_s: float) -> None:
-        """One step towards a connection; takes no longer than ``timeout_s``."""
+        """Take one step towards a connection, in no longer than ``timeout_s``."""
         pause_s = self._next_try_s - self._clock()
         if self._attempt is None and pause_s > 0:
             self._pause(min(pause_s, timeout_s))

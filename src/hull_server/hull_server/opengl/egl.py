@@ -224,7 +224,7 @@ class Egl:
         return None
 
     def make_current(self, display: Display, surface: int | None, context: int | None) -> bool:
-        """On this thread; surface and context None to release."""
+        """Make a context current on this thread; surface and context None to release."""
         return bool(self._library.eglMakeCurrent(display.handle, surface, surface, context))
 
     def destroy(self, display: Display, surface: int | None, context: int | None) -> None:

@@ -245,5 +245,5 @@ def evidence_of_head(body: Upright, shoulders_ahead_m: float) -> float:
 
 
 def _log_ratio(lead: float, expected: float, sd: float) -> float:
-    """Of a lead that is Gaussian about +``expected`` forwards and about -``expected`` backwards."""
+    """Return the log-odds of a lead that is Gaussian about ``expected`` forwards, -``expected`` backwards."""
     return 2.0 * lead * expected / sd**2

@@ -222,7 +222,7 @@ class LimbGirths:
 
     @classmethod
     def of(cls, thickness: Mapping[str, float]) -> LimbGirths:
-        """From a body file's thickness."""
+        """Build from a body file's thickness."""
         return cls(**thickness, measured=tuple(thickness))
 
     def on(self, capsules: BodySurface) -> BodySurface:

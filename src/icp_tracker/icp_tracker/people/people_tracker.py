@@ -89,7 +89,7 @@ class PeopleTracker:
 
     @property
     def acquiring(self) -> tuple[str, ...]:
-        """Of each part of the last hull that is nobody's, while somebody is followed: why it has no first pose."""
+        """Why each part of the last hull that is nobody's has no first pose yet, while somebody is followed."""
         return tuple(self._reasons.values()) if self._persons else ()
 
     def body_of(self, person: int) -> Body | None:
@@ -208,7 +208,7 @@ class PeopleTracker:
                 self._checks.append(IdentityCheck(number, other))
 
     def _part_doubles(self, fits: Mapping[int, Fit]) -> None:
-        """Of two figures in one place, let the one go that explains less: one person is not there twice."""
+        """Drop the one of two figures in one place that explains less: one person is not there twice."""
         for first, second in combinations(sorted(fits), 2):
             places = [fits[number].reference_points_world for number in (first, second)]
             if any(self._persons[number].away for number in (first, second)):

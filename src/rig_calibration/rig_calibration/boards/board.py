@@ -34,7 +34,7 @@ class Checkerboard:
 
     @property
     def half_turn_is_visible(self) -> bool:
-        """Does the board look different when it is turned by half a turn? So when one of its numbers is odd and the
+        """Whether the board looks different after half a turn: when one of its numbers is odd and the
         other even: the colours of opposite outer fields differ then."""
         return (self.columns + self.rows) % 2 == 1
 
@@ -61,7 +61,7 @@ class CharucoBoard:
 
     @property
     def half_turn_is_visible(self) -> bool:
-        """Its markers tell."""
+        """Whether a half turn shows: always, by its markers."""
         return True
 
 

@@ -105,7 +105,7 @@ def _shifted(pixels: Array, by: int, axis: int) -> Array:
 
 
 def _extrapolated(first: Array, second: Array, third: Array) -> Array:
-    """From the nearest three (a parabola), or the nearest two (a line)."""
+    """Extrapolate from the nearest three (a parabola), or the nearest two (a line)."""
     parabola = 3 * first - 3 * second + third
     return np.where(np.isfinite(parabola), parabola, 2 * first - second)
 

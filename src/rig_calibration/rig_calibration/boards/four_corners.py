@@ -180,7 +180,7 @@ def _whole(grey: npt.NDArray[np.uint8], grid: CornerGrid, board: Board) -> Corne
 
 
 def _ordered(grid: CornerGrid, board: Board, outer: Array, where: str) -> CornerGrid:
-    """With the first corner first, where colours tell; else as given."""
+    """Order the grid with the first corner first, where colours tell; else leave it as given."""
     if isinstance(board, CharucoBoard):
         black_first = not (board.legacy and board.rows % 2 == 0)
         choices = [each for each in (grid, turned(grid, 2)) if is_black_first(each) == black_first]

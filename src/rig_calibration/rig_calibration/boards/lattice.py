@@ -57,7 +57,7 @@ class Lattice:
 
     @property
     def area_px(self) -> float:
-        """Of the smallest convex outline of its corners."""
+        """Area of the convex hull of its corners."""
         return float(cv2.contourArea(cv2.convexHull(self.pixels[self.found].astype(np.float32))))
 
 
@@ -119,7 +119,7 @@ def _flat_directions(xx: Array, xy: Array, yy: Array) -> tuple[Array, Array]:
 def _is_crossing(
     smooth: np.ndarray, pixels: Array, first: Array, second: Array, radius: float
 ) -> npt.NDArray[np.bool_]:
-    """Are opposite quadrants alike, and neighbouring ones not? ``radius``: of the ring on which they are looked at."""
+    """Whether opposite quadrants are alike, and neighbouring ones not, on a ring of this ``radius``."""
     bisectors = [first + second, second - first]
     bisectors = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in bisectors]
     ring = [pixels + radius * side * each for each in bisectors for side in (1, -1)]

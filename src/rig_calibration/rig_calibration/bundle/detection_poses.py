@@ -167,7 +167,7 @@ class View:
 
     @property
     def links(self) -> bool:
-        """Can it tie its camera to others? A wand does so together with other frames, a board by its pose."""
+        """Whether it ties its camera to others: a wand does so together with other frames, a board by its pose."""
         return self.poses is not None or self.shape.dimension == LINE
 
 

@@ -55,7 +55,7 @@ class LeftOut:
 
     @property
     def whole(self) -> bool:
-        """Was the whole detection left out?"""
+        """Whether the whole detection was left out."""
         return not self.corners
 
 

@@ -72,7 +72,7 @@ class Fit:
 
     @property
     def detections(self) -> tuple[TargetDetection, ...]:
-        """Those that take part."""
+        """The detections that take part."""
         return tuple(self.all_detections[row] for row in self.rows)
 
     @property
@@ -85,7 +85,7 @@ class Fit:
 
     @property
     def reasons(self) -> dict[str, str]:
-        """By camera, the commonest reason why detections of it were left out."""
+        """The commonest reason, by camera, why detections of it were left out."""
         by_camera: dict[str, list[str]] = {}
         for out in self.left_out:
             if out.whole:
@@ -110,7 +110,7 @@ class Fit:
         return covariance(self.adjusted, self.used, free, lenses, self.sync_error[self.rows], self.prior)
 
     def rows_at_solution(self, with_lens: bool) -> Linearised:
-        """Robustly weighted, in units of the noise found."""
+        """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
         scaled = self.used.weighted(np.array(1 / self.adjusted.scale))
         return robust_rows(self.adjusted.state, scaled, with_lens)
 
@@ -230,7 +230,7 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
 
 
 def _taken_back(fit: Fit) -> Fit:
-    """With the detections that were left out and fit now; the same object when there are none."""
+    """Return the fit with those detections taken back that fit now; the same object when there are none."""
     rows = readmissible(fit.adjusted, fit.seen, fit.rows)
     if not rows:
         return fit

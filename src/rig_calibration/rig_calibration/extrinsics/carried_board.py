@@ -205,7 +205,7 @@ def find_resting_frames(
 
 
 def _supports(pose: Array, everything: Array, corners: Array) -> bool:
-    """Is everything on the printed side of the board, and some of it well off?"""
+    """Whether everything is on the printed side of the board, and some of it well off."""
     height = (everything - pose[:3, 3]) @ pose[:3, 2]
     board_height = (corners - pose[:3, 3]) @ pose[:3, 2]
     return bool(np.percentile(height, STRAYS_PERCENT) > -BELOW_M and board_height.max() > RISES_M)

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """One camera's.
+    """Figures of one camera.
 
     rms_px : of the corners' coordinates in the solution. detections : how many went into it. distance_m : from the
     volume's centre. height_m : of the lens above the floor. mm_per_px : what a pixel covers at the volume's centre.
@@ -42,7 +42,7 @@ class CameraFigures:
 
 @dataclass(frozen=True)
 class RigFigures:
-    """The whole rig's.
+    """Figures of the whole rig.
 
     rms_px : over all cameras' coordinates. gaps_deg : by pair of neighbours in azimuth around the volume's centre.
     facing_deg : by pair of cameras, the angle between the directions in which they see the volume's centre (180: they

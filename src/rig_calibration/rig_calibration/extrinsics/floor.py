@@ -127,9 +127,10 @@ def _not_ruled_out(solutions: list[tuple[float, Array]], corners: int, sigma: fl
 
 
 def _standard_deviations(points: Array, camera: CameraModel, T: Array, sigma: float) -> tuple[float, float]:
-    """Of rotation (rad) and centre (m), each in its worst direction: (J^T J / sigma^2)^-1 of a pinhole.
+    """Standard deviations of rotation (rad) and centre (m), each in its worst direction.
 
-    With x' = x + w x x + v in the camera frame, the rotation errs by w and the centre by -R^T v.
+    The covariance is (J^T J / sigma^2)^-1 of a pinhole. With x' = x + w x x + v in the camera frame, the rotation errs
+    by w and the centre by -R^T v.
     """
     x, y, z = T[:3, :3] @ points.T + T[:3, 3:]
     zero, one = np.zeros_like(x), np.ones_like(x)

@@ -57,7 +57,7 @@ class LensModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the lens's own parameters, in order."""
+        """Names of the lens's own parameters, in order."""
         return ("fx", "fy", "cx", "cy", *DISTORTION_NAMES[: COEFFICIENTS[self.name]])
 
     @property
@@ -98,7 +98,7 @@ class LensModel:
         return Prior(mean, information)
 
     def distortion_prior_sd(self, focal_px: float, image_size: tuple[int, int]) -> dict[str, float]:
-        """Of each coefficient before any view: a long lens sees rays of small radius only, and may have large ones."""
+        """Return the prior sd of each coefficient: a long lens sees small radii only, and may have large ones."""
         radius = np.hypot(*image_size) / 2 / focal_px
         prior = {name: DISTORTION_PRIOR[name] for name in self.names[4:]}
         return {name: float(share / radius**power) for name, (share, power) in prior.items()}

@@ -34,7 +34,7 @@ ENOUGH_VIEWS = 12
 
 @dataclass(frozen=True)
 class AccuracyGoals:
-    """When enough is known: sd of the focal length (share), of the principal point (px)."""
+    """Accuracy at which enough is known: sd of the focal length (share), of the principal point (px)."""
 
     focal_sd: float = 0.001
     centre_sd_px: float = 1.0
@@ -108,7 +108,7 @@ class ViewCollector:
 
     @property
     def coverage(self) -> Coverage:
-        """Of what has been taken."""
+        """Coverage of the views taken so far."""
         size = self._held[0].detection.image_size if self._held else (4, 3)
         return coverage_of(
             [held.detection.pixels for held in self._held], [held.placement for held in self._held], size
@@ -124,7 +124,7 @@ class ViewCollector:
 
     @property
     def enough(self) -> bool:
-        """Is everything covered and known well enough, or have there been so many views that more help little?"""
+        """Whether all is covered and known well enough, or so many views were taken that more help little."""
         expected = self.expected
         if expected is None or len(self) < ENOUGH_VIEWS or not self.coverage.complete:
             return False

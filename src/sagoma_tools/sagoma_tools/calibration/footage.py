@@ -60,7 +60,7 @@ class CameraFootage:
 
     @property
     def fps(self) -> float:
-        """Of a video, by its header; 0 for stills, and where the header tells no rate that a camera has."""
+        """Frame rate of a video, by its header; 0 for stills, and where the header tells no rate that a camera has."""
         if not self.is_video:
             return 0.0
         reader = self._reader()

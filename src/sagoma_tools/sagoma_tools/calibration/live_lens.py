@@ -185,7 +185,7 @@ class LiveCamera:
         self.changed.set()
 
     def _look(self, pair: _Pair) -> None:
-        """On the worker's thread."""
+        """Look at one image, on the worker's thread."""
         try:
             image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
         except InputError as error:  # one bad message: the next may be better

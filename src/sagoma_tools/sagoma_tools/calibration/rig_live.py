@@ -109,7 +109,7 @@ class MotionRecorder:
                 self._worker.put(closed)
 
     def _look(self, frames: FrameSet[Image]) -> None:
-        """On the worker's thread."""
+        """Look at one frame set, on the worker's thread."""
         frame_index = self.examined
         jobs = {n: self._pool.submit(self._find, n, frame_index, message) for n, message in frames.frames.items()}
         found = {name: job.result() for name, job in jobs.items()}
@@ -289,7 +289,7 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
 
 
 def _image_topics(node: Node) -> dict[str, str]:
-    """By camera's name, the image_raw topics with a publisher."""
+    """Return the image_raw topics with a publisher, by the camera's name."""
     topics = [name for name, kinds in node.get_topic_names_and_types() if IMAGE_TYPE in kinds]
     named = {
         topic.split("/")[-2]: topic for topic in sorted(topics) if topic.count("/") > 1 and topic.endswith(f"/{TOPIC}")

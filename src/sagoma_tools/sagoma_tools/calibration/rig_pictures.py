@@ -89,7 +89,7 @@ def _draw_view(axes: Axes, placed: PlacedRig, board_world: np.ndarray | None, ri
 
 
 def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
-    """From the centre to the image's corners, at FRUSTUM_M, and around them: (k, 3) lines."""
+    """Return the lines (k, 3) from the centre to the image's corners, at FRUSTUM_M, and around them."""
     w, h = camera.width - 1.0, camera.height - 1.0
     rays = camera.rays_world(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
     if not np.isfinite(rays).all():  # a lens model that does not reach the corners

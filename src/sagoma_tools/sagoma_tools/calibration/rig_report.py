@@ -69,7 +69,7 @@ def write_outputs(
 
 
 def residuals_of(calibrated: RigCalibration) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By camera: all its corners (n, 2), and found minus expected (n, 2), px."""
+    """Return by camera all its corners (n, 2), and found minus expected (n, 2), px."""
     solution = calibrated.solution
     pairs = list(zip(solution.detections, solution.residuals_px, strict=True))
     return {

@@ -80,7 +80,7 @@ def read_choice(origin: str, heading_deg: float, thickness_m: float) -> WorldCho
 
 
 def read_floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | None:
-    """When the carried board lies on the floor: as given, or at its lowest place where nothing else shows the floor."""
+    """Return when the carried board lies on the floor: as given, else at its lowest place if nothing else shows it."""
     if text is not None and text != NO_FLOOR and (has_floor or not has_moving):
         raise InputError(
             "says when the carried board lies on the floor, but "

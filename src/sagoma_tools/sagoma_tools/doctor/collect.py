@@ -52,7 +52,7 @@ def kernel_clock() -> ClockFacts:
 
 
 def judge_kernel_clock(answer: int, estimated_error_us: int) -> ClockFacts:
-    """From what adjtimex returns and ``esterror``."""
+    """Judge the clock by what adjtimex returns and ``esterror``."""
     if answer == TIME_ERROR:
         return ClockFacts("no service, by the kernel's account", False)
     known = 0 < estimated_error_us < KNOWN_US
@@ -153,7 +153,7 @@ def collect_clock() -> ClockFacts:
 
 
 def chrony_clock(fields: list[str]) -> ClockFacts:
-    """From the fields of ``chronyc -c tracking``: 0 reference, 2 stratum, 4 the clock's offset in seconds."""
+    """Read the fields of ``chronyc -c tracking``: 0 reference, 2 stratum, 4 the clock's offset in seconds."""
     return ClockFacts("chrony", fields[2] not in ("0", "16"), float(fields[4]))
 
 

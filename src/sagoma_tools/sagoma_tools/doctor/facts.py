@@ -160,7 +160,7 @@ class NetworkFacts:
 
 @dataclass(frozen=True)
 class MachineFacts:
-    """Everything about this machine."""
+    """All facts about this machine."""
 
     host: HostFacts
     software: SoftwareFacts

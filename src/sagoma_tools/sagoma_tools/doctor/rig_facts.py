@@ -118,7 +118,7 @@ def geometry(rig: Rig) -> tuple[tuple[CameraGeometry, ...], tuple[float, ...]]:
 
 
 def angle_deg(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
-    """Between two unit vectors."""
+    """Return the angle between two unit vectors."""
     return float(np.degrees(np.arccos(np.clip(np.dot(one, other), -1.0, 1.0))))
 
 
@@ -197,7 +197,7 @@ def _findings(entries: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _age_s(document: Mapping[str, Any], path: Path) -> float:
-    """From the date in the report, or from the file's where there is none."""
+    """Return the age by the date in the report, or by the file's where there is none."""
     try:
         return time.time() - datetime.datetime.fromisoformat(str(document.get("date"))).timestamp()
     except ValueError:

@@ -1,1 +1,1 @@
-"""How good was it: tracks against truth, as numbers, tables and pictures."""
+"""Evaluation of tracks against the truth, as numbers, tables and pictures."""

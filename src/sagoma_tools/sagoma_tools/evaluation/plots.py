@@ -75,7 +75,7 @@ class Curves:
 
     @classmethod
     def of(cls, frames: np.ndarray, angles: np.ndarray, R_world_torso: np.ndarray) -> Curves:
-        """From angles (F, 18) and the torso's rotations (F, 3, 3)."""
+        """Build from angles (F, 18) and the torso's rotations (F, 3, 3)."""
         torso = {
             "torso_heading": np.arctan2(R_world_torso[:, 1, 0], R_world_torso[:, 0, 0]),
             "torso_lean": np.arccos(np.clip(R_world_torso[:, 2, 2], -1.0, 1.0)),

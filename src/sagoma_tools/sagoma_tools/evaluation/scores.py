@@ -43,7 +43,7 @@ class CovarianceCoverage:
 
 
 def covariance_coverage(errors: np.ndarray, covariance: np.ndarray) -> CovarianceCoverage:
-    """From errors (F, 15, 3) m, NaN where unknown, and the covariances (F, 15, 3, 3) m^2 stated for them."""
+    """Compare errors (F, 15, 3) m, NaN where unknown, with the covariances (F, 15, 3, 3) m^2 stated for them."""
     squared = squared_distances(errors, covariance)
     known = np.isfinite(errors).all(-1)
     inside = np.where(known, squared <= INSIDE_95, np.nan)
@@ -180,5 +180,5 @@ def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str,
 
 
 def number(value: float, digits: int = 4) -> float | None:
-    """As JSON knows numbers: None for what is not finite."""
+    """Return a number as JSON knows them: None for what is not finite."""
     return round(float(value), digits) if np.isfinite(value) else None

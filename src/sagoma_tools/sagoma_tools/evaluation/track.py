@@ -44,7 +44,7 @@ class Track:
 
     @classmethod
     def of_states(cls, rows: Sequence[tuple[int, BodyState]]) -> Track:
-        """From frames and the filter's states at them; no rows make an empty track."""
+        """Build from frames and the filter's states at them; no rows make an empty track."""
         frames, states = [frame for frame, _ in rows], [state for _, state in rows]
 
         def column(values: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:

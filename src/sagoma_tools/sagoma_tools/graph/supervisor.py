@@ -106,7 +106,7 @@ class Supervisor:
 
     @property
     def node(self) -> Node:
-        """Its own node, spun by a thread, once it has been started: for further requests to the graph."""
+        """The supervisor's own node, spun by a thread, once it has been started: for further requests to the graph."""
         assert self._link is not None
         return self._link.node
 
@@ -184,7 +184,7 @@ class Supervisor:
         return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, STOP_TIMEOUT_S)
 
     def alive(self, name: str) -> bool:
-        """Does the process of the node with this full name still run?"""
+        """Whether the process of the node with this full name still runs."""
         child = self._children.get(name)
         return child is not None and child.alive
 

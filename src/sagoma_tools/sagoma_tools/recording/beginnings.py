@@ -1,4 +1,4 @@
-"""How often the stamps of a recording begin anew: a bag or footage that was played again, a clock that was set back."""
+"""Counts how often the stamps of a recording begin anew: footage played again, a clock that was set back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from mocap_packets.frame_set import LEAP_NS
 
 
 class Beginnings:
-    """Counts them; every topic goes back at each one, and it is told but once."""
+    """Counts new beginnings of all topics together: every topic goes back at each one, and it is told but once."""
 
     def __init__(self) -> None:
         self.count = 1
@@ -14,7 +14,7 @@ class Beginnings:
         self._of: dict[str, int] = {}
 
     def take(self, topic: str, stamp_ns: int) -> float | None:
-        """Take note of a message's stamp; the seconds by which stamps went back where that is news."""
+        """Take note of a message's stamp; return by how many seconds stamps went back, None unless that is news."""
         back_ns = self._last_ns.get(topic, stamp_ns) - stamp_ns
         self._last_ns[topic] = stamp_ns
         if back_ns < LEAP_NS:

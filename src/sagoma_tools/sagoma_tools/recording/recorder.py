@@ -202,7 +202,7 @@ class Recorder:
 
     @property
     def beginnings(self) -> int:
-        """How often the stamps began anew, with the start."""
+        """How often the stamps began anew, the start included."""
         return self._beginnings.count
 
     def _on_match(self, topic: Topic) -> Callable[[Any], None]:
@@ -225,7 +225,7 @@ class Recorder:
 
 
 def has_header(msgtype: str) -> bool:
-    """Does a message of this type start with a std_msgs/Header?"""
+    """Whether a message of this type starts with a std_msgs/Header."""
     fields = message_class(msgtype).get_fields_and_field_types()
     return next(iter(fields.values())) == "std_msgs/Header"
 

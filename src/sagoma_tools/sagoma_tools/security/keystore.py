@@ -35,7 +35,7 @@ PRIVATE_MODE = 0o600
 
 @dataclass(frozen=True)
 class Authority:
-    """Who signs certificates and permissions."""
+    """The certificate authority: it signs certificates and permissions."""
 
     key: ec.EllipticCurvePrivateKey
     certificate: x509.Certificate

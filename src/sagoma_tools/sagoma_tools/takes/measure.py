@@ -158,7 +158,7 @@ class _Scan:
         )
 
     def persons(self) -> dict[str, PersonRecord]:
-        """Everybody who was followed, by id."""
+        """Return the record of each person who was followed, by id."""
         stamps = np.unique(np.array(self.stamps(), np.int64))
         return {
             body_id: _person_record(person, stamps)

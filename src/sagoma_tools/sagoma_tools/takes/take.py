@@ -96,7 +96,7 @@ class Quality:
 
     @property
     def seconds(self) -> float:
-        """From the first frame set to the last."""
+        """Seconds from the first frame set to the last."""
         return (self.ends_ns - self.begins_ns) / 1e9
 
     @property

@@ -49,7 +49,7 @@ def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
 
 
 def with_right(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """Does the same for right joints."""
+    """Copies angles (18,), with the named right joints of another pose."""
     slots = [right(name) for name in names]
     mixed = angles.copy()
     mixed[slots] = other[slots]

@@ -165,7 +165,7 @@ def _write(
 
 
 def _of_all(name: str, values: list[float]) -> dict[str, object]:
-    """One value for one person, a list for several."""
+    """Returns one value for one person, a list for several."""
     return {name: values[0] if len(values) == 1 else values}
 
 

@@ -67,7 +67,7 @@ def domains_of_ports(ports: set[int]) -> tuple[int, ...]:
 
 
 def _firewalls() -> list[str]:
-    """Those that can be seen: ufw by its configuration, firewalld by its process, nftables by asking (root only)."""
+    """Return the active firewalls: ufw by its configuration, firewalld by its process, nftables by its rules (root)."""
     found = []
     ufw = Path("/etc/ufw/ufw.conf")
     if ufw.is_file() and "ENABLED=yes" in ufw.read_text(errors="replace"):

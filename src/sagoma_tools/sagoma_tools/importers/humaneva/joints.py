@@ -39,7 +39,7 @@ class Instants:
 
     @classmethod
     def of(cls, positions: np.ndarray, count: int) -> Instants:
-        """Of 1-based positions (F,) in a file of ``count`` mocap frames."""
+        """Build from 1-based positions (F,) in a file of ``count`` mocap frames."""
         lower, upper = np.floor(positions).astype(int) - 1, np.ceil(positions).astype(int) - 1
         inside = (lower >= 0) & (upper < count)
         last = count - 1
