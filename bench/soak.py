@@ -105,7 +105,9 @@ class Soak:
         supervisor = stage.supervisor
         self._probe = ExposureProbe(supervisor.node, hz)
         self._exposures = Rows(out / "exposures.csv", "number unix_s cameras missing age_ms tracked")
-        self._processes = Rows(out / "processes.csv", "unix_s process pid rss_mib uss_mib threads handles cpu_s")
+        self._processes = Rows(
+            out / "processes.csv", "unix_s process pid rss_mib uss_mib anon_mib shm_mib threads handles cpu_s"
+        )
         self._counters = Rows(out / "counters.csv", "unix_s node pid " + " ".join(COUNTERS))
         self._machine = Rows(out / "machine.csv", "unix_s load logs_mib")
         self._faults = Rows(out / "faults.csv", "kind target strength begun_s ended_s recovered_s")

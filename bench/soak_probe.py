@@ -134,18 +134,33 @@ class Rows:
         self._file.close()
 
 
-def resources(pids: Mapping[str, int]) -> dict[str, tuple[int, float, float, int, int, float]]:
-    """Label of each living process -> pid, resident and unshared memory (MiB), threads, file handles, CPU time (s)."""
+def resources(pids: Mapping[str, int]) -> dict[str, tuple[int, float, float, float, float, int, int, float]]:
+    """Label of each living process -> pid, memory (MiB), threads, file handles, CPU time (s).
+
+    Memory: resident; unshared; anonymous, which is what the process has asked for (heaps, arrays, stacks); and shared
+    (the middleware's segments). Unshared memory rises, too, when another process lets go of a page of a library.
+    """
     found = {}
     for label, pid in pids.items():
         try:
             process = psutil.Process(pid)
             memory, cpu = process.memory_full_info(), process.cpu_times()
-            held = (memory.rss / 2**20, memory.uss / 2**20, process.num_threads(), process.num_fds())
-        except psutil.Error:
+            parts = memory_parts(pid)
+            held = (memory.rss / 2**20, memory.uss / 2**20, *parts, process.num_threads(), process.num_fds())
+        except (psutil.Error, OSError):
             continue
         found[label] = (pid, *held, cpu.user + cpu.system)
     return found
+
+
+def memory_parts(pid: int) -> tuple[float, float]:
+    """Return the anonymous and the shared memory that is resident, MiB (proc(5), /proc/PID/status)."""
+    kib = dict.fromkeys(("RssAnon", "RssShmem"), 0)
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        name, _, value = line.partition(":")
+        if name in kib:
+            kib[name] = int(value.split()[0])
+    return kib["RssAnon"] / 1024, kib["RssShmem"] / 1024
 
 
 def folder_mib(folder: Path) -> float:

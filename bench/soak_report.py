@@ -20,7 +20,8 @@ from capture_rig.errors import InputError
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-HELD = {"rss_mib": "resident MiB", "uss_mib": "own MiB", "threads": "threads", "handles": "handles"}
+HELD = {"rss_mib": "resident MiB", "uss_mib": "unshared MiB", "anon_mib": "anonymous MiB", "shm_mib": "shared MiB"}
+HELD |= {"threads": "threads", "handles": "handles"}
 EDGE_S = 2.0  # before a fault begins is noticed, and after it is over: sets under way
 IN_FLIGHT = 16  # frames on their way between two counters, at most: some a camera
 
@@ -229,10 +230,10 @@ def draw(path: Path, processes: Rows, exposures: Rows, faults: Rows) -> None:
     for k, label in enumerate(labels):
         of = processes["process"] == label
         hours = (processes["unix_s"][of] - began_s) / 3600.0
-        axes[0].plot(hours, processes["uss_mib"][of], label=label, color=f"C{k}", linewidth=1)
+        axes[0].plot(hours, processes["anon_mib"][of], label=label, color=f"C{k}", linewidth=1)
         axes[1].plot(hours, processes["handles"][of], color=f"C{k}", linewidth=1)
         axes[1].plot(hours, processes["threads"][of], color=f"C{k}", linewidth=1, linestyle=":")
-    axes[0].set(ylabel="own memory, MiB", ylim=(0, None))
+    axes[0].set(ylabel="anonymous memory, MiB", ylim=(0, None))
     axes[0].legend(ncol=len(labels), fontsize=8, loc="upper right")
     axes[1].set(ylabel="file handles, threads (dotted)")
     minutes = per_minute(exposures, began_s)
