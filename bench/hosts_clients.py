@@ -48,6 +48,7 @@ START_S, RECOVER_S, LOOK_S = 300.0, 120.0, 0.05
 SETTLE_S, CUT_S, ABSENT_S, LATEST_S, DOCTOR_S = 2.0, 5.0, 8.0, 1.0, 5.0
 JUMBO = 9000
 NEIGHBOUR_HZ = 60.0
+STANDS_S, SECOND_NS = 5.0, 1_000_000_000  # in the T-pose, once tracked
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,9 @@ class CameraPC:
         """Whether the camera serves its control channel."""
         return self._control.exists()
 
-    def occupy(self) -> None:
-        """Let the person into the room that this camera sees."""
-        ask({"do": "room", "state": "occupied"}, self._control)
+    def ask(self, do: str, **words: Any) -> None:
+        """Ask something of the camera's studio (`sagoma studio`)."""
+        ask({"do": do, **words}, self._control)
 
     def start(self, **environment: str) -> float:
         """Switch the PC on: its programs start, as a service does at boot; returns when, s of the monotonic clock."""
@@ -150,10 +151,7 @@ class ClientDrill:
         for pc in self.pcs.values():
             pc.start()
         self._learn()
-        for pc in self.pcs.values():
-            pc.occupy()
-        self.wait("a tracked body", lambda: self.witness.tracked_since(0.0), START_S)
-        time.sleep(2 * ACTED_S * SLOWER)  # the person has been seen in every pose, the body's sizes are known
+        self._let_in()
 
     @property
     def last(self) -> CameraPC:
@@ -174,6 +172,18 @@ class ClientDrill:
             if time.monotonic() > deadline_s:
                 raise RuntimeError(f"not every background was learned: {self.folder}")
             self._sagoma(*words, log="background").wait()
+
+    def _let_in(self) -> None:
+        """Let the person in, who stands in the T-pose until tracked, and then moves before all cameras at once."""
+        for pc in self.pcs.values():
+            pc.ask("hold")
+            pc.ask("room", state="occupied")
+        self.wait("a tracked body", lambda: self.witness.tracked_since(0.0), START_S)
+        time.sleep(STANDS_S)
+        self.begin_ns = (time.time_ns() // SECOND_NS + 2) * SECOND_NS
+        for pc in self.pcs.values():
+            pc.ask("play", at_ns=self.begin_ns, loop=True)
+        time.sleep(STANDS_S)
 
     def _knows_all(self) -> bool:
         return bool(self.witness.known) and len(self.witness.known[-1]["known"]) == len(self.pcs)
@@ -216,7 +226,7 @@ class ClientDrill:
         _, p50_ms, p95_ms = self.witness.answered(begin_ns, seconds)
         if "SAGOMA_KEEP" in os.environ:
             (self.folder / f"points_{name}.json").write_text(json.dumps(self.witness.points))
-        errors_mm = self.witness.errors_mm(self._truth, FPS, begin_ns, seconds)
+        errors_mm = self.witness.errors_mm(self._truth, (self.begin_ns, FPS), begin_ns, seconds)
         exposed = seconds * self.hz
         error_mm = float(errors_mm.mean()) if len(errors_mm) else float("nan")
         says = self.witness.said_mostly(begin_s, begin_s + seconds)

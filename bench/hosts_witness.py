@@ -104,11 +104,14 @@ class Witness:
         ages = [each["age_ms"] for each in _between(self.answers, begin_ns, seconds)]
         return len(ages), *map(float, np.percentile(ages or [float("nan")], (50, 95)))
 
-    def errors_mm(self, truth: Truth, fps: float, begin_ns: int, seconds: float) -> np.ndarray:
-        """(N, 15) how far the points tracked in that time are from a truth that is shown in a loop since 1970."""
-        rows = _between(self.points, begin_ns, seconds)
-        stamps_s = 1e-9 * np.array([each["stamp_ns"] for each in rows], float).reshape(-1)
-        frames = np.floor(stamps_s * fps + EARLY_FRAMES).astype(int) % len(truth.frames)
+    def errors_mm(self, truth: Truth, shown: tuple[int, float], begin_ns: int, seconds: float) -> np.ndarray:
+        """(N, 15) how far the points tracked in that time are from a truth that is ``shown`` in a loop.
+
+        shown : since when, ns, and how many of its frames a second.
+        """
+        rows, (since_ns, fps) = _between(self.points, begin_ns, seconds), shown
+        played_s = 1e-9 * np.array([each["stamp_ns"] - since_ns for each in rows], float).reshape(-1)
+        frames = np.floor(played_s * fps + EARLY_FRAMES).astype(int) % len(truth.frames)
         points = np.array([each["points"] for each in rows], float).reshape(-1, 15, 3)
         return 1e3 * np.linalg.norm(truth.comparable(points) - truth.points_world[frames], axis=-1)
 

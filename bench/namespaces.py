@@ -198,9 +198,15 @@ class Cable:
         """Put it in again."""
         sh(f"ip link set {self.port} up")
 
+    def pass_multicast(self, passes: bool) -> None:
+        """Let the bridge hand multicast packets on to this host, or not, in whatever condition the cable is."""
+        for port in (self.port, self._outer):
+            with contextlib.suppress(subprocess.CalledProcessError):  # it is no port of the bridge now
+                sh(f"ip link set {port} type bridge_slave mcast_flood {'on' if passes else 'off'}")
+
     def _join(self, port: str) -> None:
         sh(f"ip link set {port} master {BRIDGE}")
-        sh(f"ip link set {port} type bridge_slave mcast_flood {'on' if self._world.multicast else 'off'}")
+        self.pass_multicast(self._world.multicast)
 
     def set_host_mtu(self, mtu: int | None) -> None:
         """Let the host alone send packets of another size than the bridge takes; None: as the cable was made."""
@@ -253,6 +259,12 @@ class World:
     def faults_by(self) -> str:
         """What treats single packets here."""
         return "netem" if self.has_netem else "the link emulator"
+
+    def pass_multicast(self, passes: bool) -> None:
+        """Let the bridge hand on multicast packets, or not."""
+        self.multicast = passes
+        for cable in self.cables.values():
+            cable.pass_multicast(passes)
 
     def set_all(self, condition: Condition) -> None:
         """Put every cable into this condition."""

@@ -10,9 +10,12 @@ import psutil
 import pytest
 from namespaces import Condition, inside, netem_words, tbf_words, why_not
 
-PATIENCE_S = 30.0
+PATIENCE_S, DRILL_S = 30.0, 900.0
 ROOT = Path(__file__).resolve().parents[1]
-FAULTS = ("none", "clock 2 s", "clock 40 ms", "100 Mbit/s", "loss", "MTU", "domain", "vanished")
+FAULTS = (
+    *("none", "clock 2 s", "clock 40 ms", "100 Mbit/s", "loss", "MTU", "domain", "vanished"),
+    *("localhost", "missing peer", "no multicast", "firewall", "two servers", "profile"),
+)
 AWAY, AWAY_ADDRESS = "camera cam02", "machine 10.66.0.3"
 
 
@@ -30,10 +33,10 @@ def test_conditions_in_the_words_of_the_kernel():
     assert " ".join(tbf_words(Condition(rate_mbit=1000.0))) == "tbf rate 1000mbit burst 125000 latency 50ms"
 
 
-def run_drill(*options):
+def run_drill(*options, hz=20):
     """The rows of bench/hosts.py by name."""
-    command = [sys.executable, str(ROOT / "bench/hosts.py"), "--quick", "--cameras", "3", "--hz", "20", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=500.0, check=True)
+    command = [sys.executable, str(ROOT / "bench/hosts.py"), "--quick", "--cameras", "3", "--hz", f"{hz}", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DRILL_S, check=True)
     return {row["name"]: row for row in json.loads(done.stdout.splitlines()[-1])["rows"]}
 
 
@@ -53,6 +56,24 @@ def test_sets_are_whole_where_silhouettes_are_sent_again_and_a_host_that_vanishe
 def test_hosts_find_each_other_by_unicast_where_the_network_passes_no_multicast(needs_namespaces):
     rows = run_drill("--peers", "--only", "plain")
     assert rows["plain"]["complete"] > 0.9
+
+
+@pytest.mark.slow
+def test_sets_are_whole_again_once_a_cut_cable_is_mended(needs_namespaces):
+    rows = run_drill("--only", "cable")
+    camera, server = rows["cable cut for 3 s, of cam03"], rows["cable cut for 3 s, of server"]
+    assert camera["complete"] < 0.5 and camera["formed"] > 0.7  # the others go on
+    assert server["formed"] < 0.5
+    assert camera["recovered_s"] is not None and server["recovered_s"] is not None
+
+
+@pytest.mark.slow
+def test_a_camera_pc_that_vanished_sends_masks_again_once_it_is_switched_on(needs_namespaces):
+    rows = run_drill("--clients", "--only", "a host vanishes", hz=5)
+    gone = rows["a host vanishes"]
+    assert gone["complete"] == 0.0 and gone["formed"] > 0.7 and gone["tracked"] > 0.5
+    assert gone["noticed_s"] is not None and gone["recovered_s"] is not None
+    assert "camera cam03: node.missing" in gone["found"] and "answer.none" in gone["found"]
 
 
 def left_behind():
@@ -120,6 +141,13 @@ def said(needs_namespaces, tmp_path_factory):
         ("loss", AWAY_ADDRESS, "packets.lost", "did not come back"),
         ("MTU", AWAY_ADDRESS, "mtu.too_large", "9000 bytes"),
         ("domain", AWAY, "node.missing", "ROS_DOMAIN_ID 4 on 10.66.0.3"),
+        ("domain", AWAY_ADDRESS, "domain.differs", "ROS_DOMAIN_ID 4, this doctor in 3"),
+        ("localhost", AWAY_ADDRESS, "discovery.local", "LOCALHOST there"),
+        ("missing peer", AWAY_ADDRESS, "peers.missing", "10.66.0.99"),
+        ("no multicast", AWAY_ADDRESS, "multicast.blocked", "does not arrive here"),
+        ("firewall", AWAY_ADDRESS, "firewall.drops", "UDP 8150 to 8399"),
+        ("two servers", "hull_server", "node.duplicate", "2 nodes call themselves /hull_server (here, on 10.66.0.3)"),
+        ("profile", AWAY_ADDRESS, "profile.differs", "other.xml"),
         ("vanished", AWAY, "node.missing", "its machine vanished"),
         ("vanished", AWAY_ADDRESS, "answer.none", "does not answer"),
     ],

@@ -4,6 +4,7 @@ hosts_faults.py FOLDER FAULT ... ; of each fault a line: its name, a tab, and wh
 """
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -23,15 +24,30 @@ LIFE_S = "600"
 ANSWERS = """
 import sys, threading
 from sagoma_tools.doctor.machine.link_probe import answer
+from sagoma_tools.doctor.machine.peer_settings import told_here
 clock = lambda now_ns: now_ns + round(1e9 * float(sys.argv[1]))
-answer(threading.Event(), clock_ns=clock, begun=lambda: print("ready", flush=True))
+answer(threading.Event(), clock_ns=clock, begun=lambda: print("ready", flush=True), settings=told_here)
 """
+ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+ELSEWHERE = {**ALONE, "ROS_STATIC_PEERS": "10.66.0.99"}
+A_SERVER = """
+import threading
+from doctor_fake_nodes import FakeGraph
+with FakeGraph([], ["hull_server", "icp_tracker", "ekf_tracker"]):
+    threading.Event().wait()
+"""
+NOTHING_BUT_OUR_PROBES = (
+    "ip rule add pref 100 lookup local",
+    "ip rule del pref 0",
+    "ip rule add pref 10 iif eth0 ipproto udp dport 7400-9000 blackhole",
+)  # a firewall where there is no netfilter
+NO_FIREWALL = ("ip rule del pref 10", "ip rule add pref 0 lookup local", "ip rule del pref 100")
 
 
 def start(world, camera, environment, lead_s=0.0):
     """Start a camera's nodes and what answers the doctor, both by a clock that is so far ahead."""
     host = world.hosts[camera]
-    for command in ([NODES, LIFE_S, f"{camera},lead={lead_s}"], ["-c", ANSWERS, str(lead_s)]):
+    for command in ([NODES, LIFE_S, f"{camera},lead={lead_s}", "--ros-args"], ["-c", ANSWERS, str(lead_s)]):
         process = host.start([sys.executable, *command], environment, stdout=subprocess.PIPE, text=True)
         assert process.stdout.readline() == "ready\n"
 
@@ -72,6 +88,21 @@ def with_fault(fault, world, environment, rig):
         world.cables[SERVER].set_host_mtu(9000)
     elif fault == "domain":
         restart(world, {**environment, "ROS_DOMAIN_ID": OTHER_DOMAIN})
+    elif fault == "localhost":
+        restart(world, {**environment, **ALONE})
+    elif fault == "missing peer":
+        restart(world, {**environment, **ELSEWHERE})
+    elif fault == "no multicast":
+        world.pass_multicast(False)
+        restart(world, environment)
+    elif fault == "firewall":
+        on_host(world, NOTHING_BUT_OUR_PROBES)
+        restart(world, environment)
+    elif fault == "profile":
+        restart(world, {**environment, PROFILE_VARIABLE: rig.replace("rig.yaml", "other.xml")})
+    elif fault == "two servers":
+        for host in (SERVER, AWAY):
+            world.hosts[host].start([sys.executable, "-c", A_SERVER], environment)
     elif fault == "vanished":
         cable.cut()
         world.hosts[AWAY].kill()
@@ -79,10 +110,20 @@ def with_fault(fault, world, environment, rig):
     found = examine(world, environment, rig)
     cable.mend()
     cable.set(Condition())
+    world.pass_multicast(True)
+    if fault == "firewall":
+        on_host(world, NO_FIREWALL)
     world.cables[SERVER].set_host_mtu(None)
-    if fault in (*LEAD_S, "domain", "vanished"):
+    world.hosts[SERVER].kill()
+    if fault not in ("none", "100 Mbit/s", "loss", "MTU"):
         restart(world, environment)
     return found
+
+
+def on_host(world, commands):
+    """Run commands on the host that has the fault."""
+    for command in commands:
+        subprocess.run(world.hosts[AWAY].enter(command.split()), check=True)
 
 
 def main(folder, *faults):
@@ -90,6 +131,7 @@ def main(folder, *faults):
     os.environ.update(environment)
     rig = str(Path(folder) / "rig.yaml")
     save_rig(RIG, rig)
+    shutil.copy(profile_file(), Path(folder) / "other.xml")
     with World([SERVER, *HOSTS]) as world:
         for camera in HOSTS:
             start(world, camera, environment)

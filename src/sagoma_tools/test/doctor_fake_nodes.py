@@ -1,6 +1,6 @@
 """Nodes that look like a graph's from outside, well or ill as asked, for the doctor's tests. Runs as a program too:
 
-doctor_fake_nodes.py SECONDS CAMERA[,blank][,large][,lead=S] ...
+doctor_fake_nodes.py SECONDS CAMERA[,blank][,large][,lead=S] ... [--ros-args]
 """
 
 import contextlib
@@ -121,6 +121,6 @@ def parse(text):
 
 
 if __name__ == "__main__":
-    with FakeGraph([parse(text) for text in sys.argv[2:]]):
+    with FakeGraph([parse(text) for text in sys.argv[2:] if text != "--ros-args"]):
         print("ready", flush=True)
         threading.Event().wait(float(sys.argv[1]))

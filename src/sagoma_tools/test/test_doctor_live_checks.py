@@ -12,9 +12,9 @@ from camera_client.condition_findings import condition_findings, findings_text
 from camera_client.movement.detector import MovementState
 from capture_rig.verdict import Finding
 from sagoma_tools.doctor.findings import Severity
-from sagoma_tools.doctor.graph.collect import machine_of
-from sagoma_tools.doctor.graph.facts import Announcement, Canvas, FrameSetFacts, GraphFacts, NodeFacts, SilhouetteFacts
+from sagoma_tools.doctor.graph.facts import Canvas, FrameSetFacts, GraphFacts, NodeFacts, SilhouetteFacts
 from sagoma_tools.doctor.graph.graph_checks import canvas_of, graph_findings
+from sagoma_tools.doctor.machine.announcements import Announcement, machine_of
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)

@@ -16,6 +16,7 @@ from ..doctor.graph.graph_checks import LIVE_S, examine_graph
 from ..doctor.machine.collect import examine_machine
 from ..doctor.machine.link_probe import PORT, answer
 from ..doctor.machine.network import examine_hosts
+from ..doctor.machine.peer_settings import examine_peer, told_here
 from ..doctor.rig_checks import examine_rig
 from ..graph.ros_link import StopOnSignal
 from ..progress_line import until_stopped
@@ -83,7 +84,7 @@ def serve() -> int:
     with StopOnSignal() as stop:
         text = f"answering `sagoma doctor --host` on UDP port {PORT}; Ctrl-C ends it"
         until_stopped(text)
-        answer(stop, begun=lambda: print(text, flush=True))
+        answer(stop, begun=lambda: print(text, flush=True), settings=told_here)
     return 0
 
 
@@ -96,6 +97,8 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     for path in args.camera:
         yield from examine(path, args.open, host_too=False)
     yield from examine_hosts(args.host)
+    for address in args.host:
+        yield from examine_peer(address)
     if args.session is not None or args.rig is not None:
         yield from examine_rig(args.rig, args.session, args.intrinsics)
     if args.live:

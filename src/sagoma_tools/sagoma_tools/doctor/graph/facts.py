@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ..machine.announcements import Announcement
+
 OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 
 
@@ -13,7 +15,8 @@ class NodeFacts:
     """One node of the graph.
 
     state : its lifecycle state, None when it did not answer; round_trip_s : its fastest answer.
-    machine : which machine it runs on, by the middleware's number; copies : how many nodes have this name.
+    machine : which machine it runs on, by the middleware's number; copies : how many nodes have this name, machines :
+        where they run.
     reports : diagnostics heard, the last one's level, message and values; rate_hz : how often.
     lead_s : of each report, its stamp (the node's clock) minus its arrival (ours): never more than what the clocks
         differ by, and less by the time it took.
@@ -30,6 +33,7 @@ class NodeFacts:
     rate_hz: float = 0.0
     lead_s: tuple[float, ...] = ()
     round_trip_s: float | None = None
+    machines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,15 +85,6 @@ class FrameSetFacts:
     points: tuple[int, ...] = ()
     missing: Mapping[str, int] = field(default_factory=dict)
     left_out: Mapping[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Announcement:
-    """A process of this ROS domain announced itself from this address; ``machine`` as in :class:`NodeFacts`."""
-
-    domain: int
-    address: str
-    machine: str
 
 
 @dataclass(frozen=True)

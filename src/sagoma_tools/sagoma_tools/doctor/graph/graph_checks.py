@@ -18,6 +18,7 @@ from .node_checks import (
     USUAL_PERIOD_S,
     camera_node,
     camera_of,
+    check_alone,
     check_clock,
     check_node,
     check_standing,
@@ -245,6 +246,7 @@ def canvas_of(camera: CameraModel) -> Canvas:
 
 
 def _check_node(node: NodeFacts, facts: GraphFacts, room_empty: bool) -> Iterator[Finding]:
+    yield from check_alone(node, facts)
     yield from check_node(node, room_empty)
     yield from check_watch(node)
     if not facts.simulated_time:

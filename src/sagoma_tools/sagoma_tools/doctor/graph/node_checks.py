@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 
 from camera_client.condition_findings import KEY as FINDINGS_KEY
@@ -12,7 +13,7 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ...graph.diagnostics_table import NodeReport
 from ..findings import Finding, error, note, ok, warning
-from .facts import ERROR, WARN, NodeFacts
+from .facts import ERROR, WARN, GraphFacts, NodeFacts
 
 CAMERA_NODE = "camera_client"
 ACTIVE = "active"
@@ -43,11 +44,18 @@ def camera_of(node: str) -> str:
     return space.strip("/") if name == CAMERA_NODE else ""
 
 
+def check_alone(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
+    """Check that no other node has its name."""
+    if node.copies > 1:
+        places = Counter(map(facts.machine_name, node.machines))
+        listed = ", ".join(place if count == 1 else f"{count} {place}" for place, count in places.items())
+        where = f" ({listed})" if listed else ""
+        remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
+        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}{where}", remedy)
+
+
 def check_node(node: NodeFacts, room_empty: bool = False) -> Iterator[Finding]:
     """Check that it answers, reports, is active and well; ``room_empty``: no camera sees a person, masks are empty."""
-    if node.copies > 1:
-        remedy = "Stop all but one: the same camera or server was started twice."
-        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
     if node.state is None and not node.reports:
         text = f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here"
         yield error("node.silent", text, UNREACHABLE)

@@ -1,4 +1,4 @@
-"""Measures the link to another machine with a program at its other end: clock, loss and bandwidth.
+"""Measures the link to another machine with a program at its other end: clock, loss, bandwidth; asks its settings.
 
 There, `sagoma doctor --answer` serves; here :func:`measure_link` asks, and sends to nobody else. The clock's offset is
 that of the exchange with the shortest round trip (NTP: RFC 5905, 8); its error is at most half of that. Bandwidth is
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 PORT = 7398  # below all ROS domains' ports, which begin at 7400
 MAGIC = b"SGWY"
-PING, PONG, CAR, ASK, REPORT = range(5)
+PING, PONG, CAR, ASK, REPORT, ASK_SETTINGS, SETTINGS = range(7)
 PACKET = struct.Struct("<4sBIqqq")  # magic, kind, number, three times or counts
 SO_TIMESTAMPNS, TIMESPEC = 35, struct.Struct("qq")  # asm-generic/socket.h: stamps as two 64-bit numbers
 PINGS, PING_PERIOD_S = 500, 1e-3  # half a second: a loss of 1 % is five of them
@@ -57,16 +57,31 @@ def measure_link(address: str, port: int = PORT) -> LinkFacts | None:
     return LinkFacts(1e-9 * offset_ns, 0.5e-9 * trip_ns, 1 - len(exchanges) / PINGS, max(rates, default=None))
 
 
+def ask_settings(address: str, port: int = PORT) -> tuple[bytes, str] | None:
+    """Ask a machine for its settings; returns them and our own address on that link, None without an answer."""
+    with _socket() as link:
+        link.connect((address, port))
+        link.settimeout(PATIENCE_S)
+        for _ in range(TRIES):
+            _send(link, _pack(ASK_SETTINGS, 0, 0, 0, 0) + bytes(CAR_BYTES - PACKET.size))
+            while (came := _receive(link)) is not None:
+                if PACKET.unpack_from(came[0])[1] == SETTINGS:
+                    return came[0][PACKET.size :], str(link.getsockname()[0])
+    return None
+
+
 def answer(
     stop: threading.Event,
     address: str = "",
     port: int = PORT,
     clock_ns: Callable[[int], int] = lambda now_ns: now_ns,
     begun: Callable[[], object] = lambda: None,
+    settings: Callable[[], bytes] = bytes,
 ) -> None:
     """Answer questions until ``stop`` is set; call ``begun`` once they are heard.
 
-    ``clock_ns`` turns the machine's time into that of this clock. Raises OSError where the port is taken.
+    ``clock_ns`` turns the machine's time into that of this clock; ``settings`` returns what is told of it, cut to the
+    size of the question. Raises OSError where the port is taken.
     """
     with _socket() as link:
         link.bind((address, port))
@@ -87,6 +102,8 @@ def answer(
                 trains[sender[0], number].append((at_ns, len(packet)))
             elif kind == ASK:
                 link.sendto(_pack(REPORT, number, *_measured(trains.get((sender[0], number), [])), 0), sender)
+            elif kind == ASK_SETTINGS:
+                link.sendto((_pack(SETTINGS, number, 0, 0, 0) + settings())[: len(packet)], sender)
 
 
 def _measured(cars: list[tuple[int, int]]) -> tuple[int, int]:

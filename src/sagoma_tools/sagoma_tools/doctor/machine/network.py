@@ -135,11 +135,11 @@ def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
 def collect_reach(address: str) -> ReachFacts:
     """Send a few packets to ``address``, and only there."""
     interface = collect_interface(address)
-    if interface is None or not _arrives(address, SMALL_BYTES):
+    if interface is None or not arrives(address, SMALL_BYTES):
         return ReachFacts(address, interface)
     largest_tried = min(interface.mtu, max(SIZES))
     sizes = [largest_tried, *(size for size in SIZES if size < largest_tried)]
-    return ReachFacts(address, interface, True, next((size for size in sizes if _arrives(address, size)), 0))
+    return ReachFacts(address, interface, True, next((size for size in sizes if arrives(address, size)), 0))
 
 
 def check_reach(facts: ReachFacts) -> Iterator[Finding]:
@@ -194,12 +194,12 @@ def _rate(mbit: float) -> str:
     return f"{mbit:.0f} Mbit/s" if mbit < FAST_MBIT else f"more than {FAST_MBIT:.0f} Mbit/s"
 
 
-def _arrives(address: str, size: int) -> bool:
+def arrives(address: str, size: int, port: int = CLOSED_PORT) -> bool:
     """Return whether a packet of ``size`` bytes, headers included, is answered by "port unreachable"."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(REPLY_S)
         link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
-        link.connect((address, CLOSED_PORT))
+        link.connect((address, port))
         for _ in range(ATTEMPTS):
             try:
                 link.send(bytes(size - HEADERS))
