@@ -8,8 +8,8 @@ resolve them; they are encoded as camera clients send them. Every configuration 
 each: what else the machine does falls on all. Times are processor time of one thread, mean of a set, from the encoded
 masks to the filtered pose, without middleware. Stages that are due a few times a second count with their share.
 
-Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked, as the graph
-does today, so tracker and filter do not depend on their number.
+Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked here, so that
+tracker and filter do not depend on their number (bench/people_together.py measures what each person costs them).
 
 Cameras beyond twelve are calculated: for each stage a straight line over 4 to 12 cameras, by least squares, or a
 parabola where every camera is compared with every other (shadows, consistency). With --beyond N that many are simulated
