@@ -2,20 +2,23 @@
 
 A graph plays a session over and over; the page runs in a process of its own, and a headless Chromium opens and leaves
 it. Each turn measures, one after the other: nobody looks; somebody looks; somebody looks at the cameras' pictures, too.
-The browser's own processor time is not counted. Frames a second are those that the browser draws, by its
-requestAnimationFrame.
+Frames a second are those in which the browser painted the scene, and of these the ones that show somebody in a new
+pose: no more than the graph tracks. The browser has no GPU, and its processor time is that of all its processes.
+`--before TREE` measures the page of another tree in turns with this one's.
 
-    python bench/page.py SESSION [--turns 3] [--seconds 10] [--rate 0.5]
+    python bench/page.py SESSION [--turns 3] [--seconds 10] [--rate 0.5] [--before TREE]
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import subprocess
 import sys
 import time
 from collections import defaultdict
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -26,10 +29,22 @@ from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, PREDICTION_TOPIC, message_class, type_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
-from browser import Browser, browser
+from browser import Browser, Painted, browser
 
 PHASES = ("nobody looks", "watched", "with pictures")
 SETTLE_S = 2.0  # from a change until it is measured: subscriptions are made and left once a second
+WINDOW = 1280, 860
+FRAMES_UNTIL_READY = 60  # shaders are compiled, and the canvas has the resolution that the browser can hold
+TREE = str(Path(__file__).resolve().parents[1])
+TITLES = {
+    "page": "page, % of a core",
+    "graph": "graph, ms a set",
+    "rate": "sets/s",
+    "frames": "painted/s",
+    "poses": "new poses/s",
+    "browser": "browser, %",
+    "frame": "ms a frame",
+}
 COMMAND = [sys.executable, "-m", "sagoma_tools.cli"]
 
 
@@ -40,15 +55,33 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=10.0, help="of each phase")
     parser.add_argument("--rate", default="0.5", help="speed of the footage")
+    parser.add_argument("--before", help="another tree, whose page is measured in turns with this one's")
     args = parser.parse_args()
     with TemporaryDirectory() as folder, Started("up", args.session, "--loop", "--rate", args.rate, folder) as graph:
-        view = [*COMMAND, "view", "--port", "0", "--takes", f"{folder}/takes", "--rig", f"{args.session}/rig.yaml"]
-        page = subprocess.Popen(view, stdout=subprocess.PIPE, text=True)
-        try:
-            measure(args, graph.process, page)
-        finally:
-            page.terminate()
-            page.wait()
+        pages = {f"{Path(tree).name}: " if args.before else "": tree for tree in filter(None, (args.before, TREE))}
+        with ExitStack() as stack, Sets() as sets:
+            viewers = {name: stack.enter_context(Viewer(tree, args.session, folder)) for name, tree in pages.items()}
+            measure(args, graph.process, viewers, sets)
+
+
+class Viewer:
+    """The page of a tree, in a process of its own; address : where it is served."""
+
+    def __init__(self, tree: str, session: str, folder: str) -> None:
+        view = ["view", "--port", "0", "--takes", f"{folder}/takes", "--rig", f"{session}/rig.yaml"]
+        packages = os.pathsep.join(sorted(str(path) for path in Path(tree, "src").iterdir()))
+        environment = {**os.environ, "PYTHONPATH": packages}
+        self._popen = subprocess.Popen([*COMMAND, *view], stdout=subprocess.PIPE, text=True, env=environment)
+
+    def __enter__(self) -> Viewer:
+        assert self._popen.stdout is not None
+        self.address = next(match[1] for line in self._popen.stdout if (match := re.search(r"page: (http\S+)", line)))
+        self.process = psutil.Process(self._popen.pid)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._popen.terminate()
+        self._popen.wait()
 
 
 class Started:
@@ -67,36 +100,32 @@ class Started:
         self.process.wait()
 
 
-def measure(args: argparse.Namespace, graph: psutil.Process, page: subprocess.Popen[str]) -> None:
-    """Go through all turns."""
-    assert page.stdout is not None
-    address = next(match[1] for line in page.stdout if (match := re.search(r"the page: (http\S+)", line)))
-    viewer = psutil.Process(page.pid)
+def measure(args: argparse.Namespace, graph: psutil.Process, viewers: dict[str, Viewer], sets: Sets) -> None:
+    """Go through all turns, and print the medians."""
     used: dict[str, list[dict[str, float]]] = defaultdict(list)
-    with Sets() as sets:
-        with browser(800, 600) as tab:  # until somebody is tracked
-            tab.open(address)
+    for viewer in viewers.values():
+        with browser(*WINDOW) as tab:  # until somebody is tracked
+            tab.open(viewer.address)
             tab.wait_for_text("tracking: ")
-        for _ in range(args.turns):
+    for _ in range(args.turns):
+        for name, viewer in viewers.items():
             time.sleep(SETTLE_S)
-            used[PHASES[0]].append(measured(viewer, graph, sets, args.seconds, None))
-            with browser(800, 600) as tab:  # a tab that goes elsewhere keeps its connection for a while
+            used[name + PHASES[0]].append(measured(viewer.process, graph, sets, args.seconds, None))
+            with browser(*WINDOW) as tab:  # a tab that goes elsewhere keeps its connection for a while
+                tab.count_frames()
                 for phase in PHASES[1:]:
-                    enter(tab, address, phase)
-                    used[phase].append(measured(viewer, graph, sets, args.seconds, tab))
-    print(f"{'':16s}{'page, % of a core':>20s}{'graph, ms a set':>18s}{'sets/s':>9s}{'browser fps':>13s}")
+                    enter(tab, viewer.address, phase)
+                    used[name + phase].append(measured(viewer.process, graph, sets, args.seconds, tab))
+    print(f"{'':20s}" + "".join(f"{title:>18s}" for title in TITLES.values()))
     for phase, rows in used.items():
-        page_percent, graph_ms, rate, fps = (
-            median(row[key] for row in rows) for key in ("page", "graph", "rate", "fps")
-        )
-        print(f"{phase:16s}{page_percent:20.2f}{graph_ms:18.2f}{rate:9.1f}{fps:13.1f}")
+        print(f"{phase:20s}" + "".join(f"{median(row[key] for row in rows):18.1f}" for key in TITLES))
 
 
 def enter(tab: Browser, address: str, phase: str) -> None:
     """Open the page, or switch the cameras' pictures on."""
     if phase == PHASES[1]:
         tab.open(address)
-        tab.wait_for_text("hull_server")
+        tab.wait_for(f"painted.frames > {FRAMES_UNTIL_READY}")
     else:
         tab.press("Cameras")
         tab.run("document.querySelectorAll('input[type=checkbox]')[1].click()")
@@ -107,14 +136,27 @@ def enter(tab: Browser, address: str, phase: str) -> None:
 def measured(
     viewer: psutil.Process, graph: psutil.Process, sets: Sets, seconds: float, tab: Browser | None
 ) -> dict[str, float]:
-    """Return the page's share of a core (%), the graph's processor time a set (ms), sets and frames a second."""
-    before = cpu_s(viewer), tree_cpu_s(graph), sets.count, time.monotonic()
-    fps = tab.frames_a_second(seconds) if tab is not None else float("nan")
+    """Return what :data:`TITLES` names."""
+    chromium = psutil.Process(tab.pid) if tab is not None else None
+
+    def used() -> list[float]:
+        drawn_s = tree_cpu_s(chromium) if chromium is not None else 0.0
+        return [cpu_s(viewer), tree_cpu_s(graph), drawn_s, sets.count, time.monotonic()]
+
+    before = used()
+    painted = tab.frames_a_second(seconds) if tab is not None else Painted(0.0, 0.0)
     if tab is None:
         time.sleep(seconds)
-    after = cpu_s(viewer), tree_cpu_s(graph), sets.count, time.monotonic()
-    page_s, graph_s, count, wall_s = (b - a for a, b in zip(before, after, strict=True))
-    return {"page": 100 * page_s / wall_s, "graph": 1e3 * graph_s / max(count, 1), "rate": count / wall_s, "fps": fps}
+    page_s, graph_s, drawn_s, count, wall_s = (b - a for a, b in zip(before, used(), strict=True))
+    return {
+        "page": 100 * page_s / wall_s,
+        "graph": 1e3 * graph_s / max(count, 1),
+        "rate": count / wall_s,
+        "frames": painted.frames,
+        "poses": painted.poses,
+        "browser": 100 * drawn_s / wall_s,
+        "frame": 1e3 * drawn_s / wall_s / max(painted.frames, 0.1),
+    }
 
 
 class Sets:

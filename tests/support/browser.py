@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from websockets.sync.client import connect
@@ -28,6 +28,37 @@ FIELD = """
     const field = box.querySelector('input[type=text], input:not([type])');
 """
 """JavaScript: the text field that follows a label."""
+COUNTER = """(() => {
+    const painted = window.painted = {frames: 0, poses: 0};
+    const people = () => {
+        const found = [];
+        window.__viserMutable?.scene?.traverse(node => { if (node.matricesTexture) found.push(node); });
+        return found;
+    };
+    let drew = false, place = null, shown = null, meshes = [], looked = -Infinity;
+    const where = () => meshes.map(mesh => Array.from(mesh.matricesTexture.image.data.subarray(12, 15))).join();
+    const prototype = WebGL2RenderingContext.prototype;
+    for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+        const draw = prototype[name];
+        prototype[name] = function (...all) {
+            if (!drew) { drew = true; place = where(); }
+            return draw.apply(this, all);
+        };
+    }
+    const request = window.requestAnimationFrame.bind(window);
+    const refreshed = now => {
+        if (drew) painted.frames += 1;
+        if (drew && place !== shown) { painted.poses += 1; shown = place; }
+        drew = false;
+        if (now - looked > 500) { meshes = people(); looked = now; }
+        request(refreshed);
+    };
+    request(refreshed);
+})();"""
+"""JavaScript: counts animation frames in which the scene is drawn, and those of them that draw somebody anew.
+
+Of every person the place of the first ball, as it is when the frame is drawn, tells one pose from another.
+"""
 LISTENING = re.compile(r"DevTools listening on (ws://\S+)")
 
 
@@ -39,11 +70,11 @@ def browser(width: int = 1400, height: int = 900) -> Iterator[Browser]:
         pytest.skip("no Chromium here: `apt install chromium`")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         flags = ["--headless=new", "--no-sandbox", "--remote-debugging-port=0", f"--user-data-dir={profile}"]
-        flags += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--window-size={width},{height}"]
+        flags += ["--enable-unsafe-swiftshader", f"--window-size={width},{height}"]
         flags += ["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"]
         process = subprocess.Popen([program, *flags, "about:blank"], stderr=subprocess.PIPE, text=True)
         try:
-            yield Browser(_debugging_address(process))
+            yield Browser(_debugging_address(process), process.pid)
         finally:
             process.terminate()
             process.wait()
@@ -60,7 +91,8 @@ def _debugging_address(process: subprocess.Popen[str]) -> str:
 class Browser:
     """One tab, by the Chrome DevTools protocol."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, pid: int) -> None:
+        self.pid = pid
         host = address.split("/")[2]
         with urllib.request.urlopen(f"http://{host}/json/list") as reply:
             tab = next(target for target in json.load(reply) if target["type"] == "page")
@@ -140,15 +172,25 @@ class Browser:
         """What the page looks like, as a PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
-    def frames_a_second(self, seconds: float) -> float:
-        """How often the page is drawn, on average."""
+    def frames_a_second(self, seconds: float) -> Painted:
+        """How often the scene was painted; the page must have been opened after :meth:`count_frames`."""
         script = f"""new Promise(resolve => {{
-            const begin = performance.now(); let frames = 0;
-            const draw = now => {{
-                frames += 1;
-                if (now - begin < {1e3 * seconds}) requestAnimationFrame(draw);
-                else resolve(1e3 * frames / (now - begin));
-            }};
-            requestAnimationFrame(draw);
+            const before = {{...painted}}, begin = performance.now();
+            setTimeout(() => {{
+                const took = (performance.now() - begin) / 1e3;
+                resolve([(painted.frames - before.frames) / took, (painted.poses - before.poses) / took]);
+            }}, {1e3 * seconds});
         }})"""
-        return float(self.run(script))
+        return Painted(*self.run(script))
+
+    def count_frames(self) -> None:
+        """Count, on the pages opened from now on, the frames that are painted."""
+        self.call("Page.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=COUNTER)
+
+
+class Painted(NamedTuple):
+    """Frames a second in which the scene was painted, and those of them that show somebody in a pose of their own."""
+
+    frames: float
+    poses: float

@@ -7,6 +7,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from sagoma_tools.view.client_script import SCRIPT
 from sagoma_tools.view.guard import COOKIE, Guard, guarded_server
 
 OURS = Guard.of("127.0.0.1")
@@ -73,7 +74,10 @@ def test_the_server_asks_the_guard_before_it_serves_the_page(port):
     redirect = get(port, "/?token=secret")
     assert redirect.status == 303 and "HttpOnly" in redirect.getheader("Set-Cookie")
     page = get(port, "/", Cookie=f"{COOKIE}=secret")
-    assert page.status == 200 and b"<html" in page.read().lower()
+    assert page.status == 200
+    body = page.read()
+    assert len(body) == int(page.getheader("Content-Length")) and page.getheader("Content-Encoding") == "identity"
+    assert body.index(b"<head>" + SCRIPT.encode()) < body.index(b"<title>")
 
 
 def test_the_server_refuses_connections_of_other_origins(port):

@@ -4,6 +4,7 @@ import io
 import time
 import zipfile
 
+import numpy as np
 import pytest
 import take_bags
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -11,13 +12,13 @@ from take_bags import EPOCH_NS, PERIOD_NS
 
 from capture_rig.errors import InputError
 from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
-from sagoma_tools.takes.folder import TakesFolder
+from sagoma_tools.takes.folder import TakesFolder, describe
 from sagoma_tools.takes.summary_file import finish_take
 from sagoma_tools.view.jobs import Jobs
-from sagoma_tools.view.playback import Playback
+from sagoma_tools.view.playback import Playback, last_frame
 from sagoma_tools.view.states import states_html, trouble_of
 from sagoma_tools.view.take_work import ALL_FORMATS, TakeWork
-from sagoma_tools.view.takes_panel import about_html
+from sagoma_tools.view.takes_panel import about_html, whole_range
 
 FRAMES = 50
 
@@ -100,18 +101,43 @@ def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes)
     playback = Playback.of(takes.find("walk"))
     assert playback.begins_ns == EPOCH_NS and playback.seconds == pytest.approx((FRAMES - 1) * PERIOD_NS / 1e9)
     playback.playing = False
+    now_s, figure = time.monotonic(), None
     for seconds, there in ((0.1, True), (0.3, False), (0.5, True)):  # frames 10 to 19 are lost
         playback.jump(seconds)
-        assert ("b0001" in playback.figures_at(time.monotonic())) is there
+        figures = playback.new_figures_at(now_s)
+        assert figures is not None and ("b0001" in figures) is there
         assert playback.position_s == seconds
-    figure = playback.figures_at(time.monotonic())["b0001"]
+        assert playback.new_figures_at(now_s) is None  # nothing new
+        figure = figures.get("b0001")
     assert figure.points_world[0, 1] == pytest.approx(0.25, abs=0.01)  # 1 cm a frame along y
     assert figure.sigma_m == pytest.approx(take_bags.SIGMA_M)
     playback.playing = True
+    playback.jump(0.5)
     now_s = time.monotonic()
-    playback.figures_at(now_s)
-    playback.figures_at(now_s + 0.2)
+    playback.new_figures_at(now_s)
+    playback.new_figures_at(now_s + 0.2)
     assert playback.position_s == pytest.approx(0.7, abs=0.1)
+
+
+def test_a_pose_is_held_over_sets_that_were_left_out(tmp_path):
+    path = take_bags.write_take(tmp_path / "gaps", FRAMES, missing=range(10, 13))
+    playback = Playback.of(describe(path))
+    playback.playing = False
+    playback.jump(0.24)  # frame 12
+    assert set(playback.new_figures_at(time.monotonic())) == {"b0001"}
+    assert last_frame(playback.motions["b0001"], EPOCH_NS + 12 * PERIOD_NS) == 9
+
+
+def test_curves_leave_out_the_twist_of_straight_limbs(takes):
+    playback = Playback.of(takes.find("walk"))  # of somebody in the T-pose: straight arms and legs
+    curves = {name: values for _, _, each in playback.plots("b0001") for (name, _), values in each.items()}
+    assert len(curves) == 16 and whole_range([curves["left shoulder y"]]) == (-30.0, 30.0)
+    for name, values in curves.items():
+        a_twist = name.endswith("shoulder y") or name.endswith("hip z")
+        assert np.isfinite(values).any() != a_twist, name
+    low, high = whole_range(curves.values())
+    assert low <= min(np.nanmin(values) for values in curves.values() if np.isfinite(values).any())
+    assert high > low and low % 30.0 == high % 30.0 == 0.0
 
 
 def test_what_the_page_says_of_a_take_cannot_be_markup(takes):

@@ -24,6 +24,8 @@ import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from .client_script import with_script
+
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 ANY_HOST = ("0.0.0.0", "::")
 COOKIE = "sagoma_view"
@@ -89,13 +91,19 @@ def guarded_server(guard: Guard, port: int) -> viser.ViserServer:
 
 @contextmanager
 def _serving(refusal: Callable[[str, Headers], Response | None]) -> Iterator[list[bool]]:
-    """While this lasts, servers of websockets refuse first and then do what they were told."""
+    """While this lasts, servers of websockets refuse first, and then serve as told, the page with our script."""
     original, served = websockets.asyncio.server.serve, []
 
     def serve(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         def process(connection: Any, request: Request) -> Any:
             refused = refusal(request.path, request.headers)
-            return refused if refused is not None else process_request(connection, request)
+            if refused is not None:
+                return refused
+            is_page = urlsplit(request.path).path == "/" and request.headers.get("Upgrade", "").lower() != "websocket"
+            if is_page:
+                del request.headers["Accept-Encoding"]  # our script goes into it
+            response = process_request(connection, request)
+            return with_script(response) if is_page else response
 
         served.append(True)
         return original(*arguments, process_request=process, **options)

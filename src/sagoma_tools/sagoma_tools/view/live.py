@@ -16,7 +16,7 @@ from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, our_nodes
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, persons_in
 from .feed import Feed
-from .scene import Figure
+from .figures import Figure
 
 LOOK_S = 1.0
 """How often the graph is asked who is there: names are cheap, but not free."""

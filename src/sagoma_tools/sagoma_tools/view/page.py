@@ -22,9 +22,10 @@ from .take_work import TakeWork
 from .takes_panel import TakesPanel
 
 FRAMES_HZ = 30.0
-STATES_S, PICTURES_S, TAKES_S = 0.5, 0.25, 2.0
+STATES, PICTURES, TAKES = "states", "pictures", "takes"
+EVERY_S = {STATES: 0.5, PICTURES: 0.25, TAKES: 2.0}
 """How often tables, the cameras' pictures and the list of takes are drawn anew."""
-LOOK_AT, LOOK_FROM = (0.0, 0.0, 0.8), (3.0, -3.9, 2.7)
+LOOK_AT, LOOK_FROM = (0.0, 0.0, 0.8), (2.9, -3.8, 2.2)
 """Where a browser's view begins (m): the room's middle, from above a usual ring of cameras."""
 
 
@@ -45,6 +46,8 @@ class Page:
         self.server.request_share_url = lambda *args, **kwargs: None  # type: ignore[method-assign]  # leaves this room
         gui = self.server.gui
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
+        gui.main_panel.dock_right()  # the scene beside it, not under it
+        gui.set_panel_label("sagoma")
         self._takes, self._live, self._control, self._jobs = takes, live, control, jobs or Jobs()
         self._scene = RoomScene(self.server.scene)
         self.server.initial_camera.position, self.server.initial_camera.look_at = LOOK_FROM, LOOK_AT
@@ -109,7 +112,7 @@ class Page:
         self._playback = playback
 
     def _draw(self) -> None:
-        next_states = next_pictures = next_takes = 0.0
+        next_at = dict.fromkeys(EVERY_S, 0.0)
         while not self._ended.is_set():
             if not self.server.get_clients():
                 if self._live is not None:
@@ -119,24 +122,32 @@ class Page:
                     self._watched.wait()
                 continue
             now = time.monotonic()
-            with self.server.atomic():
-                self._draw_people(now)
-                if now >= next_states:
-                    self._draw_states()
-                    next_states = now + STATES_S
-                if now >= next_pictures and self._graph is not None:
-                    self._graph.show_pictures()
-                    next_pictures = now + PICTURES_S
-                if now >= next_takes:
-                    self._take_panel.show_takes(self._takes.takes())
-                    next_takes = now + TAKES_S
+            try:
+                with self.server.atomic():
+                    self._draw_frame(now, next_at)
+            except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
+                self._jobs.say(f"the page could not be drawn: {error}")
             self.frames += 1
             self._ended.wait(max(0.0, 1.0 / FRAMES_HZ - (time.monotonic() - now)))
+
+    def _draw_frame(self, now_s: float, next_at: dict[str, float]) -> None:
+        """Draw what is due; ``next_at`` : when tables, pictures and takes are drawn next."""
+        due = [what for what, at_s in next_at.items() if now_s >= at_s]
+        next_at.update({what: now_s + EVERY_S[what] for what in due})
+        self._draw_people(now_s)
+        if STATES in due:
+            self._draw_states()
+        if PICTURES in due and self._graph is not None:
+            self._graph.show_pictures()
+        if TAKES in due:
+            self._take_panel.show_takes(self._takes.takes())
 
     def _draw_people(self, now_s: float) -> None:
         playback = self._playback
         if playback is not None:
-            self._scene.show(playback.figures_at(now_s))
+            there = playback.new_figures_at(now_s)
+            if there is not None:
+                self._scene.show(there)
             self._scene.show_voxels(None)
             self._take_panel.show_progress(playback)
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,16 +11,19 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
-from motion_export.motion import Motion, point_deviations
+from motion_export.motion import NS_PER_S, Motion, point_deviations
 from stick_figure.skeleton import ANGLE_NAMES
 
+from ..evaluation.angles import defined
 from ..recording.reader import SIDECAR_RIG
 from ..recording.recorded_motion import recorded_motions
 from ..takes.take import Take
-from .scene import Figure
+from .figures import Figure
 
 LEFT, RIGHT = "#4f9cf0", "#f08a4f"
 PAGES = ("shoulder", "elbow", "hip", "knee")
+HELD_S = 0.1
+"""A pose is shown over so long a gap: sets that a graph at its limit leaves out, not a person who is lost."""
 PLOT_POINTS = 1000
 """Of a curve: more than a page is wide."""
 
@@ -39,6 +43,7 @@ class Playback:
     playing: bool = True
     position_s: float = 0.0
     _moved_s: float = field(default_factory=time.monotonic)
+    _shown: dict[str, int | None] | None = None
 
     @classmethod
     def of(cls, take: Take) -> Playback:
@@ -63,31 +68,47 @@ class Playback:
         """Go on from there."""
         self.position_s, self._moved_s = min(max(seconds, 0.0), self.seconds), time.monotonic()
 
-    def figures_at(self, now_s: float) -> dict[str, Figure]:
-        """Move on to this moment, unless paused, and return everybody who was there then."""
+    def new_figures_at(self, now_s: float) -> dict[str, Figure] | None:
+        """Move on to this moment, unless paused; return everybody who is there then, None when nothing has changed."""
         if self.playing:
             self.position_s = (self.position_s + max(now_s - self._moved_s, 0.0)) % self.seconds
         self._moved_s = now_s
-        stamp_ns, figures = self.begins_ns + round(self.position_s * 1e9), {}
-        for body_id, motion in self.motions.items():
-            frame = motion.frame_at(stamp_ns)
-            if frame is not None:
-                sigma = point_deviations(motion.covariance[frame])
-                figures[body_id] = Figure(motion.points_world[frame], sigma, str(motion.states[frame]))
-        return figures
+        stamp_ns = self.begins_ns + round(self.position_s * 1e9)
+        frames = {body_id: last_frame(motion, stamp_ns) for body_id, motion in self.motions.items()}
+        if frames == self._shown:
+            return None
+        self._shown = frames
+        return {body_id: figure_of(self.motions[body_id], k) for body_id, k in frames.items() if k is not None}
 
-    def plots(self) -> Iterator[tuple[str, np.ndarray, dict[tuple[str, str], np.ndarray]]]:
-        """Yield title, times (n,) s and curves of the first person: (name, colour) -> degrees (n,)."""
-        body_id, motion = next(iter(self.motions.items()))
+    def plots(self, body_id: str) -> Iterator[tuple[str, np.ndarray, dict[tuple[str, str], np.ndarray]]]:
+        """Yield title, times (n,) s and curves of a person: (name, colour) -> degrees (n,), NaN where there are none.
+
+        There are none in a gap, and where a straight limb leaves the angle undetermined: it would turn by chance.
+        """
+        motion = self.motions[body_id]
         step = max(1, len(motion) // PLOT_POINTS)
         times_s = motion.times_s[::step] + (motion.start_ns - self.begins_ns) / 1e9
-        whose = f" of {body_id}" if len(self.motions) > 1 else ""
+        angles = np.rad2deg(np.where(defined(motion.angles), motion.angles, np.nan))[::step]
         for joint in PAGES:
             curves = {
-                (name.replace("_", " "), LEFT if name.startswith("left") else RIGHT): np.rad2deg(
-                    motion.angles[::step, k]
-                )
+                (name.replace("_", " "), LEFT if name.startswith("left") else RIGHT): angles[:, k]
                 for k, name in enumerate(ANGLE_NAMES)
                 if joint in name
             }
-            yield f"{joint}{whose}, degrees", times_s, curves
+            yield f"{joint}, degrees", times_s, curves
+
+
+def last_frame(motion: Motion, stamp_ns: int) -> int | None:
+    """Return a person's last tracked frame at a stamp, held over the sets that were left out."""
+    now = round((stamp_ns - motion.start_ns) * motion.rate_hz / NS_PER_S)
+    if not 0 <= now < len(motion):
+        return None
+    first = max(0, now - math.floor(HELD_S * motion.rate_hz))
+    tracked = np.flatnonzero(motion.tracked[first : now + 1])
+    return first + int(tracked[-1]) if len(tracked) else None
+
+
+def figure_of(motion: Motion, frame: int) -> Figure:
+    """Return a person as they were in one frame."""
+    sigma = point_deviations(motion.covariance[frame])
+    return Figure(motion.points_world[frame], sigma, str(motion.states[frame]))

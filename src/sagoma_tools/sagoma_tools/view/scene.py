@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -11,26 +10,16 @@ import viser.transforms
 
 from capture_rig.rig import Rig
 
-from ..overlays.drawing import BONES
+from .figures import DrawnPerson, Figure
 
 Array = np.ndarray
 
-SURE_M, UNSURE_M = 0.02, 0.12
-"""Standard deviation of a point that is drawn green, and red: a joint's own width, and a limb's error of one lost."""
-GREEN, AMBER, RED = np.array([60, 190, 90.0]), np.array([240, 170, 30.0]), np.array([220, 50, 45.0])
-BONE_M, JOINT_M, VOXEL_M = 0.035, 0.07, 0.02
-FRUSTUM_M = 0.2
-CAMERA_COLOUR, LOST_COLOUR = (150, 160, 190), (229, 72, 77)
-FLOOR_M = 6.0
-
-
-@dataclass(frozen=True, eq=False)
-class Figure:
-    """One person at one instant: points_world (15, 3) m, sigma_m (15,) standard deviations, the tracker's state."""
-
-    points_world: Array
-    sigma_m: Array
-    state: str
+VOXEL_M, VOXEL_COLOUR = 0.02, (120, 140, 200)
+FRUSTUM_M, FRUSTUM_LINE_M = 0.2, 0.008
+CAMERA_COLOUR, LOST_COLOUR = (130, 145, 185), (229, 72, 77)
+FLOOR_M, CELL_M, FLOOR_COLOUR = 6.0, 0.5, (96, 102, 114)
+SUN = (2.0, -1.0, 4.0)
+"""Whence the light comes: above, from where a view begins."""
 
 
 class RoomScene:
@@ -38,11 +27,15 @@ class RoomScene:
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
-        self._figures: dict[str, tuple[viser.LineSegmentsHandle, viser.PointCloudHandle, viser.LabelHandle]] = {}
+        self._people: dict[str, DrawnPerson] = {}
         self._cameras: dict[str, tuple[viser.CameraFrustumHandle, viser.LabelHandle]] = {}
         self._voxels: viser.PointCloudHandle | None = None
         scene.set_up_direction("+z")
-        scene.add_grid("/floor", FLOOR_M, FLOOR_M, cell_size=0.5, section_size=1.0)
+        scene.configure_default_lights(enabled=False)  # three cascades of shadows, and
+        scene.configure_environment_map(None)  # reflections: seconds until a browser without a GPU has made ready
+        scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(90, 90, 110), intensity=1.6)
+        scene.add_light_directional("/light/sun", intensity=2.2, position=SUN)
+        scene.add_line_segments("/floor", floor_lines(), FLOOR_COLOUR, thickness=1.0, thickness_units="screen")
 
     def show_rig(self, rig: Rig) -> None:
         """Draw every camera as its view's pyramid, with its name."""
@@ -58,6 +51,7 @@ class RoomScene:
                 fov,
                 camera.width / camera.height,
                 scale=FRUSTUM_M,
+                thickness=FRUSTUM_LINE_M,
                 color=CAMERA_COLOUR,
                 wxyz=viser.transforms.SO3.from_matrix(R_world_camera).wxyz,
                 position=camera.centre_world,
@@ -73,45 +67,35 @@ class RoomScene:
                 label.text = text
                 frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
 
-    def show(self, figures: dict[str, Figure]) -> None:
+    def show(self, figures: Mapping[str, Figure]) -> None:
         """Draw these persons, by id, and nobody else."""
-        for body_id in [body_id for body_id in self._figures if body_id not in figures]:
-            for handle in self._figures.pop(body_id):
-                handle.remove()
+        for body_id in [body_id for body_id in self._people if body_id not in figures]:
+            self._people.pop(body_id).remove()
         for body_id, figure in figures.items():
-            colours = confidence_colours(figure)
-            ends = figure.points_world[BONES].astype(np.float32)
-            bone_colours = colours[BONES]
-            points = figure.points_world.astype(np.float32)
-            if body_id not in self._figures:
-                name = f"/people/{body_id}"
-                bones = self._scene.add_line_segments(f"{name}/bones", ends, bone_colours, thickness=BONE_M)
-                joints = self._scene.add_point_cloud(
-                    f"{name}/joints", points, colours, point_size=JOINT_M, point_shape="circle", precision="float32"
-                )
-                label = self._scene.add_label(f"{name}/name", body_id, position=points[1], anchor="bottom-center")
-                self._figures[body_id] = bones, joints, label
-                continue
-            bones, joints, label = self._figures[body_id]
-            bones.points, bones.colors = ends, bone_colours
-            joints.points, joints.colors = points, colours
-            label.position = points[1]
+            if body_id in self._people:
+                self._people[body_id].move(figure)
+            else:
+                self._people[body_id] = DrawnPerson(self._scene, body_id, figure)
 
     def show_voxels(self, points_world: Array | None) -> None:
         """Draw the hull's voxels (m, 3), or none."""
-        if self._voxels is not None:
-            self._voxels.remove()
-            self._voxels = None
-        if points_world is not None and len(points_world):
+        if points_world is None or not len(points_world):
+            if self._voxels is not None:
+                self._voxels.remove()
+                self._voxels = None
+            return
+        points = points_world.astype(np.float32)
+        if self._voxels is None:
             self._voxels = self._scene.add_point_cloud(
-                "/hull", points_world.astype(np.float32), (120, 140, 200), point_size=VOXEL_M, precision="float32"
+                "/hull", points, VOXEL_COLOUR, point_size=VOXEL_M, precision="float32"
             )
+        else:
+            self._voxels.points = points
 
 
-def confidence_colours(figure: Figure) -> Array:
-    """(15, 3) uint8: green for sure points, amber, red for unsure ones; all red when the person is lost."""
-    doubt = np.clip((figure.sigma_m - SURE_M) / (UNSURE_M - SURE_M), 0.0, 1.0)
-    if figure.state == "lost":
-        doubt = np.ones_like(doubt)
-    low = GREEN + (AMBER - GREEN) * np.minimum(2.0 * doubt, 1.0)[:, None]
-    return (low + (RED - AMBER) * np.maximum(2.0 * doubt - 1.0, 0.0)[:, None]).astype(np.uint8)
+def floor_lines() -> Array:
+    """(n, 2, 3) m: a square of cells about the origin."""
+    half = 0.5 * FLOOR_M
+    at = np.linspace(-half, half, round(FLOOR_M / CELL_M) + 1)
+    along_x = np.stack([np.stack([np.full_like(at, x), at, np.zeros_like(at)], 1) for x in (-half, half)], 1)
+    return np.concatenate([along_x, along_x[..., [1, 0, 2]]]).astype(np.float32)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
 import viser
 
+from ..graph.topics import FIRST_BODY_ID
 from ..takes.exporting import FORMATS
 from ..takes.take import Take
 from ..takes.texts import FIGURES, date, figures, remark, summary_lines
@@ -44,6 +46,7 @@ class TakesPanel:
             self._about = gui.add_html("")
             player = gui.add_button_group("replay", (PLAY, PAUSE, BACK) if leave is not None else (PLAY, PAUSE))
             self._position = gui.add_slider("second", 0.0, 1.0, 0.01, 0.0, disabled=True)
+            self._person = gui.add_dropdown("angles of", (FIRST_BODY_ID,), visible=False)
             self._plots = gui.add_folder("angles", visible=False)
             with gui.add_folder("for other programs"):
                 self._format = gui.add_dropdown("format", (ALL_FORMATS, *FORMATS))
@@ -58,6 +61,7 @@ class TakesPanel:
         on_click(player, lambda: players[player.value]())
         self._position.on_update(self._jump)
         self._choice.on_update(lambda event: self._show_about())
+        self._person.on_update(lambda event: self._show_curves() if event.client is not None else None)
         on_click(mark, lambda: self._mark(mark.value))
         on_click(change, lambda: jobs.request(*changes[change.value]()))
         on_click(bin_group, lambda: jobs.request(*changes[bin_group.value]()))
@@ -97,26 +101,39 @@ class TakesPanel:
     def show_playback(self, playback: Playback | None) -> None:
         """Show the angles and the length of a take; of none, nothing."""
         self._playback = playback
-        for child in list(self._plots._children.values()):
-            child.remove()
         self._plots.visible = playback is not None
+        self._person.visible = playback is not None and len(playback.motions) > 1
         self._position.disabled = playback is None
         if playback is None:
+            self._remove_curves()
             return
+        self._person.options = tuple(playback.motions)
         self._position.max = round(playback.seconds, 2)
         _set(self._to, round(playback.seconds, 2))
         self._choose(playback.take.name)
-        with self._plots:
-            for title, times_s, series in playback.plots():
-                styles = [viser.uplot.Series(label="s")]
-                styles += [viser.uplot.Series(label=name, stroke=colour) for name, colour in series]
-                columns = (times_s, *(values for values in series.values()))
-                self._gui.add_uplot(columns, tuple(styles), title=title, aspect=2.0, scales=NOT_A_DATE)
+        _set(self._person, next(iter(playback.motions)))
+        self._show_curves()
 
     def show_progress(self, playback: Playback) -> None:
         """Move the slider to where the take plays."""
         if abs(self._position.value - playback.position_s) > SLIDER_LAG_S:
             _set(self._position, round(playback.position_s, 2))
+
+    def _show_curves(self) -> None:
+        """Draw the angles of the person who is chosen."""
+        self._remove_curves()
+        if self._playback is None or self._person.value not in self._playback.motions:
+            return
+        with self._plots:
+            for title, times_s, series in self._playback.plots(self._person.value):
+                styles = [viser.uplot.Series(label="s")]
+                styles += [viser.uplot.Series(label=name, stroke=colour) for name, colour in series]
+                scales = {"x": NOT_A_DATE, "y": viser.uplot.Scale(range=whole_range(series.values()))}
+                self._gui.add_uplot((times_s, *series.values()), tuple(styles), title=title, aspect=1.6, scales=scales)
+
+    def _remove_curves(self) -> None:
+        for child in list(self._plots._children.values()):
+            child.remove()
 
     def _choose(self, name: str) -> None:
         if name in self._choice.options:
@@ -146,13 +163,24 @@ class TakesPanel:
 WORDS = {"persons": "persons: {}", "± mm": "± {} mm"}
 """Figures whose title does not stand behind them."""
 TEXT = "font-size: 13px; line-height: 1.35; overflow-wrap: anywhere; padding: 0 10px"
-NOT_A_DATE = {"x": viser.uplot.Scale(time=False)}
+NOT_A_DATE = viser.uplot.Scale(time=False)
 """Of a curve's times: seconds of the take."""
+GRID_DEG = 30.0
+"""Curves' ranges begin and end at multiples of it."""
 
 
 def _set(handle: Any, value: object) -> None:
     """Set a control's value: viser's types call it read-only, its descriptors do not."""
     handle.value = value
+
+
+def whole_range(curves: Iterable[np.ndarray]) -> tuple[float, float]:
+    """Return the range of all curves in degrees; given, because uPlot finds none where a curve begins with NaN."""
+    values = np.concatenate([curve[np.isfinite(curve)] for curve in curves])
+    if not len(values):
+        return -GRID_DEG, GRID_DEG
+    low = GRID_DEG * np.floor(values.min() / GRID_DEG)
+    return float(low), float(max(GRID_DEG * np.ceil(values.max() / GRID_DEG), low + GRID_DEG))
 
 
 def about_html(take: Take) -> str:
