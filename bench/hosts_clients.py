@@ -11,7 +11,6 @@ examines graph and faulty host: its findings are the last column. The clock of a
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -224,8 +223,6 @@ class ClientDrill:
         """Return the figures of the exposures in ``seconds`` from an instant on."""
         sets = self.witness.figures(name, begin_ns, seconds, self.hz)
         _, p50_ms, p95_ms = self.witness.answered(begin_ns, seconds)
-        if "SAGOMA_KEEP" in os.environ:
-            (self.folder / f"points_{name}.json").write_text(json.dumps(self.witness.points))
         errors_mm = self.witness.errors_mm(self._truth, (self.begin_ns, FPS), begin_ns, seconds)
         exposed = seconds * self.hz
         error_mm = float(errors_mm.mean()) if len(errors_mm) else float("nan")
@@ -371,8 +368,7 @@ def running(arguments: Any) -> Iterator[ClientDrill]:
             print(f"{len(names)} hosts, GigE cameras at {arguments.hz:g} Hz, faults by {world.faults_by}", flush=True)
             yield ClientDrill(world, folder, arguments)
     finally:
-        if "SAGOMA_KEEP" not in os.environ:
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def main(arguments: Any, names: list[str]) -> dict[str, Any]:

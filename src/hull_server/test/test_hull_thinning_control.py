@@ -122,6 +122,14 @@ def test_rate_does_not_oscillate_where_the_load_stays() -> None:
     assert rate_hz(answers, 60) > 0.85 * 1000 / 26 and p95_ms(answers) < 150
 
 
+@pytest.mark.parametrize(("lost", "answered"), [(0.1, 0.75), (0.16, 0.75)])
+def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload(lost: float, answered: float) -> None:
+    """Half the sets of five cameras lack one: as if clients were too slow, until fewer sets change nothing."""
+    graph = Simulation(loss=dict.fromkeys(["cam01", "cam02", "cam03", "cam04", "cam05"], lost))
+    graph.run(30)
+    assert len(graph.run(30)) > answered * 30 * 60
+
+
 @pytest.mark.parametrize(
     "trouble",
     [

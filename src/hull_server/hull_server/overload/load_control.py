@@ -25,6 +25,8 @@ STANDING_S = 0.05  # a queue that stands so long, or for one set's period, is an
 DROPPED, TORN = 0.1, 0.5  # shares of the sets that show an overload: packet loss alone seldom reaches either
 HELPED = 0.95  # of the age, or of the missing frames, is left after a fall that helped, or less
 IN_VAIN = 3  # falls in a row that do not help: the cause is another one
+CERTAIN_SDS = 3.0  # more frames are missing than the network usually loses, of so few: by chance once in minutes
+LEARN_S = 5.0  # in which the usual loss is learned: several falls, each of which shows within a second
 SILENT_SETS = 5  # a camera missing from so many sets in a row is gone, and tears none
 FULL = 0.85  # of the processor or of a stage: above, a measured load promises no room
 TRIAL = 1.1  # a trial's rate over the present one; squared after each that held
@@ -130,7 +132,8 @@ class LoadControl:
         self._failed_load = 0.0  # the load a set when a rise failed: what it promised is not to be believed
         self._wait_s = FIRST_WAIT_S
         self._before: dict[str, tuple[float, int]] = {}  # cause -> how bad it was, and falls that did not help
-        self._usual_loss = 0.0  # the share of missing frames that no fall has made smaller
+        self._usual_loss = 0.0  # the share of frames that is missing whatever the rate: the network loses them
+        self._learned_ns = 0
 
     # --- what happens to frame sets ------------------------------------------------------------------------------
 
@@ -195,6 +198,8 @@ class LoadControl:
         if len(recent) < WINDOW_SETS:
             return False
         cause = self._overload(recent, rate_hz, load)
+        if load < FULL:  # on a full processor frames are missing because clients hardly get to run
+            self._learn_loss(1.0 - present_share(recent), now_ns)
         if cause:
             self._fall(cause, recent, rate_hz, load, now_ns)
         elif self.limit_hz < math.inf:
@@ -224,13 +229,14 @@ class LoadControl:
         delays = [each.delay_ns for each in recent if each.delay_ns is not None]
         ages = [each.age_ns for each in recent if not each.lacks]
         torn = [each.lacks for each in recent if each.lacks]
-        lost = 1.0 - present_share(recent)
+        lost, frames = 1.0 - present_share(recent), max(sum(s.cameras + len(s.lacks) for s in recent), 1)
         if sum(each.dropped for each in recent) > max(DROPPED * len(recent), 1):
             return DROPS
         # a delay without a busy stage is no queue: a set takes longer than it did, as with more people
         if load >= FULL and 2 * len(delays) >= WINDOW_SETS and self._delay.excess(min(delays)) > standing_ns:
             return DELAYED
-        if len(torn) > TORN * len(recent) and len(frozenset().union(*torn)) > 1 and HELPED * lost > self._usual_loss:
+        unusual = lost > self._usual_loss + CERTAIN_SDS * math.sqrt(self._usual_loss * (1 - self._usual_loss) / frames)
+        if len(torn) > TORN * len(recent) and len(frozenset().union(*torn)) > 1 and unusual:
             if self._helps(TEARS, lost, load):
                 return TEARS
             self._usual_loss = lost
@@ -239,6 +245,12 @@ class LoadControl:
                 return LATE
             self._age = Shortest()
         return ""
+
+    def _learn_loss(self, lost: float, now_ns: int) -> None:
+        """Follow the share of missing frames, slowly: an overload shows before it has become usual."""
+        elapsed_s = min((now_ns - self._learned_ns) / NS_PER_S, WINDOW_S)
+        self._usual_loss += (lost - self._usual_loss) * elapsed_s / LEARN_S
+        self._learned_ns = now_ns
 
     def _helps(self, cause: str, badness: float, load: float) -> bool:
         """Return whether falls for this cause may still help; else undo what was done.
